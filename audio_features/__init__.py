@@ -1,0 +1,49 @@
+"""Sound in, feature tracks out.
+
+>>> import audio_features as af
+>>> wave = af.Wave.load("speech.wav")
+>>> track = af.Stack([af.LogMel(), af.Prosody()]).extract(wave)
+>>> track.to_rate(25.0, n_frames=wave.n_frames(25.0)).values.shape
+(250, 28)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+# Public name -> module. Imported on first use: `import audio_features` costs next to nothing.
+_EXPORTS = {
+    "AudioError": "errors",
+    "AudioFeaturesError": "errors",
+    "Extractor": "extractor",
+    "FeatureError": "errors",
+    "FeatureTrack": "track",
+    "LogMel": "acoustic",
+    "MFCC": "acoustic",
+    "Prosody": "acoustic",
+    "Stack": "extractor",
+    "WavLM": "wavlm",
+    "Wave": "wave",
+    "WeightsError": "errors",
+    "exact_rate": "wave",
+    "extractor_from_spec": "extractor",
+    "from_residual_pyramid": "pyramid",
+    "interpolation_weights": "pyramid",
+    "level_lengths": "pyramid",
+    "resample_frames": "pyramid",
+    "residual_pyramid": "pyramid",
+}
+__all__ = sorted(_EXPORTS)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _EXPORTS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_EXPORTS[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_EXPORTS})

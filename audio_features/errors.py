@@ -1,0 +1,22 @@
+"""The errors audio_features raises on purpose.
+
+Every message holds what went wrong, where (path or field), the value met, and what to do.
+"""
+
+from __future__ import annotations
+
+
+class AudioFeaturesError(Exception):
+    """Root of every error that audio_features raises on purpose."""
+
+
+class AudioError(AudioFeaturesError, ValueError):
+    """A sound file, or an array of samples, that cannot be used."""
+
+
+class WeightsError(AudioFeaturesError, ValueError):
+    """A folder of network weights that is missing, incomplete, or not the one asked for."""
+
+
+class FeatureError(AudioFeaturesError, ValueError):
+    """A feature track, a feature file, or an extractor setting that cannot be used."""

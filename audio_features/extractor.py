@@ -1,0 +1,130 @@
+"""What an extractor is, stacking several, and making one from its spec."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from audio_features.acoustic import MFCC, AcousticExtractor, LogMel, Prosody
+from audio_features.errors import FeatureError, WeightsError
+from audio_features.spectrum import ShortTimeSpectrum
+from audio_features.track import FeatureTrack
+from audio_features.wave import Wave
+
+
+@runtime_checkable
+class Extractor(Protocol):
+    """Sound in, feature track out."""
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """What makes the features, JSON-able; the inverse is `extractor_from_spec`."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One name a column."""
+
+    @property
+    def dim(self) -> int:
+        """Number of columns D."""
+
+    def extract(self, wave: Wave) -> FeatureTrack:
+        """The features of a sound, (T, D) on their own time base."""
+
+
+class Stack:
+    """Several extractors side by side, on the time base of the one with the most frames.
+
+    The acoustic ones share one spectrum.
+    """
+
+    def __init__(self, parts: Sequence[Extractor]) -> None:
+        self.parts = tuple(parts)
+        if not self.parts:
+            raise FeatureError("an empty stack: give at least one extractor")
+        self.names = tuple(name for part in self.parts for name in part.names)
+        doubles = sorted({name for name in self.names if self.names.count(name) > 1})
+        if doubles:
+            raise FeatureError(f"two parts of a stack both give {doubles[0]!r}: name each once")
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """{"kind": "stack", "parts": [spec, …]}."""
+        return {"kind": "stack", "parts": [part.spec for part in self.parts]}
+
+    @property
+    def dim(self) -> int:
+        """Number of columns D, the sum of the parts'."""
+        return len(self.names)
+
+    def extract(self, wave: Wave) -> FeatureTrack:
+        """The parts' features side by side: values (T, D)."""
+        spectrum = ShortTimeSpectrum(wave)
+        tracks = [
+            part.from_spectrum(spectrum)
+            if isinstance(part, AcousticExtractor)
+            else part.extract(wave)
+            for part in self.parts
+        ]
+        times = max((track.times for track in tracks), key=len)
+        values = [
+            track.values if track.times is times else track.at(times).values for track in tracks
+        ]
+        return FeatureTrack(np.concatenate(values, axis=1), times, self.spec, self.names)
+
+    def __repr__(self) -> str:
+        return f"Stack({list(self.parts)})"
+
+
+def extractor_from_spec(
+    spec: dict[str, Any], *, weights: str | os.PathLike[str] | None = None
+) -> Extractor:
+    """The extractor that a spec describes.
+
+    Args:
+        spec: as `Extractor.spec` gives it, and as feature files and models store it.
+        weights: folder of the WavLM weights, where the spec asks for WavLM.
+
+    Raises FeatureError for a spec of an unknown kind or with other settings than its kind has,
+    and WeightsError where weights are needed and missing, or are not those of the spec.
+    """
+    settings = dict(spec) if isinstance(spec, dict) else {}
+    kind = settings.pop("kind", None)
+    if kind == "wavlm":
+        return _wavlm(settings, weights)
+    if kind == "stack":
+        parts = settings.pop("parts", None)
+        if settings or not isinstance(parts, list):
+            raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
+        return Stack([extractor_from_spec(part, weights=weights) for part in parts])
+    light = {"logmel": LogMel, "mfcc": MFCC, "prosody": Prosody}
+    if kind not in light:
+        known = ", ".join([*light, "wavlm", "stack"])
+        raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
+    try:
+        return light[kind](**settings)
+    except TypeError as error:
+        raise FeatureError(f"feature spec {spec!r}: {error}") from error
+
+
+def _wavlm(settings: dict[str, Any], weights: str | os.PathLike[str] | None) -> Extractor:
+    from audio_features.wavlm import WavLM
+
+    wanted, layer = settings.pop("fingerprint", None), settings.pop("layer", "last")
+    if settings:
+        raise FeatureError(f"feature spec of WavLM: unknown setting {sorted(settings)[0]!r}")
+    if weights is None:
+        raise WeightsError(
+            f"WavLM weights are needed (fingerprint {wanted}): "
+            "name their folder (weights=…, on the command line --weights)"
+        )
+    extractor = WavLM(weights, layer=layer)
+    if wanted is not None and extractor.fingerprint != wanted:
+        raise WeightsError(
+            f"{os.fspath(weights)}: these weights have fingerprint {extractor.fingerprint}, "
+            f"the features were made with {wanted}: give the weights that the model was trained on"
+        )
+    return extractor

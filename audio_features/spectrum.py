@@ -1,0 +1,95 @@
+"""ShortTimeSpectrum: the one short-time Fourier transform all acoustic features share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from audio_features.errors import FeatureError
+from audio_features.wave import SPEECH_LEVEL_DBFS, Wave
+
+SAMPLE_RATE = 16_000
+"""Rate in Hz that every acoustic feature works at."""
+FRAME_RATE = 100
+"""Frames per second: frame k is centred at k·10 ms."""
+FLOOR_DB = -60.0
+"""Added to every power before the logarithm, relative to the active speech level."""
+MAX_MELS = 80
+"""More bands than this would be narrower than the 31 Hz between two frequencies."""
+
+HOP = SAMPLE_RATE // FRAME_RATE
+WINDOW = 400  # 25 ms
+N_FFT = 512
+_BLOCK_FRAMES = 3000  # 30 s worked on at a time, so that long files need little memory
+
+
+def to_db(power: np.ndarray) -> np.ndarray:
+    """Power relative to active speech in dB, never below -60: 10·log10(power + floor)."""
+    return 10.0 * np.log10(power + 10.0 ** (FLOOR_DB / 10.0))
+
+
+def centred_frames(
+    samples: np.ndarray, length: int, n_frames: int
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield (first frame, (m, length) view) blocks of frames centred every 10 ms, zero-padded."""
+    for first in range(0, n_frames, _BLOCK_FRAMES):
+        count = min(_BLOCK_FRAMES, n_frames - first)
+        start = first * HOP - length // 2
+        stop = start + (count - 1) * HOP + length
+        block = samples[max(start, 0) : max(stop, 0)]
+        block = np.pad(block, (max(-start, 0), stop - max(start, 0) - len(block)))
+        yield first, np.lib.stride_tricks.sliding_window_view(block, length)[::HOP]
+
+
+class ShortTimeSpectrum:
+    """A sound prepared for the acoustic features.
+
+    The sound is taken to 16 kHz and to the standard active level, so that the same words at
+    another level give the same features. Frames are 25 ms (Hann) every 10 ms, frame k centred
+    at k·0.01 s; there are `wave.n_frames(100)` of them.
+
+    Attributes:
+        wave: the prepared sound, 16 kHz.
+        n_frames: number of frames T.
+        times: (T,) float64 seconds.
+    """
+
+    def __init__(self, wave: Wave) -> None:
+        self.wave = wave.resample(SAMPLE_RATE).at_level()
+        self.n_frames = wave.n_frames(FRAME_RATE)
+        self.times = np.arange(self.n_frames) / FRAME_RATE
+        self._log_mels: dict[int, np.ndarray] = {}
+
+    @cached_property
+    def power(self) -> np.ndarray:
+        """(T, 257) float32 power; a frame's sum is its mean square relative to active speech."""
+        from scipy.fft import rfft
+
+        window = np.hanning(WINDOW + 1)[:-1]
+        active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
+        window = (window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))).astype(np.float32)
+        power = np.empty((self.n_frames, N_FFT // 2 + 1), dtype=np.float32)
+        for first, frames in centred_frames(self.wave.samples, WINDOW, self.n_frames):
+            spectrum = rfft(frames * window, N_FFT, axis=1, overwrite_x=True)
+            power[first : first + len(frames)] = spectrum.real**2 + spectrum.imag**2
+        return power
+
+    def log_mel(self, n_mels: int) -> np.ndarray:
+        """(T, n_mels) float32 band powers in dB relative to active speech, at least -60."""
+        if n_mels not in self._log_mels:
+            self._log_mels[n_mels] = to_db(self.power @ _mel_filters(n_mels).T)
+        return self._log_mels[n_mels]
+
+
+@lru_cache
+def _mel_filters(n_mels: int) -> np.ndarray:
+    """(n_mels, 257) float32 triangles of height 1 on Slaney's mel scale, 50 Hz to 8 kHz."""
+    import librosa
+
+    if not 1 <= n_mels <= MAX_MELS:
+        raise FeatureError(f"n_mels={n_mels}: from 1 to {MAX_MELS}")
+    return librosa.filters.mel(
+        sr=SAMPLE_RATE, n_fft=N_FFT, n_mels=n_mels, fmin=50.0, norm=None, dtype=np.float32
+    )

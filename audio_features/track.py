@@ -1,0 +1,180 @@
+"""FeatureTrack: values on a time base, and the file that holds one."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+import zipfile
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from audio_features.errors import FeatureError
+from audio_features.wave import exact_rate
+
+FORMAT = 1
+# What zipfile, numpy and json raise on a file that is damaged or something else.
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    KeyError,
+    ValueError,
+    TypeError,
+    RuntimeError,
+    MemoryError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+_MAX_BYTES = 8 << 30  # a feature file that unpacks to more than this is not read
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureTrack:
+    """Features of a sound over time.
+
+    Args:
+        values: (T, D) float32, finite.
+        times: (T,) float64 seconds, ascending; where the frames are centred.
+        spec: what made them, JSON-able; `extractor_from_spec` reads it.
+        names: D names, one a column; by default "0", "1", …
+
+    Raises FeatureError where shapes disagree or a value is not finite.
+    """
+
+    values: np.ndarray
+    times: np.ndarray
+    spec: dict[str, Any] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        values = np.ascontiguousarray(self.values, dtype=np.float32)
+        times = np.ascontiguousarray(self.times, dtype=np.float64)
+        if values.ndim != 2 or times.shape != values.shape[:1] or len(times) == 0:
+            raise FeatureError(
+                f"values {values.shape} and times {times.shape}: expected (T, D) and (T,), T > 0"
+            )
+        names = tuple(self.names) or tuple(str(i) for i in range(values.shape[1]))
+        if len(names) != values.shape[1]:
+            raise FeatureError(f"{len(names)} names for {values.shape[1]} columns")
+        if not np.isfinite(values).all():
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise FeatureError(
+                f"column {names[column]!r}, frame {row}: value {values[row, column]} is not finite"
+            )
+        if not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
+            raise FeatureError("times must be finite and ascend")
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "names", names)
+
+    def at(self, times: np.ndarray) -> FeatureTrack:
+        """The track at other times (M,) in seconds: linear in time, held at both ends."""
+        times = np.asarray(times, dtype=np.float64)
+        if len(self.times) == 1:
+            return self._with(np.repeat(self.values, len(times), axis=0), times)
+        lo = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
+        span = self.times[lo + 1] - self.times[lo]
+        w = np.clip((times - self.times[lo]) / span, 0.0, 1.0).astype(np.float32)[:, None]
+        return self._with(self.values[lo] * (1 - w) + self.values[lo + 1] * w, times)
+
+    def to_rate(
+        self,
+        fps: float,
+        n_frames: int | None = None,
+        method: Literal["linear", "mean"] = "linear",
+    ) -> FeatureTrack:
+        """The track on motion frames: frame k is at k/fps.
+
+        Args:
+            fps: frames per second.
+            n_frames: how many; give `wave.n_frames(fps)` or the motion's own count. By default
+                the frames that are not later than the last one of this track.
+            method: "linear" interpolates by true time; "mean" averages the frames within half
+                a motion frame (and interpolates where there are none), which does not alias.
+        """
+        rate = exact_rate(fps)
+        if n_frames is None:
+            # A hair of slack: 0.29 · 100 is 28.999999999999996.
+            n_frames = math.floor(self.times[-1] * float(rate) + 1e-6) + 1
+        if n_frames < 1:
+            raise FeatureError(f"n_frames={n_frames}: at least 1")
+        times = np.arange(n_frames) * rate.denominator / rate.numerator
+        track = self.at(times)
+        if method == "linear":
+            return track
+        if method != "mean":
+            raise FeatureError(f"method={method!r}: 'linear' or 'mean'")
+        # A frame that lies on an edge belongs to the later window, whatever the rounding says.
+        edges = np.append(times, n_frames / float(rate)) - 0.5 / float(rate) - 1e-9
+        first = np.searchsorted(self.times, edges, side="left")
+        full = np.flatnonzero(first[1:] > first[:-1])
+        # Consecutive windows touch, so summing from one full window's start to the next one's
+        # is summing the window; past the last edge nothing is left in.
+        sums = np.add.reduceat(self.values[: first[-1]], first[full], axis=0) if len(full) else 0
+        values = track.values.copy()
+        values[full] = sums / (first[full + 1] - first[full])[:, None]
+        return self._with(values, times)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a feature file: npz of `values`, `times` and `spec` (a JSON string).
+
+        The JSON also holds the format number and the column names. The file gets its name only
+        when it is whole and on disk.
+        """
+        path = Path(path)
+        text = json.dumps({**self.spec, "format": FORMAT, "names": self.names}, allow_nan=False)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".npz", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, values=self.values, times=self.times, spec=np.array(text))
+                file.flush()
+                os.fsync(file.fileno())
+            # mkstemp makes files readable by their owner alone; give the usual permissions back.
+            umask = os.umask(0)
+            os.umask(umask)
+            Path(name).chmod(0o666 & ~umask)
+            os.replace(name, path)
+        finally:
+            Path(name).unlink(missing_ok=True)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> FeatureTrack:
+        """Read a feature file. Raises FeatureError where it is not one, or a newer one."""
+        name = os.fspath(path)
+        if not Path(name).is_file():
+            raise FeatureError(f"{name}: no such file: give a feature file (npz)")
+        try:
+            with zipfile.ZipFile(name) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+            if size > _MAX_BYTES:
+                raise FeatureError(
+                    f"{name}: unpacks to {size} bytes, at most {_MAX_BYTES} are read"
+                )
+            with np.load(name, allow_pickle=False) as file:
+                values, times = file["values"], file["times"]
+                spec = json.loads(file["spec"].item())
+        except FeatureError:
+            raise
+        except _UNREADABLE as error:
+            raise FeatureError(
+                f"{name}: not a feature file (npz with values, times, spec): {error}: "
+                "make it again with `gesturekit features`"
+            ) from error
+        if not isinstance(spec, dict):
+            raise FeatureError(f"{name}: spec is {type(spec).__name__}, expected a JSON object")
+        number, names = spec.pop("format", FORMAT), spec.pop("names", ())
+        if number != FORMAT:
+            raise FeatureError(f"{name}: format {number!r}, this version reads {FORMAT}: upgrade")
+        try:
+            return cls(values, times, spec, tuple(map(str, names)))
+        except (FeatureError, TypeError, ValueError) as error:
+            raise FeatureError(f"{name}: {error}") from error
+
+    def _with(self, values: np.ndarray, times: np.ndarray) -> FeatureTrack:
+        return FeatureTrack(values, times, self.spec, self.names)

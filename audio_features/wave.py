@@ -1,0 +1,303 @@
+"""Wave: one channel of sound at the rate of its file, checked on the way in."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import soundfile
+import soxr
+
+from audio_features.errors import AudioError
+from audio_features.riff import check_not_truncated
+
+MIN_SECONDS = Fraction(25, 1000)
+"""Shortest sound accepted: 400 samples at 16 kHz, what one WavLM frame sees."""
+SAMPLE_RATES = (4_000, 768_000)
+"""Lowest and highest sample rate accepted, in Hz."""
+SILENCE_DBFS = -75.0
+"""A clip whose active level is below this holds no speech."""
+ACTIVE_RANGE_DB = 20.0
+"""A frame is active when its power is within this range of the mean power of active frames."""
+SPEECH_LEVEL_DBFS = -23.0
+"""The active level that `Wave.at_level` gives by default (the target of EBU R128)."""
+
+_BLOCK = 1 << 20  # samples worked on at a time, so that memory stays bounded on long files
+
+
+def exact_rate(fps: float | Fraction) -> Fraction:
+    """A frame rate as a fraction, so that frame counts are exact.
+
+    Floats are taken to the nearest fraction with a denominator of at most 1001: 25.0 is 25,
+    29.97 is 2997/100, and the float 30000/1001 is NTSC's own 30000/1001.
+
+    Raises AudioError where `fps` is not a positive, finite number.
+    """
+    if not isinstance(fps, Fraction) and not math.isfinite(fps):
+        raise AudioError(f"fps is {fps!r}: give a positive number of frames per second")
+    rate = Fraction(fps).limit_denominator(1001)
+    if rate <= 0:
+        raise AudioError(f"fps is {fps!r}: give a positive number of frames per second")
+    return rate
+
+
+@dataclass(frozen=True, eq=False)
+class Wave:
+    """One channel of sound.
+
+    Args:
+        samples: (N,) floats, full scale is ±1; stored as float32.
+        sample_rate: Hz, 4,000 to 768,000.
+        source: where the sound comes from, for messages; usually a path.
+
+    Raises AudioError where the samples are not one finite channel of at least 25 ms.
+    """
+
+    samples: np.ndarray
+    sample_rate: int
+    source: str | None = None
+
+    def __post_init__(self) -> None:
+        name = self.source or "samples"
+        samples = np.asarray(self.samples)
+        if samples.ndim != 1:
+            raise AudioError(f"{name}: shape {samples.shape}, expected (N,): give one channel")
+        if samples.dtype.kind != "f":
+            raise AudioError(f"{name}: dtype {samples.dtype}, expected floats with full scale ±1")
+        object.__setattr__(self, "samples", np.ascontiguousarray(samples, dtype=np.float32))
+        object.__setattr__(self, "sample_rate", _checked_rate(self.sample_rate, name))
+        if Fraction(len(samples), self.sample_rate) < MIN_SECONDS:
+            raise AudioError(
+                f"{name}: {len(samples)} samples at {self.sample_rate} Hz are "
+                f"{1000 * self.duration:.1f} ms: give at least {1000 * float(MIN_SECONDS):.0f} ms"
+            )
+        _check_finite(self.samples, self.sample_rate, name)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        start: float = 0.0,
+        duration: float | None = None,
+        max_seconds: float = 4 * 3600,
+    ) -> Wave:
+        """Read a sound file (wav, flac, ogg, mp3, aiff: what libsndfile reads).
+
+        Args:
+            path: the file; any sample rate, any number of channels (their mean is taken).
+            start, duration: the stretch to read, in seconds; None reads to the end, and a
+                stretch that reaches past the end is cut there.
+            max_seconds: longest stretch that is read into memory.
+
+        Raises AudioError for a missing, unreadable, truncated, empty or too short file, and
+        for samples that are not finite.
+        """
+        name = os.fspath(path)
+        if not Path(name).is_file():
+            what = "not a regular file" if Path(name).exists() else "no such file"
+            raise AudioError(f"{name}: {what}: give the path of a sound file")
+        try:
+            if Path(name).stat().st_size == 0:
+                raise AudioError(f"{name}: the file is empty (0 bytes): export it again")
+            check_not_truncated(name)
+            with soundfile.SoundFile(name) as file:
+                rate = _checked_rate(file.samplerate, name)
+                first, count = _stretch(name, file.frames, rate, start, duration, max_seconds)
+                samples = _read_mono(file, name, first, count)
+        except (soundfile.LibsndfileError, OSError, TypeError) as error:
+            # TypeError is what soundfile says to headerless files such as .raw.
+            reason = str(error).removeprefix(f"Error opening {name!r}: ").rstrip(".")
+            raise AudioError(
+                f"{name}: cannot be read as sound ({reason}): "
+                "give a wav, flac, ogg or mp3 file, or convert it with ffmpeg"
+            ) from error
+        except MemoryError as error:
+            raise AudioError(f"{name}: too long for this machine's memory: split it") from error
+        return cls(samples, rate, name)
+
+    @property
+    def duration(self) -> float:
+        """Length in seconds."""
+        return len(self.samples) / self.sample_rate
+
+    def n_frames(self, fps: float | Fraction) -> int:
+        """Number of frames at `fps`: floor(duration·fps + ½), in exact arithmetic."""
+        return math.floor(
+            Fraction(len(self.samples), self.sample_rate) * exact_rate(fps) + Fraction(1, 2)
+        )
+
+    def resample(self, sample_rate: int) -> Wave:
+        """The same sound at another rate (soxr HQ); ceil(N·new/old) samples."""
+        if sample_rate == self.sample_rate:
+            return self
+        sample_rate = _checked_rate(sample_rate, "sample_rate")
+        samples = soxr.resample(self.samples, self.sample_rate, sample_rate, quality="HQ")
+        # soxr's own count may be one off the ceiling; frame counts must not depend on that.
+        n = -(-len(self.samples) * sample_rate // self.sample_rate)
+        samples = np.pad(samples[:n], (0, max(0, n - len(samples))))
+        return Wave(samples, sample_rate, self.source)
+
+    def slice(self, start: float, duration: float | None = None) -> Wave:
+        """The stretch of `duration` seconds from `start`; cut at the end of the sound."""
+        name = self.source or "samples"
+        first, count = _stretch(
+            name, len(self.samples), self.sample_rate, start, duration, math.inf
+        )
+        return Wave(self.samples[first : first + count], self.sample_rate, self.source)
+
+    def rms(self, times: np.ndarray, window: float = 0.05) -> np.ndarray:
+        """Root mean square around given times, about the clip's mean (no DC offset).
+
+        Args:
+            times: (M,) seconds, ascending; where the windows are centred.
+            window: length in seconds; windows are cut at the ends of the sound.
+
+        Returns (M,) float64; 0 where a window lies wholly outside the sound.
+        """
+        n = len(self.samples)
+        centres = np.asarray(times, dtype=np.float64) * self.sample_rate
+        if np.any(np.diff(centres) < 0):
+            raise AudioError("times must ascend: sort them first")
+        half = window * self.sample_rate / 2
+        first = np.clip(np.rint(centres - half), 0, n).astype(np.int64)
+        last = np.clip(np.rint(centres + half), 0, n).astype(np.int64)
+        power = np.zeros(len(centres))
+        done = 0
+        while done < len(centres):
+            stop = int(np.searchsorted(first, first[done] + _BLOCK, side="left"))
+            origin, end = first[done], last[stop - 1]
+            energy = np.zeros(end - origin + 1)
+            block = self.samples[origin:end].astype(np.float64) - self._mean
+            np.cumsum(np.square(block, out=block), out=energy[1:])
+            length = np.maximum(last[done:stop] - first[done:stop], 1)
+            power[done:stop] = energy[last[done:stop] - origin] - energy[first[done:stop] - origin]
+            power[done:stop] /= length
+            done = stop
+        return np.sqrt(np.maximum(power, 0.0))
+
+    def active(self, hop: float = 0.01) -> np.ndarray:
+        """Where there is speech, on frames of 25 ms centred every `hop` seconds.
+
+        A frame is active when its power is at most 20 dB below the mean power of the active
+        frames; the set is found by starting from all frames and dropping the quieter ones
+        until none is left to drop (each drop raises the mean, so it ends). This is the gating
+        of EBU R128 and ITU-T P.56 without an absolute gate: the same sound at another level
+        has the same active frames. A clip whose active level is below -75 dBFS has none.
+
+        Returns (n_frames(1/hop),) bool.
+        """
+        return self._activity(hop)[0]
+
+    def active_level(self) -> float:
+        """RMS over the active frames in dBFS (a full-scale square wave is 0); -inf on silence."""
+        return self._level
+
+    @property
+    def is_silent(self) -> bool:
+        """True where no frame is active: digital silence, or noise below -75 dBFS."""
+        return self._level == -math.inf
+
+    def at_level(self, dbfs: float = SPEECH_LEVEL_DBFS) -> Wave:
+        """The same sound with its active level at `dbfs` and no DC offset.
+
+        Silence is returned unchanged: there is no speech whose level could be set.
+        """
+        if self.is_silent:
+            return self
+        gain = 10.0 ** ((dbfs - self._level) / 20.0)
+        samples = self.samples * np.float32(gain)
+        samples -= np.float32(gain * self._mean)
+        return Wave(samples, self.sample_rate, self.source)
+
+    @cached_property
+    def _mean(self) -> float:
+        return float(np.mean(self.samples, dtype=np.float64))
+
+    @cached_property
+    def _level(self) -> float:
+        return self._activity(0.01)[1]
+
+    def _activity(self, hop: float) -> tuple[np.ndarray, float]:
+        """Active frames (M,) bool and their level in dBFS."""
+        times = np.arange(self.n_frames(1 / Fraction(hop).limit_denominator(1000))) * hop
+        power = np.square(self.rms(times, window=0.025))
+        active = power > 0.0
+        while active.any():
+            louder = power >= power[active].mean() * 10.0 ** (-ACTIVE_RANGE_DB / 10.0)
+            if np.array_equal(louder, active):
+                break
+            active = louder
+        level = 10.0 * math.log10(power[active].mean()) if active.any() else -math.inf
+        if level < SILENCE_DBFS:
+            return np.zeros_like(active), -math.inf
+        return active, level
+
+
+def _checked_rate(rate: int, name: str) -> int:
+    low, high = SAMPLE_RATES
+    if int(rate) != rate or not low <= rate <= high:
+        raise AudioError(
+            f"{name}: sample rate {rate} Hz, expected a whole number from {low} to {high}: "
+            "resample the sound, or mend its header"
+        )
+    return int(rate)
+
+
+def _check_finite(samples: np.ndarray, rate: int, name: str) -> None:
+    for at in range(0, len(samples), _BLOCK):
+        finite = np.isfinite(samples[at : at + _BLOCK])
+        if not finite.all():
+            bad = at + int(np.argmin(finite))
+            raise AudioError(
+                f"{name}: sample {bad} ({bad / rate:.3f} s) is {samples[bad]}: "
+                "export the sound again without NaN or infinite values"
+            )
+
+
+def _stretch(
+    name: str, n: int, rate: int, start: float, duration: float | None, max_seconds: float
+) -> tuple[int, int]:
+    """First sample and number of samples of a stretch given in seconds."""
+    if not (math.isfinite(start) and start >= 0):
+        raise AudioError(f"{name}: start is {start} s: give 0 or more")
+    if duration is not None and not (math.isfinite(duration) and duration > 0):
+        raise AudioError(f"{name}: duration is {duration} s: give more than 0, or None")
+    first = round(start * rate)
+    if first >= n > 0:
+        raise AudioError(f"{name}: start is {start} s but the sound ends at {n / rate:.3f} s")
+    count = n - first if duration is None else min(n - first, round(duration * rate))
+    if count > max_seconds * rate:
+        raise AudioError(
+            f"{name}: {count / rate:.0f} s of sound, at most {max_seconds:.0f} s are read: "
+            "split the file, or give start and duration (or a larger max_seconds)"
+        )
+    return first, count
+
+
+def _read_mono(file: soundfile.SoundFile, name: str, first: int, count: int) -> np.ndarray:
+    """(count,) float32, the mean of the channels, read block by block."""
+    samples = np.empty(count, dtype=np.float32)
+    if first:
+        file.seek(first)
+    done = 0
+    while done < count:
+        block = file.read(
+            min(count - done, max(1, _BLOCK // file.channels)), dtype="float32", always_2d=True
+        )
+        if len(block) == 0:
+            break
+        np.mean(block, axis=1, out=samples[done : done + len(block)])
+        done += len(block)
+    # Lossy streams only estimate their length; for every other format less is truncation.
+    if done < count and file.format not in ("MP3", "MPEG"):
+        raise AudioError(
+            f"{name}: truncated: the header declares {first + count} samples a channel, "
+            f"only {first + done} can be read: copy or export the file again"
+        )
+    return samples[:done]

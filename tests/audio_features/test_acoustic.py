@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import soundfile
+
+from audio_features import MFCC, FeatureError, LogMel, Prosody, Stack, Wave
+from audio_features import spectrum as spectrum_module
+from audio_features.spectrum import FLOOR_DB
+
+EVERYTHING = Stack([LogMel(), MFCC(), Prosody()])
+
+
+def columns(track, name: str) -> np.ndarray:
+    return track.values[:, track.names.index(name)]
+
+
+def test_shapes_times_and_names(speech):
+    for extractor, dim in ((LogMel(), 24), (MFCC(), 20), (Prosody(), 4), (EVERYTHING, 48)):
+        track = extractor.extract(speech)
+        assert track.values.shape == (400, dim)
+        assert extractor.dim == dim and track.names == extractor.names
+        assert track.spec == extractor.spec
+        np.testing.assert_allclose(track.times, np.arange(400) / 100)
+
+
+def test_a_stack_gives_what_its_parts_give_from_one_spectrum(speech, monkeypatch):
+    alone = [part.extract(speech).values for part in EVERYTHING.parts]
+    made = []
+    build = spectrum_module.ShortTimeSpectrum.power.func
+
+    def counted(self):
+        made.append(self)
+        return build(self)
+
+    monkeypatch.setattr(spectrum_module.ShortTimeSpectrum.power, "func", counted)
+    np.testing.assert_array_equal(EVERYTHING.extract(speech).values, np.concatenate(alone, 1))
+    assert len(made) == 1
+
+
+def test_the_same_words_20_db_quieter_in_16_bits_give_the_same_features(speech, tmp_path):
+    tracks = []
+    room = 1e-4 * np.random.default_rng(0).standard_normal(len(speech.samples))
+    for name, gain in (("loud.wav", 1.0), ("quiet.wav", 0.1)):
+        soundfile.write(tmp_path / name, gain * (speech.samples + room), 16_000, subtype="PCM_16")
+        tracks.append(EVERYTHING.extract(Wave.load(tmp_path / name)))
+    loud, quiet = tracks
+    difference = np.sqrt(np.mean((loud.values - quiet.values) ** 2, axis=0))
+    assert difference[:24].max() < 1.5  # dB
+    assert (difference / loud.values.std(axis=0))[-4:].max() < 0.1
+
+
+@pytest.mark.parametrize("rate", [8_000, 44_100, 48_000])
+def test_the_rate_of_the_file_hardly_matters(speech, rate):
+    there = speech.resample(rate)
+    ours, theirs = LogMel().extract(speech), LogMel().extract(there)
+    below_3_khz = slice(0, 14)
+    difference = ours.values[5:-5, below_3_khz] - theirs.values[5:-5, below_3_khz]
+    assert np.abs(difference).mean() < 0.5
+
+
+@pytest.mark.parametrize("seconds", [0.025, 0.05, 3.0])
+def test_silence_is_the_floor(seconds):
+    wave = Wave(np.zeros(round(16_000 * seconds), np.float32), 16_000)
+    track = EVERYTHING.extract(wave)
+    mels = track.values[:, :24]
+    np.testing.assert_allclose(mels, FLOOR_DB, atol=1e-3)
+    assert (columns(track, "f0") == 0).all() and (columns(track, "voicing") == 0).all()
+    np.testing.assert_allclose(columns(track, "energy"), FLOOR_DB, atol=1e-3)
+    assert (columns(track, "onset") == 0).all()
+
+
+@pytest.mark.parametrize("kind", ["noise", "clicks", "constant", "quiet noise"])
+def test_sound_without_a_voice_gives_finite_prosody(kind):
+    samples = np.zeros(32_000, np.float32)
+    if "noise" in kind:
+        samples += np.random.default_rng(0).standard_normal(32_000).astype(np.float32)
+        samples *= 1e-7 if kind == "quiet noise" else 0.1
+    elif kind == "clicks":
+        samples[::4_001] = 1.0
+    else:
+        samples += 0.5
+    track = Prosody().extract(Wave(samples, 16_000))  # FeatureTrack refuses what is not finite
+    assert np.mean(columns(track, "voicing") > 0.6) < 0.05
+
+
+def test_prosody_follows_the_voice(speech):
+    track = Prosody().extract(speech)
+    voiced = columns(track, "voicing") > 0.8
+    assert voiced.mean() > 0.3
+    hertz = 150.0 + 30.0 * np.sin(2 * np.pi * 0.5 * track.times)
+    expected = 12 * np.log2(hertz / np.median(hertz[voiced]))
+    error = np.abs(columns(track, "f0") - expected)[voiced]
+    assert np.median(error) < 0.2 and np.mean(error < 0.5) > 0.95
+
+    syllable = (track.times % 0.4) < 0.2
+    pause = np.abs(track.times % 0.4 - 0.325) < 0.03
+    assert columns(track, "energy")[pause].max() < -35 < -15 < columns(track, "energy").max()
+    assert columns(track, "onset")[syllable].mean() > 3 * columns(track, "onset")[pause].mean()
+
+
+def test_a_tone_lights_the_band_it_is_in():
+    times = np.arange(16_000) / 16_000
+    peaks = [
+        LogMel(40)
+        .extract(Wave((0.1 * np.sin(2 * np.pi * hertz * times)).astype(np.float32), 16_000))
+        .values[20:80]
+        .mean(axis=0)
+        .argmax()
+        for hertz in (200, 800, 2_000, 5_000)
+    ]
+    assert peaks == sorted(set(peaks))
+
+
+def test_band_powers_add_up_to_the_level():
+    samples = np.random.default_rng(0).standard_normal(64_000).astype(np.float32)
+    bands = LogMel().extract(Wave(0.05 * samples, 16_000)).values[10:-10]
+    total = 10 * np.log10(np.sum(10 ** (bands / 10), axis=1).mean())
+    assert total == pytest.approx(0.0, abs=0.5)  # white noise is active throughout: 0 dB
+
+
+def test_long_sound_does_not_depend_on_blocks(speech, monkeypatch):
+    whole = EVERYTHING.extract(speech).values
+    monkeypatch.setattr(spectrum_module, "_BLOCK_FRAMES", 77)
+    np.testing.assert_allclose(EVERYTHING.extract(speech).values, whole, atol=2e-3)
+
+
+def test_settings_out_of_range_are_refused():
+    for make in (lambda: LogMel(0), lambda: LogMel(81), lambda: MFCC(41), lambda: MFCC(2.5)):
+        with pytest.raises(FeatureError, match="whole number"):
+            make()
+
+
+def test_prosody_of_real_speech(shared_data):
+    wave = Wave.load(next((shared_data / "paired").rglob("*.wav")), duration=20)
+    track = Prosody().extract(wave)
+    voiced = columns(track, "voicing") > 0.6
+    assert 0.15 < voiced.mean() < 0.9
+    assert 1 < columns(track, "f0")[voiced].std() < 8

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import audio_features as af
+
+
+@pytest.mark.parametrize(
+    "extractor", [af.LogMel(16), af.MFCC(13), af.Prosody(), af.Stack([af.MFCC(), af.Prosody()])]
+)
+def test_a_spec_makes_the_same_extractor_again(extractor, speech):
+    spec = json.loads(json.dumps(extractor.spec))
+    again = af.extractor_from_spec(spec)
+    assert again.spec == extractor.spec
+    np.testing.assert_array_equal(again.extract(speech).values, extractor.extract(speech).values)
+    assert isinstance(again, af.Extractor)
+
+
+@pytest.mark.parametrize(
+    ("spec", "word"),
+    [
+        ({"kind": "mell"}, "mell"),
+        ({}, "None"),
+        ([], "none of"),
+        ({"kind": "logmel", "bands": 3}, "bands"),
+        ({"kind": "logmel", "n_mels": "many"}, "many"),
+        ({"kind": "stack", "parts": "logmel"}, "parts"),
+        ({"kind": "stack", "parts": []}, "empty"),
+    ],
+)
+def test_wrong_specs_are_refused(spec, word):
+    with pytest.raises(af.FeatureError, match=word):
+        af.extractor_from_spec(spec)
+
+
+def test_a_stack_refuses_the_same_columns_twice():
+    with pytest.raises(af.FeatureError, match="mel_0"):
+        af.Stack([af.LogMel(24), af.LogMel(40)])
+
+
+def test_importing_the_package_is_light():
+    heavy = "torch", "librosa", "transformers", "scipy.signal", "matplotlib", "gesturekit"
+    code = f"import sys, audio_features; print([m for m in {heavy!r} if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == "[]", result.stderr
+
+
+def test_every_public_name_is_there():
+    for name in af.__all__:
+        assert getattr(af, name).__doc__
+    assert set(af.__all__) <= set(dir(af))
+    with pytest.raises(AttributeError, match="Chroma"):
+        af.Chroma  # noqa: B018

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from audio_features import FeatureError, FeatureTrack
+
+
+@pytest.fixture
+def ramp() -> FeatureTrack:
+    """On WavLM's time base, each value is its own time: interpolation must give k/fps."""
+    times = 0.0125 + 0.02 * np.arange(500)
+    return FeatureTrack(np.stack([times, -times], 1), times, {"kind": "test"}, ("a", "b"))
+
+
+@pytest.mark.parametrize("fps", [25, 30, 29.97, 120])
+def test_frames_are_placed_by_true_time(ramp, fps):
+    track = ramp.to_rate(fps)
+    inside = (track.times >= ramp.times[0]) & (track.times <= ramp.times[-1])
+    np.testing.assert_allclose(track.times, np.arange(len(track.times)) / fps, atol=1e-12)
+    np.testing.assert_allclose(track.values[inside, 0], track.times[inside], atol=1e-5)
+    assert track.times[-1] <= ramp.times[-1] < track.times[-1] + 1 / fps
+
+
+def test_ends_are_held_and_the_count_is_the_callers(ramp):
+    track = ramp.to_rate(25.0, n_frames=260)
+    assert track.values.shape == (260, 2)
+    assert track.values[0, 0] == np.float32(ramp.times[0])
+    assert (track.values[251:, 0] == np.float32(ramp.times[-1])).all()
+    assert (track.spec, track.names) == (ramp.spec, ramp.names)
+
+
+def test_mean_averages_what_lies_within_each_motion_frame(ramp):
+    track = ramp.to_rate(10.0, n_frames=100, method="mean")
+    for k in (0, 1, 50, 99):
+        inside = np.abs(ramp.times - k / 10) < 0.05
+        assert track.values[k, 0] == pytest.approx(ramp.values[inside, 0].mean(), abs=1e-5)
+    # A rate above the track's own leaves frames with nothing to average: they interpolate.
+    np.testing.assert_allclose(
+        ramp.to_rate(200.0, n_frames=1500, method="mean").values[10:1500, 0],
+        ramp.to_rate(200.0, n_frames=1500).values[10:1500, 0],
+        atol=0.004,
+    )
+
+
+def test_mean_removes_what_point_interpolation_aliases():
+    times = np.arange(1000) / 100
+    track = FeatureTrack(np.cos(np.pi * np.arange(1000))[:, None], times)
+    assert np.abs(track.to_rate(25, 250).values).max() == 1
+    assert np.abs(track.to_rate(25, 249, method="mean").values[1:]).max() < 1e-6
+
+
+def test_a_feature_file_gives_back_what_was_saved(ramp, tmp_path):
+    path = tmp_path / "sub" / "a.npz"
+    ramp.save(path)
+    again = FeatureTrack.load(path)
+    np.testing.assert_array_equal(again.values, ramp.values)
+    np.testing.assert_array_equal(again.times, ramp.times)
+    assert (again.spec, again.names) == (ramp.spec, ramp.names)
+    assert [entry.name for entry in path.parent.iterdir()] == ["a.npz"]
+    with np.load(path, allow_pickle=False) as file:
+        assert sorted(file) == ["spec", "times", "values"]
+        assert json.loads(str(file["spec"]))["kind"] == "test"
+
+
+def test_files_that_are_none_are_refused_by_name(ramp, tmp_path):
+    def refused(match: str) -> None:
+        with pytest.raises(FeatureError, match=match) as caught:
+            FeatureTrack.load(path)
+        assert str(path) in str(caught.value)
+
+    path = tmp_path / "a.npz"
+    refused("no such file")
+    path.write_text("text")
+    refused("not a feature file")
+    np.savez(path, values=np.zeros((3, 2)))
+    refused("not a feature file")
+    objects = np.array([{}, {}], dtype=object)
+    np.savez(path, values=objects, times=np.arange(2.0), spec=np.array("{}"))
+    refused("not a feature file")
+    np.savez(path, values=np.zeros((3, 2)), times=np.arange(2.0), spec=np.array("{}"))
+    refused("expected")
+    np.savez(path, values=np.zeros((2, 2)), times=np.arange(2.0), spec=np.array('{"format": 2}'))
+    refused("format 2")
+    ramp.save(path)
+    path.write_bytes(path.read_bytes()[:-2000])
+    refused("not a feature file")
+
+
+def test_values_that_are_not_finite_are_refused():
+    with pytest.raises(FeatureError, match="'b', frame 1"):
+        FeatureTrack(np.array([[0, 0], [0, np.nan]]), np.arange(2.0), {}, ("a", "b"))
+    with pytest.raises(FeatureError, match="ascend"):
+        FeatureTrack(np.zeros((2, 1)), np.array([1.0, 0.0]))

@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given
+from hypothesis import strategies as st
+
+from audio_features import AudioError, Wave
+
+
+def noise(n: int, level: float = 0.1) -> np.ndarray:
+    return (level * np.random.default_rng(0).standard_normal(n)).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "channels", "subtype"),
+    [
+        ("a.wav", 44_100, 2, "PCM_16"),
+        ("a.wav", 8_000, 1, "PCM_16"),
+        ("a.wav", 48_000, 1, "PCM_24"),
+        ("a.wav", 16_000, 6, "FLOAT"),
+        ("a.wav", 22_050, 1, "DOUBLE"),
+        ("a.flac", 44_100, 2, "PCM_16"),
+    ],
+)
+def test_lossless_files_load_as_the_mean_of_their_channels(tmp_path, name, rate, channels, subtype):
+    sound = 0.1 * np.random.default_rng(0).standard_normal((rate, channels))
+    soundfile.write(tmp_path / name, sound, rate, subtype=subtype)
+    wave = Wave.load(tmp_path / name)
+    assert (wave.sample_rate, wave.samples.dtype, wave.duration) == (rate, np.float32, 1.0)
+    np.testing.assert_allclose(wave.samples, sound.mean(axis=1), atol=4e-5)
+
+
+@pytest.mark.parametrize("name", ["a.mp3", "a.ogg"])
+def test_lossy_files_load(tmp_path, name):
+    tone = 0.3 * np.sin(2 * np.pi * 440 * np.arange(44_100) / 44_100)
+    soundfile.write(tmp_path / name, tone, 44_100)
+    wave = Wave.load(tmp_path / name)
+    assert wave.duration == pytest.approx(1.0, abs=0.1)
+    assert wave.active_level() == pytest.approx(20 * np.log10(0.3 / np.sqrt(2)), abs=0.5)
+
+
+def test_a_stretch_of_a_file_is_the_slice_of_the_whole(tmp_path):
+    soundfile.write(tmp_path / "a.wav", noise(16_000), 16_000, subtype="FLOAT")
+    whole = Wave.load(tmp_path / "a.wav")
+    part = Wave.load(tmp_path / "a.wav", start=0.25, duration=0.5)
+    np.testing.assert_array_equal(part.samples, whole.samples[4_000:12_000])
+    np.testing.assert_array_equal(part.samples, whole.slice(0.25, 0.5).samples)
+    assert Wave.load(tmp_path / "a.wav", start=0.9, duration=5.0).duration == pytest.approx(0.1)
+
+
+def test_bad_files_are_named_with_what_is_wrong(tmp_path):
+    def refused(name: str, *words: str, **options: float) -> None:
+        with pytest.raises(AudioError) as caught:
+            Wave.load(tmp_path / name, **options)
+        for word in (str(tmp_path / name), *words):
+            assert word in str(caught.value)
+
+    refused("missing.wav", "no such file")
+    (tmp_path / "folder.wav").mkdir()
+    refused("folder.wav", "not a regular file")
+    (tmp_path / "text.wav").write_text("this is not sound\n" * 100)
+    refused("text.wav", "cannot be read as sound", "ffmpeg")
+    (tmp_path / "text.raw").write_text("this is not sound\n" * 100)
+    refused("text.raw", "cannot be read as sound")
+    (tmp_path / "empty.wav").touch()
+    refused("empty.wav", "empty")
+    soundfile.write(tmp_path / "short.wav", noise(160), 16_000)
+    refused("short.wav", "10.0 ms", "25 ms")
+    soundfile.write(tmp_path / "rate.wav", noise(1000), 100)
+    refused("rate.wav", "100 Hz")
+    bad = noise(16_000)
+    bad[123] = np.nan
+    soundfile.write(tmp_path / "nan.wav", bad, 16_000, subtype="FLOAT")
+    refused("nan.wav", "sample 123", "nan")
+    soundfile.write(tmp_path / "good.wav", noise(16_000), 16_000)
+    refused("good.wav", "start is 2.0 s", start=2.0)
+    refused("good.wav", "duration is 0", duration=0.0)
+    refused("good.wav", "at most 0 s", max_seconds=0.5)
+
+
+@pytest.mark.parametrize("name", ["a.wav", "a.flac", "a.ogg"])
+def test_truncated_files_are_refused(tmp_path, name):
+    soundfile.write(tmp_path / "whole", noise(44_100), 44_100, format=name[2:].upper())
+    whole = (tmp_path / "whole").read_bytes()
+    (tmp_path / name).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(AudioError, match=name):
+        Wave.load(tmp_path / name)
+
+
+def test_a_wav_streamed_to_a_pipe_has_no_length_and_still_loads(tmp_path):
+    soundfile.write(tmp_path / "a.wav", noise(16_000), 16_000)
+    content = bytearray((tmp_path / "a.wav").read_bytes())
+    at = content.index(b"data") + 4
+    content[at : at + 4] = b"\xff" * 4
+    (tmp_path / "a.wav").write_bytes(content)
+    assert len(Wave.load(tmp_path / "a.wav").samples) == 16_000
+
+
+def test_arrays_are_checked_too():
+    with pytest.raises(AudioError, match="one channel"):
+        Wave(np.zeros((2, 16_000), np.float32), 16_000)
+    with pytest.raises(AudioError, match="int16"):
+        Wave(np.zeros(16_000, np.int16), 16_000)
+    with pytest.raises(AudioError, match="inf"):
+        Wave(np.full(16_000, np.inf, np.float32), 16_000)
+
+
+@given(
+    n=st.integers(20_000, 300_000),
+    rate=st.sampled_from([8_000, 11_025, 16_000, 22_050, 44_100, 48_000]),
+    fps=st.sampled_from([20, 25, 30, 60, 24, Fraction(30_000, 1001), Fraction(2997, 100)]),
+)
+def test_frame_count_is_exact(n, rate, fps):
+    wave = Wave(np.zeros(n, np.float32), rate)
+    exact = Fraction(n, rate) * Fraction(fps)
+    frames = wave.n_frames(float(fps))
+    assert frames == wave.n_frames(fps)
+    assert frames - Fraction(1, 2) <= exact < frames + Fraction(1, 2)
+
+
+def test_half_a_frame_rounds_up():
+    assert Wave(np.zeros(16_320, np.float32), 16_000).n_frames(25) == 26  # 25.5 frames
+    assert Wave(np.zeros(16_319, np.float32), 16_000).n_frames(25) == 25
+    with pytest.raises(AudioError, match="fps"):
+        Wave(np.zeros(16_000, np.float32), 16_000).n_frames(0)
+    with pytest.raises(AudioError, match="fps"):
+        Wave(np.zeros(16_000, np.float32), 16_000).n_frames(float("nan"))
+
+
+@pytest.mark.parametrize("rate", [8_000, 11_025, 22_050, 44_100, 48_000])
+def test_resampling_keeps_a_tone_and_the_length(rate):
+    times = np.arange(rate + 17) / rate
+    wave = Wave(np.sin(2 * np.pi * 440 * times).astype(np.float32), rate).resample(16_000)
+    assert len(wave.samples) == -(-(rate + 17) * 16_000 // rate)
+    inner = slice(1_000, 15_000)
+    expected = np.sin(2 * np.pi * 440 * np.arange(16_000) / 16_000)
+    np.testing.assert_allclose(wave.samples[:16_000][inner], expected[inner], atol=1e-4)
+
+
+def test_rms_matches_its_definition():
+    wave = Wave(noise(48_000) + np.float32(0.2), 16_000)
+    times = np.arange(75) / 25
+    centred = wave.samples - wave.samples.mean(dtype=np.float64)
+    expected = [
+        np.sqrt(np.mean(centred[max(0, k * 640 - 400) : k * 640 + 400] ** 2)) for k in range(75)
+    ]
+    np.testing.assert_allclose(wave.rms(times, window=0.05), expected, rtol=1e-5)
+
+
+def test_rms_does_not_depend_on_the_blocks_it_is_computed_in(monkeypatch):
+    wave = Wave(noise(160_000), 16_000)
+    times = np.arange(1_100) / 100
+    whole = wave.rms(times)
+    monkeypatch.setattr("audio_features.wave._BLOCK", 5_000)
+    np.testing.assert_allclose(wave.rms(times), whole, rtol=1e-9)
+
+
+def test_activity_and_level_do_not_see_pauses_gain_or_offset(speech):
+    pause = np.zeros(20 * 16_000, np.float32)
+    sparse = Wave(np.concatenate([pause, speech.samples, pause]), 16_000)
+    assert sparse.active_level() == pytest.approx(speech.active_level(), abs=0.3)
+    active = sparse.active()
+    assert len(active) == 4_400
+    assert not active[:1_990].any() and not active[2_410:].any() and active.any()
+
+    quiet = Wave(speech.samples * 0.1 + 0.02, 16_000)
+    assert quiet.active_level() == pytest.approx(speech.active_level() - 20, abs=0.05)
+    np.testing.assert_array_equal(quiet.active(), speech.active())
+    assert quiet.at_level(-23).active_level() == pytest.approx(-23, abs=0.01)
+
+
+@pytest.mark.parametrize("level", [0.0, 3e-5])
+def test_silence_is_silent_and_left_alone(level):
+    wave = Wave(noise(16_000, level), 16_000)
+    assert wave.is_silent
+    assert wave.active_level() == -np.inf
+    assert not wave.active().any()
+    assert wave.at_level() is wave
+
+
+def test_real_speech_is_active_about_half_of_the_time(shared_data):
+    path = next((shared_data / "paired").rglob("*.wav"))
+    wave = Wave.load(path)
+    assert not wave.is_silent
+    assert 0.2 < wave.active().mean() < 0.9
+    assert -40 < wave.active_level() < -5
