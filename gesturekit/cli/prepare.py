@@ -1,0 +1,93 @@
+"""`gesturekit prepare`: from folders of recordings to a manifest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command(
+    epilog="Example: gesturekit prepare recordings/ --unpaired speech/ --out corpus.jsonl"
+)
+@click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="FOLDER...")
+@click.option(
+    "--out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The manifest."
+)
+@click.option(
+    "--unpaired",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder of speech to use alone. May be repeated.",
+)
+@click.option(
+    "--unpaired-motion",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder of motion to use alone, for models without speech. May be repeated.",
+)
+@click.option(
+    "--holdout",
+    type=click.FloatRange(0, 1, max_open=True),
+    default=0.1,
+    show_default=True,
+    help="Fraction of the recordings that training never sees. Of several pairs at least one, "
+    "test and valid in turn; of a single pair, its last 20 %. 0 for none.",
+)
+@click.option(
+    "--hold-out-seconds",
+    metavar="START-END,...",
+    help="Hold these seconds of each pair out instead, as test. Without END, to its end.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Chooses what is held out.")
+@click.option("--speaker", metavar="NAME", help="Who speaks in all recordings of FOLDER.")
+@click.option("--style", metavar="NAME", help="The style of all recordings.")
+@click.option(
+    "--style-pattern",
+    metavar="REGEX",
+    help="Takes style (and speaker) from each path within its folder by named groups, "
+    "as in '(?P<style>calm|lively)_.*'.",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0),
+    default=0.5,
+    show_default=True,
+    help="Seconds by which sound and motion may differ in length; they are cut to the shorter.",
+)
+def command(
+    folders: tuple[Path, ...], out: Path, hold_out_seconds: str | None, **options: object
+) -> int:
+    """Pair speech (wav, flac, mp3, ogg) with motion (bvh, npz) and write a manifest.
+
+    Files go together by path within FOLDER without extension, then by unique name. Every
+    recording is checked; each problem is told with its file and never stops the others.
+
+    Exit codes: 0 everything is used; 1 some files are left out; 2 nothing is usable.
+    """
+    from tqdm import tqdm
+
+    from gesturekit.corpus import prepare
+    from gesturekit.corpus.splits import parse_intervals
+
+    if not (folders or options["unpaired"] or options["unpaired_motion"]):
+        raise click.UsageError("give at least one FOLDER of recordings")
+    report = prepare(
+        folders,
+        out,
+        hold_out_seconds=parse_intervals(hold_out_seconds) if hold_out_seconds else (),
+        # On a terminal only: a bar in a log file is noise.
+        progress=lambda tasks: tqdm(tasks, unit="file", desc="checking", disable=None, leave=False),
+        **options,
+    )
+    for line in report.problem_lines():
+        click.echo(line, err=True)
+    if len(report.manifest) == 0:
+        click.echo("Error: no usable recording found; no manifest written", err=True)
+        return 2
+    for line in report.table():
+        click.echo(line)
+    click.echo(f"{'written':<13} {out}")
+    return 0 if report.is_complete else 1

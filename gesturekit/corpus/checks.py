@@ -1,0 +1,158 @@
+"""What can be wrong inside a recording that reads well: one function a defect.
+
+Each function answers with frames; `preparation` turns the answers into problems.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.parts import find_parts
+
+MAX_SPEED = 10.0
+"""m/s; a joint that moves faster between two frames has jumped. A boxer's fist reaches 10."""
+
+MAX_JUMP_SHARE = 0.05
+"""A recording is left out when more than this share of its frames are jumps."""
+
+MIN_FROZEN = 1.0
+"""Seconds without any movement that are worth a warning: living people never stand so still."""
+
+# The steps in which text files hold a pose: identical rows differ by nothing at all.
+_STILL_ANGLE = 1e-5  # radians
+_STILL_DISTANCE = 1e-6  # metres
+
+# How far a held T-pose may stray: an actor's is never exact, and he sways.
+_ARM_ANGLE = np.deg2rad(25.0)
+_SWAY = 0.10  # metres
+_REST_ANGLE = np.deg2rad(0.5)
+
+
+def frozen_runs(motion: Motion) -> list[tuple[int, int]]:
+    """Runs of frames [first, stop) in which no joint moves at all, of `MIN_FROZEN` or longer."""
+    angle = _chord(motion.rotations[1:], motion.rotations[:-1]).max(axis=1) * 2.0
+    distance = np.abs(np.diff(motion.translation, axis=0)).max(axis=1)
+    for values in motion.joint_translations.values():
+        distance = np.maximum(distance, np.abs(np.diff(values, axis=0)).max(axis=1))
+    still = (angle < _STILL_ANGLE) & (distance < _STILL_DISTANCE)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    # A run of n still steps is n + 1 equal frames.
+    runs = [(int(first), int(stop) + 1) for first, stop in edges.reshape(-1, 2)]
+    return [(first, stop) for first, stop in runs if stop - first >= MIN_FROZEN * motion.fps]
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Frames at which some joint is further from its last place than a person can move."""
+
+    frames: tuple[int, ...]
+    joint: str
+    speed: float
+    """The fastest jump of all, in m/s, and the joint that makes it."""
+
+
+def find_jumps(motion: Motion) -> Jumps | None:
+    """Frames reached faster than `MAX_SPEED` in world space, or None."""
+    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=-1) * motion.fps
+    frames = np.flatnonzero(steps.max(axis=1) > MAX_SPEED) + 1
+    if len(frames) == 0:
+        return None
+    joint = int(np.unravel_index(steps.argmax(), steps.shape)[1])
+    return Jumps(tuple(map(int, frames)), motion.skeleton.names[joint], float(steps.max()))
+
+
+def reference_pose(motion: Motion) -> tuple[int, int]:
+    """Frames of T-pose or rest pose at the start and at the end of a motion.
+
+    Exporters put the rest pose before a take, and actors hold a T-pose for calibration; neither
+    is gesture. A frame counts as long as all frames between it and the end of the motion have
+    every joint (but the root) within half a degree of the rest pose, or have both arms
+    straight out to the sides within 25° and every joint within 10 cm of where the outermost
+    frame has it. A skeleton whose arms are not found is compared with its rest pose alone.
+
+    Returns:
+        (frames at the start, frames at the end); both are all frames where all are such.
+    """
+    positions = motion.positions()
+    resting = _in_rest_pose(motion)
+    arms_out = _arms_out(motion.skeleton, positions)
+    return (
+        _leading(positions, resting, arms_out),
+        _leading(positions[::-1], resting[::-1], arms_out[::-1]),
+    )
+
+
+def first_difference(skeleton: Skeleton, usual: Skeleton) -> str | None:
+    """Where the joints or parents of a skeleton first differ from the usual one, or None.
+
+    Offsets may differ: performers are of different size.
+    """
+    for i, (name, other) in enumerate(zip(skeleton.names, usual.names, strict=False)):
+        if name != other:
+            return f"joint {i} is {name!r} here and {other!r} in the others"
+        parent, expected = skeleton.parents[i], usual.parents[i]
+        if parent != expected:
+            here = "the root" if parent < 0 else f"under {skeleton.names[parent]!r}"
+            there = "the root" if expected < 0 else f"under {usual.names[expected]!r}"
+            return f"joint {name!r} is {here} here and {there} in the others"
+    if skeleton.n_joints != usual.n_joints:
+        longer = max(skeleton.names, usual.names, key=len)
+        return (
+            f"{skeleton.n_joints} joints here and {usual.n_joints} in the others; "
+            f"the first one more is {longer[min(skeleton.n_joints, usual.n_joints)]!r}"
+        )
+    return None
+
+
+def usual_skeleton(skeletons: Sequence[Skeleton]) -> Skeleton:
+    """The skeleton whose joints and parents most recordings have; the first of equals."""
+    counts = Counter((skeleton.names, skeleton.parents) for skeleton in skeletons)
+    return max(skeletons, key=lambda skeleton: counts[skeleton.names, skeleton.parents])
+
+
+def _chord(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance of unit quaternions (..., 4), either sign; about half the angle where small."""
+    return np.minimum(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+
+
+def _in_rest_pose(motion: Motion) -> np.ndarray:
+    """(T,) True where every joint but the root has its rest rotation, to half a degree."""
+    others = [j for j, parent in enumerate(motion.skeleton.parents) if parent >= 0]
+    if not others:
+        return np.zeros(motion.n_frames, dtype=bool)
+    away = _chord(motion.rotations[:, others], np.array([0.0, 0.0, 0.0, 1.0])).max(axis=1) * 2.0
+    return away < _REST_ANGLE
+
+
+def _arms_out(skeleton: Skeleton, positions: np.ndarray) -> np.ndarray:
+    """(T,) True where both arms are straight, level, and point away from each other."""
+    try:
+        arms = find_parts(skeleton).arms
+    except MotionError:
+        return np.zeros(len(positions), dtype=bool)
+    upper, level, straight = {}, [], []
+    for side, arm in arms.items():
+        names = [name for name in (arm.shoulder, arm.elbow, arm.wrist) if name is not None]
+        steps = np.diff(positions[:, [skeleton.index(name) for name in names]], axis=1)
+        bones = steps / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9)
+        upper[side] = bones[:, 0]
+        level.append((np.abs(bones[..., 1]) < np.sin(_ARM_ANGLE)).all(axis=1))
+        # Without a wrist the upper arm is compared with itself.
+        straight.append((bones[:, 0] * bones[:, -1]).sum(axis=-1) > np.cos(_ARM_ANGLE))
+    opposite = -(upper["left"] * upper["right"]).sum(axis=-1) > np.cos(2 * _ARM_ANGLE)
+    return np.all([*level, *straight, opposite], axis=0)
+
+
+def _leading(positions: np.ndarray, resting: np.ndarray, arms_out: np.ndarray) -> int:
+    """Length of the run of reference poses that begins at the first frame."""
+    if not (resting[0] or arms_out[0]):
+        return 0
+    near = np.linalg.norm(positions - positions[0], axis=-1).max(axis=1) < _SWAY
+    pose = resting | (arms_out & near)
+    return len(pose) if pose.all() else int(np.argmin(pose))

@@ -1,0 +1,168 @@
+"""Which sound file goes with which motion file: by relative path, then by unique stem."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gesturekit.corpus.problem import Problem
+from gesturekit.errors import CorpusError
+
+SPEECH_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
+MOTION_SUFFIXES = (".bvh", ".npz")
+
+
+@dataclass(frozen=True, order=True)
+class Found:
+    """A file found in a folder. `key` is its path within the folder without extension."""
+
+    key: str
+    path: Path
+    folder: Path
+
+    @property
+    def stem(self) -> str:
+        """The last part of the key."""
+        return self.key.rsplit("/", 1)[-1]
+
+    @property
+    def is_speech(self) -> bool:
+        """True for a sound file, False for a motion file."""
+        return self.path.suffix.lower() in SPEECH_SUFFIXES
+
+
+@dataclass
+class Pairing:
+    """What belongs together, what stands alone, and what could not be told apart."""
+
+    pairs: list[tuple[Found, Found]] = field(default_factory=list)
+    speech: list[Found] = field(default_factory=list)
+    motion: list[Found] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+
+def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
+    """All speech (wav, flac, mp3, ogg) and motion (bvh, npz) files below a folder, sorted.
+
+    Hidden files and folders are passed over, and so are feature files (npz with `values`,
+    `times` and `spec`), which may lie beside the speech that they came from. Links to folders
+    are followed once.
+
+    Raises:
+        CorpusError: there is no such folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        what = "is a file, not a folder" if folder.exists() else "no such folder"
+        raise CorpusError(f"{folder}: {what}; give folders of recordings")
+    found: list[Found] = []
+    problems: list[Problem] = []
+    visited: set[tuple[int, int]] = set()
+
+    def unreadable(error: OSError) -> None:
+        problems.append(
+            Problem("error", Path(error.filename), f"cannot open folder: {error.strerror}")
+        )
+
+    for base, subfolders, files in os.walk(folder, onerror=unreadable, followlinks=True):
+        status = Path(base).stat()
+        if (status.st_dev, status.st_ino) in visited:
+            subfolders.clear()
+            continue
+        visited.add((status.st_dev, status.st_ino))
+        subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
+        for name in sorted(files):
+            path = Path(base, name)
+            if name.startswith(".") or path.suffix.lower() not in SPEECH_SUFFIXES + MOTION_SUFFIXES:
+                continue
+            key = path.relative_to(folder).with_suffix("").as_posix()
+            if not key.isprintable():
+                # Also names that are not UTF-8: Python holds their bytes as lone surrogates.
+                problems.append(
+                    Problem(
+                        "error",
+                        Path(ascii(str(path))),
+                        "the file name is not printable text; rename it",
+                    )
+                )
+            elif not _is_feature_file(path):
+                found.append(Found(key, path, folder))
+    return sorted(found), problems
+
+
+def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
+    """Pair the files of one or more folders (one scan a folder).
+
+    First by relative path without extension within a folder, then by the same across folders
+    (`wav/a/x.wav` with `bvh/a/x.bvh` for the folders `wav` and `bvh`), then by stem. A name
+    that fits more than one speech or motion file is a problem that lists them all; none of
+    them is paired.
+    """
+    result = Pairing()
+    left: list[Found] = []
+    for files in scans:
+        left += _match(list(files), lambda found: found.key, result)
+    left = _match(left, lambda found: found.key, result)
+    left = _match(left, lambda found: found.stem, result)
+    result.pairs.sort()
+    result.speech = sorted(found for found in left if found.is_speech)
+    result.motion = sorted(found for found in left if not found.is_speech)
+    return result
+
+
+def recording_ids(found: Sequence[Found]) -> list[str]:
+    """A unique id for each file: its key, with the folder's name before it where keys repeat."""
+    ids = [item.key for item in found]
+    repeated = {key for key, n in Counter(ids).items() if n > 1}
+    ids = [
+        f"{item.folder.resolve().name or 'root'}/{item.key}" if item.key in repeated else item.key
+        for item in found
+    ]
+    used: set[str] = set()
+    for i, name in enumerate(ids):
+        n = 1
+        while ids[i] in used:
+            n += 1
+            ids[i] = f"{name}_{n}"
+        used.add(ids[i])
+    return ids
+
+
+def _match(files: list[Found], name_of: Callable[[Found], str], result: Pairing) -> list[Found]:
+    """Move pairs and ambiguities of equal names into `result`; return what is left over."""
+    groups: dict[str, list[Found]] = defaultdict(list)
+    for found in files:
+        groups[name_of(found)].append(found)
+    left: list[Found] = []
+    for name, group in groups.items():
+        speech = [found for found in group if found.is_speech]
+        motion = [found for found in group if not found.is_speech]
+        if not speech or not motion:
+            left += group
+        elif len(speech) == len(motion) == 1:
+            result.pairs.append((speech[0], motion[0]))
+        else:
+            listed = ", ".join(str(found.path) for found in sorted(group))
+            result.problems.append(
+                Problem(
+                    "error",
+                    None,
+                    f"{name!r} is ambiguous, left out: {len(speech)} speech and {len(motion)} "
+                    f"motion files fit it; keep one of each: {listed}",
+                )
+            )
+    return left
+
+
+def _is_feature_file(path: Path) -> bool:
+    if path.suffix.lower() != ".npz":
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {"values.npy", "times.npy", "spec.npy"} <= set(archive.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return False  # whoever reads it as motion says what is wrong with it

@@ -1,0 +1,263 @@
+"""From folders of recordings to a manifest: pair, check, trim, split."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gesturekit.corpus import checks, splits
+from gesturekit.corpus.manifest import Item, Manifest, absolute
+from gesturekit.corpus.pairing import Found, pair, recording_ids, scan
+from gesturekit.corpus.problem import Problem
+from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
+from gesturekit.corpus.report import Report
+from gesturekit.errors import CorpusError
+
+
+def prepare(
+    folders: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    *,
+    unpaired: Iterable[str | os.PathLike[str]] = (),
+    unpaired_motion: Iterable[str | os.PathLike[str]] = (),
+    holdout: float = 0.1,
+    hold_out_seconds: Sequence[splits.Interval] = (),
+    seed: int = 0,
+    speaker: str | None = None,
+    style: str | None = None,
+    style_pattern: str | None = None,
+    tolerance: float = 0.5,
+    progress: Callable[[list[Any]], Iterable[Any]] = iter,
+) -> Report:
+    """Find, check and split recordings, and write the manifest where any are usable.
+
+    Sound and motion of a pair are taken to begin together. A problem of one recording never
+    stops the others: it is reported with its file, and errors leave that recording out.
+
+    Args:
+        folders: folders with speech and motion of equal names, see `pairing.pair`.
+        out: where to write the manifest; None writes nothing.
+        unpaired: folders of speech to be used alone. Files that are part of a pair stay there.
+        unpaired_motion: folders of motion to be used alone.
+        holdout: fraction of recordings that training never sees, 0 to below 1. Of paired
+            recordings at least one is held out; of a single one, its last 20 %.
+        hold_out_seconds: intervals to hold out of each paired recording as "test" instead.
+        seed: chooses the recordings held out.
+        speaker: name of the speaker of all recordings of `folders`.
+        style: label of all recordings.
+        style_pattern: regular expression searched for in each id (the path within its folder,
+            without extension); its groups named `style` and `speaker` give the labels.
+        tolerance: seconds by which sound and motion of a pair may differ in length. Less is
+            trimmed to the shorter, more is an error.
+        progress: wraps the list of recordings while they are checked, as tqdm does.
+
+    Raises:
+        CorpusError: a folder does not exist, or an argument is out of range.
+    """
+    if isinstance(folders, str | os.PathLike):
+        folders = [folders]
+    if not 0 <= holdout < 1:
+        raise CorpusError(f"holdout is {holdout}; it must be a fraction from 0 to below 1")
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        raise CorpusError(f"tolerance is {tolerance}; it must be 0 or more seconds")
+    label = _labeller(style, style_pattern)
+
+    tasks, left_over, problems = _find(folders, unpaired, unpaired_motion)
+    recordings: list[Recording] = []
+    for recording, is_alone in progress(tasks):
+        checked, found = examine(recording, tolerance)
+        if checked is not None:
+            checked, unlabelled = label(checked, None if is_alone else speaker)
+            recordings.append(checked)
+            found += unlabelled
+        problems += found
+    recordings, odd = _of_one_skeleton(recordings)
+    problems += odd + _notes(recordings)
+
+    items, cut = _items(recordings, holdout, hold_out_seconds, seed)
+    report = Report(Manifest(items), tuple(recordings), tuple(problems + cut), tuple(left_over))
+    if out is not None and items:
+        report.manifest.save(out)
+    return report
+
+
+def _find(
+    folders: Iterable[Any], unpaired: Iterable[Any], unpaired_motion: Iterable[Any]
+) -> tuple[list[tuple[Recording, bool]], list[Path], list[Problem]]:
+    """Recordings to check (with whether each is alone), files left over, problems."""
+    problems: list[Problem] = []
+    seen: set[Path] = set()
+
+    def new_files(folder: Any) -> list[Found]:
+        found, trouble = scan(folder)
+        problems.extend(trouble)
+        fresh = [file for file in found if absolute(file.path) not in seen]
+        seen.update(absolute(file.path) for file in fresh)
+        return fresh
+
+    pairing = pair([new_files(folder) for folder in folders])
+    problems += pairing.problems
+    # A folder may be given both ways: what it has left after pairing is then used alone.
+    seen -= {absolute(file.path) for file in [*pairing.speech, *pairing.motion]}
+    speech = [file for folder in unpaired for file in new_files(folder) if file.is_speech]
+    motion = [file for folder in unpaired_motion for file in new_files(folder)]
+    motion = [file for file in motion if not file.is_speech]
+
+    named = [speech_file for speech_file, _ in pairing.pairs] + speech + motion
+    ids = iter(recording_ids(named))
+    tasks = [
+        (Recording(next(ids), audio=sound.path, motion=moves.path), False)
+        for sound, moves in pairing.pairs
+    ]
+    tasks += [(Recording(next(ids), audio=file.path), True) for file in speech]
+    tasks += [(Recording(next(ids), motion=file.path), True) for file in motion]
+    used = {absolute(file.path) for file in [*speech, *motion]}
+    left_over = [
+        file.path for file in [*pairing.speech, *pairing.motion] if absolute(file.path) not in used
+    ]
+    return tasks, left_over, problems
+
+
+def _labeller(
+    style: str | None, pattern: str | None
+) -> Callable[[Recording, str | None], tuple[Recording, list[Problem]]]:
+    """What gives a recording its labels, from the pattern where it fits, else as they are."""
+    if pattern is None:
+        return lambda recording, speaker: (replace(recording, speaker=speaker, style=style), [])
+    try:
+        compiled = re.compile(pattern)
+    except re.error as error:
+        raise CorpusError(f"style pattern {pattern} is no regular expression: {error}") from error
+    if not {"style", "speaker"} & set(compiled.groupindex):
+        raise CorpusError(
+            f"style pattern {pattern} has no group named style or speaker; "
+            "write (?P<style>…) around what names the style"
+        )
+
+    def label(recording: Recording, speaker: str | None) -> tuple[Recording, list[Problem]]:
+        match = compiled.search(recording.id)
+        groups = match.groupdict() if match else {}
+        labelled = replace(
+            recording,
+            style=groups.get("style") or style,
+            speaker=groups.get("speaker") or speaker,
+        )
+        if match:
+            return labelled, []
+        return labelled, [
+            Problem("note", recording.file, f"name does not match style pattern {pattern}")
+        ]
+
+    return label
+
+
+def _of_one_skeleton(
+    recordings: list[Recording],
+) -> tuple[list[Recording], list[Problem]]:
+    """Drop recordings whose joints are not those of most others."""
+    skeletons = [recording.skeleton for recording in recordings if recording.skeleton is not None]
+    if not skeletons:
+        return recordings, []
+    usual = checks.usual_skeleton(skeletons)
+    kept, problems = [], []
+    for recording in recordings:
+        difference = recording.skeleton and checks.first_difference(recording.skeleton, usual)
+        if difference:
+            text = f"another skeleton than most: {difference}; prepare each rig on its own"
+            problems.append(Problem("error", recording.motion, text))
+        else:
+            kept.append(recording)
+    return kept, problems
+
+
+def _notes(recordings: list[Recording]) -> list[Problem]:
+    """What is true of the corpus as a whole."""
+    by_fps: dict[str, int] = defaultdict(int)
+    for recording in recordings:
+        if recording.fps is not None:
+            by_fps[f"{recording.fps:.6g}"] += 1
+    if len(by_fps) < 2:
+        return []
+    rates = ", ".join(f"{fps} ({count})" for fps, count in sorted(by_fps.items(), key=_number))
+    return [Problem("note", None, f"frame rates differ: {rates}; training resamples them to one")]
+
+
+def _number(entry: tuple[str, int]) -> float:
+    return float(entry[0])
+
+
+def _items(
+    recordings: list[Recording],
+    holdout: float,
+    intervals: Sequence[splits.Interval],
+    seed: int,
+) -> tuple[list[Item], list[Problem]]:
+    """Recordings as items, split; and the problems met in cutting them."""
+    paired = [recording for recording in recordings if recording.audio and recording.motion]
+    alone = [recording for recording in recordings if not (recording.audio and recording.motion)]
+    if holdout > 0 and not intervals and len(paired) == 1:
+        only = paired[0]
+        intervals = [(only.stop - splits.TAIL * (only.stop - only.start), math.inf)]
+    items: list[Item] = []
+    problems: list[Problem] = []
+    if intervals:
+        for recording in paired:
+            parts = _parts(recording, intervals)
+            if not any(split == "test" for split, _ in parts):
+                text = f"nothing of it lies in the seconds held out ({recording.stop:.1f} s long)"
+                problems.append(Problem("warning", recording.motion, text))
+            for split, (start, stop) in parts:
+                if stop - start < MIN_DURATION:
+                    text = f"{start:.2f} to {stop:.2f} s left out: too short a piece"
+                    problems.append(Problem("note", recording.motion, text))
+                    continue
+                part = replace(recording, start=start, stop=stop)
+                if len(parts) > 1:
+                    part = replace(part, id=f"{recording.id}@{start:.2f}-{stop:.2f}")
+                items.append(_item(part, split))
+    else:
+        chosen = splits.held_out((r.id for r in paired), holdout, seed, at_least=1)
+        items += [_item(recording, chosen[recording.id]) for recording in paired]
+    for group in (
+        [recording for recording in alone if recording.audio],
+        [recording for recording in alone if recording.motion],
+    ):
+        chosen = splits.held_out((r.id for r in group), holdout, seed)
+        items += [_item(recording, chosen[recording.id]) for recording in group]
+    return items, problems
+
+
+def _parts(
+    recording: Recording, intervals: Sequence[splits.Interval]
+) -> list[tuple[str, splits.Interval]]:
+    """The recording cut at motion frames, so that sound and motion of a part begin together."""
+
+    def on_frame(seconds: float) -> float:
+        if math.isinf(seconds):
+            return seconds
+        return math.floor(seconds * recording.fps + 0.5) / recording.fps
+
+    snapped = [(on_frame(start), on_frame(stop)) for start, stop in intervals]
+    return splits.cut(recording.start, recording.stop, snapped)
+
+
+def _item(recording: Recording, split: str) -> Item:
+    start = round(recording.start, 6)
+    return Item(
+        id=recording.id,
+        audio=recording.audio and absolute(recording.audio),
+        motion=recording.motion and absolute(recording.motion),
+        audio_start=start if recording.audio else 0.0,
+        motion_start=start if recording.motion else 0.0,
+        # Rounded down: an item never reaches past the end of its files.
+        duration=math.floor((recording.stop - start) * 1e6 + 1e-3) / 1e6,
+        speaker=recording.speaker,
+        style=recording.style,
+        split=split,
+    )

@@ -1,0 +1,50 @@
+"""What is wrong with a recording: one finding, with the file it was found in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+SEVERITIES = ("error", "warning", "note")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One finding about one file, or about the corpus as a whole (`file` is None).
+
+    An ``"error"`` leaves the recording out, a ``"warning"`` keeps it (and says what was done
+    about it), a ``"note"`` is something to know.
+    """
+
+    severity: str
+    file: Path | None
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.text}"
+
+    @property
+    def text(self) -> str:
+        """The message with its file in front, unless the message already names the file."""
+        if self.file is None or str(self.file) in self.message:
+            return self.message
+        return f"{self.file}: {self.message}"
+
+
+def printed(problems: Iterable[Problem], *, files_shown: int = 3) -> list[str]:
+    """Lines for people: errors first; equal notes on several files share a line."""
+    groups: dict[tuple[object, ...], list[Problem]] = {}
+    for problem in sorted(problems, key=lambda problem: SEVERITIES.index(problem.severity)):
+        together = None if problem.severity == "note" else problem.file
+        groups.setdefault((problem.severity, problem.message, together), []).append(problem)
+    lines = []
+    for members in groups.values():
+        files = [str(member.file) for member in members]
+        if len(files) == 1:
+            lines.append(str(members[0]))
+            continue
+        more = f" and {len(files) - files_shown} more" if len(files) > files_shown else ""
+        shown = ", ".join(files[:files_shown])
+        lines.append(f"note: {len(files)} files: {members[0].message}: {shown}{more}")
+    return lines

@@ -1,0 +1,160 @@
+"""A recording on its way into the corpus: what of it can be used, and what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from audio_features import AudioFeaturesError, Wave
+from gesturekit.corpus import checks
+from gesturekit.corpus.problem import Problem
+from gesturekit.errors import GestureKitError
+from gesturekit.motion import Motion, Skeleton
+
+MIN_DURATION = 0.5
+"""Seconds; anything shorter is too little to learn from."""
+
+_TIMES_SHOWN = 5
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The files of a recording, what of them is used, and what is in them.
+
+    `start` and `stop` are seconds in both files, which begin together; where there is motion,
+    `start` lies on a motion frame. All but the files is known once it has been examined.
+    """
+
+    id: str
+    audio: Path | None = None
+    motion: Path | None = None
+    start: float = 0.0
+    stop: float = 0.0
+    sample_rate: int | None = None
+    fps: float | None = None
+    skeleton: Skeleton | None = None
+    speaker: str | None = None
+    style: str | None = None
+
+    @property
+    def file(self) -> Path:
+        """The file that problems of this recording are told of."""
+        return self.motion or self.audio
+
+
+def examine(recording: Recording, tolerance: float) -> tuple[Recording | None, list[Problem]]:
+    """Load a recording and look for everything that may be wrong with it.
+
+    Args:
+        recording: where its files are.
+        tolerance: seconds by which sound and motion may differ in length.
+
+    Returns:
+        The recording with what is used of it, or None where an error leaves it out; and the
+        problems found.
+    """
+    problems: list[Problem] = []
+    wave, motion = _loaded(recording, problems)
+    if problems:
+        return None, problems
+    start, stop = 0.0, math.inf
+    if wave is not None:
+        stop = wave.duration
+        recording = replace(recording, sample_rate=wave.sample_rate)
+        if wave.is_silent:
+            problems.append(Problem("warning", recording.audio, "silence: no speech in it"))
+    if motion is not None:
+        recording = replace(recording, fps=motion.fps, skeleton=motion.skeleton)
+        first, end = _check_motion(motion, recording.motion, problems)
+        start, motion_stop = first / motion.fps, end / motion.fps
+        if wave is not None:
+            _check_lengths(wave.duration, motion, recording.motion, tolerance, problems)
+        stop = min(stop, motion_stop)
+    if any(problem.severity == "error" for problem in problems):
+        return None, problems
+    if stop - start < MIN_DURATION:
+        length = f"{max(stop - start, 0.0):.2f} s of use in it; {MIN_DURATION:g} s are needed"
+        return None, [*problems, Problem("error", recording.file, f"too short: {length}")]
+    return replace(recording, start=start, stop=stop), problems
+
+
+def _loaded(recording: Recording, problems: list[Problem]) -> tuple[Wave | None, Motion | None]:
+    wave = motion = None
+    if recording.audio is not None:
+        try:
+            wave = Wave.load(recording.audio)
+        except AudioFeaturesError as error:
+            problems.append(Problem("error", recording.audio, str(error)))
+    if recording.motion is not None:
+        try:
+            motion = Motion.load(recording.motion)
+        except GestureKitError as error:
+            problems.append(Problem("error", recording.motion, str(error)))
+    return wave, motion
+
+
+def _check_lengths(
+    sound: float, motion: Motion, file: Path, tolerance: float, problems: list[Problem]
+) -> None:
+    apart = abs(sound - motion.duration)
+    lengths = f"{sound:.2f} s of sound and {motion.duration:.2f} s of motion"
+    if apart > tolerance:
+        problems.append(
+            Problem(
+                "error",
+                file,
+                f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: "
+                "cut both files to the same stretch",
+            )
+        )
+    elif apart > 1.0 / motion.fps:
+        problems.append(Problem("warning", file, f"{lengths}: trimmed to the shorter"))
+
+
+def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[int, int]:
+    """Frames [first, stop) to use; what is wrong within them is added to `problems`."""
+    lead, trail = checks.reference_pose(motion)
+    if lead == motion.n_frames:
+        problems.append(Problem("error", file, "holds its T-pose or rest pose throughout"))
+        return 0, motion.n_frames
+    for count, where in ((lead, "start"), (trail, "end")):
+        if count:
+            what = f"{count} frames ({count / motion.fps:.2f} s) of T-pose or rest pose"
+            problems.append(Problem("warning", file, f"{what} at the {where} trimmed"))
+    first, stop = lead, motion.n_frames - trail
+    if stop - first < 2:
+        return first, stop
+    used = motion.slice(first, stop)
+
+    def at(frame: int) -> str:
+        return f"{(first + frame) / motion.fps:.2f} s"
+
+    runs = checks.frozen_runs(used)
+    frozen = sum(end - begin for begin, end in runs)
+    if frozen == used.n_frames:
+        problems.append(
+            Problem("error", file, f"frozen: all {frozen} frames hold one and the same pose")
+        )
+    elif runs:
+        shown = ", ".join(f"{at(begin)} to {at(end)}" for begin, end in runs[:_TIMES_SHOWN])
+        more = f" and {len(runs) - _TIMES_SHOWN} more" if len(runs) > _TIMES_SHOWN else ""
+        problems.append(
+            Problem("warning", file, f"frozen (no joint moves at all) from {shown}{more}")
+        )
+    jumps = checks.find_jumps(used)
+    if jumps is not None:
+        many = len(jumps.frames) > checks.MAX_JUMP_SHARE * used.n_frames
+        shown = ", ".join(at(frame) for frame in jumps.frames[:_TIMES_SHOWN])
+        more = len(jumps.frames) - _TIMES_SHOWN
+        problems.append(
+            Problem(
+                "error" if many else "warning",
+                file,
+                f"{len(jumps.frames)} of {used.n_frames} frames jump (over "
+                f"{checks.MAX_SPEED:g} m/s) at {shown}{f' and {more} more' if more > 0 else ''}; "
+                f"fastest is {jumps.joint!r} with {jumps.speed:.0f} m/s"
+                + (": is its unit (cm or m) right?" if many else ""),
+            )
+        )
+    return first, stop

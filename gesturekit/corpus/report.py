@@ -1,0 +1,102 @@
+"""What `prepare` found, for programs and for people."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gesturekit.corpus.manifest import SPLITS, Item, Manifest
+from gesturekit.corpus.pairing import SPEECH_SUFFIXES
+from gesturekit.corpus.problem import Problem, printed
+
+if TYPE_CHECKING:
+    from gesturekit.corpus.recording import Recording
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found.
+
+    Attributes:
+        manifest: the usable items.
+        recordings: the recordings that they are of, with frame rate, skeleton, sample rate.
+        problems: everything found wrong, errors being recordings left out.
+        left_over: speech without motion and motion without speech, not used.
+    """
+
+    manifest: Manifest
+    recordings: tuple[Recording, ...]
+    problems: tuple[Problem, ...]
+    left_over: tuple[Path, ...]
+
+    @property
+    def is_complete(self) -> bool:
+        """True where nothing was left out."""
+        return not self.left_over and all(p.severity != "error" for p in self.problems)
+
+    def __str__(self) -> str:
+        return "\n".join([*self.table(), *self.problem_lines()])
+
+    def table(self) -> list[str]:
+        """What the corpus holds, one fact a line."""
+        manifest = self.manifest
+        rows = [
+            ("paired", _amount(manifest.paired())),
+            ("speech alone", _amount(manifest.unpaired())),
+            ("motion alone", _amount(manifest.motion_alone())),
+            ("frame rates", _counted(f"{r.fps:.6g} fps" for r in self._moving)),
+            ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving)),
+            ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
+            ("speakers", _counted(r.speaker or "not named" for r in self.recordings)),
+            ("styles", _counted(r.style or "none" for r in self.recordings)),
+        ]
+        return [f"{name:<13} {value}" for name, value in rows if value]
+
+    def problem_lines(self) -> list[str]:
+        """Every problem with its file, then the files left over by folder."""
+        folders: dict[tuple[Path, str], list[Path]] = defaultdict(list)
+        for path in self.left_over:
+            is_speech = path.suffix.lower() in SPEECH_SUFFIXES
+            what = "speech without motion" if is_speech else "motion without speech"
+            folders[path.parent, what].append(path)
+        lines = printed(self.problems)
+        for (folder, what), paths in sorted(folders.items()):
+            option = "--unpaired" if what.startswith("speech") else "--unpaired-motion"
+            names = ", ".join(path.name for path in paths[:3])
+            more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
+            lines.append(
+                f"left out: {what} in {folder}: {names}{more} (to use it alone: {option} {folder})"
+            )
+        return lines
+
+    @property
+    def _moving(self) -> list[Recording]:
+        return [recording for recording in self.recordings if recording.fps is not None]
+
+
+def _amount(items: Iterable[Item]) -> str:
+    by_split: dict[str, list[float]] = defaultdict(list)
+    for item in items:
+        by_split[item.split].append(item.duration)
+    if not by_split:
+        return ""
+    every = [duration for durations in by_split.values() for duration in durations]
+    parts = ", ".join(
+        f"{split} {len(by_split[split])} ({_length(sum(by_split[split]))})"
+        for split in SPLITS
+        if split in by_split
+    )
+    return f"{len(every)} items, {_length(sum(every))}: {parts}"
+
+
+def _length(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
+
+
+def _counted(values: Iterable[Any]) -> str:
+    counts = sorted(Counter(values).items(), key=lambda entry: (-entry[1], entry[0]))
+    shown = ", ".join(f"{value} ({count})" for value, count in counts[:12])
+    return shown + (f" and {len(counts) - 12} more" if len(counts) > 12 else "")

@@ -1,0 +1,30 @@
+"""How good a motion is, in numbers. Knows motions and sounds, never models."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+# No module may be called like a public function: importing it would hide the function.
+_HOMES = {
+    "SyncResult": "listening",
+    "arm_speed": "physical",
+    "arm_speed_ratio": "physical",
+    "jerk": "physical",
+    "jerk_ratio": "physical",
+    "max_speed": "physical",
+    "speech_envelope": "listening",
+    "sync": "listening",
+}
+
+__all__ = sorted(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

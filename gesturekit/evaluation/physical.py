@@ -1,0 +1,102 @@
+"""How fast and how smoothly a motion moves, in physical units."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import arm_joints, body_joints
+
+
+def arm_speed(motion: Motion) -> np.ndarray:
+    """Summed local angular speed of both shoulder and elbow joints, one value a frame.
+
+    The speed between frames k and k + 1 belongs to the time between them; a frame gets the mean
+    of the steps before and after it, so that speed is neither early nor late by half a frame.
+    The first and last frames have one step each.
+
+    Returns:
+        (T,) radians per second.
+
+    Raises:
+        MotionError: fewer than 2 frames, or no shoulders and elbows in the skeleton.
+    """
+    _require_frames(motion, 2)
+    joints = [motion.skeleton.index(name) for name in arm_joints(motion.skeleton)]
+    q = motion.rotations[:, joints]
+    # |q1 - q0| = 2 sin(angle / 4) for unit quaternions of one hemisphere: exact near zero,
+    # where the arc cosine of a dot product loses half of its digits.
+    chord = np.minimum(
+        np.linalg.norm(q[1:] - q[:-1], axis=-1), np.linalg.norm(q[1:] + q[:-1], axis=-1)
+    )
+    steps = (4.0 * np.arcsin(chord / 2.0)).sum(axis=1) * motion.fps
+    padded = np.concatenate([steps[:1], steps, steps[-1:]])
+    return 0.5 * (padded[:-1] + padded[1:])
+
+
+def jerk(motion: Motion) -> float:
+    """Mean jerk of the body joints (no fingers, no end joints) in world space, m/s³.
+
+    |Δ³p|·fps³, averaged over frames and joints: the average jerk of the GENEA challenges
+    (genea_numerical_evaluations), in metres. It grows with the frame rate on captured motion,
+    whose noise it measures too: compare at one frame rate.
+
+    Raises:
+        MotionError: fewer than 4 frames, or a skeleton whose parts cannot be told.
+    """
+    _require_frames(motion, 4)
+    steps = np.diff(_body_positions(motion), n=3, axis=0)
+    return float(np.linalg.norm(steps, axis=-1).mean() * motion.fps**3)
+
+
+def max_speed(motion: Motion) -> float:
+    """Largest speed of any body joint between two neighbouring frames, m/s.
+
+    People stay below about 10 m/s; more is a jump.
+
+    Raises:
+        MotionError: fewer than 2 frames, or a skeleton whose parts cannot be told.
+    """
+    _require_frames(motion, 2)
+    steps = np.diff(_body_positions(motion), axis=0)
+    return float(np.linalg.norm(steps, axis=-1).max() * motion.fps)
+
+
+def arm_speed_ratio(motion: Motion, recording: Motion) -> float:
+    """Mean arm speed of a motion over that of a recording; 1 is as lively as the recording.
+
+    Raises:
+        MotionError: the recording's arms do not move.
+    """
+    return _ratio(float(arm_speed(motion).mean()), float(arm_speed(recording).mean()), "arm speed")
+
+
+def jerk_ratio(motion: Motion, recording: Motion) -> float:
+    """Jerk of a motion over that of a recording, to be taken at one frame rate.
+
+    Raises:
+        MotionError: the frame rates differ, or the recording does not move.
+    """
+    if abs(motion.fps - recording.fps) > 1e-3 * recording.fps:
+        raise MotionError(
+            f"jerk at {motion.fps:g} fps cannot be compared with jerk at {recording.fps:g} fps; "
+            "resample one of them"
+        )
+    return _ratio(jerk(motion), jerk(recording), "jerk")
+
+
+def _ratio(value: float, reference: float, what: str) -> float:
+    if reference == 0.0:
+        raise MotionError(f"the recording's {what} is zero; there is nothing to compare with")
+    return value / reference
+
+
+def _body_positions(motion: Motion) -> np.ndarray:
+    joints = [motion.skeleton.index(name) for name in body_joints(motion.skeleton)]
+    return motion.positions()[:, joints]
+
+
+def _require_frames(motion: Motion, n: int) -> None:
+    if motion.n_frames < n:
+        raise MotionError(f"the motion has {motion.n_frames} frames; at least {n} are needed")

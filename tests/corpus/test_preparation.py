@@ -1,0 +1,321 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from gesturekit.corpus import Manifest, prepare
+from gesturekit.errors import CorpusError
+
+
+def errors(report):
+    return [problem for problem in report.problems if problem.severity == "error"]
+
+
+def texts(report, severity):
+    return [problem.text for problem in report.problems if problem.severity == severity]
+
+
+def test_pairs_become_items_of_a_manifest_that_loads(tmp_path, write_pair):
+    for i in range(4):
+        write_pair(tmp_path / "in", f"take{i}", seed=i)
+    report = prepare(tmp_path / "in", tmp_path / "out" / "corpus.jsonl", speaker="ann")
+    assert report.is_complete and not report.problems
+    manifest = Manifest.load(tmp_path / "out" / "corpus.jsonl")
+    assert [item.id for item in manifest] == [f"take{i}" for i in range(4)]
+    assert {item.speaker for item in manifest} == {"ann"}
+    assert len(manifest.paired("train")) == 3 and len(manifest.paired("test")) == 1
+    for item in manifest:
+        assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 120
+
+
+def test_the_same_folders_give_the_same_bytes(tmp_path, write_pair):
+    for name in ("b", "a", "c"):
+        write_pair(tmp_path / "in", name, 1.0)
+    prepare([tmp_path / "in"], tmp_path / "one.jsonl", seed=3)
+    prepare([tmp_path / "in"], tmp_path / "two.jsonl", seed=3)
+    assert (tmp_path / "one.jsonl").read_bytes() == (tmp_path / "two.jsonl").read_bytes()
+
+
+def test_each_bad_file_is_told_once_and_the_others_are_still_done(
+    tmp_path, write_pair, write_speech, gesture
+):
+    write_pair(tmp_path, "fine")
+    for name in ("text", "empty", "cut", "apart", "twice"):
+        write_pair(tmp_path, name)
+    (tmp_path / "text.wav").write_text("this is no sound\n" * 100)
+    (tmp_path / "empty.wav").write_bytes(b"")
+    rows = (tmp_path / "cut.bvh").read_text().splitlines()
+    (tmp_path / "cut.bvh").write_text("\n".join([*rows[:-1], rows[-1][:40]]) + "\n")
+    write_speech(tmp_path / "apart.wav", 6.0)
+    write_speech(tmp_path / "twice.flac", 4.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert [item.id for item in report.manifest] == ["fine"]
+    assert not report.is_complete
+    told = "\n".join(problem.text for problem in errors(report))
+    assert len(errors(report)) == 5
+    for name in ("text.wav", "empty.wav", "cut.bvh", "apart.bvh", "twice.wav", "twice.flac"):
+        assert str(tmp_path / name) in told
+    assert "6.00 s of sound and 4.00 s of motion differ by 2.00 s" in told
+    assert all("\n" not in problem.message for problem in errors(report))
+
+
+def test_a_small_difference_in_length_is_trimmed_to_the_shorter(tmp_path, write_pair, write_speech):
+    write_pair(tmp_path, "a", 4.0)
+    write_speech(tmp_path / "a.wav", 3.7)
+    report = prepare(tmp_path, holdout=0.0)
+    (item,) = report.manifest
+    assert item.duration == pytest.approx(3.7, abs=1e-5)
+    assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 111
+    assert "trimmed to the shorter" in texts(report, "warning")[0]
+    assert errors(prepare(tmp_path, holdout=0.0, tolerance=0.2))
+
+
+def test_a_leading_t_pose_is_trimmed_from_sound_and_motion(tmp_path, write_pair, gesture):
+    write_pair(tmp_path, "a", 4.0, t_pose=20)
+    report = prepare(tmp_path, holdout=0.0)
+    (item,) = report.manifest
+    assert item.motion_start == item.audio_start == pytest.approx(20 / 30, abs=1e-6)
+    assert item.load_motion().n_frames == 100
+    assert abs(item.load_motion().positions() - gesture(4.0).positions()[20:]).max() < 1e-4
+    assert "20 frames (0.67 s) of T-pose or rest pose at the start" in texts(report, "warning")[0]
+
+
+def test_a_t_pose_held_by_an_actor_is_found_though_it_is_not_the_rest_pose(
+    tmp_path, write_speech, gesture
+):
+    motion = gesture(4.0, t_pose=20)
+    rng = np.random.default_rng(0)
+    rotations = motion.rotations.copy()
+    # A few degrees of sway in every joint, and the whole body turned by a right angle.
+    rotations[:20, 1:, :3] += rng.normal(0.0, 0.01, (skeleton_joints(motion) - 1, 3))
+    rotations[:20, 0] = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]
+    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
+    held = type(motion)(motion.skeleton, rotations, motion.translation, motion.fps)
+    held.save(tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 4.0)
+    (item,) = prepare(tmp_path, holdout=0.0).manifest
+    assert item.motion_start == pytest.approx(20 / 30, abs=1e-6)
+
+
+def skeleton_joints(motion):
+    return motion.skeleton.n_joints
+
+
+def test_a_motion_that_is_t_pose_throughout_is_an_error(tmp_path, write_pair):
+    write_pair(tmp_path, "a", 2.0, t_pose=60)
+    report = prepare(tmp_path)
+    assert len(report.manifest) == 0
+    assert "T-pose or rest pose throughout" in texts(report, "error")[0]
+
+
+def edited(motion, *, rotations=None, translation=None):
+    return type(motion)(
+        motion.skeleton,
+        motion.rotations if rotations is None else rotations,
+        motion.translation if translation is None else translation,
+        motion.fps,
+    )
+
+
+def test_frozen_motion_is_warned_about_and_wholly_frozen_is_an_error(
+    tmp_path, write_speech, gesture
+):
+    motion = gesture(4.0)
+    rotations = motion.rotations.copy()
+    rotations[30:75] = rotations[30]
+    edited(motion, rotations=rotations).save(tmp_path / "part.bvh")
+    edited(motion, rotations=np.broadcast_to(rotations[:1], rotations.shape).copy()).save(
+        tmp_path / "whole.bvh"
+    )
+    for name in ("part", "whole"):
+        write_speech(tmp_path / f"{name}.wav", 4.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert [item.id for item in report.manifest] == ["part"]
+    assert texts(report, "warning") == [
+        f"{tmp_path / 'part.bvh'}: frozen (no joint moves at all) from 1.00 s to 2.50 s"
+    ]
+    assert "all 120 frames hold one and the same pose" in texts(report, "error")[0]
+
+
+def test_jumps_are_warned_about_and_many_are_an_error(tmp_path, write_speech, gesture):
+    motion = gesture(4.0)
+    once, often = motion.translation.copy(), motion.translation.copy()
+    once[60:] += [1.0, 0.0, 0.0]
+    often[::2] += [1.0, 0.0, 0.0]
+    edited(motion, translation=once).save(tmp_path / "once.bvh")
+    edited(motion, translation=often).save(tmp_path / "often.bvh")
+    for name in ("once", "often"):
+        write_speech(tmp_path / f"{name}.wav", 4.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert [item.id for item in report.manifest] == ["once"]
+    assert "1 of 120 frames jump (over 10 m/s) at 2.00 s" in texts(report, "warning")[0]
+    assert "119 of 120 frames jump" in texts(report, "error")[0]
+
+
+def test_a_recording_with_too_little_of_use_is_left_out(tmp_path, write_pair):
+    write_pair(tmp_path, "a", 2.0, t_pose=50)
+    report = prepare(tmp_path)
+    assert len(report.manifest) == 0
+    assert "too short: 0.33 s of use in it" in texts(report, "error")[0]
+
+
+def test_silence_is_kept_with_a_warning(tmp_path, write_pair, write_speech):
+    write_pair(tmp_path, "a")
+    write_speech(tmp_path / "a.wav", 4.0, level=0.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert len(report.manifest) == 1
+    assert texts(report, "warning") == [f"{tmp_path / 'a.wav'}: silence: no speech in it"]
+
+
+def test_the_odd_skeleton_is_left_out_and_its_first_difference_named(tmp_path, write_pair):
+    for name in ("a", "b", "odd"):
+        write_pair(tmp_path, name)
+    text = (tmp_path / "odd.bvh").read_text()
+    (tmp_path / "odd.bvh").write_text(text.replace("JOINT Chest", "JOINT Thorax"))
+    report = prepare(tmp_path)
+    assert {item.id for item in report.manifest} == {"a", "b"}
+    (problem,) = errors(report)
+    assert problem.file == tmp_path / "odd.bvh"
+    assert "'Thorax' here and 'Chest' in the others" in problem.message
+
+
+def test_performers_of_different_size_share_a_corpus(tmp_path, write_pair, write_speech, gesture):
+    write_pair(tmp_path, "a")
+    motion = gesture(4.0)
+    tall = type(motion)(
+        motion.skeleton.scaled(1.1), motion.rotations, 1.1 * motion.translation, motion.fps
+    )
+    tall.save(tmp_path / "b.bvh")
+    write_speech(tmp_path / "b.wav", 4.0)
+    assert len(prepare(tmp_path).manifest) == 2
+
+
+def test_different_frame_rates_are_noted(tmp_path, write_pair):
+    write_pair(tmp_path, "a", fps=30.0)
+    write_pair(tmp_path, "b", fps=24.0)
+    report = prepare(tmp_path)
+    assert len(report.manifest) == 2
+    assert texts(report, "note") == [
+        "frame rates differ: 24 (1), 30 (1); training resamples them to one"
+    ]
+
+
+def test_the_last_fifth_of_a_single_recording_is_held_out(tmp_path, write_pair):
+    write_pair(tmp_path, "a", 10.0)
+    train, test = prepare(tmp_path).manifest
+    assert (train.split, test.split) == ("train", "test")
+    assert (train.audio_start, train.duration) == (0.0, 8.0)
+    assert (test.audio_start, test.motion_start, test.duration) == (8.0, 8.0, 2.0)
+    assert prepare(tmp_path, holdout=0.0).manifest.items[0].split == "train"
+
+
+def test_named_seconds_are_held_out_and_parts_fit_together(tmp_path, write_pair, gesture):
+    write_pair(tmp_path, "a", 6.0)
+    report = prepare(tmp_path, hold_out_seconds=[(2.01, 4.02)])
+    parts = sorted(report.manifest, key=lambda item: item.audio_start)
+    assert [item.split for item in parts] == ["train", "test", "train"]
+    # Cuts lie on motion frames: sound and motion of a part begin together.
+    assert [item.audio_start * 30 for item in parts] == pytest.approx([0, 60, 121], abs=1e-4)
+    joined = np.concatenate([item.load_motion().rotations for item in parts])
+    assert joined.shape == gesture(6.0).rotations.shape
+    assert sum(len(item.load_wave().samples) for item in parts) == pytest.approx(96000, abs=3)
+
+
+def test_seconds_outside_every_recording_are_told(tmp_path, write_pair):
+    write_pair(tmp_path, "a", 3.0)
+    report = prepare(tmp_path, hold_out_seconds=[(50.0, 60.0)])
+    assert report.manifest.items[0].split == "train"
+    assert "nothing of it lies in the seconds held out" in texts(report, "warning")[0]
+
+
+def test_speech_and_motion_alone_are_left_over_unless_asked_for(
+    tmp_path, write_pair, write_speech, gesture
+):
+    write_pair(tmp_path, "a")
+    write_speech(tmp_path / "talk" / "b.flac", 2.0)
+    gesture(2.0).save(tmp_path / "dance" / "c.bvh")
+    report = prepare(tmp_path)
+    assert set(report.left_over) == {tmp_path / "talk" / "b.flac", tmp_path / "dance" / "c.bvh"}
+    assert not report.is_complete
+    report = prepare(
+        tmp_path,
+        unpaired=[tmp_path / "talk"],
+        unpaired_motion=[tmp_path / "dance"],
+        speaker="ann",
+    )
+    assert report.is_complete
+    assert [item.id for item in report.manifest.unpaired()] == ["b"]
+    assert [item.id for item in report.manifest.motion_alone()] == ["c"]
+    assert {item.id: item.speaker for item in report.manifest.unpaired()} == {"b": None}
+
+
+def test_a_folder_given_as_unpaired_too_keeps_its_pairs(tmp_path, write_pair, write_speech):
+    write_pair(tmp_path, "a")
+    write_speech(tmp_path / "b.wav", 2.0)
+    report = prepare(tmp_path, unpaired=[tmp_path], holdout=0.0)
+    assert [item.id for item in report.manifest.paired()] == ["a"]
+    assert [item.id for item in report.manifest.unpaired()] == ["b"]
+    assert report.is_complete
+
+
+def test_labels_come_from_names(tmp_path, write_pair):
+    for name in ("ann/calm_1", "bob/lively_1", "bob/other"):
+        write_pair(tmp_path, name, 2.0)
+    report = prepare(
+        tmp_path, style_pattern=r"(?P<speaker>\w+)/(?P<style>calm|lively)_.*", speaker="somebody"
+    )
+    labels = {item.id: (item.speaker, item.style) for item in report.manifest}
+    assert labels == {
+        "ann/calm_1": ("ann", "calm"),
+        "bob/lively_1": ("bob", "lively"),
+        "bob/other": ("somebody", None),
+    }
+    assert "other.bvh: name does not match" in texts(report, "note")[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"holdout": 1.0}, "holdout is 1.0"),
+        ({"tolerance": float("nan")}, "tolerance is nan"),
+        ({"style_pattern": "("}, "no regular expression"),
+        ({"style_pattern": "calm"}, "no group named style"),
+        ({"unpaired": ["nowhere"]}, "no such folder"),
+    ],
+)
+def test_wrong_arguments_are_told_before_anything_is_read(tmp_path, options, message):
+    with pytest.raises(CorpusError, match=message):
+        prepare(tmp_path, **options)
+
+
+def test_a_folder_without_recordings_writes_no_manifest(tmp_path):
+    report = prepare(tmp_path, tmp_path / "corpus.jsonl")
+    assert len(report.manifest) == 0
+    assert not (tmp_path / "corpus.jsonl").exists()
+
+
+def test_the_report_reads_as_a_table_with_every_problem(tmp_path, write_pair, write_speech):
+    for i in range(3):
+        write_pair(tmp_path, f"take{i}", 2.0)
+    for i in range(5):
+        write_speech(tmp_path / "talk" / f"s{i}.wav", 1.0, rate=22050)
+    text = str(prepare(tmp_path, style="calm"))
+    assert "paired        3 items, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in text
+    assert "frame rates   30 fps (3)" in text
+    assert "styles        calm (3)" in text
+    assert (
+        f"speech without motion in {tmp_path / 'talk'}: s0.wav, s1.wav, s2.wav and 2 more" in text
+    )
+
+
+def test_real_recordings_of_several_rigs_in_one_folder(tmp_path, shared_data):
+    out = tmp_path / "corpus.jsonl"
+    report = prepare(shared_data / "paired", out, unpaired=[shared_data / "speech" / "ljspeech"])
+    assert report.is_complete
+    train, test = report.manifest.paired()
+    assert test.duration == pytest.approx(0.2 * 68.83, abs=0.05)
+    assert len(report.manifest.unpaired()) == 25
+    first = json.loads(out.read_text().splitlines()[1])
+    assert not first["audio"].startswith("/")

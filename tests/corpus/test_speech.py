@@ -1,0 +1,67 @@
+"""What a model hears: the same for loud and quiet, low where nobody speaks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import audio_features as af
+from gesturekit.corpus.speech import SpeechConditioner
+
+
+def voice(seconds: float, *, level: float = 0.1, swing: float = 1.0, seed: int = 0) -> af.Wave:
+    """Harmonics of a gliding pitch, in syllables; `swing` widens pitch and energy."""
+    rng = np.random.default_rng(seed)
+    rate = 16000
+    time = np.arange(round(seconds * rate)) / rate
+    pitch = 120 * 2 ** (0.3 * swing * np.sin(2 * np.pi * 0.6 * time))
+    phase = 2 * np.pi * np.cumsum(pitch) / rate
+    tone = sum(np.sin(k * phase) / k for k in range(1, 45))
+    syllables = np.clip(np.sin(2 * np.pi * 3 * time + rng.uniform(0, 6)), 0, 1)
+    loudness = np.exp(0.8 * swing * np.sin(2 * np.pi * 0.4 * time))
+    noise = 1e-4 * rng.standard_normal(len(time))
+    return af.Wave((level * (tone * syllables * loudness + noise)).astype(np.float32), rate, None)
+
+
+@pytest.fixture(scope="module")
+def conditioner() -> SpeechConditioner:
+    extractor = af.Stack([af.LogMel(n_mels=24), af.Prosody()])
+    return SpeechConditioner.fit([voice(4.0, seed=s) for s in range(3)], extractor, 25.0, "mean")
+
+
+def test_twenty_decibels_quieter_sounds_the_same(conditioner):
+    loud, quiet = conditioner(voice(3.0)), conditioner(voice(3.0, level=0.01))
+    assert loud.shape == (75, conditioner.dim)
+    np.testing.assert_allclose(loud, quiet, atol=1e-3)
+
+
+def test_silence_is_lower_than_speech_and_finite(conditioner):
+    names = conditioner.extractor.names
+    energy = names.index("energy")
+    silent, spoken = conditioner.silence(75), conditioner(voice(3.0))
+    assert np.isfinite(silent).all() and np.ptp(silent, axis=0).max() < 1e-6
+    assert silent[:, energy].max() < spoken[:, energy].mean() - 1.0
+
+
+def test_livelier_speech_stays_livelier(conditioner):
+    names = conditioner.extractor.names
+    flat, lively = (conditioner(voice(6.0, swing=swing)) for swing in (0.1, 1.5))
+    spoken = [clip[clip[:, names.index("energy")] > -2.0] for clip in (flat, lively)]
+    for name in ("f0", "energy"):
+        narrow, wide = (clip[:, names.index(name)].std() for clip in spoken)
+        assert wide > 1.3 * narrow, name
+
+
+def test_a_strangers_timbre_is_taken_out(conditioner):
+    wave = voice(4.0)
+    # A microphone that loses the high half of the band.
+    dull = np.convolve(wave.samples, np.ones(6) / 6, mode="same").astype(np.float32)
+    plain = conditioner(wave)
+    other = conditioner(af.Wave(dull, wave.sample_rate, None))
+    raw = [
+        conditioner.extractor.extract(w.at_level()).values[:, :24].mean(axis=0)
+        for w in (wave, af.Wave(dull, wave.sample_rate, None))
+    ]
+    spread = conditioner.scale[:24]
+    assert np.abs(raw[0] - raw[1]).max() / spread.mean() > 1.0, "the microphone is heard"
+    assert np.abs(plain[:, :24].mean(axis=0) - other[:, :24].mean(axis=0)).mean() < 0.6
