@@ -1,0 +1,6 @@
+"""What a motion is: skeletons, rotations, kinematics, body parts, contacts, mirroring."""
+
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.skeleton import Skeleton
+
+__all__ = ["Motion", "Skeleton"]

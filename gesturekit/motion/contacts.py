@@ -1,0 +1,70 @@
+"""Feet and the floor: where on the rig a foot touches, and when it stands still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import SIDES, Leg, find_parts
+from gesturekit.motion.rotations import rotate_vectors
+from gesturekit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class FootPoint:
+    """A point that is fixed to a joint: its name, and an offset (3,) in its frame, metres."""
+
+    joint: str
+    offset: np.ndarray
+
+
+def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
+    """Left heel, left toe, right heel, right toe.
+
+    The heel is the ankle joint. The toe is the toe joint, or where the rig has none the farthest
+    end of the foot (a leaf or an end site on the ankle); without that there is no toe point.
+
+    Raises:
+        MotionError: legs that cannot be told; see `gesturekit.motion.parts.find_parts`.
+    """
+    legs = find_parts(skeleton).legs
+    points = []
+    for side in SIDES:
+        points.append(FootPoint(legs[side].ankle, np.zeros(3)))
+        toe = _toe(skeleton, legs[side])
+        if toe is not None:
+            points.append(toe)
+    return tuple(points)
+
+
+def _toe(skeleton: Skeleton, leg: Leg) -> FootPoint | None:
+    if leg.toe is not None:
+        return FootPoint(leg.toe, np.zeros(3))
+    ends = [skeleton.offsets[j] for j in skeleton.children(skeleton.index(leg.ankle))]
+    ends += skeleton.end_sites.get(leg.ankle, ())
+    far = max(ends, key=np.linalg.norm, default=np.zeros(3))
+    return FootPoint(leg.ankle, far) if np.linalg.norm(far) > 0.01 else None
+
+
+def foot_positions(motion: Motion) -> np.ndarray:
+    """(T, F, 3) world positions of the foot points, metres."""
+    points = foot_points(motion.skeleton)
+    joints = [motion.skeleton.index(point.joint) for point in points]
+    offsets = np.stack([point.offset for point in points])
+    turned = motion.global_rotations()[:, joints]
+    return motion.positions()[:, joints] + rotate_vectors(turned, offsets)
+
+
+def contact_labels(motion: Motion, threshold: float = 0.2) -> np.ndarray:
+    """(T, F) 1.0 where a foot point is slower than `threshold` m/s, else 0.0.
+
+    Eq. 1 of Moreno-Villamarin et al. 2024. The speed of frame k is that since frame k - 1; frame
+    0 copies frame 1, and a single frame stands.
+    """
+    feet = foot_positions(motion)
+    speed = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * motion.fps
+    labels = (speed < threshold).astype(np.float64)
+    first = labels[:1] if len(labels) else np.ones((1, feet.shape[1]))
+    return np.concatenate([first, labels])

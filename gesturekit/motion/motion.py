@@ -1,0 +1,194 @@
+"""A motion: a rig and how its joints turn over time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.motion import kinematics
+from gesturekit.motion.rotations import rotate_vectors
+from gesturekit.motion.skeleton import Skeleton
+
+# The one step upwards: files are read and written by packages that build on this one.
+_READERS = {
+    ".bvh": ("gesturekit.formats.bvh", "read_bvh"),
+    ".npz": ("gesturekit.formats.npz", "read_npz"),
+}
+_WRITERS = {
+    ".bvh": ("gesturekit.formats.bvh", "write_bvh"),
+    ".npz": ("gesturekit.formats.npz", "write_npz"),
+    ".html": ("gesturekit.viewer", "write_html"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Local rotations of a rig's joints and the path of its root; frame k is at k / fps seconds.
+
+    Attributes:
+        skeleton: the rig, J joints.
+        rotations: (T, J, 4) float64 local unit quaternions, x y z w.
+        translation: (T, 3) float64 of the root joint, metres, Y up; replaces the root's offset.
+        fps: frames per second.
+        joint_translations: joint name to (T, 3), metres, in the parent's frame: replaces that
+            joint's offset, for files that move joints other than the root.
+        info: what is known of its origin (source file, unit found, ...).
+
+    Raises:
+        MotionError: shapes that do not fit, numbers that are not finite, or no frame at all.
+    """
+
+    skeleton: Skeleton
+    rotations: np.ndarray
+    translation: np.ndarray
+    fps: float
+    joint_translations: Mapping[str, np.ndarray] = field(default_factory=dict)
+    info: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        rotations = np.asarray(self.rotations, dtype=np.float64)
+        if rotations.ndim != 3 or rotations.shape[1:] != (self.skeleton.n_joints, 4):
+            raise MotionError(
+                f"rotations have shape {rotations.shape}; a rig of {self.skeleton.n_joints} "
+                f"joints needs (frames, {self.skeleton.n_joints}, 4)"
+            )
+        n_frames = len(rotations)
+        if not n_frames:
+            raise MotionError("a motion needs at least one frame")
+        length = np.linalg.norm(rotations, axis=-1, keepdims=True)
+        if not np.isfinite(length).all() or (length < 1e-6).any():
+            bad = np.argwhere(~(np.isfinite(length) & (length >= 1e-6)))[0]
+            raise MotionError(
+                f"the rotation of joint {self.skeleton.names[bad[1]]!r} in frame {bad[0]} is "
+                f"{rotations[bad[0], bad[1]].tolist()}, no quaternion"
+            )
+        moving = {}
+        for name, places in self.joint_translations.items():
+            if self.skeleton.index(name) == 0:
+                raise MotionError(f"{name!r} is the root: its place is the motion's translation")
+            moving[name] = _places(places, n_frames, f"translation of joint {name!r}")
+        fps = float(self.fps)
+        if not (np.isfinite(fps) and fps > 0):
+            raise MotionError(f"fps is {self.fps!r}; expected a positive number")
+        translation = _places(self.translation, n_frames, "translation")
+        for key, value in (
+            # Unit ones stay as they are, to the last bit: what is read again is what was written.
+            ("rotations", np.where(np.abs(length - 1) > 1e-12, rotations / length, rotations)),
+            ("translation", translation),
+            ("fps", fps),
+            ("joint_translations", moving),
+        ):
+            object.__setattr__(self, key, value)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames T."""
+        return len(self.rotations)
+
+    @property
+    def duration(self) -> float:
+        """Seconds, T / fps: each frame stands for 1 / fps."""
+        return self.n_frames / self.fps
+
+    @property
+    def times(self) -> np.ndarray:
+        """(T,) seconds, k / fps."""
+        return np.arange(self.n_frames) / self.fps
+
+    def positions(self) -> np.ndarray:
+        """(T, J, 3) world positions of the joints, metres."""
+        return kinematics.forward_kinematics(
+            self.rotations, self.translation, self.skeleton, self.joint_translations
+        )
+
+    def end_positions(self) -> dict[str, np.ndarray]:
+        """Joint name to (T, E, 3), world positions of its E end sites, metres."""
+        positions, turned = self.positions(), self.global_rotations()
+        ends = {}
+        for name, sites in self.skeleton.end_sites.items():
+            j = self.skeleton.index(name)
+            ends[name] = positions[:, j, None] + rotate_vectors(turned[:, j, None], np.stack(sites))
+        return ends
+
+    def global_rotations(self) -> np.ndarray:
+        """(T, J, 4) quaternions from each joint's frame to the world."""
+        return kinematics.global_rotations(self.rotations, self.skeleton)
+
+    def resample(self, fps: float, n_frames: int | None = None) -> Motion:
+        """At another frame rate; see `gesturekit.motion.resampling.resample_motion`."""
+        from gesturekit.motion.resampling import resample_motion
+
+        return resample_motion(self, fps, n_frames)
+
+    def mirror(self) -> Motion:
+        """Left and right exchanged; see `gesturekit.motion.mirroring.mirror_motion`."""
+        from gesturekit.motion.mirroring import mirror_motion
+
+        return mirror_motion(self)
+
+    def slice(self, start_frame: int, stop_frame: int) -> Motion:
+        """Frames start_frame (included) to stop_frame (not included).
+
+        Raises:
+            MotionError: the range is empty or leaves the motion.
+        """
+        if not 0 <= start_frame < stop_frame <= self.n_frames:
+            raise MotionError(
+                f"frames {start_frame} to {stop_frame} of a motion of {self.n_frames} frames"
+            )
+        part = np.s_[start_frame:stop_frame]
+        return replace(
+            self,
+            rotations=self.rotations[part],
+            translation=self.translation[part],
+            joint_translations={k: v[part] for k, v in self.joint_translations.items()},
+            info=dict(self.info),
+        )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], **options: Any) -> Motion:
+        """Read a .bvh or .npz file; `options` are those of `gesturekit.formats`.
+
+        Raises:
+            FormatError: the file is missing, of another kind, or broken.
+        """
+        return _dispatch(_READERS, path, "read")(path, **options)
+
+    def save(self, path: str | os.PathLike[str], **options: Any) -> None:
+        """Write a .bvh, .npz or .html file; `options` are those of the format's writer.
+
+        Raises:
+            FormatError: no such format, or one that cannot hold this motion.
+        """
+        _dispatch(_WRITERS, path, "write")(self, path, **options)
+
+
+def _dispatch(table: Mapping[str, tuple[str, str]], path: str | os.PathLike[str], verb: str) -> Any:
+    suffix = Path(path).suffix.lower()
+    if suffix not in table:
+        raise FormatError(
+            f"{path}: cannot {verb} motion as {suffix or 'a file without suffix'}; "
+            f"expected {', '.join(table)}"
+        )
+    module, function = table[suffix]
+    return getattr(import_module(module), function)
+
+
+def _places(values: np.ndarray, n_frames: int, what: str) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape != (n_frames, 3):
+        raise MotionError(
+            f"{what} has shape {values.shape}; {n_frames} frames need ({n_frames}, 3)"
+        )
+    if not np.isfinite(values).all():
+        raise MotionError(
+            f"{what} is not finite in frame {np.argwhere(~np.isfinite(values))[0][0]}"
+        )
+    return values

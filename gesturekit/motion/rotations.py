@@ -1,0 +1,205 @@
+"""Rotations as arrays: quaternions, matrices, Euler angles, rotation vectors and 6D.
+
+Quaternions are unit and stand as x, y, z, w (scipy's order); q and -q are one rotation. All
+functions work on the last axis and broadcast over the others.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+_TINY = 1e-12
+
+
+def normalize_quaternions(q: np.ndarray) -> np.ndarray:
+    """(..., 4) scaled to length 1; a zero quaternion becomes the identity."""
+    q = np.asarray(q, dtype=np.float64)
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(length > _TINY, q / np.maximum(length, _TINY), IDENTITY)
+
+
+def multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(..., 4) Hamilton product: the rotation that turns by `b` first, then by `a`."""
+    ax, ay, az, aw = np.moveaxis(np.asarray(a, dtype=np.float64), -1, 0)
+    bx, by, bz, bw = np.moveaxis(np.asarray(b, dtype=np.float64), -1, 0)
+    return np.stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )
+
+
+def invert_quaternions(q: np.ndarray) -> np.ndarray:
+    """(..., 4) the rotations that undo `q`."""
+    return np.asarray(q, dtype=np.float64) * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def rotate_vectors(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(..., 3) vectors `v` turned by quaternions `q` (..., 4)."""
+    x, y, z, w = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    a, b, c = np.moveaxis(np.asarray(v, dtype=np.float64), -1, 0)
+    # v + w t + u x t with t = 2 u x v, u the vector part of q.
+    s, t, u = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    return np.stack(
+        [
+            a + w * s + (y * u - z * t),
+            b + w * t + (z * s - x * u),
+            c + w * u + (x * t - y * s),
+        ],
+        axis=-1,
+    )
+
+
+def rotation_angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(...) radians in [0, pi], the angle of the turn from `a` to `b`, exact for small turns."""
+    turn = multiply_quaternions(invert_quaternions(a), b)
+    return 2 * np.arctan2(np.linalg.norm(turn[..., :3], axis=-1), np.abs(turn[..., 3]))
+
+
+def slerp(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(..., 4) the way from `a` (weight 0) to `b` (weight 1) along the shorter arc.
+
+    Args:
+        a: (..., 4) unit quaternions.
+        b: (..., 4) unit quaternions.
+        weight: (...) numbers in [0, 1], broadcast against the leading axes.
+    """
+    b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
+    # From the chord: arccos of the dot product loses half its digits for small turns.
+    angle = 2 * np.arctan2(np.linalg.norm(b - a, axis=-1), np.linalg.norm(b + a, axis=-1))
+    weight = np.broadcast_to(weight, angle.shape)
+    sine = np.sin(angle)
+    small = sine < 1e-6  # here the arc is its chord
+    sine = np.where(small, 1.0, sine)
+    from_a = np.where(small, 1 - weight, np.sin((1 - weight) * angle) / sine)
+    from_b = np.where(small, weight, np.sin(weight * angle) / sine)
+    return normalize_quaternions(from_a[..., None] * a + from_b[..., None] * b)
+
+
+def mean_quaternion(q: np.ndarray) -> np.ndarray:
+    """(4,) mean of (N, 4): the top eigenvector of the sum of q q^T (Markley et al. 2007)."""
+    q = np.asarray(q, dtype=np.float64).reshape(-1, 4)
+    mean = np.linalg.eigh(q.T @ q)[1][:, -1]
+    return mean if mean[3] >= 0 else -mean
+
+
+def matrix_from_quaternion(q: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotation matrices of unit quaternions (..., 4)."""
+    x, y, z, w = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
+    """(..., 4) unit quaternions of rotation matrices (..., 3, 3), w not negative."""
+    m = np.asarray(matrix, dtype=np.float64)
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    # Row i of this table is the quaternion times four times its i-th component; the row of the
+    # largest component is the accurate one (Shepperd 1978).
+    xy, xz, yz = (
+        m[..., 0, 1] + m[..., 1, 0],
+        m[..., 0, 2] + m[..., 2, 0],
+        m[..., 1, 2] + m[..., 2, 1],
+    )
+    wx, wy, wz = (
+        m[..., 2, 1] - m[..., 1, 2],
+        m[..., 0, 2] - m[..., 2, 0],
+        m[..., 1, 0] - m[..., 0, 1],
+    )
+    table = np.stack(
+        [
+            np.stack([1 + xx - yy - zz, xy, xz, wx], axis=-1),
+            np.stack([xy, 1 - xx + yy - zz, yz, wy], axis=-1),
+            np.stack([xz, yz, 1 - xx - yy + zz, wz], axis=-1),
+            np.stack([wx, wy, wz, 1 + xx + yy + zz], axis=-1),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(np.stack([xx, yy, zz, xx + yy + zz], axis=-1), axis=-1)
+    q = np.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
+    return normalize_quaternions(np.where(q[..., 3:] < 0, -q, q))
+
+
+def quaternion_from_euler(angles: np.ndarray, order: str) -> np.ndarray:
+    """(..., 4) from intrinsic Euler angles (..., 3) in degrees, columns in the order's order.
+
+    "ZXY" turns about Z, then about the new X, then about the newest Y, as BVH does.
+    """
+    half = np.radians(np.asarray(angles, dtype=np.float64)) / 2
+    result = None
+    for column, axis in enumerate(order):
+        turn = np.zeros((*half.shape[:-1], 4))
+        turn[..., "XYZ".index(axis)] = np.sin(half[..., column])
+        turn[..., 3] = np.cos(half[..., column])
+        result = turn if result is None else multiply_quaternions(result, turn)
+    return result
+
+
+def euler_from_quaternion(q: np.ndarray, order: str) -> np.ndarray:
+    """(..., 3) intrinsic Euler angles in degrees, columns in the order's order.
+
+    In gimbal lock the third angle is set to 0; the rotation is right all the same.
+    """
+    from scipy.spatial.transform import Rotation
+
+    q = np.asarray(q, dtype=np.float64)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Gimbal lock")
+        angles = Rotation.from_quat(q.reshape(-1, 4)).as_euler(order.upper(), degrees=True)
+    return angles.reshape(*q.shape[:-1], 3)
+
+
+def quaternion_from_rotation_vector(vector: np.ndarray) -> np.ndarray:
+    """(..., 4) from axis times angle (..., 3), radians."""
+    vector = np.asarray(vector, dtype=np.float64)
+    half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
+    # numpy's sinc is sin(pi x) / (pi x), finite at zero.
+    return np.concatenate([vector * np.sinc(half / np.pi) / 2, np.cos(half)], axis=-1)
+
+
+def rotation_vector_from_quaternion(q: np.ndarray) -> np.ndarray:
+    """(..., 3) axis times angle, radians, the angle in [0, pi]."""
+    q = np.asarray(q, dtype=np.float64)
+    q = np.where(q[..., 3:] < 0, -q, q)
+    sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, q[..., 3:])
+    return q[..., :3] * np.where(sine > _TINY, angle / np.maximum(sine, _TINY), 2.0)
+
+
+def sixd_from_quaternion(q: np.ndarray) -> np.ndarray:
+    """(..., 6) the first two columns of the matrix, one after the other (Zhou et al. 2019)."""
+    matrix = matrix_from_quaternion(q)
+    return np.concatenate([matrix[..., 0], matrix[..., 1]], axis=-1)
+
+
+def quaternion_from_sixd(sixd: np.ndarray) -> np.ndarray:
+    """(..., 4) from six numbers by Gram-Schmidt; any finite numbers give a rotation.
+
+    Where the first column is zero or the second lies along it, an axis stands in for it.
+    """
+    sixd = np.asarray(sixd, dtype=np.float64)
+    first, second = sixd[..., :3], sixd[..., 3:]
+    first = _unit_or(first, np.broadcast_to([1.0, 0.0, 0.0], first.shape))
+    second = second - (first * second).sum(axis=-1, keepdims=True) * first
+    # The axis that lies least along the first column is never parallel to it.
+    spare = np.eye(3)[np.abs(first).argmin(axis=-1)]
+    spare = spare - (first * spare).sum(axis=-1, keepdims=True) * first
+    second = _unit_or(second, spare / np.linalg.norm(spare, axis=-1, keepdims=True))
+    matrix = np.stack([first, second, np.cross(first, second)], axis=-1)
+    return quaternion_from_matrix(matrix)
+
+
+def _unit_or(v: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.where(length > 1e-8, v / np.maximum(length, 1e-8), otherwise)

@@ -1,0 +1,213 @@
+"""The rig of a body: joints, who hangs on whom, and how far apart they lie at rest."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+
+SKELETON_FORMAT = 1
+ROTATION_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """A tree of named joints with their rest offsets, metres, Y up.
+
+    Attributes:
+        names: unique joint names; the root comes first and parents before their children.
+        parents: index of each joint's parent, -1 for the root.
+        offsets: (J, 3) float64, place of each joint in its parent's frame at rest, metres. The
+            root's is where it stands at rest; a motion's translation replaces it.
+        end_sites: joint name to the (3,) offsets, metres, of the ends that hang on it (`End Site`
+            of BVH: no joint of its own, it only says where a bone stops).
+        rotation_orders: axes of each joint's Euler angles in a file, intrinsic, as "ZXY".
+
+    Raises:
+        MotionError: several roots, a child before its parent, names that repeat, wrong shapes,
+            or numbers that are not finite.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: np.ndarray
+    end_sites: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    rotation_orders: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = tuple(str(name) for name in self.names)
+        parents = tuple(int(parent) for parent in self.parents)
+        offsets = np.array(self.offsets, dtype=np.float64)
+        orders = tuple(self.rotation_orders) or ("ZXY",) * len(names)
+        _check_tree(names, parents)
+        if offsets.shape != (len(names), 3):
+            raise MotionError(
+                f"skeleton offsets have shape {offsets.shape}; {len(names)} joints need "
+                f"({len(names)}, 3)"
+            )
+        if not np.isfinite(offsets).all():
+            bad = names[int(np.argwhere(~np.isfinite(offsets))[0, 0])]
+            raise MotionError(f"the offset of joint {bad!r} is not finite")
+        if len(orders) != len(names):
+            raise MotionError(f"{len(orders)} rotation orders for {len(names)} joints")
+        for name, order in zip(names, orders):
+            if order not in ROTATION_ORDERS:
+                raise MotionError(
+                    f"rotation order {order!r} of joint {name!r}; "
+                    f"expected one of {', '.join(ROTATION_ORDERS)}"
+                )
+        ends, known = {}, set(names)
+        for name, sites in self.end_sites.items():
+            if name not in known:
+                raise MotionError(f"end site on {name!r}, which is no joint of the skeleton")
+            ends[name] = tuple(np.array(site, dtype=np.float64) for site in sites)
+            if any(site.shape != (3,) or not np.isfinite(site).all() for site in ends[name]):
+                raise MotionError(f"an end site of joint {name!r} is not three finite numbers")
+        for key, value in (
+            ("names", names),
+            ("parents", parents),
+            ("offsets", offsets),
+            ("end_sites", ends),
+            ("rotation_orders", orders),
+        ):
+            object.__setattr__(self, key, value)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints J (end sites are no joints)."""
+        return len(self.names)
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {name: j for j, name in enumerate(self.names)}
+
+    def index(self, name: str) -> int:
+        """Index of the joint called `name`.
+
+        Raises:
+            MotionError: there is none; the message names the nearest ones.
+        """
+        try:
+            return self._index[name]
+        except KeyError:
+            near = difflib.get_close_matches(name, self.names, n=3, cutoff=0.4)
+            hint = f"did you mean {', '.join(near)}?" if near else f"it has {_listing(self.names)}"
+            raise MotionError(f"the skeleton has no joint {name!r}; {hint}") from None
+
+    @cached_property
+    def _children(self) -> tuple[tuple[int, ...], ...]:
+        children: list[list[int]] = [[] for _ in self.names]
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                children[parent].append(j)
+        return tuple(tuple(below) for below in children)
+
+    def children(self, joint: int) -> tuple[int, ...]:
+        """Indices of the joints that hang directly on `joint`."""
+        return self._children[joint]
+
+    def is_leaf(self, joint: int) -> bool:
+        """Whether no joint hangs on `joint`."""
+        return not self._children[joint]
+
+    @cached_property
+    def depth(self) -> tuple[int, ...]:
+        """Number of joints between each joint and the root; 0 for the root itself."""
+        depth: list[int] = []
+        for parent in self.parents:
+            depth.append(depth[parent] + 1 if parent >= 0 else 0)
+        return tuple(depth)
+
+    def ancestors(self, joint: int) -> tuple[int, ...]:
+        """Joints above `joint`, the nearest first."""
+        above = []
+        while (joint := self.parents[joint]) >= 0:
+            above.append(joint)
+        return tuple(above)
+
+    def descendants(self, joint: int) -> tuple[int, ...]:
+        """Joints below `joint`, in the skeleton's order."""
+        below = {joint}
+        for j in range(joint + 1, self.n_joints):
+            if self.parents[j] in below:
+                below.add(j)
+        return tuple(sorted(below - {joint}))
+
+    def scaled(self, factor: float) -> Skeleton:
+        """The same rig with every offset and end site multiplied by `factor`."""
+        ends = {name: tuple(s * factor for s in sites) for name, sites in self.end_sites.items()}
+        return replace(self, offsets=self.offsets * factor, end_sites=ends)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, for `skeleton.json` of a model folder."""
+        return {
+            "format": SKELETON_FORMAT,
+            "names": list(self.names),
+            "parents": list(self.parents),
+            "offsets": self.offsets.tolist(),
+            "end_sites": {k: [site.tolist() for site in v] for k, v in self.end_sites.items()},
+            "rotation_orders": list(self.rotation_orders),
+        }
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Skeleton:
+        """Inverse of `to_json`.
+
+        Raises:
+            MotionError: a newer format, a missing field, or a skeleton that cannot be.
+        """
+        if not isinstance(values, Mapping):
+            raise MotionError(f"a skeleton is a mapping of fields, not {type(values).__name__}")
+        version = values.get("format")
+        if version != SKELETON_FORMAT:
+            raise MotionError(
+                f"skeleton format {version!r}; this version of gesturekit reads {SKELETON_FORMAT}"
+            )
+        try:
+            return cls(
+                names=tuple(values["names"]),
+                parents=tuple(values["parents"]),
+                offsets=np.array(values["offsets"], dtype=np.float64),
+                end_sites={k: tuple(v) for k, v in values.get("end_sites", {}).items()},
+                rotation_orders=tuple(values.get("rotation_orders", ())),
+            )
+        except KeyError as error:
+            raise MotionError(f"the skeleton lacks the field {error}") from None
+        except (TypeError, ValueError, AttributeError) as error:
+            if isinstance(error, MotionError):
+                raise
+            raise MotionError(f"the skeleton cannot be read: {error}") from None
+
+
+def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
+    if not names:
+        raise MotionError("a skeleton needs at least one joint")
+    if len(names) != len(parents):
+        raise MotionError(f"{len(names)} joint names but {len(parents)} parents")
+    seen: set[str] = set()
+    for name in names:
+        if not name.strip() or not name.isprintable():
+            raise MotionError(f"{name!r} is no joint name")
+        if name in seen:
+            raise MotionError(f"two joints are called {name!r}; names must be unique")
+        seen.add(name)
+    if parents[0] != -1:
+        raise MotionError(f"the first joint, {names[0]!r}, must be the root (parent -1)")
+    for j, parent in enumerate(parents[1:], start=1):
+        if parent == -1:
+            raise MotionError(f"a second root, {names[j]!r}; a skeleton has one ({names[0]!r})")
+        if not 0 <= parent < j:
+            raise MotionError(
+                f"joint {names[j]!r} (index {j}) has parent {parent}; parents come before children"
+            )
+
+
+def _listing(names: Sequence[str], most: int = 12) -> str:
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

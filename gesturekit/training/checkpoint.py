@@ -1,0 +1,64 @@
+"""Checkpoints: training state on disk, whole or not at all."""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from gesturekit.atomic import atomic_write
+from gesturekit.errors import ModelError
+
+log = logging.getLogger(__name__)
+_NAME = re.compile(r"step_(\d+)\.pt")
+
+
+class Checkpoints:
+    """The `checkpoints/` folder of a run: `step_00000150.pt` and the few before it.
+
+    State is tensors, numbers, strings, lists and dicts only, so that it can be read back with
+    `torch.load(weights_only=True)`.
+    """
+
+    def __init__(self, folder: Path, keep: int = 2) -> None:
+        self.folder = folder
+        self.keep = keep
+
+    def steps(self) -> list[int]:
+        """The steps that have a checkpoint, oldest first."""
+        if not self.folder.is_dir():
+            return []
+        found = (_NAME.fullmatch(path.name) for path in self.folder.iterdir())
+        return sorted(int(match[1]) for match in found if match)
+
+    def path(self, step: int) -> Path:
+        """Where the checkpoint of a step lies."""
+        return self.folder / f"step_{step:08d}.pt"
+
+    def save(self, step: int, state: dict[str, Any]) -> None:
+        """Write the state of `step`, then forget all but the last `keep`."""
+        with atomic_write(self.path(step)) as temporary:
+            torch.save(state, temporary)
+        for old in self.steps()[: -self.keep]:
+            self.path(old).unlink()
+
+    def latest(self) -> tuple[int, dict[str, Any]] | None:
+        """The newest checkpoint that can be read; None where there is none at all.
+
+        A damaged one is reported and the one before it is taken.
+
+        Raises:
+            ModelError: there are checkpoints, and none can be read.
+        """
+        steps = self.steps()
+        for step in reversed(steps):
+            try:
+                return step, torch.load(self.path(step), weights_only=True, map_location="cpu")
+            except Exception as error:  # torch raises half a dozen kinds for a damaged file
+                log.warning("%s cannot be read (%s); trying the one before", self.path(step), error)
+        if steps:
+            raise ModelError(f"{self.folder}: none of its {len(steps)} checkpoints can be read")
+        return None

@@ -1,0 +1,233 @@
+"""Configurations: dataclasses are the schema, YAML holds the values.
+
+A file may name a parent with `base: other.yaml` and then holds only what differs from it. On the
+command line, dotted `key=value` changes single values. An unknown key is an error that names the
+nearest known one. Paths are relative to the file that names them, or to the current folder when
+they come from the command line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import re
+import types
+import typing
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from gesturekit.errors import ConfigError
+
+Schema = TypeVar("Schema")
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that reads 1e-3 as a number; PyYAML follows YAML 1.1, which wants 1.0e-3."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d[\d_]*)(\.\d*)?[eE][-+]?\d+$|^[-+]?\.\d+[eE][-+]?\d+$"),
+    list("-+0123456789."),
+)
+
+
+def read_yaml(path: str | Path) -> dict[str, Any]:
+    """Read one YAML mapping by the safe loader.
+
+    Raises:
+        ConfigError: the file is missing, is not YAML, or holds no mapping.
+    """
+    path = Path(path)
+    try:
+        values = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such configuration file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as text ({error})") from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: holds {type(values).__name__}, expected key: value lines")
+    return values
+
+
+def read_chain(path: str | Path) -> dict[str, Any]:
+    """A file's values laid over those of its `base:` files, unchecked, paths as written."""
+    return _with_parents(Path(path), None)
+
+
+def load_config(path: str | Path, schema: type[Schema], overrides: Sequence[str] = ()) -> Schema:
+    """Read a configuration file, its parents, and command-line overrides into `schema`.
+
+    Args:
+        path: YAML file; its `base:` names a parent, relative to itself.
+        schema: the dataclass that holds names, types and defaults.
+        overrides: `key.subkey=value` strings; values are read as YAML.
+
+    Raises:
+        ConfigError: unknown key, wrong type, a chain of parents that does not end.
+    """
+    merged = _with_parents(Path(path), schema)
+    for override in overrides:
+        key, separator, text = override.partition("=")
+        if not separator or not key:
+            raise ConfigError(f"{override!r}: overrides look like key=value or section.key=value")
+        try:
+            value = yaml.load(text, Loader=_Loader)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"{override!r}: the value is not valid YAML ({error})") from None
+        for part in reversed(key.split(".")):
+            value = {part: value}
+        resolved = _resolve_paths(value, schema, Path.cwd())
+        merged = _merge(merged, resolved)
+    return build(schema, merged, where=str(path))
+
+
+def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, Any]:
+    values = read_yaml(path)
+    base = values.pop("base", None)
+    values = _resolve_paths(values, schema, path.resolve().parent)
+    if base is None:
+        return values
+    if depth == 0:
+        raise ConfigError(f"{path}: its base files go on and on; is one its own parent?")
+    if not isinstance(base, str):
+        raise ConfigError(f"{path}: base: {base!r} is not a file name")
+    return _merge(_with_parents(path.parent / base, schema, depth - 1), values)
+
+
+def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(below)
+    for key, value in above.items():
+        if isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = _merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _resolve_paths(values: Any, schema: Any, folder: Path) -> Any:
+    """Make the values of Path fields absolute, relative to the folder they were written in."""
+    if not dataclasses.is_dataclass(schema) or not isinstance(values, dict):
+        return values
+    hints = typing.get_type_hints(schema)
+    resolved = {}
+    for key, value in values.items():
+        options = _options(hints.get(key, Any))
+        if Path in options and isinstance(value, str):
+            value = str((folder / Path(value).expanduser()).resolve())
+        for option in options:
+            value = _resolve_paths(value, option, folder)
+        resolved[key] = value
+    return resolved
+
+
+def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config") -> Schema:
+    """Check a mapping against a dataclass and make the dataclass.
+
+    Raises:
+        ConfigError: with `where`, the dotted key, the value and what was expected.
+    """
+    return _build(schema, values, where, "")
+
+
+def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
+    if not isinstance(values, dict):
+        raise ConfigError(f"{where}: {prefix or 'the file'} must hold keys, not {values!r}")
+    hints = typing.get_type_hints(schema)
+    names = [field.name for field in dataclasses.fields(schema)]
+    for key in values:
+        if key not in names:
+            near = difflib.get_close_matches(str(key), names, n=1, cutoff=0.5)
+            hint = f"did you mean {prefix}{near[0]}?" if near else f"known: {', '.join(names)}"
+            raise ConfigError(f"{where}: unknown key {prefix}{key}; {hint}")
+    made = {
+        key: _convert(value, hints[key], where, f"{prefix}{key}") for key, value in values.items()
+    }
+    for field in dataclasses.fields(schema):
+        required = (
+            field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        )
+        if required and field.name not in made:
+            raise ConfigError(f"{where}: {prefix}{field.name} is missing")
+    try:
+        return schema(**made)
+    except ConfigError as error:
+        # Checks of a dataclass's own (__post_init__) know neither the file nor the section.
+        raise ConfigError(f"{where}: {prefix}{error}") from None
+
+
+def _options(hint: Any) -> tuple[Any, ...]:
+    origin = typing.get_origin(hint)
+    return typing.get_args(hint) if origin in (typing.Union, types.UnionType) else (hint,)
+
+
+def _convert(value: Any, hint: Any, where: str, key: str) -> Any:
+    options = _options(hint)
+    if value is None:
+        if type(None) in options or hint is Any:
+            return None
+        raise ConfigError(f"{where}: {key} may not be empty")
+    problems = []
+    for option in options:
+        if option is type(None):
+            continue
+        try:
+            return _convert_one(value, option, where, key)
+        except ConfigError as error:
+            problems.append(error)
+    raise problems[0]
+
+
+def _convert_one(value: Any, hint: Any, where: str, key: str) -> Any:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any:
+        return value
+    if origin is typing.Literal:
+        if value in arguments:
+            return value
+        raise ConfigError(
+            f"{where}: {key}: {value!r} is not one of {', '.join(map(repr, arguments))}"
+        )
+    if dataclasses.is_dataclass(hint):
+        return _build(hint, value, where, f"{key}.")
+    if origin in (list, tuple):
+        if isinstance(value, (list, tuple)):
+            return tuple(_convert(item, arguments[0], where, f"{key}[]") for item in value)
+        raise ConfigError(f"{where}: {key}: {value!r} is not a list")
+    if hint is dict or origin is dict:
+        if isinstance(value, dict):
+            return value
+        raise ConfigError(f"{where}: {key}: {value!r} is not a mapping")
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    if hint in (int, bool, str) and type(value) is hint:
+        return value
+    expected = getattr(hint, "__name__", str(hint))
+    raise ConfigError(f"{where}: {key}: {value!r} is not of type {expected}")
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """The configuration as plain values, ready for YAML or JSON."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Path):
+            return str(value)
+        if isinstance(value, (list, tuple)):
+            return [plain(item) for item in value]
+        if isinstance(value, dict):
+            return {key: plain(item) for key, item in value.items()}
+        return value
+
+    return plain(dataclasses.asdict(config))
+
+
+def dump_yaml(values: dict[str, Any]) -> str:
+    """YAML text of plain values, in their own order."""
+    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)

@@ -1,0 +1,371 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gesturekit.errors import FormatError
+from gesturekit.formats import read_bvh, write_bvh
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.rotations import rotation_angles
+
+SMALL = """HIERARCHY
+ROOT Hips
+{
+\tOFFSET 0 90 0
+\tCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+\tJOINT Chest
+\t{
+\t\tOFFSET 0 50 0
+\t\tCHANNELS 3 Zrotation Xrotation Yrotation
+\t\tEnd Site
+\t\t{
+\t\t\tOFFSET 0 30 0
+\t\t}
+\t}
+}
+MOTION
+Frames: 3
+Frame Time: 0.0333333
+0 90 0 0 0 0 10 20 30
+1 91 0 0 0 5 11 21 31
+2 92 0 0 0 9 12 22 32
+"""
+FILES = (
+    "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
+    "motion/aitviewer/sample.bvh",
+    "motion/reactidle/000_genuine.bvh",
+    "motion/reactidle/012_genuine.bvh",
+    "motion/bandai/dataset-1_bye_happy_001.bvh",
+    "motion/bandai/dataset-2_wave-both-hands_normal_001.bvh",
+)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def to_file(text: str | bytes) -> Path:
+        path = tmp_path / "clip.bvh"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return to_file
+
+
+def places_by_the_book(path: Path, frame: int) -> dict[str, np.ndarray]:
+    """World positions in the file's unit: another reader, by scipy, one token after the other."""
+    words = iter(re.split(r"\s+", path.read_text().strip()))
+    joints, stack, frames = [], [], []
+    for word in words:
+        if word in ("ROOT", "JOINT", "End"):
+            name = next(words)
+            joints.append({"name": name, "parent": stack[-1] if stack else None, "channels": []})
+            joints[-1]["end"] = word == "End"
+        elif word == "{":
+            stack.append(len(joints) - 1)
+        elif word == "}":
+            stack.pop()
+        elif word == "OFFSET":
+            joints[stack[-1]]["offset"] = np.array([float(next(words)) for _ in range(3)])
+        elif word == "CHANNELS":
+            joints[stack[-1]]["channels"] = [next(words) for _ in range(int(next(words)))]
+        elif word == "Time:":
+            next(words)
+            frames = [float(value) for value in words]
+    n = sum(len(joint["channels"]) for joint in joints)
+    values = iter(frames[n * frame : n * (frame + 1)])
+    places = {}
+    for joint in joints:
+        place, turn = joint["offset"].copy(), Rotation.identity()
+        for channel in joint["channels"]:
+            value, axis = next(values), "XYZ".index(channel[0])
+            if channel.endswith("position"):
+                place[axis] = value
+            else:
+                turn = turn * Rotation.from_rotvec(np.radians(value) * np.eye(3)[axis])
+        if joint["parent"] is not None:
+            above = joints[joint["parent"]]
+            place = above["place"] + above["turn"].apply(place)
+            turn = above["turn"] * turn
+        joint["place"], joint["turn"] = place, turn
+        if not joint["end"]:
+            places[joint["name"]] = place
+    return places
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_real_files_stand_where_another_reader_has_them(shared_data, tmp_path, file):
+    motion = read_bvh(shared_data / file)
+    metres = {"m": 1.0, "cm": 0.01}[motion.info["unit"]]
+    write_bvh(motion, tmp_path / "again.bvh")
+    places = motion.positions()
+    for frame in (0, motion.n_frames // 2, motion.n_frames - 1):
+        for path, scale in ((shared_data / file, metres), (tmp_path / "again.bvh", 0.01)):
+            for name, place in places_by_the_book(path, frame).items():
+                ours = places[frame, motion.skeleton.index(name)]
+                # Positions that barely vary (by 2.5 um) are read as an offset.
+                np.testing.assert_allclose(ours, place * scale, atol=1e-5)
+
+
+@pytest.mark.parametrize("unit", ["cm", "m"])
+@pytest.mark.parametrize("file", FILES)
+def test_real_files_survive(shared_data, tmp_path, file, unit):
+    motion = read_bvh(shared_data / file)
+    write_bvh(motion, tmp_path / "a.bvh", unit=unit)
+    again = read_bvh(tmp_path / "a.bvh")
+    assert again.info["unit"] == unit
+    assert again.fps == motion.fps
+    assert again.skeleton.rotation_orders == motion.skeleton.rotation_orders
+    assert set(again.joint_translations) == set(motion.joint_translations)
+    assert set(again.skeleton.end_sites) == set(motion.skeleton.end_sites)
+    order = [again.skeleton.index(name) for name in motion.skeleton.names]
+    apart = rotation_angles(again.rotations[:, order], motion.rotations)
+    assert np.degrees(apart.max()) < 1e-4
+    np.testing.assert_allclose(again.positions()[:, order], motion.positions(), atol=1e-6)
+    ends = again.end_positions()
+    for name, places in motion.end_positions().items():
+        np.testing.assert_allclose(ends[name], places, atol=1e-6)
+
+
+def test_what_is_found_in_real_files(shared_data):
+    zeggs, sample, idle, _, bandai, _ = (read_bvh(shared_data / file) for file in FILES)
+    assert (zeggs.n_frames, zeggs.skeleton.n_joints, zeggs.fps) == (2065, 75, 30.0)
+    assert (sample.fps, idle.fps, bandai.fps) == (40.0, 24.0, 30.0)
+    assert [m.info["unit"] for m in (zeggs, sample, idle, bandai)] == ["cm", "cm", "m", "cm"]
+    assert {m.info["up"] for m in (zeggs, sample, idle, bandai)} == {"y"}
+    # Six channels on every joint, but only the hips move.
+    assert list(bandai.joint_translations) == ["Hips"]
+    # The rest is what the file says; what the channels say replaces it.
+    bow = read_bvh(shared_data / "motion/bandai/dataset-1_bow_active_001.bvh")
+    assert bow.skeleton.offsets[1, 2] == pytest.approx(-4.52225)
+    assert bow.positions()[0, 1, 2] == pytest.approx(-0.0902016)
+    assert zeggs.skeleton.offsets[0, 1] == pytest.approx(0.87035881)
+
+
+def test_written_text(write, tmp_path):
+    motion = read_bvh(write(SMALL))
+    write_bvh(motion, tmp_path / "out.bvh")
+    text = (tmp_path / "out.bvh").read_text()
+    assert "Frame Time: 0.0333333333\n" in text and "Frames: 3\n" in text
+    assert text.count("OFFSET 0.000000 0.000000 0.000000") == 1
+    assert text.count("position") == 3  # the root's; the other joint does not move
+    assert text.split("OFFSET")[1].strip().startswith("0.000000 0.000000 0.000000")
+
+
+def test_curves_do_not_jump(tmp_path):
+    turn = np.radians(np.linspace(0, 900, 100))
+    rotations = np.zeros((100, 1, 4))
+    rotations[:, 0, 1], rotations[:, 0, 3] = np.sin(turn / 2), np.cos(turn / 2)
+    rig = Skeleton(("Hips",), (-1,), np.zeros((1, 3)), rotation_orders=("YXZ",))
+    write_bvh(Motion(rig, rotations, np.zeros((100, 3)), 30), tmp_path / "a.bvh")
+    rows = (tmp_path / "a.bvh").read_text().split("Frame Time:")[1].split("\n")[1:-1]
+    yaw = np.array([row.split() for row in rows], dtype=float)[:, 3]
+    assert np.abs(np.diff(yaw)).max() < 10 and yaw[-1] == pytest.approx(900)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r"),
+        lambda text: "\ufeff" + text.replace(" ", "\t"),
+        lambda text: text.replace("End Site", "End site"),
+        lambda text: text.replace("End Site", "END SITE").replace("JOINT", "Joint"),
+        lambda text: text.replace("\n", "\n\n") + "\n\n",
+        lambda text: text.replace("Hips\n{", "Hips {").replace("\n\t\t}\n\t}", "}}"),
+        lambda text: text.replace("Xposition", "XPOSITION").replace("MOTION", "Motion"),
+        lambda text: text.replace("1 91 0 0", "1e0 9.1E+1 -0 0.0"),
+        lambda text: text.replace("Frames: 3", "Frames:\t3").rstrip("\n"),
+    ],
+)
+def test_what_writers_do_differently(write, change):
+    plain, other = read_bvh(write(SMALL)), read_bvh(write(change(SMALL)))
+    assert other.skeleton.names == ("Hips", "Chest")
+    np.testing.assert_array_equal(plain.end_positions()["Chest"], other.end_positions()["Chest"])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ("HIERARCHY", "WAVE", 1, "HIERARCHY"),
+        ("Frames: 3", "Frames: 4", 21, "3 frames but declares 4"),
+        ("Frames: 3", "Frames: 2", 21, "more rows than the 2"),
+        ("Frames: 3", "Frames: -3", 17, "-3"),
+        ("Frames: 3", "Frames: 0", 18, "no frame"),
+        ("Frames: 3", "Frames: 99999999999999", 21, "99999999999999"),
+        ("12 22 32", "12 22", 21, "has 8 values"),
+        ("5 11 21", "5 11,5 21", 20, "decimals need a point"),
+        ("5 11 21", "5 nan 21", 20, "value 7 of frame 2 is nan"),
+        ("5 11 21", "5 1e999 21", 20, "inf"),
+        ("5 11 21", "5 1_1 21", 20, "number"),
+        ("OFFSET 0 50 0", "OFFSET 0 50", 8, "three numbers"),
+        ("OFFSET 0 50 0", "OFFSET 0 nan 0", 8, "finite"),
+        ("\t\tOFFSET 0 50 0\n", "", 6, "no OFFSET"),
+        ("CHANNELS 3", "CHANNELS 4", 9, "'4' for 3 names"),
+        ("3 Zrotation", "3 Zscale", 9, "'Zscale'"),
+        ("3 Zrotation Xrotation", "3 Zrotation Zrotation", 9, "twice"),
+        ("JOINT Chest", "ROOT Chest", 6, "second ROOT"),
+        ("MOTION", "}\nMOTION", 16, "too many"),
+        ("\t}\n}\nMOTION", "\t}\nMOTION", 15, "lack"),
+        ("MOTION\nFrames: 3", "MOTION", 18, "'Frames:'"),
+        ("JOINT Chest", "BONE Chest", 6, "BONE"),
+    ],
+)
+def test_broken_files_are_named_with_their_line(write, old, new, line, says):
+    assert old in SMALL
+    path = write(SMALL.replace(old, new))
+    with pytest.raises(FormatError) as caught:
+        read_bvh(path)
+    assert f"{path}:{line}: " in str(caught.value)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["0", "-0.03", "x", "nan", "inf", ""])
+def test_frame_time_that_is_none(write, value):
+    path = write(SMALL.replace("0.0333333", value))
+    with pytest.raises(FormatError, match="Frame Time"):
+        read_bvh(path)
+
+
+def test_several_skeletons_in_a_file_are_refused(write):
+    head, motion = SMALL.split("MOTION")
+    second = head.replace("HIERARCHY\n", "").replace("Hips", "Other")
+    with pytest.raises(FormatError, match="second ROOT, 'Other'"):
+        read_bvh(write(head + second + "MOTION" + motion))
+
+
+def test_a_file_cut_anywhere_is_a_format_error(write):
+    last_value = SMALL.rindex("32")  # a cut within the last number cannot be seen
+    for cut in range(0, last_value, 3):
+        with pytest.raises(FormatError):
+            read_bvh(write(SMALL[:cut]))
+
+
+def test_files_that_are_none(write, tmp_path):
+    with pytest.raises(FormatError, match="HIERARCHY"):
+        read_bvh(write(bytes(range(256)) * 50))
+    with pytest.raises(FormatError, match="over 1048576"):
+        read_bvh(write(b"x" * (1 << 22)))
+    with pytest.raises(FormatError, match="No such file"):
+        read_bvh(tmp_path / "absent.bvh")
+    with pytest.raises(FormatError, match="directory"):
+        read_bvh(tmp_path)
+
+
+def test_names_in_another_encoding(write):
+    text = SMALL.replace("Chest", "Brustkörbchen")
+    assert read_bvh(write(text)).skeleton.names[1] == "Brustkörbchen"
+    assert read_bvh(write(text.encode("latin-1"))).skeleton.names[1] == "Brustkörbchen"
+
+
+def test_repeated_names_are_told_apart_and_reported(write):
+    motion = read_bvh(write(SMALL.replace("JOINT Chest", "JOINT Hips")))
+    assert motion.skeleton.names == ("Hips", "Hips_2")
+    assert motion.info["renamed"] == {"Hips_2": "Hips"}
+
+
+def test_still_position_channels_become_the_offset(write):
+    text = SMALL.replace("CHANNELS 3", "CHANNELS 6 Xposition Yposition Zposition")
+    rows = text.replace("10 20 30", "7 60 0 10 20 30").replace("11 21 31", "7 60 0 11 21 31")
+    still = read_bvh(write(rows.replace("12 22 32", "7 60 0 12 22 32")))
+    assert not still.joint_translations
+    np.testing.assert_allclose(still.skeleton.offsets[1], [0.07, 0.6, 0])
+    moving = read_bvh(write(rows.replace("12 22 32", "7 60 1 12 22 32")))
+    np.testing.assert_allclose(moving.joint_translations["Chest"][:, 2], [0, 0, 0.01])
+    np.testing.assert_allclose(moving.skeleton.offsets[1], [0, 0.5, 0])
+
+
+def test_fewer_channels(write):
+    text = SMALL.replace("6 Xposition Yposition Zposition Zrotation Xrotation Yrotation", "0")
+    text = text.replace("3 Zrotation Xrotation Yrotation", "1 Yrotation")
+    head, _ = text.split("0.0333333")
+    motion = read_bvh(write(head + "0.0333333\n90\n45\n0\n"))
+    np.testing.assert_allclose(motion.translation, [[0, 0.9, 0]] * 3)
+    np.testing.assert_allclose(motion.rotations[0, 1], [0, 0.5**0.5, 0, 0.5**0.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "fps"),
+    [
+        ("0.0333333", 30),
+        ("0.033333", 30),
+        ("0.033", 30),
+        ("0.041667", 24),
+        ("0.04166", 24),
+        ("0.025", 40),
+        ("0.04", 25),
+        ("0.0083333", 120),
+        ("0.00833", 120),
+        ("8.333333E-3", 120),
+        ("0.0166667", 60),
+        ("0.017", 60),
+        ("0.0333667", 30000 / 1001),
+        ("0.0416667", 24),
+        ("0.05", 20),
+        ("0.0123", 1 / 0.0123),
+        ("0.5", 2),
+        ("3", 1 / 3),
+    ],
+)
+def test_frame_rates(write, text, fps):
+    assert read_bvh(write(SMALL.replace("0.0333333", text))).fps == pytest.approx(fps, rel=5e-3)
+    if fps == int(fps):
+        assert read_bvh(write(SMALL.replace("0.0333333", text))).fps == fps
+
+
+def test_unit_and_up_axis_can_be_set(write, shared_data, tmp_path):
+    path = write(SMALL)
+    assert read_bvh(path, unit="m").translation[0, 1] == 90
+    assert read_bvh(path, unit="mm").translation[0, 1] == pytest.approx(0.09)
+    with pytest.raises(FormatError, match="inch"):
+        read_bvh(path, unit="inch")
+    with pytest.raises(FormatError, match="'x'"):
+        read_bvh(path, up="x")
+
+
+def test_z_up_files_are_stood_up(shared_data, tmp_path):
+    motion = read_bvh(shared_data / "motion/aitviewer/sample.bvh").slice(0, 50)
+    skeleton, quarter = motion.skeleton, Rotation.from_euler("x", 90, degrees=True)
+    lying = replace(
+        motion,
+        skeleton=replace(skeleton, offsets=quarter.apply(skeleton.offsets), end_sites={}),
+        rotations=np.stack(
+            [(quarter * Rotation.from_quat(r) * quarter.inv()).as_quat() for r in motion.rotations]
+        ),
+        translation=quarter.apply(motion.translation),
+    )
+    np.testing.assert_allclose(lying.positions()[..., 2], motion.positions()[..., 1], atol=1e-9)
+    write_bvh(lying, tmp_path / "z.bvh")
+    again = read_bvh(tmp_path / "z.bvh")
+    assert again.info["up"] == "z"
+    order = [again.skeleton.index(name) for name in skeleton.names]
+    np.testing.assert_allclose(again.positions()[:, order], motion.positions(), atol=1e-6)
+    # As it is written, the rig now stands upright at rest.
+    assert again.skeleton.offsets[again.skeleton.index("Chest"), 1] > 0.1
+    left = read_bvh(tmp_path / "z.bvh", up="y")
+    np.testing.assert_allclose(left.positions()[..., 2], again.positions()[..., 1], atol=1e-6)
+
+
+def test_a_name_that_would_break_the_file_is_refused(write, tmp_path):
+    motion = read_bvh(write(SMALL))
+    bad = replace(motion, skeleton=replace(motion.skeleton, names=("Hips", "a } b"), end_sites={}))
+    with pytest.raises(FormatError, match="a } b"):
+        write_bvh(bad, tmp_path / "out.bvh")
+    assert not (tmp_path / "out.bvh").exists()
+
+
+def test_joints_in_any_order_are_written_as_a_tree(tmp_path):
+    """A skeleton may list all children of a joint before their own children; a file cannot."""
+    names, parents = ("root", "a", "b", "a1", "b1"), (-1, 0, 0, 1, 2)
+    rng = np.random.default_rng(0)
+    q = Rotation.random(10 * 5, random_state=0).as_quat().reshape(10, 5, 4)
+    rig = Skeleton(names, parents, rng.normal(size=(5, 3)))
+    moving = {"b1": rng.normal(size=(10, 3))}
+    motion = Motion(rig, q, rng.normal(size=(10, 3)), 30, joint_translations=moving)
+    write_bvh(motion, tmp_path / "a.bvh")
+    again = read_bvh(tmp_path / "a.bvh", unit="cm")
+    order = [again.skeleton.index(name) for name in names]
+    np.testing.assert_allclose(again.positions()[:, order], motion.positions(), atol=1e-6)

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gesturekit.motion import Motion
+from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
+
+
+def still(person, n_frames=10, speed=0.0, fps=30.0):
+    rotations = np.tile([0.0, 0, 0, 1], (n_frames, person.n_joints, 1))
+    path = np.zeros((n_frames, 3))
+    path[:, 2] = speed * np.arange(n_frames) / fps
+    return Motion(person, rotations, person.offsets[0] + path, fps)
+
+
+def test_points_are_heels_and_toes(person):
+    points = foot_points(person)
+    assert [p.joint for p in points] == ["LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase"]
+    places = foot_positions(still(person))[0]
+    np.testing.assert_allclose(places[0], [0.1, 0.08, 0.0], atol=1e-12)
+    np.testing.assert_allclose(places[1], [0.1, 0.02, 0.14], atol=1e-12)
+
+
+def test_a_foot_without_toe_joint_has_its_toe_at_the_end_site(shared_data):
+    motion = Motion.load(shared_data / "motion/reactidle/003_genuine.bvh")
+    points = foot_points(motion.skeleton)
+    assert [p.joint for p in points] == ["foot.L", "foot.L", "foot.R", "foot.R"]
+    assert 0.1 < np.linalg.norm(points[1].offset) < 0.2  # metres: a foot's length
+
+
+@pytest.mark.parametrize("fps", [24.0, 120.0])
+def test_threshold_is_a_speed(person, fps):
+    assert contact_labels(still(person, speed=0.19, fps=fps)).min() == 1
+    assert contact_labels(still(person, speed=0.21, fps=fps)).max() == 0
+    assert contact_labels(still(person, speed=0.21, fps=fps), threshold=0.3).min() == 1
+
+
+def test_frame_0_copies_frame_1(person):
+    motion = still(person)
+    jump = motion.translation.copy()
+    jump[0] += 1
+    labels = contact_labels(replace(motion, translation=jump))
+    assert labels.shape == (10, 4)
+    assert labels[:2].max() == 0 and labels[2:].min() == 1
+
+
+def test_one_frame_stands(person):
+    np.testing.assert_array_equal(contact_labels(still(person, 1)), np.ones((1, 4)))

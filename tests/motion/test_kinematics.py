@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from gesturekit.motion.kinematics import forward_kinematics, global_rotations
+from gesturekit.motion.rotations import (
+    matrix_from_quaternion,
+    quaternion_from_sixd,
+    rotate_vectors,
+)
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.torch_kinematics import ForwardKinematics, sixd_to_matrix
+
+
+def joint_by_joint(motion):
+    """The definition, as plainly as it can be written."""
+    skeleton = motion.skeleton
+    positions = np.zeros((motion.n_frames, skeleton.n_joints, 3))
+    for t in range(motion.n_frames):
+        turns = matrix_from_quaternion(motion.rotations[t])
+        world = []
+        for j, parent in enumerate(skeleton.parents):
+            place = skeleton.offsets[j]
+            if skeleton.names[j] in motion.joint_translations:
+                place = motion.joint_translations[skeleton.names[j]][t]
+            if parent < 0:
+                world.append(turns[j])
+                positions[t, j] = motion.translation[t]
+            else:
+                world.append(world[parent] @ turns[j])
+                positions[t, j] = positions[t, parent] + world[parent] @ place
+    return positions
+
+
+def test_positions_follow_the_definition(moving_person):
+    np.testing.assert_allclose(moving_person.positions(), joint_by_joint(moving_person), atol=1e-12)
+
+
+def test_moving_joints_leave_their_offset(moving_person):
+    path = np.random.default_rng(0).normal(size=(moving_person.n_frames, 3))
+    moving_person.joint_translations["LeftArm"] = path
+    np.testing.assert_allclose(moving_person.positions(), joint_by_joint(moving_person), atol=1e-12)
+
+
+def test_end_sites_ride_on_their_joint(moving_person):
+    ends = moving_person.end_positions()
+    assert ends["Head"].shape == (60, 1, 3)
+    j = moving_person.skeleton.index("Head")
+    arm = ends["Head"][:, 0] - moving_person.positions()[:, j]
+    turned = moving_person.global_rotations()[:, j]
+    np.testing.assert_allclose(arm, rotate_vectors(turned, [0.0, 0.15, 0.02]), atol=1e-12)
+
+
+def test_torch_agrees_with_numpy(moving_person):
+    skeleton = moving_person.skeleton
+    chain = ForwardKinematics(skeleton.parents, skeleton.offsets)
+    turns = torch.from_numpy(matrix_from_quaternion(moving_person.rotations))
+    places = chain(turns, torch.from_numpy(moving_person.translation))
+    np.testing.assert_allclose(places.numpy(), moving_person.positions(), atol=1e-6)
+    batched = chain(turns.reshape(3, 4, 5, -1, 3, 3), torch.zeros(3, 4, 5, 3, dtype=turns.dtype))
+    np.testing.assert_allclose(
+        batched.reshape(places.shape).numpy(),
+        moving_person.positions() - moving_person.translation[:, None],
+        atol=1e-6,
+    )
+
+
+@pytest.mark.parametrize("parents", [[-1], [-1, 0, 1, 2, 3], [-1, 0, 0, 0, 2, 1, 5, 4, 4]])
+def test_torch_on_trees_of_any_shape(parents):
+    rng = np.random.default_rng(0)
+    n = len(parents)
+    rig = Skeleton(tuple(map(str, range(n))), parents, rng.normal(size=(n, 3)))
+    q = quaternion_from_sixd(rng.normal(size=(n, 6)))
+    turns = torch.from_numpy(matrix_from_quaternion(q)).requires_grad_()
+    places = ForwardKinematics(parents, rig.offsets)(turns, torch.ones(3, dtype=torch.float64))
+    np.testing.assert_allclose(
+        places.detach().numpy(), forward_kinematics(q, np.ones(3), rig), atol=1e-6
+    )
+
+
+def test_torch_gradients_are_those_of_finite_differences(person):
+    chain = ForwardKinematics(person.parents, person.offsets).double()
+    x = torch.randn(2, person.n_joints, 6, dtype=torch.float64, requires_grad=True)
+    root = torch.randn(2, 3, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda x, root: chain(sixd_to_matrix(x), root), (x, root))
+
+
+def test_sixd_to_matrix_is_the_rotation_and_never_nan():
+    x = torch.randn(100, 6)
+    expected = matrix_from_quaternion(quaternion_from_sixd(x.numpy()))
+    np.testing.assert_allclose(sixd_to_matrix(x).numpy(), expected, atol=1e-5)
+    bad = torch.zeros(3, 6)
+    bad[1, 0], bad[2] = 1.0, torch.tensor([1.0, 2, 3, 2, 4, 6])
+    bad.requires_grad_()
+    out = sixd_to_matrix(bad)
+    out.square().sum().backward()
+    assert out.isfinite().all() and bad.grad.isfinite().all()
+
+
+def test_global_rotation_of_a_chain_is_the_product(moving_person):
+    skeleton = moving_person.skeleton
+    turned = matrix_from_quaternion(global_rotations(moving_person.rotations, skeleton))
+    local = matrix_from_quaternion(moving_person.rotations)
+    chain = local[:, 0]
+    for name in ("Spine", "Chest", "LeftArm"):
+        chain = chain @ local[:, skeleton.index(name)]
+    np.testing.assert_allclose(turned[:, skeleton.index("LeftArm")], chain, atol=1e-12)

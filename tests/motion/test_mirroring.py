@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.parts import left_right_pairs
+from gesturekit.motion.rotations import rotation_angles
+
+MIRROR = np.array([-1.0, 1.0, 1.0])
+
+
+def counterpart(skeleton: Skeleton) -> list[int]:
+    other = {name: name for name in skeleton.names}
+    for left, right in left_right_pairs(skeleton):
+        other |= {left: right, right: left}
+    return [skeleton.index(other[name]) for name in skeleton.names]
+
+
+def check(motion: Motion) -> None:
+    mirrored = motion.mirror()
+    other = counterpart(motion.skeleton)
+    np.testing.assert_allclose(
+        mirrored.positions()[:, other], motion.positions() * MIRROR, atol=1e-9
+    )
+    ends, seen = motion.end_positions(), mirrored.end_positions()
+    for name, places in ends.items():
+        name = motion.skeleton.names[other[motion.skeleton.index(name)]]
+        np.testing.assert_allclose(seen[name], places * MIRROR, atol=1e-9)
+    twice = mirrored.mirror()
+    np.testing.assert_allclose(twice.positions(), motion.positions(), atol=1e-9)
+    assert rotation_angles(twice.rotations, motion.rotations).max() < 1e-7
+
+
+def test_every_joint_lies_where_the_mirror_shows_its_counterpart(moving_person):
+    check(moving_person)
+    path = 0.1 * np.random.default_rng(0).normal(size=(60, 3))
+    check(replace(moving_person, joint_translations={"LeftArm": path, "Spine": 2 * path}))
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
+        "motion/aitviewer/sample.bvh",
+        "motion/reactidle/003_genuine.bvh",
+        "motion/bandai/dataset-1_bye_happy_001.bvh",
+        "motion/bandai/dataset-1_bow_feminine_001.bvh",
+    ],
+)
+def test_real_rigs(shared_data, file):
+    check(Motion.load(shared_data / file))
+
+
+def test_parallel_frames_reflect_as_vectors_do(moving_person):
+    mirrored = moving_person.mirror()
+    left = moving_person.rotations[:, moving_person.skeleton.index("LeftForeArm")]
+    right = mirrored.rotations[:, moving_person.skeleton.index("RightForeArm")]
+    np.testing.assert_allclose(right, left * [1, -1, -1, 1], atol=1e-12)
+
+
+def test_mirrored_bandai_poses_are_poses_of_that_rig(shared_data):
+    """A bow looks alike in a mirror, so the mirrored joints must turn as the rig's own do."""
+    for style in ("angry", "sad", "masculinity"):
+        motion = Motion.load(shared_data / f"motion/bandai/dataset-1_bow_{style}_001.bvh")
+        apart = rotation_angles(motion.mirror().rotations, motion.rotations)
+        assert np.degrees(np.median(apart, axis=0)).max() < 30
+
+
+def test_bandai_clips_agree_on_how_left_and_right_relate(shared_data):
+    """A mirrored clip of one style and another clip are of one rig: axes mean the same."""
+    signs = set()
+    for path in sorted((shared_data / "motion/bandai").glob("*.bvh")):
+        motion = Motion.load(path)
+        rest = replace(
+            motion.mirror(),
+            rotations=np.tile([0.0, 0, 0, 1], (motion.n_frames, motion.skeleton.n_joints, 1)),
+        )
+        signs.add(tuple(np.sign(np.round(rest.skeleton.offsets[3:], 3)).ravel()))
+    assert len(signs) == 1

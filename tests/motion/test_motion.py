@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import rotation_angles
+
+
+def test_time(moving_person):
+    assert moving_person.n_frames == 60
+    assert moving_person.duration == 2.0
+    assert moving_person.times[-1] == pytest.approx(59 / 30)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"rotations": np.ones((60, 3, 4))}, "(60, 3, 4)"),
+        ({"rotations": np.ones((0, 19, 4))}, "one frame"),
+        ({"translation": np.zeros((59, 3))}, "(59, 3)"),
+        ({"translation": np.full((60, 3), np.inf)}, "frame 0"),
+        ({"fps": 0}, "fps"),
+        ({"fps": float("nan")}, "fps"),
+        ({"joint_translations": {"Hips": np.zeros((60, 3))}}, "'Hips'"),
+        ({"joint_translations": {"Hip": np.zeros((60, 3))}}, "did you mean Hips"),
+    ],
+)
+def test_refuses_what_is_no_motion(moving_person, change, says):
+    with pytest.raises(MotionError) as caught:
+        replace(moving_person, **change)
+    assert says in str(caught.value)
+
+
+def test_a_bad_quaternion_is_named(moving_person):
+    rotations = moving_person.rotations.copy()
+    rotations[7, 2] = 0
+    with pytest.raises(MotionError, match=r"'Chest' in frame 7"):
+        replace(moving_person, rotations=rotations)
+
+
+def test_slice(moving_person):
+    part = moving_person.slice(10, 20)
+    assert part.n_frames == 10
+    np.testing.assert_array_equal(part.positions(), moving_person.positions()[10:20])
+    with pytest.raises(MotionError, match="50 to 61"):
+        moving_person.slice(50, 61)
+
+
+def test_resample_keeps_time(moving_person):
+    fast = moving_person.resample(60)
+    assert fast.n_frames == 120 and fast.duration == moving_person.duration
+    np.testing.assert_allclose(fast.positions()[:119:2], moving_person.positions(), atol=1e-9)
+    back = fast.resample(30)
+    np.testing.assert_allclose(back.positions(), moving_person.positions(), atol=1e-9)
+    slow = moving_person.resample(25)
+    assert slow.n_frames == 50
+    # Frame 5 of 25 fps is frame 6 of 30 fps.
+    np.testing.assert_allclose(slow.positions()[::5], moving_person.positions()[::6], atol=1e-9)
+
+
+def test_resample_between_frames_and_past_the_end(moving_person):
+    half = moving_person.resample(60)
+    a, b = moving_person.rotations[3], moving_person.rotations[4]
+    np.testing.assert_allclose(rotation_angles(half.rotations[7], a), rotation_angles(a, b) / 2)
+    middle = (moving_person.translation[3] + moving_person.translation[4]) / 2
+    np.testing.assert_allclose(half.translation[7], middle)
+    long = moving_person.resample(30, n_frames=70)
+    np.testing.assert_array_equal(long.translation[60:], moving_person.translation[[-1] * 10])
+
+
+def test_number_of_frames_is_exact(moving_person):
+    # 49 frames at 30 fps are 24.5 at 15 fps: half a frame counts as one.
+    assert moving_person.slice(0, 49).resample(15).n_frames == 25
+    assert moving_person.slice(0, 47).resample(15).n_frames == 24
+
+
+def test_unknown_suffix_is_refused_by_name(moving_person, tmp_path):
+    with pytest.raises(FormatError, match=r"\.fbx.*\.bvh"):
+        moving_person.save(tmp_path / "a.fbx")
+    with pytest.raises(FormatError, match=r"\.txt"):
+        Motion.load(tmp_path / "a.txt")
+
+
+def test_importing_motion_is_light():
+    code = (
+        "import sys, gesturekit.motion, gesturekit.formats, gesturekit.motion.contacts\n"
+        "print([m for m in ('torch', 'scipy', 'librosa', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

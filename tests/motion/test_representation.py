@@ -1,0 +1,78 @@
+"""Motion vectors: what goes in comes out, on rigs of every kind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gesturekit as gk
+from gesturekit.errors import MotionError
+from gesturekit.motion.heading import facing_forward, heading, turned
+from gesturekit.motion.representation import MultiresRepresentation
+
+
+def body_error(representation, motion) -> float:
+    """Largest distance (m) of a modelled joint after a round trip, the start moved back."""
+    made = representation.decode(representation.encode(motion), motion.fps)
+    joints = [motion.skeleton.index(name) for name in representation.joints]
+    one, other = (m.positions()[:, joints] for m in (made, motion))
+    start = other[0, 0] * [1, 0, 1]
+    return float(np.linalg.norm(one + start - other, axis=-1).max())
+
+
+def test_a_round_trip_keeps_every_modelled_joint(gesture):
+    motion = gesture(3.0)
+    motion.translation[:, 0] += 0.1 * np.sin(motion.times)
+    representation = MultiresRepresentation.fit([motion])
+    assert representation.encode(motion).shape == (90, representation.n_features)
+    assert body_error(representation, motion) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("file", "root", "tolerance"),
+    [
+        ("paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh", "Hips", 1e-6),
+        ("motion/aitviewer/sample.bvh", "Hips", 1e-6),
+        # Hips moves under a joint_Root that stands still.
+        ("motion/bandai/dataset-1_bye_happy_001.bvh", "Hips", 1e-6),
+        # The thighs slide in their sockets by a centimetre; the model holds them at their mean.
+        ("motion/reactidle/003_genuine.bvh", "pelvis", 0.02),
+    ],
+)
+def test_real_rigs_survive_a_round_trip(shared_data, file, root, tolerance):
+    motion = gk.Motion.load(shared_data / file)
+    motion = motion.slice(0, min(200, motion.n_frames))
+    representation = MultiresRepresentation.fit([motion])
+    assert representation.joints[0] == root
+    assert body_error(representation, motion) < tolerance
+
+
+def test_fingers_are_written_though_they_are_not_modelled(shared_data):
+    motion = gk.Motion.load(shared_data / "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh")
+    motion = motion.slice(300, 400)
+    representation = MultiresRepresentation.fit([motion])
+    assert not any("Thumb" in name for name in representation.joints)
+    made = representation.decode(representation.encode(motion), motion.fps)
+    assert made.skeleton.names == motion.skeleton.names
+    thumb = motion.skeleton.index("LeftHandThumb2")
+    assert np.ptp(made.rotations[:, thumb], axis=0).max() == 0.0
+    assert np.abs(made.rotations[0, thumb] - [0, 0, 0, 1]).max() > 0.01, "the mean, not the rest"
+
+
+def test_another_rig_is_refused(gesture, skeleton):
+    representation = MultiresRepresentation.fit([gesture(1.0)])
+    names = tuple("Pelvis" if name == "Hips" else name for name in skeleton.names)
+    other = gk.Skeleton(names, skeleton.parents, skeleton.offsets)
+    motion = gk.Motion(other, gesture(1.0).rotations, gesture(1.0).translation, 30.0)
+    with pytest.raises(MotionError, match="Pelvis"):
+        representation.encode(motion)
+    with pytest.raises(MotionError, match="LeftHand"):
+        MultiresRepresentation.fit([gesture(1.0)], ["Hips", "LeftHnd"])
+
+
+@pytest.mark.parametrize("angle", [-2.0, 0.3, 1.5])
+def test_heading_is_the_way_the_body_is_turned(gesture, angle):
+    motion = gesture(2.0)
+    start = heading(motion)
+    assert heading(turned(motion, angle)) - start == pytest.approx(angle)
+    assert heading(facing_forward(turned(motion, angle))) == pytest.approx(0.0, abs=1e-9)

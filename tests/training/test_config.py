@@ -1,0 +1,85 @@
+"""Configurations: inheritance, overrides, and errors that say what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from gesturekit.errors import ConfigError
+from gesturekit.training.config import build, load_config, to_dict
+
+
+@dataclass(frozen=True)
+class Inner:
+    rate: float = 1e-4
+    steps: tuple[int, ...] = (1, 2)
+    mode: Literal["input", "all"] | tuple[str, ...] = "all"
+
+
+@dataclass(frozen=True)
+class Outer:
+    corpus: Path
+    window: float | None = 10.0
+    name: str = "run"
+    inner: Inner = field(default_factory=Inner)
+
+
+def write(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_exponents_without_a_dot_are_numbers(tmp_path):
+    config = load_config(write(tmp_path, "a.yaml", "corpus: c\ninner: {rate: 5e-4}"), Outer)
+    assert config.inner.rate == 5e-4
+
+
+def test_a_child_changes_single_values_of_its_parent(tmp_path):
+    write(tmp_path, "base.yaml", "corpus: data/c.jsonl\ninner: {rate: 0.1, steps: [3, 4]}")
+    child = write(tmp_path, "sub/child.yaml", "base: ../base.yaml\ninner: {rate: 0.2}")
+    config = load_config(child, Outer)
+    assert config.inner == Inner(rate=0.2, steps=(3, 4))
+    assert config.corpus == tmp_path / "data/c.jsonl", "relative to the file that names it"
+
+
+def test_overrides_win_and_their_paths_are_relative_to_the_current_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = write(tmp_path, "deep/a.yaml", "corpus: c.jsonl")
+    config = load_config(path, Outer, ["inner.rate=1e-3", "window=null", "corpus=here.jsonl"])
+    assert (config.inner.rate, config.window, config.corpus) == (
+        1e-3,
+        None,
+        tmp_path / "here.jsonl",
+    )
+
+
+def test_what_is_written_reads_back_the_same(tmp_path):
+    config = load_config(write(tmp_path, "a.yaml", "corpus: c\ninner: {mode: [Hips]}"), Outer)
+    assert build(Outer, to_dict(config)) == config
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "says"),
+    [
+        ("corpus: c\ninner: {rat: 1}", [], "did you mean inner.rate"),
+        ("corpus: c\nwindow: wide", [], "window: 'wide' is not of type float"),
+        ("corpus: c\ninner: {mode: other}", [], "'input', 'all'"),
+        ("corpus: c\ninner: 3", [], "inner"),
+        ("window: 3", [], "corpus is missing"),
+        ("corpus: c", ["window"], "key=value"),
+        ("corpus: c", ["name=3"], "name: 3 is not of type str"),
+        ("- a list", [], "expected key: value lines"),
+        ("corpus: [unclosed", [], "not valid YAML"),
+        ("corpus: !!python/object/apply:os.getcwd []", [], "not valid YAML"),
+        ("base: a.yaml", [], "its own parent"),
+    ],
+)
+def test_mistakes_are_named(tmp_path, text, overrides, says):
+    with pytest.raises(ConfigError, match="(?s)" + says.replace("(", r"\(")) as caught:
+        load_config(write(tmp_path, "a.yaml", text), Outer, overrides)
+    assert "a.yaml" in str(caught.value) or overrides
