@@ -1,0 +1,40 @@
+"""gesturekit: speech to body motion.
+
+import gesturekit as gk
+
+model = gk.load("demo")
+motion = model.generate("speech.wav", seed=0)
+motion.save("speech.bvh")
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gesturekit.errors import GestureKitError
+    from gesturekit.motion.motion import Motion
+    from gesturekit.motion.skeleton import Skeleton
+    from gesturekit.systems import load
+
+__version__ = "0.1.0"
+__all__ = ["GestureKitError", "Motion", "Skeleton", "load"]
+
+_HOMES = {
+    "GestureKitError": "gesturekit.errors",
+    "Motion": "gesturekit.motion.motion",
+    "Skeleton": "gesturekit.motion.skeleton",
+    "load": "gesturekit.systems",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Names are imported when they are first used: `gesturekit --help` needs none of them.
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gesturekit' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

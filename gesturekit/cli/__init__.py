@@ -1,0 +1,57 @@
+"""The command line: one file a verb. A verb parses, calls the API, and prints; nothing else.
+
+Exit codes: 0 all done; 1 some or all items failed, each listed with its reason; 2 nothing could
+start (bad usage, bad config); 130 on Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+VERBS = ("demo", "features", "prepare", "train", "render")
+
+
+class VerbGroup(click.Group):
+    """Imports a verb's module when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The verbs, in the order in which one meets them."""
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """The verb of this name; None where there is none."""
+        if name not in VERBS:
+            return None
+        return importlib.import_module(f"gesturekit.cli.{name}").command
+
+
+@click.group(
+    cls=VerbGroup,
+    epilog="Start with: gesturekit demo",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(package_name="gesturekit")
+def cli() -> None:
+    """Turn speech into body motion: train on your own wav + BVH, render wavs to BVH, npz, HTML."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and leave with the exit codes named at the top of this file."""
+    from audio_features.errors import AudioFeaturesError
+    from gesturekit.errors import GestureKitError
+
+    try:
+        status = cli.main(arguments, prog_name="gesturekit", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        status = 2
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("Interrupted.", err=True)
+        status = 130
+    except (GestureKitError, AudioFeaturesError) as error:
+        click.echo(f"Error: {error}", err=True)
+        status = 2
+    sys.exit(status or 0)

@@ -1,0 +1,61 @@
+"""gesturekit render: wavs in, motion files out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command(
+    "render",
+    epilog="Example: gesturekit render speech.wav --model demo --out rendered --format bvh,html",
+)
+@click.argument("sources", nargs=-1, type=click.Path(path_type=Path), metavar="[WAV]...")
+@click.option("--model", required=True, help="A bundled name (demo) or a model folder.")
+@click.option(
+    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to fill."
+)
+@click.option("--format", "formats", default="bvh", help="Of bvh,npz,html,png.  [default: bvh]")
+@click.option("--seed", default=0, show_default=True, help="Another seed, another gesture.")
+@click.option("--samples", default=1, show_default=True, help="Motions for each wav.")
+@click.option("--seconds", type=float, help="Length of an idle motion, without any wav.")
+@click.option(
+    "--weights", type=click.Path(path_type=Path), help="WavLM weights the model was trained with."
+)
+@click.pass_context
+def command(
+    ctx: click.Context,
+    sources: tuple[Path, ...],
+    model: str,
+    out: Path,
+    formats: str,
+    seed: int,
+    samples: int,
+    seconds: float | None,
+    weights: Path | None,
+) -> None:
+    """Turn each WAV (or folder of audio) into motion, as long as the sound.
+
+    One broken file never stops the others: it is listed with its reason, and the exit code is 1.
+    """
+    import logging
+
+    from gesturekit.rendering.render import render
+    from gesturekit.systems import load
+
+    logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
+    if not sources and seconds is None:
+        raise click.UsageError("Give audio files, or --seconds for an idle motion.")
+    loaded = load(model, weights=weights)
+    failed = 0
+    wanted = [name.strip() for name in formats.split(",") if name.strip()]
+    for outcome in render(
+        loaded, sources, out, formats=wanted, seed=seed, samples=samples, seconds=seconds
+    ):
+        for path in outcome.files:
+            click.echo(path)
+        if outcome.error is not None:
+            failed += 1
+            click.echo(f"Failed: {outcome.error}", err=True)
+    ctx.exit(1 if failed else 0)

@@ -1,0 +1,199 @@
+"""Windows whose coarser levels are generated beforehand.
+
+While two levels train, all coarser ones are finished: what they generate from given noise and
+speech does not change. A bank holds it for many windows at once, so that a training step only
+runs the levels it trains. Every window is drawn from (seed, pair, renewal), so that a resumed run
+makes the same bank again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+import audio_features as af
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.data import PairedSequence, TrainingData
+from gesturekit.multires.interpolation import resample
+from gesturekit.multires.networks import MultiresGenerator
+
+
+@dataclass(frozen=True)
+class LevelRange:
+    """The levels a pair trains, for windows of one length."""
+
+    first: int
+    lengths: tuple[int, ...]
+    """Frames of each level of the pair."""
+
+    @classmethod
+    def of(cls, n_frames: int, levels: int, first: int) -> LevelRange:
+        """The pair that begins at level `first` (counted from 0) in windows of `n_frames`."""
+        return cls(first, tuple(af.level_lengths(n_frames, levels)[first : first + 2]))
+
+    @property
+    def indices(self) -> range:
+        """The levels, counted from 0."""
+        return range(self.first, self.first + len(self.lengths))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """N windows of one length, ready for the levels of a pair.
+
+    Attributes:
+        coarser: (N, D, T) what the level below the pair generated; None at the first level.
+        noise: noise for each level of the pair, (N, 1, T_i) or None for none at all.
+        conditions: (N, S, T_i) residual speech features for each level of the pair.
+        speech: (N, S, T_i) the same speech, not residual.
+        targets: (N, D, T_i) recorded motion; None on random steps, which have none.
+    """
+
+    coarser: Tensor | None
+    noise: tuple[Tensor | None, ...]
+    conditions: tuple[Tensor, ...]
+    speech: tuple[Tensor, ...]
+    targets: tuple[Tensor, ...] | None
+
+    def take(self, index: Tensor) -> Windows:
+        """The windows at these numbers, (B,)."""
+
+        def rows(parts: Sequence[Tensor | None]) -> tuple:
+            return tuple(None if part is None else part[index] for part in parts)
+
+        return Windows(
+            coarser=None if self.coarser is None else self.coarser[index],
+            noise=rows(self.noise),
+            conditions=rows(self.conditions),
+            speech=rows(self.speech),
+            targets=None if self.targets is None else rows(self.targets),
+        )
+
+
+def condition_levels(speech: Tensor, lengths: Sequence[int], residual: bool) -> list[Tensor]:
+    """(B, S, T) speech to the (B, S, T_i) that each level hears."""
+    if not residual:
+        return [resample(speech, n) for n in lengths]
+    batch, width, n_frames = speech.shape
+    flat = speech.permute(2, 0, 1).reshape(n_frames, batch * width).numpy()
+    return [
+        torch.from_numpy(level).float().reshape(-1, batch, width).permute(1, 2, 0)
+        for level in af.residual_pyramid(flat, lengths)
+    ]
+
+
+class Bank:
+    """Makes the windows that a pair of levels trains on."""
+
+    def __init__(
+        self, data: TrainingData, config: MultiresConfig, network: MultiresGenerator
+    ) -> None:
+        self.data = data
+        self.config = config
+        self.network = network
+        self.device = next(network.parameters()).device
+        self.sigma = torch.stack([sequence.sigma for sequence in data.paired]).mean(dim=0)
+
+    def random(self, n_frames: int, first: int, count: int, rng: torch.Generator) -> Windows:
+        """Windows for random-generation steps: unpaired speech, fresh noise, no recorded motion."""
+        schedule = self.config.schedule
+        speech = torch.stack([self.data.speech_window(n_frames, rng) for _ in range(count)])
+        quiet = torch.rand(count, generator=rng) < schedule.silence
+        speech[quiet] = self.data.silence[:, :n_frames]
+        lengths = af.level_lengths(n_frames, self.config.network.levels)
+        noises = [
+            torch.randn(count, 1, n, generator=rng) * sigma
+            for n, sigma in zip(lengths, self.sigma, strict=True)
+        ]
+        return self._windows(n_frames, first, speech, noises, None)
+
+    def paired(
+        self,
+        sequences: Sequence[PairedSequence],
+        n_frames: int,
+        first: int,
+        count: int,
+        rng: torch.Generator,
+    ) -> Windows:
+        """Windows for reconstruction steps: paired speech, z*, and the recorded motion."""
+        lengths = af.level_lengths(n_frames, self.config.network.levels)
+        speech, motion, z_star = [], [], []
+        for sequence, start in random_windows(sequences, n_frames, count, rng):
+            speech.append(sequence.speech[:, start : start + n_frames])
+            motion.append(sequence.motion[:, start : start + n_frames])
+            z_star.append(sequence.z_star_window(start, lengths[0]))
+        noises = [torch.stack(z_star)[:, None], *([None] * (len(lengths) - 1))]
+        return self._windows(n_frames, first, torch.stack(speech), noises, torch.stack(motion))
+
+    def reals(
+        self,
+        sequences: Sequence[PairedSequence],
+        n_frames: int,
+        first: int,
+        count: int,
+        rng: torch.Generator,
+    ) -> list[Tensor]:
+        """Recorded motion (B, D, T_i) for the discriminators of the pair."""
+        levels = LevelRange.of(n_frames, self.config.network.levels, first)
+        motion = torch.stack(
+            [
+                sequence.motion[:, start : start + n_frames]
+                for sequence, start in random_windows(sequences, n_frames, count, rng)
+            ]
+        ).to(self.device)
+        return [resample(motion, n) for n in levels.lengths]
+
+    @torch.no_grad()
+    def _windows(
+        self,
+        n_frames: int,
+        first: int,
+        speech: Tensor,
+        noises: list[Tensor | None],
+        motion: Tensor | None,
+    ) -> Windows:
+        lengths = af.level_lengths(n_frames, self.config.network.levels)
+        conditions = condition_levels(speech, lengths, self.config.features.residual)
+        to = self.device
+        conditions = [level.to(to) for level in conditions]
+        noises = [None if noise is None else noise.to(to) for noise in noises]
+        coarser = None
+        if first and motion is not None and self.config.losses.rec_input == "real":
+            coarser = resample(motion.to(to), lengths[first - 1])
+        elif first:
+            coarser = torch.cat(
+                [
+                    self.network(
+                        [None if noise is None else noise[part] for noise in noises[:first]],
+                        [level[part] for level in conditions[:first]],
+                        lengths=lengths[:first],
+                    )[-1]
+                    for part in _chunks(len(speech), self.config.schedule.batch)
+                ]
+            )
+        here = slice(first, first + 2)
+        return Windows(
+            coarser=coarser,
+            noise=tuple(noises[here]),
+            conditions=tuple(conditions[here]),
+            speech=tuple(resample(speech.to(to), n) for n in lengths[here]),
+            targets=None
+            if motion is None
+            else tuple(resample(motion.to(to), n) for n in lengths[here]),
+        )
+
+
+def random_windows(
+    sequences: Sequence[PairedSequence], n_frames: int, count: int, rng: torch.Generator
+) -> Iterator[tuple[PairedSequence, int]]:
+    """Sequences and start frames of random windows, every start equally likely."""
+    room = torch.tensor([float(sequence.n_frames - n_frames + 1) for sequence in sequences])
+    for which in torch.multinomial(room, count, replacement=True, generator=rng).tolist():
+        yield sequences[which], int(torch.randint(int(room[which]), (), generator=rng))
+
+
+def _chunks(n: int, size: int) -> Iterator[slice]:
+    return (slice(start, start + size) for start in range(0, n, size))

@@ -1,0 +1,140 @@
+"""What a multires run can be told; the defaults are the light-feature speech mode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from gesturekit.errors import ConfigError
+
+
+def _positive(**values: float) -> None:
+    for name, value in values.items():
+        if value <= 0:
+            raise ConfigError(f"{name}: {value!r} must be above 0")
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """The pyramid and its networks (section 3 of the paper)."""
+
+    levels: int = 10
+    """L; each level has 3/4 of the frames of the next."""
+    channels: tuple[int, ...] = (6, 9, 9)
+    """Hidden channels for every joint, layer by layer; one more layer than there are numbers."""
+    kernel: int = 5
+    neighbour_distance: int = 2
+    """How many bones apart two joints may stand and still see one another."""
+    film: Literal["input", "all"] = "all"
+    """Modulate the input of each level (the paper), or every hidden layer as well."""
+    embedding: int = 64
+    """Width of y_i, the embedding of the condition (eq. 8)."""
+    modulate: Literal["upper"] | tuple[str, ...] = "upper"
+    """Joints that speech modulates: the upper body, or names."""
+
+    def __post_init__(self) -> None:
+        _positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
+        if self.kernel % 2 == 0:
+            raise ConfigError(f"kernel: {self.kernel} must be odd")
+        if not self.channels or min(self.channels) <= 0:
+            raise ConfigError(f"channels: {list(self.channels)} must be numbers above 0")
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Weights of eq. 11 and of what goes beyond it; 0 turns a loss off."""
+
+    adversarial: float = 1.0
+    gradient_penalty: float = 1.0
+    reconstruction: float = 50.0
+    contact: float = 5.0
+    smoothness: float = 5.0
+    arm_speed: float = 3.0
+    """On random steps, L1 between the generated arm speed and the one that a ridge regression
+    reads off the speech. Not in the paper, where it is 0."""
+    rec_input: Literal["generated", "real"] = "generated"
+    """What reconstruction steps upsample: the chain from z*, or the real motion as in eq. 15."""
+
+
+@dataclass(frozen=True)
+class ScheduleConfig:
+    """How long, how often and how fast. Two levels are trained at a time."""
+
+    first_pair: int = 15000
+    """Iterations for the two coarsest levels."""
+    further_pairs: int = 25000
+    """Iterations for each further pair."""
+    discriminator_steps: int = 5
+    generator_steps: int = 1
+    reconstruction_steps: int = 1
+    learning_rate: float = 1e-4
+    decay_at: float = 1.0
+    """After this share of a pair's iterations the learning rate falls to a tenth."""
+    batch: int = 4
+    window: float | None = 10.0
+    """Seconds of each training window; null takes whole sequences, one at a time."""
+    bank: int = 64
+    """Windows whose coarser levels are generated beforehand ..."""
+    renew: int = 50
+    """... and renewed every so many iterations."""
+    silence: float = 0.1
+    """Share of random windows whose speech is replaced by silence."""
+
+    def __post_init__(self) -> None:
+        _positive(
+            learning_rate=self.learning_rate,
+            batch=self.batch,
+            bank=self.bank,
+            renew=self.renew,
+            first_pair=self.first_pair,
+            further_pairs=self.further_pairs,
+        )
+        if self.window is not None:
+            _positive(window=self.window)
+        if not 0 <= self.silence < 1:
+            raise ConfigError(f"silence: {self.silence} must be at least 0 and below 1")
+
+
+@dataclass(frozen=True)
+class FeatureConfig:
+    """What the model hears."""
+
+    extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
+    """Extractors by name and settings, side by side."""
+    weights: Path | None = None
+    """Folder of the WavLM weights, where an extractor asks for them."""
+    align: Literal["mean", "linear"] = "mean"
+    """How features reach the motion's frames: mean of each frame's span, or linear in time."""
+    residual: bool = True
+    """Give finer levels only what the coarser ones lack (section 5 of the paper)."""
+
+
+@dataclass(frozen=True)
+class MultiresConfig:
+    """A multires training run in speech mode."""
+
+    system: Literal["multires"]
+    corpus: Path
+    """Manifest written by `gesturekit prepare`."""
+    out: Path = field(default_factory=lambda: Path("runs/multires"))
+    """Run folder."""
+    seed: int = 0
+    fps: float = 25.0
+    joints: Literal["body", "all"] | tuple[str, ...] = "body"
+    features: FeatureConfig = field(default_factory=FeatureConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    losses: LossConfig = field(default_factory=LossConfig)
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
+    checkpoint_every: int = 250
+    """Iterations between checkpoints."""
+    log_every: int = 10
+    threads: int | None = None
+    """CPU threads; null leaves the choice to torch."""
+    device: str = "auto"
+    """auto, cpu, or cuda."""
+    notes: dict[str, Any] = field(default_factory=dict)
+    """Free text for the model's README: data, licence."""
+
+    def __post_init__(self) -> None:
+        _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)

@@ -1,0 +1,306 @@
+"""What a multires run trains on: sequences in memory, and windows cut from them.
+
+Paired sequences (speech and motion) feed reconstruction steps and the discriminators' real side;
+random-generation steps take their speech from the unpaired audio alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+from tqdm import tqdm
+
+import audio_features as af
+from gesturekit.atomic import atomic_write
+from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.motion.heading import facing_forward
+from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.interpolation import resample
+from gesturekit.training.seeds import generator
+
+_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
+"""Below these spreads (6D entries, label, m, m) a channel is scaled as if it had this much."""
+
+
+@dataclass(frozen=True)
+class Normaliser:
+    """Takes motion vectors to zero mean and comparable spread, whatever the rig's units.
+
+    One scale serves the six numbers of a joint, so that a rotation keeps its shape.
+
+    Attributes:
+        mean: (D,).
+        scale: (D,).
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    @classmethod
+    def fit(
+        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation
+    ) -> Normaliser:
+        """Mean and scale of encoded training motions, each (T, D)."""
+        values = np.concatenate(motions)
+        scale = values.std(axis=0)
+        start = 0
+        n_joints = len(representation.joints)
+        for block, size in enumerate(representation.block_sizes[:-1]):
+            part = slice(start, start + size)
+            spread = np.sqrt((scale[part] ** 2).mean())
+            floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
+            scale[part] = max(spread, floor)
+            start += size
+        dx, height, dz = scale[-3:]
+        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"])
+        scale[-3:] = across, max(height, _SCALE_FLOORS["height"]), across
+        return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, D, T) in their own units to normalised."""
+        return (x - self.mean[:, None]) / self.scale[:, None]
+
+    def inverse(self, x: Tensor) -> Tensor:
+        """(B, D, T) normalised to their own units."""
+        return x * self.scale[:, None] + self.mean[:, None]
+
+
+@dataclass(frozen=True)
+class PairedSequence:
+    """One recording: normalised motion (D, T), speech (S, T), and its noise.
+
+    Attributes:
+        sigma: (L,) spread of what each level adds (RMSE of the level against the coarser one,
+            upsampled; RMS at the first level).
+        z_star: (T_1,) the noise at level 1 from which this recording is reconstructed.
+    """
+
+    TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star")
+
+    name: str
+    motion: Tensor
+    speech: Tensor
+    sigma: Tensor
+    z_star: Tensor
+
+    @property
+    def n_frames(self) -> int:
+        """T, at the full rate."""
+        return self.motion.shape[-1]
+
+    @classmethod
+    def make(
+        cls, name: str, motion: Tensor, speech: Tensor, levels: int, seed: int
+    ) -> PairedSequence:
+        """Draw the noise of a recording; it depends on the seed and the name alone."""
+        sigma = level_sigmas(motion[None], levels)
+        n_coarsest = af.level_lengths(motion.shape[-1], levels)[0]
+        noise = torch.randn(n_coarsest, generator=generator(seed, "z_star", name))
+        return cls(name, motion, speech, sigma, noise * sigma[0])
+
+    def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
+        """(T_1,) of the window that starts at this full-rate frame."""
+        first = round(start * len(self.z_star) / self.n_frames)
+        first = max(0, min(first, len(self.z_star) - n_coarsest))
+        window = self.z_star[first : first + n_coarsest]
+        # A window as long as its sequence may come out one coarse frame longer by rounding.
+        return resample(window, n_coarsest)
+
+
+def level_sigmas(motion: Tensor, levels: int) -> Tensor:
+    """(L,) sigma_i of a normalised motion (1, D, T)."""
+    lengths = af.level_lengths(motion.shape[-1], levels)
+    pyramid = [resample(motion, n) for n in lengths]
+    sigmas = [pyramid[0].square().mean().sqrt()]
+    for coarse, fine in zip(pyramid, pyramid[1:], strict=False):
+        sigmas.append((fine - resample(coarse, fine.shape[-1])).square().mean().sqrt())
+    return torch.stack(sigmas)
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """Everything a run needs, on the CPU.
+
+    Attributes:
+        paired: recordings with motion.
+        unpaired: (S, T) speech without motion; where the corpus has none, that of `paired`.
+        silence: (S, T) what the model hears when nobody speaks, one window long.
+        window: frames of a training window; None takes whole sequences.
+    """
+
+    paired: tuple[PairedSequence, ...]
+    unpaired: tuple[Tensor, ...]
+    silence: Tensor
+    window: int | None
+    representation: MultiresRepresentation
+    conditioner: SpeechConditioner
+    normaliser: Normaliser
+    unpaired_is_paired: bool
+
+    def save(self, folder: Path) -> None:
+        """Write all of it into a folder, for a run that is resumed.
+
+        Features and encoded motion differ in their last bits from process to process, as numpy's
+        vector instructions depend on where arrays lie; a resumed run must read what it read.
+        """
+        tensors = {
+            "silence": self.silence,
+            "motion.mean": self.normaliser.mean,
+            "motion.scale": self.normaliser.scale,
+            "features.centre": torch.from_numpy(self.conditioner.centre),
+            "features.scale": torch.from_numpy(self.conditioner.scale),
+        }
+        for i, sequence in enumerate(self.paired):
+            for name in PairedSequence.TENSORS:
+                tensors[f"paired.{i}.{name}"] = getattr(sequence, name).contiguous()
+        if not self.unpaired_is_paired:
+            tensors |= {f"unpaired.{i}": clip for i, clip in enumerate(self.unpaired)}
+        with atomic_write(folder / "data.safetensors") as temporary:
+            save_file(tensors, temporary)
+        about = {
+            "names": [sequence.name for sequence in self.paired],
+            "unpaired": 0 if self.unpaired_is_paired else len(self.unpaired),
+            "window": self.window,
+            "skeleton": self.representation.skeleton.to_json(),
+            "motion": self.representation.to_json(),
+        }
+        with atomic_write(folder / "data.json") as temporary:
+            temporary.write_text(json.dumps(about), encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: Path, config: MultiresConfig) -> TrainingData:
+        """Read what `save` wrote.
+
+        Raises:
+            ConfigError: the folder's data is missing or damaged.
+        """
+        try:
+            about = json.loads((folder / "data.json").read_text(encoding="utf-8"))
+            tensors = load_file(folder / "data.safetensors")
+            paired = tuple(
+                PairedSequence(
+                    name,
+                    *(tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS),
+                )
+                for i, name in enumerate(about["names"])
+            )
+            unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
+            skeleton = Skeleton.from_json(about["skeleton"])
+            return cls(
+                paired=paired,
+                unpaired=unpaired or tuple(sequence.speech for sequence in paired),
+                silence=tensors["silence"],
+                window=about["window"],
+                representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
+                conditioner=SpeechConditioner(
+                    _extractor(config),
+                    config.fps,
+                    config.features.align,
+                    tensors["features.centre"].numpy(),
+                    tensors["features.scale"].numpy(),
+                ),
+                normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
+                unpaired_is_paired=not unpaired,
+            )
+        except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+            raise ConfigError(
+                f"{folder}: the run's training data cannot be read ({error}); start a new run"
+            ) from error
+
+    def window_lengths(self) -> dict[int, list[int]]:
+        """Window length to the paired sequences that give windows of that length."""
+        groups: dict[int, list[int]] = {}
+        for i, sequence in enumerate(self.paired):
+            frames = sequence.n_frames
+            length = frames if self.window is None else min(frames, self.window)
+            groups.setdefault(length, []).append(i)
+        return groups
+
+    def speech_window(self, n_frames: int, rng: torch.Generator) -> Tensor:
+        """(S, n_frames) of unpaired speech; a shorter clip is set into silence."""
+        weights = torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])
+        clip = self.unpaired[int(torch.multinomial(weights, 1, generator=rng))]
+        slack = clip.shape[-1] - n_frames
+        start = int(torch.randint(abs(slack) + 1, (), generator=rng))
+        if slack >= 0:
+            return clip[:, start : start + n_frames]
+        around = self.silence[:, :1].expand(-1, n_frames).clone()
+        around[:, start : start + clip.shape[-1]] = clip
+        return around
+
+
+def load_training_data(config: MultiresConfig) -> TrainingData:
+    """Read the corpus of a run, extract features, and normalise.
+
+    Raises:
+        CorpusError: no paired training item, rigs that differ, or a file that cannot be read.
+    """
+    manifest = Manifest.load(config.corpus)
+    items = manifest.paired("train")
+    if not items:
+        raise CorpusError(
+            f"{config.corpus}: no item of split train has both audio and motion; "
+            "run gesturekit prepare on a folder of wav + BVH pairs"
+        )
+    motions = [facing_forward(item.load_motion().resample(config.fps)) for item in items]
+    representation = MultiresRepresentation.fit(motions, config.joints)
+    vectors = []
+    for item, motion in zip(items, motions, strict=True):
+        try:
+            vectors.append(representation.encode(motion))
+        except ValueError as error:
+            raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
+    normaliser = Normaliser.fit(vectors, representation)
+
+    others = manifest.unpaired("train")
+    progress = tqdm([*items, *others], desc="Listening", unit="file", leave=False)
+    conditioner = SpeechConditioner.fit(
+        (item.load_wave() for item in progress),
+        _extractor(config),
+        config.fps,
+        config.features.align,
+    )
+    paired = []
+    for item, vector in zip(items, vectors, strict=True):
+        wave = item.load_wave()
+        n_frames = min(len(vector), wave.n_frames(config.fps))
+        speech = torch.from_numpy(conditioner(wave, n_frames).T.copy())
+        motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
+        paired.append(
+            PairedSequence.make(item.id, motion, speech, config.network.levels, config.seed)
+        )
+    unpaired = tuple(
+        torch.from_numpy(conditioner(item.load_wave()).T.copy())
+        for item in tqdm(others, desc="Unpaired speech", unit="file", leave=False)
+    )
+    window = config.schedule.window
+    frames = None if window is None else max(config.network.levels, round(window * config.fps))
+    longest = max(sequence.n_frames for sequence in paired)
+    return TrainingData(
+        paired=tuple(paired),
+        unpaired=unpaired or tuple(sequence.speech for sequence in paired),
+        silence=torch.from_numpy(conditioner.silence(frames or longest).T.copy()),
+        window=frames,
+        representation=representation,
+        conditioner=conditioner,
+        normaliser=normaliser,
+        unpaired_is_paired=not unpaired,
+    )
+
+
+def _extractor(config: MultiresConfig) -> Any:
+    parts = {"kind": "stack", "parts": list(config.features.extractors)}
+    return af.extractor_from_spec(parts, weights=config.features.weights)

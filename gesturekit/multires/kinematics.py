@@ -1,0 +1,109 @@
+"""Joints, feet and arms of motion vectors, in torch, for losses."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gesturekit.motion.parts import arm_joints
+from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.motion.rotations import matrix_from_quaternion
+from gesturekit.motion.torch_kinematics import ForwardKinematics, sixd_to_matrix
+
+
+class VectorKinematics(nn.Module):
+    """Reads positions and speeds off motion vectors (B, D, T) in their own units.
+
+    Root displacement, contact speed and smoothness count per full-rate frame at every level:
+    `stride` is how many full-rate frames lie between two frames of the level at hand.
+    """
+
+    fixed: Tensor
+    rows: Tensor
+
+    def __init__(self, representation: MultiresRepresentation, fps: float) -> None:
+        super().__init__()
+        skeleton = representation.skeleton
+        self.fps = fps
+        self.n_joints = len(representation.joints)
+        self.contacts = representation.contact_columns
+        modelled = [skeleton.index(name) for name in representation.joints]
+        points = representation.foot_points
+        feet = [skeleton.index(point.joint) for point in points]
+        # Joints between the root and what is wanted; nothing below, above or beside them.
+        needed = {modelled[0]}
+        for joint in [*modelled, *feet]:
+            while joint not in needed and joint >= 0:
+                needed.add(joint)
+                joint = skeleton.parents[joint]
+        order = sorted(needed, key=lambda j: (j != modelled[0], j))
+        place = {joint: i for i, joint in enumerate(order)}
+        still = representation.fixed_translations
+        offsets = [still.get(skeleton.names[j], skeleton.offsets[j]) for j in order]
+        parents = [-1, *(place[skeleton.parents[j]] for j in order[1:])]
+        # Foot points hang on the chain as joints of their own that never turn.
+        self.chain = ForwardKinematics(
+            [*parents, *(place[j] for j in feet)],
+            np.array([*offsets, *(point.offset for point in points)]),
+        )
+        fixed = matrix_from_quaternion(representation.fixed_rotations[order])
+        fixed = np.concatenate([fixed, np.tile(np.eye(3), (len(points), 1, 1))])
+        self.register_buffer("fixed", torch.from_numpy(fixed).float(), persistent=False)
+        # Where each joint of the chain finds its rotation: among the modelled, or the fixed.
+        rows = [self.n_joints + i for i in range(len(fixed))]
+        for k, joint in enumerate(modelled):
+            rows[place[joint]] = k
+        self.register_buffer("rows", torch.tensor(rows), persistent=False)
+        self.wanted = [place[joint] for joint in modelled]
+        self.arms = [representation.joints.index(name) for name in arm_joints(skeleton)]
+
+    def _rotations(self, values: Tensor) -> Tensor:
+        """(B, T, K, 3, 3) of the modelled joints."""
+        sixd = values[:, : 6 * self.n_joints].transpose(1, 2)
+        return sixd_to_matrix(sixd.unflatten(-1, (self.n_joints, 6)))
+
+    def _positions(self, values: Tensor) -> tuple[Tensor, Tensor]:
+        """Joints (B, T, K, 3) and foot points (B, T, F, 3), metres, the root above the origin."""
+        rotations = self._rotations(values)
+        fixed = self.fixed.expand(*rotations.shape[:2], -1, -1, -1)
+        rotations = torch.cat([rotations, fixed], dim=2).index_select(2, self.rows)
+        height = values[:, -2]
+        root = torch.stack([torch.zeros_like(height), height, torch.zeros_like(height)], dim=-1)
+        positions = self.chain(rotations, root)
+        n_points = self.contacts.stop - self.contacts.start
+        return positions[:, :, self.wanted], positions[:, :, positions.shape[2] - n_points :]
+
+    def contact_loss(self, values: Tensor, stride: float) -> Tensor:
+        """Eq. 14: squared foot speed, (m/s)^2, where the contact label says the foot stands."""
+        _, feet = self._positions(values)
+        drift = _root_drift(values)
+        speed = ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
+        labels = values[:, self.contacts, 1:].transpose(1, 2)
+        return (speed.square().sum(dim=-1) * torch.sigmoid(10 * labels - 5)).mean()
+
+    def smoothness_loss(self, values: Tensor, stride: float) -> Tensor:
+        """Eq. 16: distance (m) of each joint from the mean of three frames, a full-rate frame."""
+        joints, _ = self._positions(values)
+        drift = _root_drift(values)[:, :, None]
+        bend = joints[:, 2:] - 2 * joints[:, 1:-1] + joints[:, :-2]
+        bend = bend / stride**2 + (drift[:, 2:] - drift[:, 1:-1]) / stride
+        # The small number keeps the gradient of the norm finite where nothing moves.
+        return (bend.square().sum(dim=-1) + 1e-12).sqrt().mean() / 3
+
+    def arm_speed(self, values: Tensor, stride: float) -> Tensor:
+        """(B, T) summed angular speed of shoulders and elbows, rad/s; frame 0 copies frame 1.
+
+        Between frames it is the chord of the turn, |R' - R| / sqrt 2, which is the angle for the
+        small turns of a frame and has a gradient everywhere.
+        """
+        arms = self._rotations(values)[:, :, self.arms]
+        chord = (arms[:, 1:] - arms[:, :-1]).square().sum(dim=(-1, -2))
+        speed = (chord / 2 + 1e-10).sqrt().sum(dim=-1) * (self.fps / stride)
+        return torch.cat([speed[:, :1], speed], dim=1)
+
+
+def _root_drift(values: Tensor) -> Tensor:
+    """(B, T, 3) displacement of the root along the floor since the frame before, m."""
+    dx, dz = values[:, -3], values[:, -1]
+    return torch.stack([dx, torch.zeros_like(dx), dz], dim=-1)

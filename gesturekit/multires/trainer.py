@@ -1,0 +1,385 @@
+"""Training: block by block, two levels at a time, reconstruction and random steps in turn."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.multires.bank import Bank, LevelRange, Windows
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.data import TrainingData, load_training_data
+from gesturekit.multires.interpolation import resample
+from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.listening import ArmSpeedTarget
+from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.networks import (
+    LevelDiscriminator,
+    MultiresGenerator,
+    gradient_penalty,
+)
+from gesturekit.training.config import to_dict
+from gesturekit.training.run import Run
+from gesturekit.training.seeds import generator
+
+log = logging.getLogger(__name__)
+
+
+def train(config: MultiresConfig, *, resume: bool = False) -> Path:
+    """Train a multires model and write it.
+
+    Args:
+        config: what to train on, and how.
+        resume: go on from the last checkpoint in `config.out`.
+
+    Returns:
+        the model folder, `config.out / "model"`.
+
+    Raises:
+        ConfigError: `config.out` holds a run already (or none to resume), or no such device.
+        CorpusError: the corpus cannot be trained on.
+        ModelError: training left the realm of numbers.
+    """
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    run = Run(config.out, to_dict(config), resume=resume)
+    try:
+        return _Trainer(config, run, resume=resume).run()
+    finally:
+        run.close()
+
+
+class _Trainer:
+    def __init__(self, config: MultiresConfig, run: Run, *, resume: bool) -> None:
+        self.config = config
+        self.folder = run
+        self.device = _device(config.device)
+        if resume:
+            self.data = TrainingData.load(run.folder / "data", config)
+        else:
+            self.data = load_training_data(config)
+            self.data.save(run.folder / "data")
+        if self.data.unpaired_is_paired:
+            log.warning(
+                "The corpus has no unpaired speech: random steps draw windows of the paired speech."
+            )
+        seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
+        heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
+        log.info(
+            "Training on %d recordings (%.0f s) and %.0f s of %s speech; %d joints, %d features.",
+            len(self.data.paired),
+            seconds,
+            heard,
+            "the same" if self.data.unpaired_is_paired else "unpaired",
+            len(self.data.representation.joints),
+            self.data.conditioner.dim,
+        )
+        self.network = _seeded(
+            (config.seed, "generator"),
+            lambda: MultiresGenerator(
+                self.data.representation, self.data.conditioner.dim, config.network
+            ),
+        ).to(self.device)
+        self.kinematics = VectorKinematics(self.data.representation, config.fps).to(self.device)
+        self.mean = self.data.normaliser.mean[:, None].to(self.device)
+        self.scale = self.data.normaliser.scale[:, None].to(self.device)
+        self.bank = Bank(self.data, config, self.network)
+        self.groups = self.data.window_lengths()
+
+    def pairs(self) -> list[tuple[int, int]]:
+        """(first level, iterations) of each pair."""
+        schedule, levels = self.config.schedule, self.config.network.levels
+        return [
+            (first, schedule.first_pair if first == 0 else schedule.further_pairs)
+            for first in range(0, levels, 2)
+        ]
+
+    def run(self) -> Path:
+        done, state = self.folder.checkpoints.latest() or (0, None)
+        if state is not None:
+            self.network.load_state_dict(state["generator"])
+            log.info("Resuming after step %d.", done)
+        self.folder.forget_metrics_after(done)
+        pairs = self.pairs()
+        # Time left is told by frames to go, plus a share that does not depend on frames; whole
+        # numbers, so that the bar ends exactly where it should.
+        levels = self.config.network.levels
+        cost = {first: 20 + round(100 * 0.75 ** (levels - 2 - first)) for first, _ in pairs}
+        with tqdm(
+            total=sum(iterations * cost[first] for first, iterations in pairs),
+            bar_format="{l_bar}{bar}| {elapsed} gone, {remaining} left {postfix}",
+            mininterval=1.0,
+        ) as progress:
+            start = 0
+            for first, iterations in pairs:
+                here = min(max(done - start, 0), iterations)
+                progress.update(cost[first] * here)
+                if here < iterations:
+                    own = state if state is not None and state["first"] == first else None
+                    pair = _Pair(self, first, iterations)
+                    if own is not None:
+                        pair.load_state(own)
+                    pair.train(here, start, progress, cost[first])
+                start += iterations
+        return self._finish(start)
+
+    def _finish(self, steps: int) -> Path:
+        model = MultiresModel(
+            fps=self.config.fps,
+            representation=self.data.representation,
+            conditioner=self.data.conditioner,
+            normaliser=self.data.normaliser,
+            network_config=self.config.network,
+            residual=self.config.features.residual,
+            network=self.network.cpu().eval(),
+            sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
+            z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
+        )
+        seconds = sum(sequence.n_frames for sequence in self.data.paired) / self.config.fps
+        folder = self.folder.folder / "model"
+        model.save(
+            folder,
+            notes={
+                "Recordings": f"{len(self.data.paired)}, {seconds:.0f} s",
+                "Training steps": str(steps),
+                **{str(key): str(value) for key, value in self.config.notes.items()},
+            },
+        )
+        log.info("Wrote the model to %s", folder)
+        return folder
+
+
+class _Pair:
+    """Training of two levels; the ones below are finished, the ones above not begun."""
+
+    def __init__(self, trainer: _Trainer, first: int, iterations: int) -> None:
+        self.trainer = trainer
+        self.config = trainer.config
+        self.first = first
+        self.iterations = iterations
+        self.indices = LevelRange.of(10**6, self.config.network.levels, first).indices
+        self.generators = nn.ModuleList(trainer.network.levels[i] for i in self.indices)
+        self.discriminators = nn.ModuleList(
+            _seeded(
+                (self.config.seed, "discriminator", i),
+                lambda: LevelDiscriminator(trainer.data.representation, self.config.network),
+            )
+            for i in self.indices
+        ).to(trainer.device)
+        rate = self.config.schedule.learning_rate
+        self.optimisers = {
+            "generator": torch.optim.Adam(self.generators.parameters(), lr=rate),
+            "discriminator": torch.optim.Adam(self.discriminators.parameters(), lr=rate),
+        }
+        self.targets = self._arm_speed_targets() if self.config.losses.arm_speed else []
+        self._bank: dict[str, dict[int, Windows]] = {}
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "first": self.first,
+            "generator": self.trainer.network.state_dict(),
+            "discriminators": self.discriminators.state_dict(),
+            "optimisers": {name: o.state_dict() for name, o in self.optimisers.items()},
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        self.discriminators.load_state_dict(state["discriminators"])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state["optimisers"][name])
+
+    def train(self, begin: int, offset: int, progress: tqdm, cost: int) -> None:
+        """Run iterations `begin` to the last; `offset` iterations belong to earlier pairs."""
+        schedule = self.config.schedule
+        totals: dict[str, float] = {}
+        since, clock = 0, time.monotonic()
+        for iteration in range(begin, self.iterations):
+            if iteration % schedule.renew == 0 or not self._bank:
+                self._fill_bank(iteration // schedule.renew)
+            late = iteration >= schedule.decay_at * self.iterations
+            for optimiser in self.optimisers.values():
+                for group in optimiser.param_groups:
+                    group["lr"] = schedule.learning_rate * (0.1 if late else 1.0)
+            for name, value in self._iterate(iteration).items():
+                totals[name] = totals.get(name, 0.0) + value
+            since += 1
+            step = offset + iteration + 1
+            progress.update(cost)
+            last = iteration + 1 == self.iterations
+            if step % self.config.log_every == 0 or last:
+                means = {name: value / since for name, value in totals.items()}
+                if not all(math.isfinite(value) for value in means.values()):
+                    raise ModelError(
+                        f"training diverged at step {step} (losses {means}); the last checkpoint "
+                        "stands. A lower schedule.learning_rate usually helps"
+                    )
+                pace = (time.monotonic() - clock) / since
+                self.trainer.folder.log(
+                    step, {**means, "seconds_per_iteration": pace}, level=self.first + 1
+                )
+                shown = ", ".join(f"{name} {value:.3g}" for name, value in means.items())
+                progress.set_postfix_str(f"level {self.first + 1}-{self.indices[-1] + 1}: {shown}")
+                totals, since, clock = {}, 0, time.monotonic()
+            if step % self.config.checkpoint_every == 0 or last:
+                self.trainer.folder.checkpoints.save(step, self.state())
+
+    def _fill_bank(self, renewal: int) -> None:
+        """Draw and pre-generate windows for reconstruction and for random steps."""
+        trainer, bank = self.trainer, self.trainer.bank
+        self._bank = {"paired": {}, "random": {}}
+        rng = generator(self.config.seed, "bank", self.first, renewal)
+        total = sum(len(members) for members in trainer.groups.values())
+        for n_frames, members in trainer.groups.items():
+            sequences = [trainer.data.paired[i] for i in members]
+            count = max(1, self.config.schedule.bank * len(members) // total)
+            self._bank["paired"][n_frames] = bank.paired(
+                sequences, n_frames, self.first, count, rng
+            )
+            self._bank["random"][n_frames] = bank.random(n_frames, self.first, count, rng)
+
+    def _draw(self, kind: str, n_frames: int, rng: torch.Generator) -> Windows:
+        windows = self._bank[kind][n_frames]
+        count = len(windows.conditions[0])
+        return windows.take(torch.randint(count, (self._batch,), generator=rng))
+
+    @property
+    def _batch(self) -> int:
+        # Whole sequences differ in length, so they go one at a time, as in the paper.
+        return self.config.schedule.batch if self.config.schedule.window is not None else 1
+
+    def _iterate(self, iteration: int) -> dict[str, float]:
+        """One iteration: discriminator, random-generation and reconstruction steps."""
+        schedule = self.config.schedule
+        rng = generator(self.config.seed, "iteration", self.first, iteration)
+        groups = self.trainer.groups
+        lengths = list(groups)
+        frames = torch.tensor(
+            [float(sum(self.trainer.data.paired[i].n_frames for i in groups[n])) for n in lengths]
+        )
+        report: dict[str, float] = {}
+
+        def length() -> int:
+            return lengths[int(torch.multinomial(frames, 1, generator=rng))]
+
+        for _ in range(schedule.discriminator_steps):
+            report["critic"] = self._discriminator_step(length(), rng)
+        for _ in range(schedule.generator_steps):
+            report.update(self._random_step(length(), rng))
+        for _ in range(schedule.reconstruction_steps):
+            report["rec"] = self._reconstruction_step(length(), rng)
+        return report
+
+    def _generate(self, windows: Windows) -> list[Tensor]:
+        return self.trainer.network(
+            windows.noise,
+            windows.conditions,
+            first=self.first,
+            coarser=windows.coarser,
+            lengths=[level.shape[-1] for level in windows.conditions],
+        )
+
+    def _step(self, name: str, loss: Tensor) -> None:
+        optimiser = self.optimisers[name]
+        optimiser.zero_grad(set_to_none=True)
+        # Only the networks of this step get gradients; the other side's would be thrown away.
+        parameters = [p for group in optimiser.param_groups for p in group["params"]]
+        loss.backward(inputs=parameters)
+        optimiser.step()
+
+    def _discriminator_step(self, n_frames: int, rng: torch.Generator) -> float:
+        sequences = [self.trainer.data.paired[i] for i in self.trainer.groups[n_frames]]
+        reals = self.trainer.bank.reals(sequences, n_frames, self.first, self._batch, rng)
+        with torch.no_grad():
+            fakes = self._generate(self._draw("random", n_frames, rng))
+        losses, gaps = [], []
+        for critic, real, fake in zip(self.discriminators, reals, fakes, strict=True):
+            mix = torch.rand(len(real), 1, 1, generator=rng).to(real.device)
+            gap = critic(fake).mean() - critic(real).mean()
+            penalty = gradient_penalty(critic, real, fake, mix)
+            losses.append(gap + self.config.losses.gradient_penalty * penalty)
+            gaps.append(gap.detach())
+        self._step("discriminator", torch.stack(losses).sum())
+        return float(torch.stack(gaps).mean())
+
+    def _random_step(self, n_frames: int, rng: torch.Generator) -> dict[str, float]:
+        """Random generation from unpaired speech; there is no recorded motion to compare with."""
+        weights = self.config.losses
+        windows = self._draw("random", n_frames, rng)
+        made = self._generate(windows)
+        parts: dict[str, list[Tensor]] = {}
+        for i, (critic, motion) in enumerate(zip(self.discriminators, made, strict=True)):
+            stride = n_frames / motion.shape[-1]
+            values = motion * self.trainer.scale + self.trainer.mean
+            if weights.adversarial:
+                score = -critic(motion).mean()
+                parts.setdefault("adversarial", []).append(weights.adversarial * score)
+            if weights.contact:
+                loss = self.trainer.kinematics.contact_loss(values, stride)
+                parts.setdefault("contact", []).append(weights.contact * loss)
+            # Rounding makes strides of two levels straddle 2; half the full rate is meant.
+            if weights.smoothness and stride < 2.05:
+                loss = self.trainer.kinematics.smoothness_loss(values, stride)
+                parts.setdefault("smooth", []).append(weights.smoothness * loss)
+            if weights.arm_speed:
+                target = self.targets[i]
+                speed = target.log_speed(self.trainer.kinematics.arm_speed(values, stride))
+                wanted = target(windows.speech[i])
+                parts.setdefault("arm_speed", []).append(
+                    weights.arm_speed * F.l1_loss(speed, wanted)
+                )
+        if not parts:
+            return {}
+        sums = {name: torch.stack(losses).sum() for name, losses in parts.items()}
+        self._step("generator", torch.stack(list(sums.values())).sum())
+        return {name: float(value.detach()) for name, value in sums.items()}
+
+    def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
+        """Reconstruction of paired motion from z* and its own speech (eq. 15)."""
+        windows = self._draw("paired", n_frames, rng)
+        made = self._generate(windows)
+        errors = [F.l1_loss(m, target) for m, target in zip(made, windows.targets, strict=True)]
+        self._step("generator", self.config.losses.reconstruction * torch.stack(errors).sum())
+        return float(torch.stack(errors).detach().mean())
+
+    def _arm_speed_targets(self) -> list[ArmSpeedTarget]:
+        """One regression a level, from the paired speech to the recorded arm speed."""
+        targets = []
+        levels = self.config.network.levels
+        for i in self.indices:
+            speeches, speeds = [], []
+            stride = 1.0
+            for sequence in self.trainer.data.paired:
+                n = LevelRange.of(sequence.n_frames, levels, i).lengths[0]
+                stride = sequence.n_frames / n
+                motion = resample(sequence.motion[None].to(self.trainer.device), n)
+                values = motion * self.trainer.scale + self.trainer.mean
+                speeds.append(self.trainer.kinematics.arm_speed(values, stride)[0])
+                speeches.append(resample(sequence.speech.to(self.trainer.device), n))
+            target = ArmSpeedTarget(stride / self.config.fps).to(self.trainer.device)
+            targets.append(target.fit(speeches, speeds))
+        return targets
+
+
+def _device(name: str) -> torch.device:
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise ConfigError(f"device: {name!r} cannot be used here ({error})") from None
+    return device
+
+
+def _seeded(keys: tuple[int | str, ...], make: Any) -> nn.Module:
+    """Build a module whose initial weights depend on the keys alone."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(generator(*keys).initial_seed())
+        return make()

@@ -1,0 +1,104 @@
+"""The systems gesturekit has, by name: the one place where a name leads upwards to its code."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.training.config import load_config, read_chain, read_yaml
+
+
+@dataclass(frozen=True)
+class System:
+    """Where the parts of a system live, as `module:name`; imported when they are asked for."""
+
+    model: str
+    config: str
+    train: str
+
+
+SYSTEMS = {
+    "multires": System(
+        model="gesturekit.multires.model:MultiresModel",
+        config="gesturekit.multires.config:MultiresConfig",
+        train="gesturekit.multires.trainer:train",
+    )
+}
+
+_BUNDLED = Path(__file__).parent / "models"
+
+
+def bundled_models() -> list[str]:
+    """Names of the models that come with the package."""
+    if not _BUNDLED.is_dir():
+        return []
+    return sorted(folder.parent.name for folder in _BUNDLED.glob("*/config.yaml"))
+
+
+def bundled_speech() -> Path:
+    """The short recording that comes with the demo model."""
+    return _BUNDLED / "demo" / "speech.wav"
+
+
+def load(model: str | Path, *, weights: str | Path | None = None) -> Any:
+    """Load a model.
+
+    Args:
+        model: a bundled name such as "demo", or a model folder.
+        weights: folder of WavLM weights, for models that hear by WavLM.
+
+    Returns:
+        an object with `generate(speech, *, seconds, samples, seed, ...)`.
+
+    Raises:
+        ModelError: there is no such model, or it cannot be read.
+        WeightsError: the model needs weights, or other weights.
+    """
+    folder = Path(model)
+    if not folder.is_dir():
+        if str(model) not in bundled_models():
+            raise ModelError(
+                f"{model}: neither a model folder nor a bundled model "
+                f"({', '.join(bundled_models()) or 'none is bundled'})"
+            )
+        folder = _BUNDLED / str(model)
+    try:
+        kind = read_yaml(folder / "config.yaml").get("kind")
+    except ConfigError as error:
+        raise ModelError(f"not a model folder: {error}") from None
+    if kind not in SYSTEMS:
+        raise ModelError(
+            f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
+            "A newer kind needs a newer gesturekit"
+        )
+    return _part(SYSTEMS[kind].model).load(folder, weights=weights)
+
+
+def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = False) -> Path:
+    """Train the system that a configuration file names.
+
+    Args:
+        config: YAML file, whose `system:` is one of `SYSTEMS`; its parent may say so too.
+        overrides: `key=value` strings that change single settings.
+        resume: go on from the last checkpoint of the run folder.
+
+    Returns:
+        the model folder.
+
+    Raises:
+        ConfigError: the configuration is wrong.
+    """
+    name = read_chain(config).get("system")
+    if name not in SYSTEMS:
+        raise ConfigError(f"{config}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
+    settings = load_config(config, _part(SYSTEMS[name].config), overrides)
+    return _part(SYSTEMS[name].train)(settings, resume=resume)
+
+
+def _part(where: str) -> Any:
+    module, _, name = where.partition(":")
+    return getattr(importlib.import_module(module), name)

@@ -1,0 +1,183 @@
+"""The demo's body: a 22-joint humanoid of 1.70 m, and the inverse kinematics that pose it.
+
+T-pose, Y up, facing +Z, its left along +X, metres. A stroke of the hand is planned where it is
+seen, as a path of the wrist in front of the chest; two-bone inverse kinematics turns it into
+shoulder and elbow rotations that keep anatomy: the elbow is a hinge, pronation turns the
+forearm about its own length. The legs hang between a moving pelvis and feet that stand still.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.skeleton import Skeleton
+
+# name, parent, offset from the parent in metres (left side; the right is mirrored)
+_JOINTS = (
+    ("Hips", None, (0.0, 0.0, 0.0)),
+    ("Spine", "Hips", (0.0, 0.09, 0.0)),
+    ("Spine1", "Spine", (0.0, 0.12, 0.0)),
+    ("Spine2", "Spine1", (0.0, 0.13, 0.0)),
+    ("Neck", "Spine2", (0.0, 0.17, 0.0)),
+    ("Head", "Neck", (0.0, 0.09, 0.01)),
+    ("LeftShoulder", "Spine2", (0.05, 0.12, 0.0)),
+    ("LeftArm", "LeftShoulder", (0.13, 0.0, 0.0)),
+    ("LeftForeArm", "LeftArm", (0.28, 0.0, 0.0)),
+    ("LeftHand", "LeftForeArm", (0.25, 0.0, 0.0)),
+    ("RightShoulder", "Spine2", (-0.05, 0.12, 0.0)),
+    ("RightArm", "RightShoulder", (-0.13, 0.0, 0.0)),
+    ("RightForeArm", "RightArm", (-0.28, 0.0, 0.0)),
+    ("RightHand", "RightForeArm", (-0.25, 0.0, 0.0)),
+    ("LeftUpLeg", "Hips", (0.09, -0.04, 0.0)),
+    ("LeftLeg", "LeftUpLeg", (0.0, -0.42, 0.0)),
+    ("LeftFoot", "LeftLeg", (0.0, -0.40, 0.0)),
+    ("LeftToeBase", "LeftFoot", (0.0, -0.06, 0.13)),
+    ("RightUpLeg", "Hips", (-0.09, -0.04, 0.0)),
+    ("RightLeg", "RightUpLeg", (0.0, -0.42, 0.0)),
+    ("RightFoot", "RightLeg", (0.0, -0.40, 0.0)),
+    ("RightToeBase", "RightFoot", (0.0, -0.06, 0.13)),
+)
+_END_SITES = {
+    "Head": (0.0, 0.16, 0.0),
+    "LeftHand": (0.17, 0.0, 0.0),
+    "RightHand": (-0.17, 0.0, 0.0),
+    "LeftToeBase": (0.0, 0.0, 0.07),
+    "RightToeBase": (0.0, 0.0, 0.07),
+}
+_UPPER_ARM, _FOREARM, _THIGH, _SHIN = 0.28, 0.25, 0.42, 0.40
+
+SHOULDER = np.array([0.18, 0.12, 0.0])
+"""The left shoulder joint seen from the chest (Spine2), at rest."""
+STANDING_HEIGHT = 0.936
+"""Height of the hips: 4 mm below a straight-legged stand, which leaves the knees soft."""
+_ANKLE = np.array([0.11, 0.08, 0.0])
+_TOES_OUT = np.radians(8.0)
+_ELBOW_POLE = np.array([0.30, -0.60, -0.74])
+
+
+@dataclass
+class Arm:
+    """One arm over T frames, described as a left arm; a right arm is its mirror image.
+
+    wrist: (T, 3) m in the chest's frame; twist: (T,) rad of the forearm, negative turns the
+    palm up; extension: (T,) rad of the wrist, positive lifts the hand; lift: (T,) rad of the
+    shoulder girdle, positive is a shrug.
+    """
+
+    wrist: np.ndarray
+    twist: np.ndarray
+    extension: np.ndarray
+    lift: np.ndarray
+
+
+def skeleton() -> Skeleton:
+    """The rig: 22 joints without fingers, 1.70 m from the floor to the top of the head."""
+    names = tuple(name for name, _, _ in _JOINTS)
+    return Skeleton(
+        names=names,
+        parents=tuple(-1 if parent is None else names.index(parent) for _, parent, _ in _JOINTS),
+        offsets=np.array([offset for _, _, offset in _JOINTS]),
+        end_sites={name: (np.array(offset),) for name, offset in _END_SITES.items()},
+        rotation_orders=("ZXY",) * len(names),
+    )
+
+
+def pose(
+    fps: float,
+    hips: np.ndarray,
+    pelvis: Rotation,
+    spine: np.ndarray,
+    head: np.ndarray,
+    left: Arm,
+    right: Arm,
+) -> Motion:
+    """A motion of T frames from what the talker plans.
+
+    hips: (T, 3) m in the world; pelvis: T rotations; spine, head: (T, 3) rad of pitch (forward
+    is positive), yaw (to its left) and roll, shared out over three spine joints and over neck
+    and head; left, right: the arms.
+    """
+    rig = skeleton()
+    quaternions = np.zeros((len(hips), len(rig.names), 4))
+    quaternions[..., 3] = 1.0
+
+    def put(name: str, rotation: Rotation) -> None:
+        quaternions[:, rig.names.index(name)] = rotation.as_quat()
+
+    put("Hips", pelvis)
+    for name in ("Spine", "Spine1", "Spine2"):
+        put(name, _bend(spine / 3))
+    for name in ("Neck", "Head"):
+        put(name, _bend(head / 2))
+    for side, arm in (("Left", left), ("Right", right)):
+        for name, rotation in zip(("Shoulder", "Arm", "ForeArm", "Hand"), _arm(arm), strict=True):
+            put(side + name, rotation if side == "Left" else _mirrored(rotation))
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        for name, rotation in zip(("UpLeg", "Leg", "Foot"), _leg(hips, pelvis, sign), strict=True):
+            put(side + name, rotation)
+    return Motion(skeleton=rig, rotations=quaternions, translation=hips, fps=fps)
+
+
+def _bend(angles: np.ndarray) -> Rotation:
+    """Pitch, yaw and roll (T, 3) as rotations about x, y and z."""
+    return Rotation.from_euler("YXZ", angles[:, [1, 0, 2]])
+
+
+def _about(axis: str, angle: np.ndarray) -> Rotation:
+    return Rotation.from_euler(axis, np.asarray(angle)[..., None])
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def _bone_angles(distance: np.ndarray, first: float, second: float):
+    """Angle between the first bone and the line to its target, and the bend of the joint.
+
+    Law of cosines. The very end of the reach is never used: there the bend changes without bound.
+    """
+    distance = np.clip(distance, abs(first - second) + 0.05, 0.999 * (first + second))
+    lead = np.arccos((first**2 + distance**2 - second**2) / (2 * first * distance))
+    inside = np.arccos((first**2 + second**2 - distance**2) / (2 * first * second))
+    return lead[:, None], np.pi - inside
+
+
+def _arm(arm: Arm) -> tuple[Rotation, Rotation, Rotation, Rotation]:
+    """Local rotations of a left arm: shoulder girdle, upper arm, forearm, hand."""
+    girdle = _about("z", arm.lift)
+    base = np.array([0.05, 0.12, 0.0])
+    reach = girdle.inv().apply(arm.wrist - base) - (SHOULDER - base)
+    axis = _unit(reach)
+    lead, bend = _bone_angles(np.linalg.norm(reach, axis=1), _UPPER_ARM, _FOREARM)
+    pole = _ELBOW_POLE - (axis @ _ELBOW_POLE)[:, None] * axis
+    pole = _unit(pole)
+    # The upper arm's own axes: x along the bone, z towards which the elbow folds.
+    x = np.cos(lead) * axis + np.sin(lead) * pole
+    z = np.sin(lead) * axis - np.cos(lead) * pole
+    upper = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=-1))
+    forearm = _about("y", -bend) * _about("x", arm.twist)
+    return girdle, upper, forearm, _about("z", arm.extension)
+
+
+def _leg(hips: np.ndarray, pelvis: Rotation, sign: float) -> tuple[Rotation, Rotation, Rotation]:
+    """Local rotations of one leg whose foot stands still: thigh, shin, foot."""
+    mirror = np.array([sign, 1.0, 1.0])
+    foot = Rotation.from_euler("y", sign * _TOES_OUT)
+    reach = _ANKLE * mirror - (hips + pelvis.apply(np.array([0.09, -0.04, 0.0]) * mirror))
+    down = _unit(reach)
+    lead, bend = _bone_angles(np.linalg.norm(reach, axis=1), _THIGH, _SHIN)
+    x = _unit(np.cross(-down, foot.apply([0.0, 0.0, 1.0])))  # the knee's hinge
+    forward = np.cross(x, -down)
+    y = -(np.cos(lead) * down + np.sin(lead) * forward)
+    thigh = Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=-1))
+    shin = _about("x", bend)
+    return pelvis.inv() * thigh, shin, (thigh * shin).inv() * foot
+
+
+def _mirrored(rotation: Rotation) -> Rotation:
+    """The same rotation seen in a mirror at x = 0."""
+    return Rotation.from_quat(rotation.as_quat() * np.array([1.0, -1.0, -1.0, 1.0]))

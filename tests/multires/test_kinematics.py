@@ -1,0 +1,68 @@
+"""Losses read the same body as the motion core, at any level's rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from gesturekit.evaluation import arm_speed
+from gesturekit.motion.contacts import foot_positions
+from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.multires.interpolation import resample
+from gesturekit.multires.kinematics import VectorKinematics
+
+
+@pytest.fixture(scope="module")
+def walker(gesture):
+    """A gesture that also drifts 0.5 m/s along x: its feet slide."""
+    motion = gesture(4.0, fps=25.0)
+    motion.translation[:, 0] += 0.5 * motion.times
+    return motion
+
+
+@pytest.fixture(scope="module")
+def representation(walker):
+    return MultiresRepresentation.fit([walker])
+
+
+@pytest.fixture(scope="module")
+def values(representation, walker):
+    return torch.from_numpy(representation.encode(walker).T).float()[None]
+
+
+def test_feet_and_joints_are_where_the_motion_core_says(representation, walker, values):
+    joints, feet = VectorKinematics(representation, walker.fps)._positions(values)
+    index = [walker.skeleton.index(name) for name in representation.joints]
+    root = walker.translation[:, None] * [1, 0, 1]
+    np.testing.assert_allclose(joints[0], walker.positions()[:, index] - root, atol=1e-5)
+    np.testing.assert_allclose(feet[0], foot_positions(walker) - root, atol=1e-5)
+
+
+def test_arm_speed_is_that_of_the_evaluation(representation, walker, values):
+    ours = VectorKinematics(representation, walker.fps).arm_speed(values, stride=1.0)[0, 1:].numpy()
+    # The evaluation centres each frame between its two steps.
+    centred = (ours[1:] + ours[:-1]) / 2
+    np.testing.assert_allclose(centred, arm_speed(walker)[1:-1], rtol=0.02)
+
+
+def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(representation, values):
+    kinematics = VectorKinematics(representation, 25.0)
+    still = values[:, :, :1].expand(-1, -1, 50).clone()
+    still[:, representation.root_columns] = torch.tensor([0.02, 0.9, 0.0])[:, None]
+    still[:, representation.contact_columns] = 1.0
+    standing = float(kinematics.contact_loss(still, stride=1.0))
+    # 0.02 m a frame at 25 fps is 0.5 m/s; the label 1 weighs 1 / (1 + exp(5 - 10)).
+    assert standing == pytest.approx(0.25 / (1 + np.exp(-5)), rel=1e-3)
+    assert float(kinematics.contact_loss(still, stride=4.0)) == pytest.approx(standing, rel=1e-3)
+    still[:, representation.contact_columns] = 0.0
+    assert float(kinematics.contact_loss(still, stride=1.0)) < 0.01 * standing
+
+
+def test_smoothness_counts_per_full_rate_frame(representation, values):
+    kinematics = VectorKinematics(representation, 25.0)
+    full = float(kinematics.smoothness_loss(values, stride=1.0))
+    half = resample(values, values.shape[-1] // 2)
+    assert float(kinematics.smoothness_loss(half, stride=2.0)) == pytest.approx(full, rel=0.2)
+    steady = values[:, :, :1].expand(-1, -1, 20)
+    assert float(kinematics.smoothness_loss(steady, stride=1.0)) < 1e-5

@@ -1,0 +1,107 @@
+"""The pyramid's networks: what sees what, and what speech may touch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from audio_features import level_lengths
+from gesturekit.motion.parts import upper_body
+from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.multires.config import NetworkConfig
+from gesturekit.multires.interpolation import reflect, resample
+from gesturekit.multires.networks import Film, MultiresGenerator, modulated_blocks
+from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours
+
+CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)
+
+
+@pytest.fixture(scope="module")
+def representation(gesture) -> MultiresRepresentation:
+    return MultiresRepresentation.fit([gesture(2.0)])
+
+
+def test_resampling_is_torchs_own_linear_interpolation():
+    x = torch.randn(2, 3, 40)
+    for n in (7, 30, 40, 53):
+        want = torch.nn.functional.interpolate(x, size=n, mode="linear", align_corners=False)
+        torch.testing.assert_close(resample(x, n), want)
+
+
+def test_reflection_is_torchs_own_and_goes_on_where_that_stops():
+    x = torch.randn(1, 2, 9)
+    torch.testing.assert_close(
+        reflect(x, 2), torch.nn.functional.pad(x, (2, 2), mode="reflect"), rtol=0, atol=0
+    )
+    assert reflect(x[..., :1], 2).shape[-1] == 5
+    assert reflect(x[..., :2], 4)[0, 0].tolist() == (x[0, 0, :2].tolist() * 5)
+
+
+def test_a_joint_sees_its_neighbourhood_and_nothing_else(representation):
+    near = block_neighbours(representation, distance=2)
+    joints = list(representation.joints)
+    hand = joints.index("LeftHand")
+    sees = {joints[j] for j in np.flatnonzero(near[hand, : len(joints)])}
+    assert sees == {"LeftHand", "LeftForeArm", "LeftArm"}
+    conv = SkeletonConv1d(near, representation.block_sizes, representation.block_sizes, 5)
+    x = torch.zeros(1, representation.n_features, 9)
+    quiet = conv(x)
+    x[:, representation.joint_columns("RightHand"), 4] = 1.0
+    changed = (conv(x) - quiet).abs().amax(dim=(0, 2)) > 1e-9
+    assert changed[representation.joint_columns("RightArm")].all()
+    assert not changed[representation.joint_columns("LeftHand")].any()
+    assert not changed[representation.contact_columns].any()
+
+
+def test_only_live_weights_are_stored(representation):
+    near = block_neighbours(representation, distance=2)
+    conv = SkeletonConv1d(near, (3,) * len(near), (3,) * len(near), 5)
+    dense = conv.dense_weight()
+    assert conv.weight.numel() == int((dense != 0).sum()) < 0.5 * dense.numel()
+
+
+def test_film_starts_as_the_identity_and_never_touches_other_channels():
+    where = np.array([False, True, True, False, True])
+    film = Film(embedding=4, channels=where)
+    x, y = torch.randn(2, 5, 7), torch.randn(2, 4, 7)
+    assert torch.equal(film(x, y), x)
+    torch.nn.init.normal_(film.gain.weight)
+    torch.nn.init.normal_(film.shift.weight)
+    out = film(x, y)
+    assert torch.equal(out[:, ~torch.from_numpy(where)], x[:, ~torch.from_numpy(where)])
+    assert not torch.isclose(out[:, where], x[:, where]).all()
+
+
+@pytest.mark.parametrize("film", ["input", "all"])
+def test_an_untrained_generator_is_the_same_with_and_without_speech(representation, film):
+    config = NetworkConfig(levels=3, channels=(3, 3), embedding=8, film=film)
+    network = MultiresGenerator(representation, n_condition=5, config=config)
+    lengths = level_lengths(40, 3)
+    noises = [torch.randn(2, 1, n) for n in lengths]
+    speech = [torch.randn(2, 5, n) for n in lengths]
+    with_speech = network(noises, speech, lengths=lengths)
+    without = network(noises, None, lengths=lengths)
+    for one, other in zip(with_speech, without, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_speech_modulates_the_upper_body_alone(representation):
+    blocks = modulated_blocks(representation, CONFIG)
+    joints = [name for name, on in zip(representation.joints, blocks, strict=False) if on]
+    assert set(joints) == set(upper_body(representation.skeleton)) & set(representation.joints)
+    assert "LeftLeg" not in joints and "Hips" not in joints and "LeftArm" in joints
+    assert not blocks[len(representation.joints) :].any(), "contacts and root displacement"
+
+
+def test_gradients_stay_within_their_level(representation):
+    network = MultiresGenerator(representation, n_condition=5, config=CONFIG)
+    lengths = level_lengths(40, 3)
+    made = network(
+        [torch.randn(1, 1, n) for n in lengths],
+        [torch.randn(1, 5, n) for n in lengths],
+        lengths=lengths,
+    )
+    made[1].sum().backward()
+    assert all(p.grad is None for p in network.levels[0].parameters())
+    assert network.levels[1].layers[0].weight.grad.abs().sum() > 0
