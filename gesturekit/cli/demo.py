@@ -33,7 +33,7 @@ def command(ctx: click.Context, out: Path, seed: int) -> None:
         "      tick Update Scene FPS and Update Scene Duration",
         ".npz": 'Python: gesturekit.Motion.load("...") or numpy.load',
         ".html": "any browser: double click; it plays with the sound",
-        ".png": "any picture viewer: poses, arm speed and speech side by side",
+        ".png": "any picture viewer: poses, hand speed and speech side by side",
     }
     for path in outcome.files:
         click.echo(f"{path}\n      {uses[path.suffix]}")

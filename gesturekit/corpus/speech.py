@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,9 @@ LIMIT = 6.0
 
 _PRIOR_SECONDS = 1.0
 """How much active speech the training mean is worth when a clip's own mean is taken."""
+
+_ACTIVITY_HOP = 0.01
+"""Seconds between two frames of speech activity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,41 +45,30 @@ class SpeechConditioner:
 
     @classmethod
     def fit(
-        cls, waves: Sequence[af.Wave], extractor: Any, fps: float, align: str
+        cls, waves: Iterable[af.Wave], extractor: Any, fps: float, align: str
     ) -> SpeechConditioner:
         """Learn centre and scale from training speech, paired and unpaired alike."""
-        raw = cls(extractor, fps, align, np.zeros(extractor.dim), np.ones(extractor.dim))
-        clips = []
+        centres, spreads, frames = [], [], 0
         for wave in waves:
-            values, active = raw._extract(wave, wave.n_frames(fps))
+            values, active = extract(wave, extractor, fps, align)
             if active.any():
-                clips.append(values[active])
-        if not clips:
-            return raw
-        centre = np.mean([clip.mean(axis=0) for clip in clips], axis=0)
-        spread = np.concatenate([clip - clip.mean(axis=0) for clip in clips]).std(axis=0)
-        return cls(extractor, fps, align, centre, np.maximum(spread, 1e-3))
+                spoken = values[active]
+                centres.append(spoken.mean(axis=0))
+                spreads.append(spoken.var(axis=0) * len(spoken))
+                frames += len(spoken)
+        if not centres:
+            return cls(extractor, fps, align, np.zeros(extractor.dim), np.ones(extractor.dim))
+        scale = np.maximum(np.sqrt(np.sum(spreads, axis=0) / frames), 1e-3)
+        return cls(extractor, fps, align, np.mean(centres, axis=0), scale)
 
     @property
     def dim(self) -> int:
         """S, the number of features."""
         return self.extractor.dim
 
-    def _extract(self, wave: af.Wave, n_frames: int) -> tuple[np.ndarray, np.ndarray]:
-        """Features (T, S) and whether there is active speech (T,), on motion frames."""
-        values = (
-            self.extractor.extract(wave.at_level())
-            .to_rate(self.fps, n_frames=n_frames, method=self.align)
-            .values.astype(np.float64)
-        )
-        activity = wave.active()
-        centres = np.round(np.arange(n_frames) / self.fps / 0.01).astype(int)
-        return values, activity[np.minimum(centres, len(activity) - 1)]
-
     def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
         """(T, S) float32 normalised features; T follows from the wave's length unless given."""
-        n_frames = wave.n_frames(self.fps) if n_frames is None else n_frames
-        values, active = self._extract(wave, n_frames)
+        values, active = extract(wave, self.extractor, self.fps, self.align, n_frames)
         prior = _PRIOR_SECONDS * self.fps
         own = values[active].sum(axis=0)
         centre = (own + prior * self.centre) / (active.sum() + prior)
@@ -89,3 +81,15 @@ class SpeechConditioner:
         seconds = max(1.0, n_frames / self.fps)
         nothing = af.Wave(np.zeros(int(np.ceil(seconds * rate)), np.float32), rate, None)
         return self(nothing, n_frames)
+
+
+def extract(
+    wave: af.Wave, extractor: Any, fps: float, align: str, n_frames: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Features (T, S) of a wave on motion frames, and whether there is active speech (T,)."""
+    n_frames = wave.n_frames(fps) if n_frames is None else n_frames
+    track = extractor.extract(wave.at_level())
+    values = track.to_rate(fps, n_frames=n_frames, method=align).values.astype(np.float64)
+    activity = wave.active(hop=_ACTIVITY_HOP)
+    nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)
+    return values, activity[np.minimum(nearest, len(activity) - 1)]

@@ -25,6 +25,7 @@ _WRITERS = {
     ".bvh": ("gesturekit.formats.bvh", "write_bvh"),
     ".npz": ("gesturekit.formats.npz", "write_npz"),
     ".html": ("gesturekit.viewer", "write_html"),
+    ".png": ("gesturekit.viewer", "write_picture"),
 }
 
 
@@ -162,7 +163,7 @@ class Motion:
         return _dispatch(_READERS, path, "read")(path, **options)
 
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write a .bvh, .npz or .html file; `options` are those of the format's writer.
+        """Write a .bvh, .npz, .html or .png file; `options` are those of the format's writer.
 
         Raises:
             FormatError: no such format, or one that cannot hold this motion.

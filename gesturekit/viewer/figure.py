@@ -1,0 +1,258 @@
+"""Figure: the points and limbs to draw for a motion, the same in the page and in pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.parts import BodyParts, find_parts
+from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
+from gesturekit.viewer import anatomy
+from gesturekit.viewer.anatomy import Shape
+
+if TYPE_CHECKING:
+    from gesturekit.motion import Motion
+
+SPEED_SMOOTHING = 0.1
+"""Standard deviation of the Gaussian that hand speed is smoothed with, in seconds."""
+
+
+@dataclass(frozen=True)
+class Limb:
+    """A tapered limb between two points.
+
+    Attributes:
+        ends: the two points it joins.
+        radii: metres, at either end.
+        side: MIDDLE, LEFT or RIGHT of `anatomy`.
+        across: two points that its wide axis lies along, None where it is round.
+        width: how many times wider than deep it is.
+        length: metres, the median over the clip.
+    """
+
+    ends: tuple[int, int]
+    radii: tuple[float, float]
+    side: int
+    across: tuple[int, int] | None
+    width: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Head:
+    """Three points that give the head's place and where it looks, and its height in metres."""
+
+    base: int
+    up: int
+    face: int
+    size: float
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What to draw for one motion.
+
+    Attributes:
+        points: (T, P, 3) world positions in metres: the joints in the skeleton's order, then end
+            sites, then marks that move with a joint (the face, the tip of a hand without fingers).
+        fps: frames a second.
+        limbs: what to draw between them.
+        head: None where the skeleton has no head that could be recognised.
+        hand_speed: (T,) m/s, both hands summed, relative to the root (the mean over all joints
+            where there are no hands), smoothed by a Gaussian of SPEED_SMOOTHING.
+        height: of the body, metres.
+        floor: height of the ground, metres.
+        front: the yaw the body faces on average, radians, 0 towards +Z and positive towards +X.
+    """
+
+    points: np.ndarray
+    fps: float
+    limbs: tuple[Limb, ...]
+    head: Head | None
+    hand_speed: np.ndarray
+    height: float
+    floor: float
+    front: float
+
+    @property
+    def top_speed(self) -> float:
+        """The hand speed to draw at full height, m/s.
+
+        One jump, such as a T-pose in frame 0, must not flatten all the rest: it is cut off.
+        """
+        usual = 1.5 * float(np.quantile(self.hand_speed, 0.98))
+        return max(min(float(self.hand_speed.max()), usual), 1e-6)
+
+    @classmethod
+    def of(cls, motion: Motion) -> Figure:
+        """Work out the figure of a motion, on any skeleton.
+
+        A skeleton whose parts cannot be told from its names and shape is drawn as plain limbs.
+        """
+        try:
+            parts = find_parts(motion.skeleton)
+        except MotionError:
+            parts = None
+        points = _Points(motion)
+        height = _height(points, parts)
+        head = _head(points, parts, height) if parts and parts.head else None
+        limbs = _limbs(points, parts, height)
+        drawn = points.stacked()
+        return cls(
+            points=drawn,
+            fps=motion.fps,
+            limbs=limbs,
+            head=head,
+            hand_speed=_hand_speed(points, parts),
+            height=height,
+            # Feet dip into the ground in most recordings: it is where they are most of the time.
+            floor=float(np.quantile(drawn[:, :, 1].min(axis=1), 0.25)),
+            front=_front(points, parts) if parts else 0.0,
+        )
+
+
+@dataclass
+class _Points:
+    """A motion's joints, and the points added to them."""
+
+    motion: Motion
+    added: list[np.ndarray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.skeleton = self.motion.skeleton
+        self.joints = self.motion.positions()
+        self.turns = self.motion.global_rotations()
+
+    def at(self, joint: str) -> np.ndarray:
+        """World positions (T, 3) of a joint."""
+        return self.joints[:, self.skeleton.index(joint)]
+
+    def add(self, positions: np.ndarray) -> int:
+        """Add a point (T, 3) and return its index."""
+        self.added.append(positions)
+        return self.skeleton.n_joints + len(self.added) - 1
+
+    def stacked(self) -> np.ndarray:
+        """Every point, (T, P, 3)."""
+        return np.concatenate([self.joints, *(point[:, None] for point in self.added)], axis=1)
+
+    def fixed(self, joint: str, direction: np.ndarray) -> np.ndarray:
+        """Turn directions (T, 3) into one that moves rigidly with a joint.
+
+        The direction is averaged in the joint's own axes over the clip, so it needs no convention
+        about a rig's rest pose: a head that turns to both sides looks forward on average.
+        """
+        turn = self.turns[:, self.skeleton.index(joint)]
+        own = _unit(rotate_vectors(invert_quaternions(turn), direction).mean(axis=0))
+        return rotate_vectors(turn, np.broadcast_to(own, direction.shape))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
+def _height(points: _Points, parts: BodyParts | None) -> float:
+    """Sole to crown along the bones, which a bow or a bent knee does not change."""
+    if parts is None:
+        across = np.ptp(points.joints, axis=1).max(axis=1)
+        return max(float(np.median(across)), 1e-3)
+    leg = parts.legs["left"]
+    reach = 0.0
+    for chain in (
+        (leg.ankle, leg.knee, leg.hip),
+        (parts.pelvis, *parts.spine, parts.neck, parts.head),
+    ):
+        places = np.stack([points.at(joint) for joint in chain if joint])
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+        reach += float(np.median(steps.sum(axis=0)))
+    return max(reach / (1 - anatomy.ABOVE_AND_BELOW), 1e-3)
+
+
+def _axes(points: _Points, parts: BodyParts) -> tuple[np.ndarray, np.ndarray]:
+    """The trunk's up and forward directions, unit, (T, 3) each."""
+    left, right = (points.at(parts.arms[side].shoulder) for side in anatomy.SIDES)
+    up = _unit((left + right) / 2 - points.at(parts.pelvis))
+    # Left is +X and up is +Y of a body that faces +Z.
+    return up, _unit(np.cross(left - right, up))
+
+
+def _front(points: _Points, parts: BodyParts) -> float:
+    _, forward = _axes(points, parts)
+    x, _, z = forward.mean(axis=0)
+    if np.hypot(x, z) < 0.2:  # it turns all round: as it starts, then
+        x, _, z = forward[0]
+    return float(np.arctan2(x, z))
+
+
+def _head(points: _Points, parts: BodyParts, height: float) -> Head:
+    size = anatomy.HEAD_HEIGHT * height
+    place = points.at(parts.head)
+    up, forward = (points.fixed(parts.head, axis) for axis in _axes(points, parts))
+    return Head(
+        base=points.skeleton.index(parts.head),
+        up=points.add(place + size * up),
+        face=points.add(place + size * forward),
+        size=size,
+    )
+
+
+def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Limb, ...]:
+    skeleton = points.skeleton
+    drawn = anatomy.shapes(skeleton, parts)
+    pairs: list[tuple[int, int, Shape | None]] = [
+        (parent, joint, drawn[skeleton.names[joint]])
+        for joint, parent in enumerate(skeleton.parents)
+        if parent >= 0
+    ]
+    for name, sites in points.motion.end_positions().items():
+        shape = anatomy.tip(name, drawn, parts)
+        if shape:
+            joint = skeleton.index(name)
+            pairs += [(joint, points.add(site), shape) for site in np.moveaxis(sites, 1, 0)]
+    if parts:
+        for name, side in anatomy.SIDES.items():
+            arm = parts.arms[name]
+            if not arm.wrist:
+                continue
+            wrist = skeleton.index(arm.wrist)
+            if not skeleton.children(wrist) and arm.wrist not in skeleton.end_sites:
+                along = points.fixed(arm.wrist, _unit(points.at(arm.wrist) - points.at(arm.elbow)))
+                tip = points.add(points.at(arm.wrist) + anatomy.HAND_LENGTH * height * along)
+                pairs.append((wrist, tip, anatomy.HAND.on(side)))
+    across = None
+    if parts:
+        across = tuple(skeleton.index(parts.arms[side].shoulder) for side in ("right", "left"))
+    places = points.stacked()
+    limbs = []
+    for start, end, shape in pairs:
+        length = float(np.median(np.linalg.norm(places[:, end] - places[:, start], axis=-1)))
+        if shape and length > 1e-5:
+            limbs.append(
+                Limb(
+                    ends=(start, end),
+                    radii=(shape.start * height, shape.end * height),
+                    side=shape.side,
+                    across=across if shape.width != 1 else None,
+                    width=shape.width,
+                    length=length,
+                )
+            )
+    return tuple(limbs)
+
+
+def _hand_speed(points: _Points, parts: BodyParts | None) -> np.ndarray:
+    motion = points.motion
+    if motion.n_frames < 2:
+        return np.zeros(motion.n_frames)
+    moving = points.joints - points.joints[:, :1]
+    if parts:
+        moving = moving[
+            :, [points.skeleton.index(arm.wrist or arm.elbow) for arm in parts.arms.values()]
+        ]
+    speed = np.linalg.norm(np.gradient(moving, axis=0), axis=-1) * motion.fps
+    total = speed.sum(axis=1) if parts else speed.mean(axis=1)
+    return gaussian_filter1d(total, SPEED_SMOOTHING * motion.fps, mode="nearest")

@@ -1,0 +1,227 @@
+"""Pictures: one PNG that tells at a glance whether a motion moves and follows speech."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib.figure
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.patches import Ellipse, Polygon
+
+from audio_features import LogMel, Wave
+from gesturekit.atomic import atomic_write
+from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
+from gesturekit.viewer.figure import Figure
+
+if TYPE_CHECKING:
+    from gesturekit.motion import Motion
+
+COLOURS = {MIDDLE: "#d9d2c5", LEFT: "#e88a62", RIGHT: "#5d97bf"}
+"""What each side of the body is painted with."""
+_EDGE = "#26303b"
+_SOFT = "#6b7785"
+_SPEED = "#c8643a"
+_INCHES_PER_FIGURE = 1.3
+_ROW_INCHES = 2.9
+_DPI = 110
+
+
+def write_picture(
+    motion: Motion,
+    path: str | os.PathLike[str],
+    audio: str | os.PathLike[str] | Wave | None = None,
+) -> None:
+    """Write the picture that says most: `speech_and_motion` with sound, `contact_sheet` without.
+
+    Raises AudioError where `audio` is no sound.
+    """
+    if audio is None:
+        contact_sheet(motion, path)
+    else:
+        wave = audio if isinstance(audio, Wave) else Wave.load(audio)
+        speech_and_motion(motion, wave, path)
+
+
+def contact_sheet(
+    motion: Motion,
+    path: str | os.PathLike[str],
+    *,
+    frames: int = 10,
+    title: str | None = None,
+) -> None:
+    """Draw the figure from the front at evenly spaced times, above its hand speed, as a PNG.
+
+    Args:
+        motion: what to draw.
+        path: the .png file to write.
+        frames: how many times the figure is drawn.
+        title: the heading; the file's stem by default.
+    """
+    _write(motion, None, path, frames, title)
+
+
+def speech_and_motion(
+    motion: Motion,
+    wave: Wave,
+    path: str | os.PathLike[str],
+    *,
+    frames: int = 10,
+    title: str | None = None,
+) -> None:
+    """Draw speech (log-mel), hand speed over speech energy, and the figure, on one time axis.
+
+    Args:
+        motion: what to draw.
+        wave: the speech; it starts with the motion.
+        path: the .png file to write.
+        frames: how many times the figure is drawn.
+        title: the heading; the file's stem by default.
+    """
+    _write(motion, wave, path, frames, title)
+
+
+def _write(
+    motion: Motion,
+    wave: Wave | None,
+    path: str | os.PathLike[str],
+    frames: int,
+    title: str | None,
+) -> None:
+    figure = Figure.of(motion)
+    seconds = max(motion.duration, wave.duration if wave else 0.0)
+    heights = [1.1, 1.2, _ROW_INCHES] if wave else [_ROW_INCHES, 1.0]
+    canvas = matplotlib.figure.Figure(
+        figsize=(max(6.0, _INCHES_PER_FIGURE * frames), sum(heights) + 0.9),
+        dpi=_DPI,
+        layout="constrained",
+        facecolor="white",
+    )
+    FigureCanvasAgg(canvas)
+    canvas.suptitle(
+        title if title is not None else Path(path).stem,
+        x=0.012,
+        ha="left",
+        fontsize=13,
+        color=_EDGE,
+        parse_math=False,
+    )
+    rows = canvas.subplots(len(heights), 1, gridspec_kw={"height_ratios": heights})
+    rows[-1].set_xlabel("seconds", fontsize=9, color=_SOFT)
+    if wave:
+        _speech(rows[0], wave, seconds)
+    _speed(rows[1], figure, wave, seconds)
+    _figures(rows[2 if wave else 0], figure, frames, seconds)
+    with atomic_write(path) as temporary:
+        canvas.savefig(temporary, format="png", metadata={"Software": "gesturekit"})
+
+
+def _style(axes: Axes, seconds: float) -> None:
+    axes.set_xlim(0, seconds)
+    axes.tick_params(labelsize=8, colors=_SOFT, length=2)
+    for name, spine in axes.spines.items():
+        spine.set_visible(name == "bottom")
+        spine.set_color("#d5dae0")
+
+
+def _label(axes: Axes, text: str) -> None:
+    axes.set_title(text, loc="left", fontsize=9, color=_SOFT, pad=3)
+
+
+def _speech(axes: Axes, wave: Wave, seconds: float) -> None:
+    track = LogMel(n_mels=40).extract(wave)
+    axes.imshow(
+        track.values.T,
+        origin="lower",
+        aspect="auto",
+        extent=(0, wave.duration, 0, 1),
+        cmap="Blues",
+        interpolation="antialiased",
+    )
+    _style(axes, seconds)
+    axes.set_yticks([])
+    _label(axes, "speech, log-mel")
+
+
+def _speed(axes: Axes, figure: Figure, wave: Wave | None, seconds: float) -> None:
+    times = np.arange(len(figure.points)) / figure.fps
+    top = max(1.08 * figure.top_speed, 0.1)
+    if wave:
+        at = np.arange(0, wave.duration, 0.02)
+        loudness = np.log(wave.rms(at) + 1e-4)
+        low, high = np.quantile(loudness, [0.05, 0.995])
+        shape = np.clip((loudness - low) / max(high - low, 1e-3), 0, 1)
+        axes.fill_between(at, 0, shape * top, color="#c9d3dc", linewidth=0)
+        _label(axes, "hand speed, m/s (orange), over the energy of speech (grey)")
+    else:
+        axes.fill_between(times, 0, figure.hand_speed, color=_SPEED, alpha=0.15, linewidth=0)
+        _label(axes, "hand speed, m/s")
+    axes.plot(times, figure.hand_speed, color=_SPEED, linewidth=1.4)
+    _style(axes, seconds)
+    axes.set_ylim(0, top)
+
+
+def _figures(axes: Axes, figure: Figure, frames: int, seconds: float) -> None:
+    """Draw the figure `frames` times along the axis, each centred on its own time."""
+    n_frames = len(figure.points)
+    _style(axes, seconds)
+    low, high = -0.05 * figure.height, 1.09 * figure.height
+    axes.set_ylim(low, high)
+    axes.set_yticks([])
+    _label(axes, "from the front; its left is orange")
+    axes.axhline(0, color="#d5dae0", linewidth=1)
+    # The axis counts seconds, the body metres: a metre is this many seconds wide, once the rows
+    # have their final sizes.
+    axes.figure.draw_without_rendering()
+    box = axes.get_window_extent()
+    wide = (seconds / box.width) * (box.height / (high - low))
+    for k in range(frames):
+        time = (k + 0.5) * seconds / frames
+        frame = int(time * figure.fps)
+        if frame < n_frames:
+            _figure(axes, figure, frame, time, wide)
+
+
+def _figure(axes: Axes, figure: Figure, frame: int, time: float, wide: float) -> None:
+    points = figure.points[frame] - [*figure.points[frame, 0, [0]], figure.floor, 0]
+    points[:, 2] -= figure.points[frame, 0, 2]
+    # Seen from where the body faces: the viewer's right is the body's left.
+    cos, sin = np.cos(figure.front), np.sin(figure.front)
+    right = points[:, 0] * cos - points[:, 2] * sin
+    depth = points[:, 0] * sin + points[:, 2] * cos
+    flat = np.stack([right, points[:, 1]], axis=1)
+    place = np.array([wide, 1.0])
+    shapes = []
+    for limb in figure.limbs:
+        a, b = limb.ends
+        outline = _taper(flat[a], flat[b], limb.radii, limb.width)
+        # Fingers are too thin for a border.
+        border = 0.6 if limb.radii[0] > 0.01 * figure.height else 0.0
+        shapes.append((depth[a] + depth[b], outline, COLOURS[limb.side], border))
+    if figure.head:
+        head = figure.head
+        up, looks = (flat[point] - flat[head.base] for point in (head.up, head.face))
+        centre = flat[head.base] + 0.4 * up
+        angle = np.degrees(np.arctan2(-up[0], up[1]))
+        skull = Ellipse(centre, 0.68 * head.size, 0.92 * head.size, angle=angle).get_verts()
+        shapes.append((2 * depth[head.base], skull, COLOURS[MIDDLE], 0.6))
+        if depth[head.face] > depth[head.base]:
+            nose = Ellipse(centre + 0.36 * looks, 0.13 * head.size, 0.17 * head.size).get_verts()
+            shapes.append((np.inf, nose, _EDGE, 0.0))
+    # The farthest first, as a painter does.
+    for order, (_, outline, colour, border) in enumerate(sorted(shapes, key=lambda s: s[0])):
+        patch = Polygon(outline * place + [time, 0], facecolor=colour, clip_on=False)
+        patch.set(edgecolor="white", linewidth=border, zorder=3 + order / 1000)
+        axes.add_patch(patch)
+
+
+def _taper(a: np.ndarray, b: np.ndarray, radii: tuple[float, float], width: float) -> np.ndarray:
+    """Return the outline (N, 2) of a limb from `a` to `b`, `width` times wider than its radii."""
+    along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
+    aside = width * np.array([-along[1], along[0]])
+    half = np.linspace(-np.pi / 2, np.pi / 2, 9)[:, None]
+    cap = np.cos(half) * along + np.sin(half) * aside
+    return np.concatenate([b + radii[1] * cap, a - radii[0] * cap])

@@ -1,0 +1,133 @@
+// The strip under the time line: speech above, hand speed below, on one time axis.
+
+const SPEECH = "#7b8794";
+const AXIS = "#d5dae0";
+const TEXT = "#6b7785";
+
+function tickStep(duration, width) {
+  const wanted = (duration * 90) / width;
+  return [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600].find((s) => s >= wanted) ?? 1200;
+}
+
+export class Strip {
+  constructor(canvas, page, duration) {
+    this.canvas = canvas;
+    this.page = page;
+    this.duration = duration;
+    this.picture = document.createElement("canvas");
+    this.resize();
+  }
+
+  resize() {
+    const scale = window.devicePixelRatio || 1;
+    this.width = this.canvas.clientWidth;
+    this.height = this.canvas.clientHeight;
+    for (const canvas of [this.canvas, this.picture]) {
+      canvas.width = Math.max(1, Math.round(this.width * scale));
+      canvas.height = Math.max(1, Math.round(this.height * scale));
+      canvas.getContext("2d").setTransform(scale, 0, 0, scale, 0, 0);
+    }
+    this.paint();
+  }
+
+  x(time) {
+    return (time / this.duration) * this.width;
+  }
+
+  paint() {
+    const c = this.picture.getContext("2d");
+    const { width, height, page } = this;
+    c.clearRect(0, 0, width, height);
+    const foot = height - 15;
+    const middle = page.speech ? Math.round(foot * 0.46) : 0;
+    c.font = "11px system-ui, sans-serif";
+    this.paintAxis(c, foot);
+    if (page.speech) this.paintSpeech(c, 2, middle - 2);
+    const top = Math.max(...page.figures.map((figure) => figure.speed.peak)) || 1;
+    for (const figure of page.figures) this.paintSpeed(c, figure, top, middle + 2, foot);
+    c.fillStyle = TEXT;
+    if (page.speech) this.label(c, "speech", 11);
+    this.label(c, `hand speed, up to ${top.toFixed(1)} m/s`, middle + 13);
+  }
+
+  label(c, text, y) {
+    c.fillStyle = "rgba(255, 255, 255, .8)";
+    c.fillRect(0, y - 10, c.measureText(text).width + 8, 14);
+    c.fillStyle = TEXT;
+    c.fillText(text, 3, y);
+  }
+
+  paintAxis(c, foot) {
+    c.strokeStyle = AXIS;
+    c.fillStyle = TEXT;
+    const step = tickStep(this.duration, this.width);
+    for (let t = 0; t <= this.duration + 1e-6; t += step) {
+      const x = Math.round(this.x(t)) + 0.5;
+      c.beginPath();
+      c.moveTo(x, 0);
+      c.lineTo(x, foot);
+      c.stroke();
+      const text = t >= 60 ? `${Math.floor(t / 60)}:${String(t % 60).padStart(2, "0")}` : `${+t.toFixed(1)} s`;
+      const place = x + c.measureText(text).width / 2 > this.width ? "right" : t === 0 ? "left" : "center";
+      c.textAlign = place;
+      c.fillText(text, x, this.height - 3);
+    }
+    c.textAlign = "left";
+  }
+
+  // The largest of the values that fall on each pixel column, 0 to 255.
+  columns(values, rate) {
+    const n = Math.ceil(this.width);
+    const out = new Uint8Array(n);
+    for (let i = 0; i < n; i++) {
+      const from = Math.floor((i / this.width) * this.duration * rate);
+      const to = Math.max(from + 1, Math.ceil(((i + 1) / this.width) * this.duration * rate));
+      for (let k = from; k < Math.min(to, values.length); k++) out[i] = Math.max(out[i], values[k]);
+    }
+    return out;
+  }
+
+  paintSpeech(c, top, bottom) {
+    const half = (bottom - top) / 2;
+    c.fillStyle = SPEECH;
+    this.columns(this.page.speech.peaks, this.page.speech.rate).forEach((value, x) => {
+      // Bent upwards, or the quiet half of speech could not be seen.
+      const h = Math.max(0.5, (value / 255) ** 0.6 * half);
+      c.fillRect(x, top + half - h, 1, 2 * h);
+    });
+  }
+
+  paintSpeed(c, figure, peak, top, bottom) {
+    const { values, peak: own } = figure.speed;
+    c.beginPath();
+    c.moveTo(0, bottom);
+    const n = values.length;
+    for (let k = 0; k < n; k++) {
+      const y = bottom - (values[k] / 255) * (own / peak) * (bottom - top);
+      c.lineTo(this.x(k / figure.fps), y);
+    }
+    c.strokeStyle = figure.ink;
+    c.lineWidth = 1.5;
+    c.lineJoin = "round";
+    c.stroke();
+    c.lineTo(this.x((n - 1) / figure.fps), bottom);
+    c.closePath();
+    c.globalAlpha = 0.2;
+    c.fillStyle = figure.ink;
+    c.fill();
+    c.globalAlpha = 1;
+    c.lineWidth = 1;
+  }
+
+  draw(time) {
+    const c = this.canvas.getContext("2d");
+    const { width, height } = this;
+    const x = this.x(time);
+    c.clearRect(0, 0, width, height);
+    c.drawImage(this.picture, 0, 0, width, height);
+    c.fillStyle = "rgba(47, 111, 159, .09)";
+    c.fillRect(0, 0, x, height - 15);
+    c.fillStyle = "#26303b";
+    c.fillRect(Math.min(Math.max(x - 0.75, 0), width - 1.5), 0, 1.5, height - 13);
+  }
+}

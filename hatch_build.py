@@ -1,0 +1,31 @@
+"""Hatch's build hook: the HTML player is bundled before the package is built or installed."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+
+class PlayerHook(BuildHookInterface):
+    """Bundles `gesturekit/viewer/player.bundle.js` where it is missing or out of date."""
+
+    def dependencies(self) -> list[str]:
+        """Ask for Node.js from PyPI only where the bundle is needed and no Node.js is found."""
+        bundle = self._bundle_module()
+        return [] if bundle.is_current() or bundle.find_node() else [bundle.NODE_FROM_PYPI]
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Bundle the player."""
+        self._bundle_module().main()
+
+    def _bundle_module(self) -> ModuleType:
+        # Loaded by path: importing gesturekit would need what is only being installed.
+        path = Path(self.root) / "gesturekit" / "viewer" / "player" / "bundle.py"
+        spec = importlib.util.spec_from_file_location("player_bundle", path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module

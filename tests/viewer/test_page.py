@@ -1,0 +1,191 @@
+"""The HTML player, as a person who opens the file meets it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import runpy
+import shutil
+import subprocess
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from scipy.spatial.transform import Rotation
+
+import gesturekit.viewer.html as page_module
+from audio_features import AudioError, Wave
+from gesturekit.errors import GestureKitError, MotionError
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.viewer import write_html
+
+pytestmark = pytest.mark.skipif(
+    not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
+)
+
+SAMPLE_RATE = 16_000
+
+
+def a_chain(n_frames: int = 90, fps: float = 30.0, seed: int = 0) -> Motion:
+    """A rig of no known anatomy that swings and walks away."""
+    rng = np.random.default_rng(seed)
+    skeleton = Skeleton(
+        names=("base", "middle", "tip"),
+        parents=(-1, 0, 1),
+        offsets=np.array([[0, 0, 0], [0, 0.5, 0], [0.3, 0.4, 0]], dtype=float),
+        end_sites={"tip": (np.array([0.0, 0.2, 0.0]),)},
+        rotation_orders=("ZXY",) * 3,
+    )
+    angles = np.cumsum(rng.normal(0, 0.05, (n_frames, 3, 3)), axis=0)
+    rotations = Rotation.from_euler("ZXY", angles.reshape(-1, 3)).as_quat().reshape(n_frames, 3, 4)
+    translation = np.stack([np.linspace(0, 40, n_frames), np.ones(n_frames), np.zeros(n_frames)], 1)
+    return Motion(skeleton, rotations, translation, fps)
+
+
+def a_voice(seconds: float = 3.0) -> Wave:
+    time = np.arange(int(seconds * SAMPLE_RATE)) / SAMPLE_RATE
+    samples = 0.3 * np.sin(2 * np.pi * 180 * time) * (np.sin(2 * np.pi * time) > 0)
+    return Wave(samples.astype(np.float32), SAMPLE_RATE)
+
+
+def data_of(path: Path) -> dict:
+    text = path.read_text(encoding="utf-8")
+    found = re.search(r'<script type="application/json" id="motion">(.*?)</script>', text, re.S)
+    return json.loads(found[1])
+
+
+def points_of(figure: dict) -> np.ndarray:
+    """What player/data.js does, in numpy."""
+    frames, count = figure["n_frames"], figure["n_points"]
+    packed = np.frombuffer(zlib.decompress(base64.b64decode(figure["points"])), np.uint8)
+    low, high = packed.astype(np.int64).reshape(2, count * 3, frames)
+    steps = np.cumsum(low + (high << 8), axis=1).astype(np.uint16).view(np.int16)
+    root = np.frombuffer(base64.b64decode(figure["root"]), "<f4").reshape(frames, 1, 3)
+    return root + steps.T.reshape(frames, count, 3) * figure["step"]
+
+
+def test_a_page_holds_every_point_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+    motion = a_chain()
+    write_html(motion, tmp_path / "swing.html")
+    (figure,) = data_of(tmp_path / "swing.html")["figures"]
+    expected = np.concatenate([motion.positions(), motion.end_positions()["tip"]], axis=1)
+    assert figure["n_frames"] == motion.n_frames
+    assert np.abs(points_of(figure) - expected).max() <= 1e-4
+
+
+def test_a_page_needs_nothing_from_outside(tmp_path: Path) -> None:
+    write_html(a_chain(), tmp_path / "swing.html", audio=a_voice())
+    text = (tmp_path / "swing.html").read_text(encoding="utf-8")
+    markup = re.sub(r"<script.*?</script>", "", text, flags=re.S)
+    assert "default-src 'none'" in markup
+    assert not re.search(r"""(src|href)\s*=|@import|url\(""", markup)
+    assert "{{" not in markup
+
+
+def test_names_and_titles_cannot_become_code(tmp_path: Path) -> None:
+    title = "</title><script>alert(1)</script> {{player}} \"&'"
+    label = "</script><script>alert(2)</script><!--"
+    write_html({label: a_chain(), "b": a_chain(seed=1)}, tmp_path / "x.html", title=title)
+    text = (tmp_path / "x.html").read_text(encoding="utf-8")
+    assert "alert(1)</script>" not in text
+    assert "alert(2)</script>" not in text
+    assert len(re.findall(r"<script", text.split("<body>")[1].split("<script>")[0])) == 1
+    assert html.escape(title) in text
+    assert data_of(tmp_path / "x.html")["figures"][0]["label"] == label
+
+
+def test_small_recordings_are_embedded_byte_for_byte(tmp_path: Path) -> None:
+    voice = a_voice()
+    for name, media_type in (("v.wav", "audio/wav"), ("v.flac", "audio/flac")):
+        soundfile.write(tmp_path / name, voice.samples, voice.sample_rate)
+        write_html(a_chain(), tmp_path / "p.html", audio=tmp_path / name)
+        page = data_of(tmp_path / "p.html")
+        assert page["audio"]["type"] == media_type
+        assert base64.b64decode(page["audio"]["data"]) == (tmp_path / name).read_bytes()
+        assert page["speech"]["duration"] == pytest.approx(3.0)
+
+
+def test_long_recordings_become_small_and_stay_in_time(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    samples = np.zeros(150 * SAMPLE_RATE, dtype=np.float32)
+    clicks = np.arange(1, 150, 7) * SAMPLE_RATE
+    for click in clicks:
+        samples[click : click + 800] = rng.normal(0, 0.3, 800)
+    soundfile.write(tmp_path / "long.wav", samples, SAMPLE_RATE)
+    write_html(a_chain(), tmp_path / "p.html", audio=tmp_path / "long.wav")
+    page = data_of(tmp_path / "p.html")
+    embedded = base64.b64decode(page["audio"]["data"])
+    assert len(embedded) < 2_000_000 < (tmp_path / "long.wav").stat().st_size
+    (tmp_path / "embedded").write_bytes(embedded)
+    back, rate = soundfile.read(tmp_path / "embedded")
+    assert len(back) / rate == pytest.approx(150, abs=0.1)
+    for click in clicks:
+        second = back[int((click / SAMPLE_RATE - 0.5) * rate) :][: int(rate)]
+        assert np.argmax(np.abs(second) > 0.1) / rate == pytest.approx(0.5, abs=0.01)
+
+
+def test_what_is_no_sound_is_refused_and_leaves_no_page(tmp_path: Path) -> None:
+    (tmp_path / "speech.wav").write_text("this is no sound")
+    with pytest.raises(AudioError, match="speech.wav"):
+        write_html(a_chain(), tmp_path / "p.html", audio=tmp_path / "speech.wav")
+    assert not (tmp_path / "p.html").exists()
+
+
+def test_an_unbundled_player_is_named_with_what_to_do(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(page_module, "_BUNDLE", tmp_path / "absent.js")
+    page_module._player.cache_clear()
+    with pytest.raises(GestureKitError, match="make setup"):
+        write_html(a_chain(), tmp_path / "p.html")
+    page_module._player.cache_clear()
+
+
+def test_the_bundle_was_made_from_the_sources_beside_it() -> None:
+    sources = Path(page_module.__file__).parent / "player" / "bundle.py"
+    script = runpy.run_path(str(sources))
+    assert script["is_current"](), "player.bundle.js is out of date: run `make setup`"
+
+
+def test_no_motion_at_all_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MotionError):
+        write_html({}, tmp_path / "p.html")
+
+
+def test_ten_minutes_at_sixty_frames_stay_mailable(tmp_path: Path) -> None:
+    """A tenth of it, 75 joints, written at no more than 4 MB."""
+    n_frames, n_joints, fps = 3_600, 75, 60.0
+    skeleton = Skeleton(
+        names=tuple(f"j{k}" for k in range(n_joints)),
+        parents=(-1, *((k - 1) // 2 for k in range(1, n_joints))),
+        offsets=np.full((n_joints, 3), 0.08),
+        rotation_orders=("ZXY",) * n_joints,
+    )
+    time = np.arange(n_frames)[:, None, None] / fps
+    rng = np.random.default_rng(0)
+    rates, phases = rng.uniform(0.2, 1.5, (2, 1, n_joints, 3))
+    angles = 0.3 * np.sin(2 * np.pi * rates * time + 6 * phases)
+    rotations = Rotation.from_euler("ZXY", angles.reshape(-1, 3)).as_quat()
+    motion = Motion(
+        skeleton, rotations.reshape(n_frames, n_joints, 4), np.zeros((n_frames, 3)), fps
+    )
+    write_html(motion, tmp_path / "long.html")
+    assert (tmp_path / "long.html").stat().st_size < 4_000_000
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="Chromium is not installed")
+def test_the_page_opens_in_a_browser(tmp_path: Path) -> None:
+    write_html(a_chain(n_frames=77), tmp_path / "swing.html", title="swing")
+    command = ["chromium", "--headless", "--no-sandbox", "--use-angle=swiftshader"]
+    command += ["--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"]
+    command += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
+    command += ["--window-size=320,240", "--virtual-time-budget=100", "--dump-dom"]
+    command.append((tmp_path / "swing.html").as_uri() + "#t=1")
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert 'data-state="ready"' in shown.stdout
+    assert 'data-frames="77"' in shown.stdout
+    assert "frame 30" in shown.stdout
+    assert "CONSOLE" not in shown.stderr

@@ -1,0 +1,73 @@
+"""Pictures must show the motion they were given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib.colors
+import matplotlib.image
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from audio_features import AudioError, Wave
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.viewer import contact_sheet, write_picture
+from gesturekit.viewer.anatomy import MIDDLE
+from gesturekit.viewer.pictures import COLOURS
+
+
+def a_swing(amplitude: float) -> Motion:
+    skeleton = Skeleton(
+        names=("root", "arm"),
+        parents=(-1, 0),
+        offsets=np.array([[0, 0, 0], [0, 1.0, 0]]),
+        end_sites={"arm": (np.array([0.0, 0.6, 0.0]),)},
+        rotation_orders=("ZXY", "ZXY"),
+    )
+    turn = np.zeros((90, 2, 3))
+    turn[:, 1, 2] = amplitude * np.sin(np.arange(90) / 5)
+    rotations = Rotation.from_rotvec(turn.reshape(-1, 3)).as_quat().reshape(90, 2, 4)
+    return Motion(skeleton, rotations, np.zeros((90, 3)), 30.0)
+
+
+def widths(path: Path, n: int) -> list[int]:
+    """How many pixels wide each of `n` figures in a row is."""
+    image = matplotlib.image.imread(path)[:, :, :3]
+    body = np.abs(image - matplotlib.colors.to_rgb(COLOURS[MIDDLE])).max(axis=2) < 0.02
+    found = []
+    for part in np.array_split(body, n, axis=1):
+        across = np.flatnonzero(part.any(axis=0))
+        found.append(int(across[-1] - across[0]))
+    return found
+
+
+def test_each_figure_shows_its_own_moment(tmp_path: Path) -> None:
+    contact_sheet(a_swing(0.0), tmp_path / "still.png", frames=4)
+    contact_sheet(a_swing(1.2), tmp_path / "moving.png", frames=4)
+    assert np.ptp(widths(tmp_path / "still.png", 4)) <= 2
+    assert np.ptp(widths(tmp_path / "moving.png", 4)) > 20
+
+
+def test_the_picture_with_sound_has_the_speech_on_it(tmp_path: Path) -> None:
+    samples = np.random.default_rng(0).normal(0, 0.1, 48_000).astype(np.float32)
+    write_picture(a_swing(1.0), tmp_path / "without.png")
+    write_picture(a_swing(1.0), tmp_path / "with.png", audio=Wave(samples, 16_000))
+    without, with_sound = (
+        matplotlib.image.imread(tmp_path / name) for name in ("without.png", "with.png")
+    )
+    assert with_sound.shape[0] > without.shape[0]
+
+
+def test_silence_and_titles_of_any_kind_are_drawn(tmp_path: Path) -> None:
+    silence = Wave(np.zeros(16_000, dtype=np.float32), 16_000)
+    contact_sheet(a_swing(0.2), tmp_path / "t.png", title=r"$\frac{unclosed $ \q")
+    write_picture(a_swing(0.2), tmp_path / "s.png", audio=silence)
+    assert (tmp_path / "s.png").stat().st_size > 1_000
+
+
+def test_what_is_no_sound_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.wav").write_text("no sound")
+    with pytest.raises(AudioError):
+        write_picture(a_swing(0.2), tmp_path / "x.png", audio=tmp_path / "x.wav")
+    assert not (tmp_path / "x.png").exists()
