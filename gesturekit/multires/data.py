@@ -138,6 +138,7 @@ class TrainingData:
         paired: recordings with motion.
         unpaired: (S, T) speech without motion; where the corpus has none, that of `paired`.
         silence: (S, T) what the model hears when nobody speaks, one window long.
+        speakers: a reference skeleton for each named speaker, that of the first recording.
         window: frames of a training window; None takes whole sequences.
     """
 
@@ -148,6 +149,7 @@ class TrainingData:
     representation: MultiresRepresentation
     conditioner: SpeechConditioner
     normaliser: Normaliser
+    speakers: dict[str, Skeleton]
     unpaired_is_paired: bool
 
     def save(self, folder: Path) -> None:
@@ -176,6 +178,7 @@ class TrainingData:
             "window": self.window,
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
+            "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
         }
         with atomic_write(folder / "data.json") as temporary:
             temporary.write_text(json.dumps(about), encoding="utf-8")
@@ -213,6 +216,7 @@ class TrainingData:
                     tensors["features.scale"].numpy(),
                 ),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
+                speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
                 unpaired_is_paired=not unpaired,
             )
         except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
@@ -264,6 +268,10 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         except ValueError as error:
             raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
     normaliser = Normaliser.fit(vectors, representation)
+    speakers: dict[str, Skeleton] = {}
+    for item, motion in zip(items, motions, strict=True):
+        if item.speaker is not None:
+            speakers.setdefault(item.speaker, motion.skeleton)
 
     others = manifest.unpaired("train")
     progress = tqdm([*items, *others], desc="Listening", unit="file", leave=False)
@@ -297,6 +305,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         representation=representation,
         conditioner=conditioner,
         normaliser=normaliser,
+        speakers=speakers,
         unpaired_is_paired=not unpaired,
     )
 

@@ -10,6 +10,10 @@ from gesturekit.motion.parts import arm_joints
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.rotations import matrix_from_quaternion
 from gesturekit.motion.torch_kinematics import ForwardKinematics, sixd_to_matrix
+from gesturekit.multires.interpolation import reflect
+
+SMOOTHING_SECONDS = 0.1
+"""Of rotations before arm speed is read off them, and of the speed itself."""
 
 
 class VectorKinematics(nn.Module):
@@ -91,16 +95,31 @@ class VectorKinematics(nn.Module):
         # The small number keeps the gradient of the norm finite where nothing moves.
         return (bend.square().sum(dim=-1) + 1e-12).sqrt().mean() / 3
 
-    def arm_speed(self, values: Tensor, stride: float) -> Tensor:
+    def arm_speed(
+        self, values: Tensor, stride: float, smoothing: float = SMOOTHING_SECONDS
+    ) -> Tensor:
         """(B, T) summed angular speed of shoulders and elbows, rad/s; frame 0 copies frame 1.
 
-        Between frames it is the chord of the turn, |R' - R| / sqrt 2, which is the angle for the
-        small turns of a frame and has a gradient everywhere.
+        Rotations are smoothed before they are compared (a Gaussian of `smoothing` seconds), so
+        that trembling is no speed: a loss on the raw speed is met by arms that shake. Between
+        frames it is the chord of the turn, |R' - R| / sqrt 2, which is the angle for the small
+        turns of a frame and has a gradient everywhere.
         """
         arms = self._rotations(values)[:, :, self.arms]
-        chord = (arms[:, 1:] - arms[:, :-1]).square().sum(dim=(-1, -2))
-        speed = (chord / 2 + 1e-10).sqrt().sum(dim=-1) * (self.fps / stride)
+        arms = smooth(arms.movedim(1, -1), smoothing * self.fps / stride)
+        chord = (arms[..., 1:] - arms[..., :-1]).square().sum(dim=(2, 3))
+        speed = (chord / 2 + 1e-10).sqrt().sum(dim=1) * (self.fps / stride)
         return torch.cat([speed[:, :1], speed], dim=1)
+
+
+def smooth(x: Tensor, sigma: float) -> Tensor:
+    """(..., T) under a Gaussian of `sigma` frames, cut at 3 sigma, mirrored at the ends."""
+    reach = int(3 * sigma)
+    if reach == 0:
+        return x
+    at = torch.arange(-reach, reach + 1, device=x.device, dtype=x.dtype)
+    kernel = torch.exp(-0.5 * (at / sigma) ** 2)
+    return reflect(x, reach).unfold(-1, 2 * reach + 1, 1) @ (kernel / kernel.sum())
 
 
 def _root_drift(values: Tensor) -> Tensor:

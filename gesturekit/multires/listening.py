@@ -12,12 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from gesturekit.multires.interpolation import reflect
+from gesturekit.multires.kinematics import SMOOTHING_SECONDS, smooth
 
 FLOOR = 0.1
 """Added to arm speeds (rad/s) before the logarithm, so that stillness is finite."""
 
 _CONTEXT_SECONDS = 0.2
-_SMOOTH_SECONDS = 0.1
 _RIDGE = 3.0
 
 
@@ -31,15 +31,11 @@ class ArmSpeedTarget(nn.Module):
     def __init__(self, frame_seconds: float) -> None:
         super().__init__()
         self.context = round(_CONTEXT_SECONDS / frame_seconds)
-        reach = int(3 * _SMOOTH_SECONDS / frame_seconds)
-        at = torch.arange(-reach, reach + 1) * frame_seconds
-        kernel = torch.exp(-0.5 * (at / _SMOOTH_SECONDS) ** 2)
-        self.register_buffer("kernel", kernel / kernel.sum(), persistent=False)
+        self.sigma = SMOOTHING_SECONDS / frame_seconds
 
     def log_speed(self, speed: Tensor) -> Tensor:
         """(B, T) arm speed, rad/s, to its smoothed logarithm (sigma 0.1 s)."""
-        smooth = reflect(speed, len(self.kernel) // 2).unfold(-1, len(self.kernel), 1) @ self.kernel
-        return torch.log(smooth + FLOOR)
+        return torch.log(smooth(speed, self.sigma) + FLOOR)
 
     def _context(self, speech: Tensor) -> Tensor:
         """(B, S, T) to (B, T, S (2 c + 1) + 1), the last column ones."""

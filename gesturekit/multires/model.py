@@ -47,6 +47,7 @@ class MultiresModel:
         network: the generators.
         sigma: (N, L) noise spread of each training sequence and level.
         z_star: the noise from which each training sequence is reconstructed, by its name.
+        speakers: a reference skeleton for each speaker that the corpus named.
     """
 
     kind = "multires"
@@ -63,6 +64,7 @@ class MultiresModel:
         network: MultiresGenerator,
         sigma: Tensor,
         z_star: Mapping[str, Tensor],
+        speakers: Mapping[str, Skeleton],
     ) -> None:
         self.fps = fps
         self.representation = representation
@@ -73,6 +75,7 @@ class MultiresModel:
         self.network = network
         self.sigma = sigma
         self.z_star = dict(z_star)
+        self.speakers = dict(speakers)
 
     @property
     def skeleton(self) -> Skeleton:
@@ -99,6 +102,7 @@ class MultiresModel:
         samples: int = 1,
         seed: int = 0,
         guidance: float | None = None,
+        speaker: str | None = None,
     ) -> Motion | list[Motion]:
         """Motion for speech; frame k is at k / fps, and it is as long as the speech.
 
@@ -111,15 +115,20 @@ class MultiresModel:
             path: this kind of model has none.
             events: this kind of model has none.
             guidance: this kind of model has none.
+            speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
 
         Raises:
-            ModelError: a control this model does not have, or neither speech nor seconds.
+            ModelError: a control or a speaker this model does not have, or neither speech nor
+                seconds.
             AudioError: the speech cannot be read.
         """
         unknown = {"style": style, "path": path, "events": events, "guidance": guidance}
         for name, value in unknown.items():
             if value is not None:
                 raise ModelError(f"{name}={value!r}: this multires model is driven by speech alone")
+        if speaker is not None and speaker not in self.speakers:
+            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
+            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
         if samples < 1:
             raise ModelError(f"samples={samples}: ask for at least 1")
         features = self._features(speech, seconds)
@@ -132,8 +141,14 @@ class MultiresModel:
         conditions = condition_levels(hears, lengths, self.residual)
         # One motion at a time: in a batch, sums would be made in another order, and a motion
         # would depend on how many were asked for.
+        skeleton = self.skeleton if speaker is None else self.speakers[speaker]
         motions = [
-            self._sample(conditions, lengths, n_frames, seed, number) for number in range(samples)
+            self.representation.decode(
+                self._sample(conditions, lengths, n_frames, seed, number),
+                self.fps,
+                skeleton=skeleton,
+            )
+            for number in range(samples)
         ]
         return motions[0] if samples == 1 else motions
 
@@ -162,7 +177,8 @@ class MultiresModel:
     @torch.no_grad()
     def _sample(
         self, conditions: list[Tensor], lengths: list[int], n_frames: int, seed: int, number: int
-    ) -> Motion:
+    ) -> np.ndarray:
+        """(T, 6 K + C + 3) motion vectors of sample `number`."""
         rng = generator(seed, "sample", number, "level", 1)
         spread = self.sigma[:, 0].mean()
         noises: list[Tensor | None] = [torch.randn(1, 1, lengths[0], generator=rng) * spread]
@@ -171,7 +187,7 @@ class MultiresModel:
         values = self.normaliser.inverse(vectors)[0].T[:n_frames].double().numpy()
         if not np.isfinite(values).all():
             raise ModelError("the model gave NaN; its weights are damaged or it was trained badly")
-        return self.representation.decode(values, self.fps)
+        return values
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
@@ -188,7 +204,11 @@ class MultiresModel:
             },
             "network": to_dict(self.network_config),
         }
-        rig = {"skeleton": self.skeleton.to_json(), "motion": self.representation.to_json()}
+        rig = {
+            "skeleton": self.skeleton.to_json(),
+            "motion": self.representation.to_json(),
+            "speakers": {name: body.to_json() for name, body in self.speakers.items()},
+        }
         tensors = {f"network.{k}": v.contiguous() for k, v in self.network.state_dict().items()}
         tensors |= {f"z_star.{name}": value for name, value in self.z_star.items()}
         tensors |= {
@@ -296,4 +316,5 @@ class MultiresModel:
             z_star={
                 k.removeprefix("z_star."): v for k, v in tensors.items() if k.startswith("z_star.")
             },
+            speakers={name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
         )

@@ -142,6 +142,7 @@ class _Trainer:
             network=self.network.cpu().eval(),
             sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
             z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
+            speakers=self.data.speakers,
         )
         seconds = sum(sequence.n_frames for sequence in self.data.paired) / self.config.fps
         folder = self.folder.folder / "model"
@@ -301,7 +302,8 @@ class _Pair:
         losses, gaps = [], []
         for critic, real, fake in zip(self.discriminators, reals, fakes, strict=True):
             mix = torch.rand(len(real), 1, 1, generator=rng).to(real.device)
-            gap = critic(fake).mean() - critic(real).mean()
+            scores = critic(torch.cat([fake, real])).mean(dim=(1, 2))
+            gap = scores[: len(fake)].mean() - scores[len(fake) :].mean()
             penalty = gradient_penalty(critic, real, fake, mix)
             losses.append(gap + self.config.losses.gradient_penalty * penalty)
             gaps.append(gap.detach())
@@ -349,7 +351,12 @@ class _Pair:
         return float(torch.stack(errors).detach().mean())
 
     def _arm_speed_targets(self) -> list[ArmSpeedTarget]:
-        """One regression a level, from the paired speech to the recorded arm speed."""
+        """One regression a level, from the paired speech to the recorded arm speed.
+
+        The recording's speed is taken raw, with all that is fast in it, and the generated one
+        without trembling (`VectorKinematics.arm_speed`): the arms shall be as fast as the
+        recorded ones by moving, not by shaking.
+        """
         targets = []
         levels = self.config.network.levels
         for i in self.indices:
@@ -360,7 +367,8 @@ class _Pair:
                 stride = sequence.n_frames / n
                 motion = resample(sequence.motion[None].to(self.trainer.device), n)
                 values = motion * self.trainer.scale + self.trainer.mean
-                speeds.append(self.trainer.kinematics.arm_speed(values, stride)[0])
+                speed = self.trainer.kinematics.arm_speed(values, stride, smoothing=0.0)
+                speeds.append(speed[0])
                 speeches.append(resample(sequence.speech.to(self.trainer.device), n))
             target = ArmSpeedTarget(stride / self.config.fps).to(self.trainer.device)
             targets.append(target.fit(speeches, speeds))

@@ -1,0 +1,70 @@
+"""From a minute of speech to a BVH file, against real time: in process, and as a cold command.
+
+The speech is the bundled recording, said again and again at changing loudness. "other" is how
+long the speech itself lasts, so the ratio is how many times faster than real time it goes.
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import soundfile
+from harness import arguments, report
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.systems import bundled_speech
+
+SECONDS = 60.0
+
+
+def main() -> None:
+    options = arguments(__doc__.splitlines()[0])
+    runs = 3 if options.quick else 10
+    spoken = af.Wave.load(bundled_speech())
+    wanted = round(SECONDS * spoken.sample_rate)
+    again = np.resize(spoken.samples, wanted)
+    loudness = 0.7 + 0.3 * np.sin(np.arange(wanted) / spoken.sample_rate)
+    with tempfile.TemporaryDirectory() as folder:
+        wav, bvh = Path(folder) / "minute.wav", Path(folder) / "minute.bvh"
+        soundfile.write(wav, again * loudness, spoken.sample_rate)
+        model = gk.load("demo")
+        model.generate(wav).save(bvh)
+
+        def timed(work) -> float:
+            times = []
+            for _ in range(runs):
+                start = time.perf_counter()
+                work()
+                times.append(time.perf_counter() - start)
+            return statistics.median(times)
+
+        warm = timed(lambda: model.generate(wav).save(bvh))
+        command = [sys.executable, "-m", "gesturekit", "render", str(wav)]
+        command += ["--model", "demo", "--out", folder]
+        cold = timed(lambda: subprocess.run(command, check=True, capture_output=True))
+    figures = {
+        "render_in_process": {
+            "ours": warm,
+            "other": SECONDS,
+            "ratio": SECONDS / warm,
+            "note": "60 s of speech to BVH; other: real time",
+        },
+        "render_cold_command": {
+            "ours": cold,
+            "other": SECONDS,
+            "ratio": SECONDS / cold,
+            "note": "the same by `gesturekit render`, imports included; other: real time",
+        },
+    }
+    report(figures, options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""What a run trains on: scales, noise, windows, speakers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from audio_features import level_lengths
+from gesturekit.corpus import prepare
+from gesturekit.errors import CorpusError
+from gesturekit.motion import Skeleton
+from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.multires.data import (
+    Normaliser,
+    PairedSequence,
+    TrainingData,
+    level_sigmas,
+    load_training_data,
+)
+from gesturekit.multires.trainer import train
+
+
+def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
+    small = gesture(4.0)
+    small.translation[:, 1] += 0.05 * np.sin(small.times)
+    large = replace(small, skeleton=small.skeleton.scaled(3.0), translation=small.translation * 3)
+    normalised = []
+    for motion in (small, large):
+        representation = MultiresRepresentation.fit([motion])
+        vectors = representation.encode(motion)
+        normaliser = Normaliser.fit([vectors], representation)
+        values = torch.from_numpy(vectors.T).float()[None]
+        normalised.append(normaliser.forward(values))
+        torch.testing.assert_close(normaliser.inverse(normalised[-1]), values)
+    joints = slice(0, 6 * len(representation.joints))
+    torch.testing.assert_close(normalised[0][:, joints], normalised[1][:, joints])
+    height = normalised[0][0, -2]
+    assert height.std() == pytest.approx(1.0, abs=0.05)
+    torch.testing.assert_close(normalised[0][0, -2], normalised[1][0, -2], atol=1e-3, rtol=0)
+
+
+def test_sigma_is_what_each_level_adds():
+    steps = torch.linspace(0, 1, 40).expand(1, 2, -1)
+    sigma = level_sigmas(steps, levels=4)
+    assert float(sigma[0]) == pytest.approx(float(steps.square().mean().sqrt()), rel=0.1)
+    # A straight line is the same at every rate, but for its ends.
+    assert sigma[1:].max() < 0.02
+    noise = level_sigmas(torch.randn(1, 2, 400), levels=4)
+    assert noise[1:].min() > 0.3
+
+
+def test_a_window_slices_its_sequences_noise():
+    sequence = PairedSequence.make("a", torch.randn(3, 200), torch.zeros(2, 200), 5, seed=0)
+    same = PairedSequence.make("a", torch.randn(3, 200), torch.zeros(2, 200), 5, seed=0)
+    torch.testing.assert_close(sequence.z_star / sequence.sigma[0], same.z_star / same.sigma[0])
+    n_coarsest = level_lengths(80, 5)[0]
+    first, last = (sequence.z_star_window(start, n_coarsest) for start in (0, 120))
+    assert torch.equal(first, sequence.z_star[:n_coarsest])
+    assert torch.equal(last, sequence.z_star[-n_coarsest:])
+
+
+@pytest.fixture(scope="module")
+def two_performers(tmp_path_factory, gesture, write_speech):
+    """Ann, and Bob who is a fifth larger."""
+    folder = tmp_path_factory.mktemp("two")
+    for name, factor in (("ann", 1.0), ("bob", 1.2)):
+        motion = gesture(4.0, seed=len(name))
+        body = replace(
+            motion,
+            skeleton=motion.skeleton.scaled(factor),
+            translation=motion.translation * factor,
+        )
+        body.save(folder / "in" / f"{name}_1.bvh")
+        write_speech(folder / "in" / f"{name}_1.wav", 4.0)
+    manifest = folder / "corpus.jsonl"
+    prepare([folder / "in"], manifest, holdout=0.0, style_pattern="(?P<speaker>ann|bob)_.*")
+    return manifest
+
+
+def test_each_speaker_keeps_a_body(two_performers, make_config):
+    import gesturekit as gk
+
+    config = make_config(corpus=str(two_performers), schedule={"first_pair": 1, "further_pairs": 1})
+    model = gk.load(train(config))
+    tall = {}
+    for speaker in ("ann", "bob"):
+        motion = model.generate(seconds=2.0, speaker=speaker)
+        arm = [motion.skeleton.index(name) for name in ("LeftArm", "LeftForeArm")]
+        places = motion.positions()[0, arm]
+        tall[speaker] = np.linalg.norm(places[0] - places[1])
+    assert tall["bob"] == pytest.approx(1.2 * tall["ann"], rel=1e-3)
+    with pytest.raises(gk.GestureKitError, match="ann, bob"):
+        model.generate(seconds=2.0, speaker="eve")
+
+
+def test_prepared_data_reads_back_bit_for_bit(make_config, tmp_path):
+    config = make_config()
+    data = load_training_data(config)
+    data.save(tmp_path / "data")
+    again = TrainingData.load(tmp_path / "data", config)
+    assert torch.equal(data.silence, again.silence) and data.window == again.window
+    for one, other in zip(data.paired, again.paired, strict=True):
+        assert one.name == other.name
+        for part in PairedSequence.TENSORS:
+            assert torch.equal(getattr(one, part), getattr(other, part))
+    assert all(torch.equal(a, b) for a, b in zip(data.unpaired, again.unpaired, strict=True))
+
+
+def test_sequences_shorter_than_the_window_train_at_their_own_length(make_config):
+    data = load_training_data(make_config())
+    assert data.window == 75
+    assert data.window_lengths() == {75: [0], 63: [1]}  # 2.5 s at 25 fps, rounded up
+
+
+def test_a_short_clip_is_set_into_silence(make_config):
+    data = load_training_data(make_config())
+    (clip,) = data.unpaired
+    rng = torch.Generator().manual_seed(0)
+    window = data.speech_window(clip.shape[-1] + 20, rng)
+    silent = (window == data.silence[:, :1]).all(dim=0)
+    assert window.shape[-1] == clip.shape[-1] + 20 and silent.sum() >= 20
+    assert (window[:, ~silent].unfold(1, 1, 1).shape[1]) <= clip.shape[-1]
+
+
+def test_rigs_that_differ_are_refused_by_name(two_performers, gesture, tmp_path, make_config):
+    motion = gesture(4.0)
+    names = tuple("Pelvis" if n == "Hips" else n for n in motion.skeleton.names)
+    other = Skeleton(names, motion.skeleton.parents, motion.skeleton.offsets)
+    path = two_performers.parent / "in" / "bob_1.bvh"
+    kept = path.read_bytes()
+    replace(motion, skeleton=other).save(path)
+    try:
+        with pytest.raises(CorpusError, match="bob_1"):
+            load_training_data(make_config(corpus=str(two_performers)))
+    finally:
+        path.write_bytes(kept)
