@@ -110,8 +110,9 @@ class Wave:
                 rate = _checked_rate(file.samplerate, name)
                 first, count = _stretch(name, file.frames, rate, start, duration, max_seconds)
                 samples = _read_mono(file, name, first, count)
-        except (soundfile.LibsndfileError, OSError, TypeError) as error:
-            # TypeError is what soundfile says to headerless files such as .raw.
+        except (soundfile.LibsndfileError, OSError, TypeError, UnicodeError) as error:
+            # TypeError is what soundfile says to headerless files such as .raw; UnicodeError to
+            # file names that are no text.
             reason = str(error).removeprefix(f"Error opening {name!r}: ").rstrip(".")
             raise AudioError(
                 f"{name}: cannot be read as sound ({reason}): "

@@ -58,19 +58,23 @@ def load(model: str | Path, *, weights: str | Path | None = None) -> Any:
         ModelError: there is no such model, or it cannot be read.
         WeightsError: the model needs weights, or other weights.
     """
-    folder = Path(model)
-    if not folder.is_dir():
-        if str(model) not in bundled_models():
+    # A bundled name wins over a folder that happens to be called so; ./demo means the folder.
+    if str(model) in bundled_models():
+        folder = _BUNDLED / str(model)
+    else:
+        folder = Path(model)
+        if not folder.is_dir():
             raise ModelError(
                 f"{model}: neither a model folder nor a bundled model "
                 f"({', '.join(bundled_models()) or 'none is bundled'})"
             )
-        folder = _BUNDLED / str(model)
     try:
         kind = read_yaml(folder / "config.yaml").get("kind")
     except ConfigError as error:
         raise ModelError(f"not a model folder: {error}") from None
-    if kind not in SYSTEMS:
+    if kind is None and (folder / "model" / "config.yaml").is_file():
+        raise ModelError(f"{folder}: a run folder; its model is {folder / 'model'}")
+    if not isinstance(kind, str) or kind not in SYSTEMS:
         raise ModelError(
             f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
             "A newer kind needs a newer gesturekit"
@@ -93,7 +97,7 @@ def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = F
         ConfigError: the configuration is wrong.
     """
     name = read_chain(config).get("system")
-    if name not in SYSTEMS:
+    if not isinstance(name, str) or name not in SYSTEMS:
         raise ConfigError(f"{config}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
     settings = load_config(config, _part(SYSTEMS[name].config), overrides)
     return _part(SYSTEMS[name].train)(settings, resume=resume)

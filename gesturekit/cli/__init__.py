@@ -54,4 +54,9 @@ def main(arguments: list[str] | None = None) -> None:
     except (GestureKitError, AudioFeaturesError) as error:
         click.echo(f"Error: {error}", err=True)
         status = 2
+    except OSError as error:
+        # A folder that cannot be made, a full disk: the system's own words, without its numbers.
+        where = f"{error.filename}: " if error.filename else ""
+        click.echo(f"Error: {where}{error.strerror or error}", err=True)
+        status = 2
     sys.exit(status or 0)

@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 
-@click.command("demo", epilog="Example: gesturekit demo --out demo")
+@click.command("demo", epilog="Example: gesturekit demo --out gesturekit-demo")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    default=Path("demo"),
+    default=Path("gesturekit-demo"),
     show_default=True,
     help="Folder to fill.",
 )

@@ -36,7 +36,7 @@ KINDS = ("logmel", "mfcc", "prosody", "wavlm")
 )
 @click.option(
     "--fps",
-    type=click.FloatRange(min=0, min_open=True),
+    type=click.FloatRange(min=0, min_open=True, max=1000),
     help="Put the features on motion frames at this rate.  [default: the features' own rate]",
 )
 def command(
@@ -73,7 +73,8 @@ def command(
             track.save(target)
         except (AudioFeaturesError, OSError) as error:
             failed += 1
-            click.echo(f"Error: {error}", err=True)
+            reason = f"{target}: {error.strerror}" if isinstance(error, OSError) else error
+            click.echo(f"Error: {reason}", err=True)
         else:
             click.echo(f"{target}: {track.values.shape[0]} frames × {track.values.shape[1]}")
     if failed:

@@ -18,8 +18,18 @@ import click
 )
 @click.option("--format", "formats", default="bvh", help="Of bvh,npz,html,png.  [default: bvh]")
 @click.option("--seed", default=0, show_default=True, help="Another seed, another gesture.")
-@click.option("--samples", default=1, show_default=True, help="Motions for each wav.")
-@click.option("--seconds", type=float, help="Length of an idle motion, without any wav.")
+@click.option(
+    "--samples",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Motions for each wav.",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(min=0, min_open=True, max=4 * 3600),
+    help="Length of an idle motion, without any wav.",
+)
 @click.option(
     "--weights", type=click.Path(path_type=Path), help="WavLM weights the model was trained with."
 )
@@ -47,6 +57,8 @@ def command(
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     if not sources and seconds is None:
         raise click.UsageError("Give audio files, or --seconds for an idle motion.")
+    if sources and seconds is not None:
+        raise click.UsageError("--seconds goes without audio: a motion is as long as its speech.")
     loaded = load(model, weights=weights)
     failed = 0
     wanted = [name.strip() for name in formats.split(",") if name.strip()]
@@ -54,7 +66,7 @@ def command(
         loaded, sources, out, formats=wanted, seed=seed, samples=samples, seconds=seconds
     ):
         for path in outcome.files:
-            click.echo(path)
+            click.echo(click.format_filename(path))
         if outcome.error is not None:
             failed += 1
             click.echo(f"Failed: {outcome.error}", err=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -11,8 +12,14 @@ from gesturekit.errors import ConfigError
 
 def _positive(**values: float) -> None:
     for name, value in values.items():
-        if value <= 0:
+        if not 0 < value < math.inf:
             raise ConfigError(f"{name}: {value!r} must be above 0")
+
+
+def _not_negative(**values: float) -> None:
+    for name, value in values.items():
+        if not 0 <= value < math.inf:
+            raise ConfigError(f"{name}: {value!r} must be at least 0")
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,7 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         _positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
+        _not_negative(neighbour_distance=self.neighbour_distance)
         if self.kernel % 2 == 0:
             raise ConfigError(f"kernel: {self.kernel} must be odd")
         if not self.channels or min(self.channels) <= 0:
@@ -55,6 +63,9 @@ class LossConfig:
     reads off the speech. Not in the paper, where it is 0."""
     rec_input: Literal["generated", "real"] = "generated"
     """What reconstruction steps upsample: the chain from z*, or the real motion as in eq. 15."""
+
+    def __post_init__(self) -> None:
+        _not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
 
 
 @dataclass(frozen=True)
@@ -92,6 +103,14 @@ class ScheduleConfig:
         )
         if self.window is not None:
             _positive(window=self.window)
+        steps = {
+            "discriminator_steps": self.discriminator_steps,
+            "generator_steps": self.generator_steps,
+            "reconstruction_steps": self.reconstruction_steps,
+        }
+        _not_negative(**steps, decay_at=self.decay_at)
+        if not self.generator_steps and not self.reconstruction_steps:
+            raise ConfigError("generator_steps and reconstruction_steps are both 0: nothing learns")
         if not 0 <= self.silence < 1:
             raise ConfigError(f"silence: {self.silence} must be at least 0 and below 1")
 
@@ -138,3 +157,5 @@ class MultiresConfig:
 
     def __post_init__(self) -> None:
         _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)
+        if self.threads is not None:
+            _positive(threads=self.threads)

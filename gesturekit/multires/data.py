@@ -252,6 +252,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     Raises:
         CorpusError: no paired training item, rigs that differ, or a file that cannot be read.
     """
+    extractor = _extractor(config)  # first: wrong settings are told before anything is read
     manifest = Manifest.load(config.corpus)
     items = manifest.paired("train")
     if not items:
@@ -277,7 +278,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     progress = tqdm([*items, *others], desc="Listening", unit="file", leave=False)
     conditioner = SpeechConditioner.fit(
         (item.load_wave() for item in progress),
-        _extractor(config),
+        extractor,
         config.fps,
         config.features.align,
     )
@@ -297,6 +298,11 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     window = config.schedule.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
     longest = max(sequence.n_frames for sequence in paired)
+    if af.level_lengths(longest, config.network.levels)[0] < 2:
+        raise ConfigError(
+            f"network.levels: {config.network.levels} levels leave one frame of the longest "
+            f"recording ({longest / config.fps:.1f} s) at the coarsest; take fewer levels"
+        )
     return TrainingData(
         paired=tuple(paired),
         unpaired=unpaired or tuple(sequence.speech for sequence in paired),

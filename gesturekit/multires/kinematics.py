@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import arm_joints
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.rotations import matrix_from_quaternion
@@ -60,6 +61,11 @@ class VectorKinematics(nn.Module):
             rows[place[joint]] = k
         self.register_buffer("rows", torch.tensor(rows), persistent=False)
         self.wanted = [place[joint] for joint in modelled]
+        missing = [name for name in arm_joints(skeleton) if name not in representation.joints]
+        if missing:
+            raise ConfigError(
+                f"joints: {', '.join(missing)} are missing; the arms must be modelled"
+            )
         self.arms = [representation.joints.index(name) for name in arm_joints(skeleton)]
 
     def _rotations(self, values: Tensor) -> Tensor:

@@ -277,7 +277,9 @@ class MultiresModel:
         except ModelError:
             raise
         except FileNotFoundError as error:
-            raise ModelError(f"{folder}: the model lacks {Path(error.filename).name}") from None
+            # safetensors does not say which file it missed.
+            missing = Path(error.filename or "model.safetensors").name
+            raise ModelError(f"{folder}: the model lacks {missing}") from None
         except (KeyError, TypeError, ValueError, RuntimeError, OSError, MemoryError) as error:
             raise ModelError(f"{folder}: the model is damaged ({error})") from error
         except Exception as error:
@@ -288,6 +290,9 @@ class MultiresModel:
     def _assemble(
         cls, folder: Path, config: dict[str, Any], weights: str | Path | None
     ) -> MultiresModel:
+        fps = float(config["fps"])
+        if not 0 < fps < float("inf"):
+            raise ValueError(f"fps is {fps}")
         rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
         skeleton = Skeleton.from_json(rig["skeleton"])
         representation = MultiresRepresentation.from_json(skeleton, rig["motion"])
@@ -299,11 +304,11 @@ class MultiresModel:
             {k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")}
         )
         return cls(
-            fps=float(config["fps"]),
+            fps=fps,
             representation=representation,
             conditioner=SpeechConditioner(
                 extractor,
-                float(config["fps"]),
+                fps,
                 config["features"]["align"],
                 tensors["features.centre"].numpy(),
                 tensors["features.scale"].numpy(),

@@ -66,7 +66,6 @@ class _Trainer:
             self.data = TrainingData.load(run.folder / "data", config)
         else:
             self.data = load_training_data(config)
-            self.data.save(run.folder / "data")
         if self.data.unpaired_is_paired:
             log.warning(
                 "The corpus has no unpaired speech: random steps draw windows of the paired speech."
@@ -93,6 +92,9 @@ class _Trainer:
         self.scale = self.data.normaliser.scale[:, None].to(self.device)
         self.bank = Bank(self.data, config, self.network)
         self.groups = self.data.window_lengths()
+        if not resume:
+            self.data.save(run.folder / "data")
+            run.begin()
 
     def pairs(self) -> list[tuple[int, int]]:
         """(first level, iterations) of each pair."""
@@ -364,6 +366,8 @@ class _Pair:
             stride = 1.0
             for sequence in self.trainer.data.paired:
                 n = LevelRange.of(sequence.n_frames, levels, i).lengths[0]
+                if n < 2:
+                    continue  # a single frame has no speed
                 stride = sequence.n_frames / n
                 motion = resample(sequence.motion[None].to(self.trainer.device), n)
                 values = motion * self.trainer.scale + self.trainer.mean
@@ -382,7 +386,8 @@ def _device(name: str) -> torch.device:
         device = torch.device(name)
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
-        raise ConfigError(f"device: {name!r} cannot be used here ({error})") from None
+        reason = str(error).partition("\n")[0]
+        raise ConfigError(f"device: {name!r} cannot be used here ({reason})") from None
     return device
 
 

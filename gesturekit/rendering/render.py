@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ FORMATS = ("bvh", "npz", "html", "png")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one input: the files written, or the reason why there are none."""
+    """What became of one input: the files written, and the reason why some or all are missing."""
 
     source: str
     files: tuple[Path, ...] = ()
@@ -38,7 +39,8 @@ def render(
 
     Args:
         model: as `gesturekit.load` gives it.
-        sources: audio files; folders stand for the audio files in them.
+        sources: audio files; folders stand for the audio files in them. A file that is named
+            twice is rendered once.
         out: folder for the results.
         formats: of bvh, npz, html (a player with sound), png (a picture).
         seed: the same seed gives the same files, whatever else is rendered beside.
@@ -49,11 +51,15 @@ def render(
         an outcome for each file, as it is done.
 
     Raises:
-        ConfigError: an unknown format, or two sources that would write the same file.
+        ConfigError: an unknown format, a folder without audio, two sources that would write the
+            same file, or a folder for the results that cannot be written to.
     """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
         raise ConfigError(f"format {', '.join(unknown) or '(none)'}: known: {', '.join(FORMATS)}")
+    files = _expand(sources)
+    _refuse_clashes(files, out)
+    _make_folder(out)
     if not sources:
         yield _render_one(
             "motion",
@@ -63,8 +69,6 @@ def render(
             lambda: model.generate(seconds=seconds, samples=samples, seed=seed),
         )
         return
-    files = _expand(sources)
-    _refuse_clashes(files, out)
     for path in files:
         yield _render_one(
             str(path),
@@ -82,10 +86,10 @@ def _render_one(
     formats: Sequence[str],
     generate: Callable[[], Motion | list[Motion]],
 ) -> Outcome:
+    files: list[Path] = []
     try:
         made = generate()
         motions = made if isinstance(made, list) else [made]
-        files = []
         for number, motion in enumerate(motions, start=1):
             name = stem.name if len(motions) == 1 else f"{stem.name}_s{number}"
             for kind in formats:
@@ -93,30 +97,49 @@ def _render_one(
                 sound = {"audio": audio} if kind in ("html", "png") and audio else {}
                 motion.save(path, **sound)
                 files.append(path)
-    except (GestureKitError, af.AudioFeaturesError, OSError) as error:
-        return Outcome(source, error=str(error))
+    except (GestureKitError, af.AudioFeaturesError, OSError, MemoryError) as error:
+        reason = str(error) or "not enough memory"
+        # Not every reason names the input: a model that gives NaN, a disk that is full.
+        reason = reason if source in reason else f"{source}: {reason}"
+        # One line, and printable: a file name need not be text.
+        reason = " ".join(reason.encode("utf-8", "replace").decode().splitlines())
+        return Outcome(source, tuple(files), reason)
     return Outcome(source, tuple(files))
 
 
 def _expand(sources: Sequence[Path]) -> list[Path]:
-    files = []
+    files: dict[str, Path] = {}
     for source in sources:
+        inside = [source]
         if source.is_dir():
-            inside = sorted(p for p in source.iterdir() if p.suffix.lower() in SPEECH_SUFFIXES)
+            inside = sorted(
+                path
+                for path in source.iterdir()
+                if path.suffix.lower() in SPEECH_SUFFIXES and not path.name.startswith(".")
+            )
             if not inside:
                 raise ConfigError(f"{source}: the folder holds no audio files")
-            files.extend(inside)
-        else:
-            files.append(source)
-    return files
+        for path in inside:
+            files.setdefault(os.path.realpath(path), path)
+    return list(files.values())
 
 
 def _refuse_clashes(files: Sequence[Path], out: Path) -> None:
     seen: dict[str, Path] = {}
     for path in files:
-        if path.stem in seen and seen[path.stem] != path:
+        if path.stem in seen:
             raise ConfigError(
                 f"{seen[path.stem]} and {path} would both be written as {out / path.stem}; "
                 "render them into different folders"
             )
         seen[path.stem] = path
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        writable = os.access(out, os.W_OK | os.X_OK)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be made ({error.strerror})") from None
+    if not writable:
+        raise ConfigError(f"{out}: cannot be written to; give another folder")

@@ -48,7 +48,8 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: no such configuration file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text ({error})") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        # ValueError: what looks like a date and is none. RecursionError: nested without end.
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(values, dict):
         raise ConfigError(f"{path}: holds {type(values).__name__}, expected key: value lines")
@@ -78,8 +79,9 @@ def load_config(path: str | Path, schema: type[Schema], overrides: Sequence[str]
             raise ConfigError(f"{override!r}: overrides look like key=value or section.key=value")
         try:
             value = yaml.load(text, Loader=_Loader)
-        except yaml.YAMLError as error:
-            raise ConfigError(f"{override!r}: the value is not valid YAML ({error})") from None
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"{override!r}: the value is not valid YAML ({reason})") from None
         for part in reversed(key.split(".")):
             value = {part: value}
         resolved = _resolve_paths(value, schema, Path.cwd())

@@ -34,6 +34,7 @@ class Run:
 
     def __init__(self, folder: Path, config: dict[str, Any], *, resume: bool) -> None:
         self.folder = folder
+        self._config = config
         self.checkpoints = Checkpoints(folder / "checkpoints")
         self._metrics = folder / "metrics.jsonl"
         self._events: Any = None
@@ -54,9 +55,13 @@ class Run:
             raise ConfigError(
                 f"{folder}: holds a run already; add --resume to go on with it, or out=OTHER"
             )
+
+    def begin(self) -> None:
+        """Make the folder that of this run, once it is clear that the run can start."""
         self._write("command.txt", shlex.join(sys.argv) + "\n")
         self._write("versions.json", json.dumps(_versions(), indent=1) + "\n")
-        self._write("config.yaml", dump_yaml(config))
+        # Last: a folder with a config.yaml holds a run.
+        self._write("config.yaml", dump_yaml(self._config))
 
     def _write(self, name: str, text: str) -> None:
         with atomic_write(self.folder / name) as temporary:

@@ -108,7 +108,7 @@ def phrases(wave: af.Wave) -> list[Phrase]:
     around = _weighted_mean(pitch, voiced, 0.8)
     louder = (loud[peaks] - np.median(loud[peaks])) / 6
     higher = (near[peaks] - around[peaks]) / 4
-    prominence = 0.24 + 0.26 * np.clip(louder, -1, 1) + 0.45 * np.clip(higher, 0, 1.2)
+    prominence = 0.12 + 0.26 * np.clip(louder, -1, 1) + 0.8 * np.clip(higher, 0, 1.2)
     syllables = [
         Syllable(k * _HOP, float(max(p, 0.0)), float(near[k]))
         for k, p in zip(peaks, prominence, strict=True)

@@ -1,0 +1,85 @@
+"""The command line run within the test, and a model trained by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from gesturekit.cli import main
+
+LIGHT = Path(__file__).resolve().parents[2] / "recipes" / "multires_speech" / "light.yaml"
+TINY = (
+    "fps=25",
+    "threads=1",
+    "network.levels=4",
+    "network.channels=[2,2,2]",
+    "network.embedding=4",
+    "schedule.first_pair=2",
+    "schedule.further_pairs=2",
+    "schedule.discriminator_steps=1",
+    "schedule.reconstruction_steps=1",
+    "schedule.batch=2",
+    "schedule.window=2",
+    "schedule.bank=2",
+)
+
+
+class Done(NamedTuple):
+    """How a command ended."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture(scope="session")
+def tiny() -> tuple[str, ...]:
+    """Overrides that make any multires recipe a matter of a second."""
+    return TINY
+
+
+@pytest.fixture(scope="session")
+def light() -> Path:
+    """The recipe that asks for no weights."""
+    return LIGHT
+
+
+@pytest.fixture
+def gesturekit(capsys) -> Callable[..., Done]:
+    """gesturekit("render", path, ...): run a command here and say how it ended."""
+
+    def run(*arguments: object) -> Done:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        return Done(left.value.code, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def corpus(tmp_path_factory, write_pair, write_speech) -> Path:
+    """A manifest of two short pairs and some unpaired speech, by `gesturekit prepare`."""
+    folder = tmp_path_factory.mktemp("corpus")
+    write_pair(folder / "paired", "a", 3.0, seed=1)
+    write_pair(folder / "paired", "b", 2.5, seed=2)
+    write_speech(folder / "more" / "c.wav", 3.0, level=0.1)
+    manifest = folder / "corpus.jsonl"
+    more = ["--unpaired", str(folder / "more")]
+    with pytest.raises(SystemExit) as left:
+        main(["prepare", str(folder / "paired"), *more, "--out", str(manifest), "--holdout", "0"])
+    assert left.value.code == 0
+    return manifest
+
+
+@pytest.fixture(scope="session")
+def model(corpus, tmp_path_factory) -> Path:
+    """A model folder, by `gesturekit train`; its motion is of no use, but it is motion."""
+    run = tmp_path_factory.mktemp("runs") / "tiny"
+    with pytest.raises(SystemExit) as left:
+        main(["train", str(LIGHT), f"corpus={corpus}", f"out={run}", *TINY])
+    assert left.value.code == 0
+    return run / "model"

@@ -1,0 +1,365 @@
+"""gesturekit render: what comes out, under which name, and what is said about what does not."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from fractions import Fraction
+from math import floor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from gesturekit import Motion
+
+FPS = 25
+
+
+def make_sound(path: Path, n_samples: int, rate: int, channels: int = 1) -> Path:
+    rng = np.random.default_rng(n_samples)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    soundfile.write(path, 0.1 * rng.standard_normal((n_samples, channels)), rate)
+    return path
+
+
+@pytest.fixture
+def wav(tmp_path) -> Path:
+    return make_sound(tmp_path / "in" / "speech.wav", 24_000, 16_000)
+
+
+@pytest.fixture
+def broken(tmp_path) -> dict[str, Path]:
+    """What users give by accident, by what is wrong with it."""
+    folder = tmp_path / "in"
+    folder.mkdir(exist_ok=True)
+    files = {
+        "no such file": folder / "missing.wav",
+        "empty": folder / "empty.wav",
+        "10.0 ms": make_sound(folder / "short.wav", 160, 16_000),
+        "cannot be read as sound": folder / "text.wav",
+        "truncated": make_sound(folder / "truncated.wav", 16_000, 16_000),
+        "is nan": folder / "nan.wav",
+    }
+    files["empty"].touch()
+    files["cannot be read as sound"].write_text("Dear diary,\n")
+    whole = files["truncated"].read_bytes()
+    files["truncated"].write_bytes(whole[: len(whole) // 2])
+    soundfile.write(files["is nan"], np.full(16_000, np.nan), 16_000, subtype="FLOAT")
+    return files
+
+
+def frames_in(bvh: Path) -> int:
+    return int(re.search(r"^Frames: (\d+)$", bvh.read_text(), re.MULTILINE)[1])
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_every_sound_becomes_motion_of_its_own_length(gesturekit, model, tmp_path):
+    sounds = {
+        "stereo.wav": (54_551, 44_100, 2),
+        "telephone.wav": (9_999, 8_000, 1),
+        "lossless.flac": (33_333, 48_000, 1),
+        "half_a_frame.wav": (2_400, 8_000, 1),  # 7.5 frames: rounded up
+        "odd.wav": (32_321, 16_000, 1),
+        "compressed.ogg": (40_000, 32_000, 2),
+        "one_frame.wav": (400, 16_000, 1),
+    }
+    for name, (n_samples, rate, channels) in sounds.items():
+        make_sound(tmp_path / "in" / name, n_samples, rate, channels)
+    out = tmp_path / "out"
+    done = gesturekit("render", tmp_path / "in", "--model", model, "--out", out)
+    assert done.status == 0 and done.err == ""
+    assert names(out) == sorted(f"{Path(name).stem}.bvh" for name in sounds)
+    assert set(done.out.split()) == {str(path) for path in out.iterdir()}
+    for name, (n_samples, rate, _) in sounds.items():
+        n_frames = floor(Fraction(n_samples, rate) * FPS + Fraction(1, 2))
+        assert frames_in(out / f"{Path(name).stem}.bvh") == n_frames, name
+
+
+def test_every_format_holds_the_same_motion(gesturekit, model, wav, tmp_path):
+    out = tmp_path / "a folder" / "ausgabe für später"
+    done = gesturekit(
+        "render", wav, "--model", model, "--out", out, "--format", "bvh,npz, html ,png"
+    )
+    assert (done.status, done.err) == (0, "")
+    assert names(out) == [f"speech.{kind}" for kind in ("bvh", "html", "npz", "png")]
+    bvh, npz = Motion.load(out / "speech.bvh"), Motion.load(out / "speech.npz")
+    assert bvh.skeleton.names == npz.skeleton.names
+    np.testing.assert_allclose(bvh.positions(), npz.positions(), atol=1e-4)
+    page = (out / "speech.html").read_text(encoding="utf-8")
+    assert "<script" in page and "audio" in page and page.rstrip().endswith("</html>")
+    assert (out / "speech.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
+    gesturekit, model, wav, tmp_path
+):
+    for name, seed in {"one": 3, "same": 3, "other": 4}.items():
+        done = gesturekit(
+            *("render", wav, "--model", model, "--out", tmp_path / name),
+            *("--format", "bvh,npz,html", "--seed", seed),
+        )
+        assert done.status == 0
+    for kind in ("bvh", "npz", "html"):
+        one, same, other = (
+            (tmp_path / name / f"speech.{kind}").read_bytes() for name in ("one", "same", "other")
+        )
+        assert one == same, kind
+        assert one != other, kind
+
+
+def test_what_is_rendered_beside_changes_nothing(gesturekit, model, wav, tmp_path):
+    second = make_sound(tmp_path / "in" / "second.wav", 50_001, 22_050)
+    runs = {
+        "alone": [wav],
+        "first": [wav, second, "--samples", 2],
+        "last": [second, wav, "--samples", 3],
+    }
+    for name, arguments in runs.items():
+        done = gesturekit(
+            "render", *arguments, "--model", model, "--out", tmp_path / name, "--format", "bvh,npz"
+        )
+        assert done.status == 0
+    assert names(tmp_path / "first") == [
+        f"{stem}_s{i}.{kind}"
+        for stem in ("second", "speech")
+        for i in (1, 2)
+        for kind in ("bvh", "npz")
+    ]
+    for kind in ("bvh", "npz"):
+        made = [(tmp_path / "last" / f"speech_s{i}.{kind}").read_bytes() for i in (1, 2, 3)]
+        assert len(set(made)) == 3, "samples differ"
+        assert made[0] == (tmp_path / "alone" / f"speech.{kind}").read_bytes()
+        for i in (1, 2):
+            assert made[i - 1] == (tmp_path / "first" / f"speech_s{i}.{kind}").read_bytes()
+
+
+def test_idle_motion_needs_no_sound(gesturekit, model, tmp_path):
+    done = gesturekit(
+        *("render", "--seconds", "2", "--samples", "2", "--model", model),
+        *("--out", tmp_path / "out", "--format", "bvh,html,png"),
+    )
+    assert (done.status, done.err) == (0, "")
+    assert len(names(tmp_path / "out")) == 6
+    assert frames_in(tmp_path / "out" / "motion_s2.bvh") == 2 * FPS
+
+
+def test_a_broken_file_never_stops_the_others(model, wav, broken, tmp_path):
+    """In a process of its own, so that all that reaches the terminal is seen."""
+    silent = tmp_path / "in" / "silent.wav"
+    soundfile.write(silent, np.zeros(16_000), 16_000)
+    out = tmp_path / "out"
+    done = subprocess.run(
+        [sys.executable, "-m", "gesturekit", "render", *broken.values(), silent, wav]
+        + ["--model", model, "--out", out, "--format", "bvh,npz,html,png"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    told = done.stderr.splitlines()
+    assert len(told) == len(broken) + 1, done.stderr
+    for (reason, path), line in zip(broken.items(), told, strict=False):
+        assert line.startswith(f"Failed: {path}") and reason in line
+    assert told[-1].startswith(f"Warning: {silent}: silent")
+    kinds = ("bvh", "html", "npz", "png")
+    assert names(out) == [f"{stem}.{kind}" for stem in ("silent", "speech") for kind in kinds]
+    assert done.stdout.split() == [
+        str(out / f"silent.{k}") for k in ("bvh", "npz", "html", "png")
+    ] + [str(out / f"speech.{k}") for k in ("bvh", "npz", "html", "png")]
+
+
+def test_nothing_but_broken_files(gesturekit, model, broken, tmp_path):
+    done = gesturekit("render", *broken.values(), "--model", model, "--out", tmp_path / "out")
+    assert done.status == 1
+    assert done.out == "" and len(done.err.splitlines()) == len(broken)
+    assert names(tmp_path / "out") == []
+
+
+def test_a_silent_sound_gives_the_idle_motion_of_its_length(gesturekit, model, tmp_path, caplog):
+    soundfile.write(tmp_path / "zeros.wav", np.zeros(20_000), 16_000)
+    common = ("--model", model, "--out", tmp_path / "out")
+    assert gesturekit("render", tmp_path / "zeros.wav", *common).status == 0
+    assert gesturekit("render", "--seconds", 1.25, *common).status == 0
+    silent, idle = (Motion.load(tmp_path / "out" / f"{name}.bvh") for name in ("zeros", "motion"))
+    np.testing.assert_allclose(silent.positions(), idle.positions(), atol=1e-6)
+    assert "zeros.wav: silent" in caplog.text
+
+
+def test_files_with_difficult_names(gesturekit, model, wav, tmp_path):
+    odd = ["with space.wav", "Ünï 漢字 🎤.wav", "a.b.c.wav", "-dash.wav", "%s {0}.wav", "UPPER.WAV"]
+    folder = tmp_path / "odd names"
+    folder.mkdir()
+    for name in odd:
+        shutil.copy(wav, folder / name)
+    shutil.copy(wav, folder / "._of_macos.wav")  # what macOS leaves on other disks is skipped
+    done = gesturekit(
+        "render", folder, "--model", model, "--out", tmp_path / "out", "--format", "bvh,html"
+    )
+    assert (done.status, done.err) == (0, "")
+    assert names(tmp_path / "out") == sorted(
+        f"{Path(name).stem}.{kind}" for name in odd for kind in ("bvh", "html")
+    )
+
+
+def test_a_name_that_is_no_text_fails_alone(gesturekit, model, wav, tmp_path):
+    odd = tmp_path / "in" / os.fsdecode(b"\xff\xfe.wav")
+    try:
+        shutil.copy(wav, odd)
+    except OSError:
+        pytest.skip("this file system takes text for names only")
+    done = gesturekit("render", wav.parent, "--model", model, "--out", tmp_path / "out")
+    assert done.status == 1 and done.out.split() == [str(tmp_path / "out" / "speech.bvh")]
+    (line,) = done.err.splitlines()
+    assert line.startswith("Failed: ")
+
+
+def test_a_file_named_twice_is_rendered_once(gesturekit, model, wav, tmp_path):
+    done = gesturekit("render", wav, wav.parent, wav, "--model", model, "--out", tmp_path / "out")
+    assert done.status == 0
+    assert done.out.split() == [str(tmp_path / "out" / "speech.bvh")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--format", "bvh,fbx"], "fbx: known: bvh, npz, html, png"),
+        (["--format", ","], "known: bvh"),
+        (["--model", "demmo"], "demmo: neither a model folder nor a bundled model"),
+        (["--samples", "0"], "samples"),
+        (["--seed", "one"], "seed"),
+        (["--seconds", "2"], "--seconds goes without audio"),
+        (["--colour", "red"], "--colour"),
+        (["in/other/speech.flac"], "speech.flac would both be written as"),
+        (["in/nothing"], "in/nothing: the folder holds no audio files"),
+        (["--out", "in/speech.wav"], "is a file"),
+        (["--out", "in/speech.wav/out"], "in/speech.wav/out: cannot be made"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_cannot_start_is_said_before_anything_is_done(
+    gesturekit, model, wav, tmp_path, monkeypatch, arguments, says
+):
+    monkeypatch.chdir(tmp_path)
+    make_sound(tmp_path / "in" / "other" / "speech.flac", 16_000, 16_000)
+    (tmp_path / "in" / "nothing").mkdir()
+    done = gesturekit("render", "in/speech.wav", "--model", model, "--out", "out", *arguments)
+    assert done.status == 2
+    assert says in done.err.splitlines()[-1] and done.out == ""
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("seconds", ["-1", "0", "1e12", "inf", "soon"])
+def test_lengths_that_cannot_be(gesturekit, model, tmp_path, seconds):
+    done = gesturekit("render", "--seconds", seconds, "--model", model, "--out", tmp_path / "out")
+    assert done.status == 2 and "--seconds" in done.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_neither_sound_nor_seconds(gesturekit, model, tmp_path):
+    done = gesturekit("render", "--model", model, "--out", tmp_path / "out")
+    assert done.status == 2 and "--seconds" in done.err
+
+
+def replace(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+DAMAGES = {
+    "format 2": lambda m: replace(m / "config.yaml", "format: 1", "format: 2"),
+    "kind 'telepathy'": lambda m: replace(m / "config.yaml", "kind: multires", "kind: telepathy"),
+    "kind ['multires']": lambda m: replace(m / "config.yaml", "multires", "[multires]"),
+    "fps is 0.0": lambda m: replace(m / "config.yaml", "fps: 25.0", "fps: 0"),
+    "lacks model.safetensors": lambda m: (m / "model.safetensors").unlink(),
+    "lacks skeleton.json": lambda m: (m / "skeleton.json").unlink(),
+    "config.yaml: no such": lambda m: (m / "config.yaml").unlink(),
+    "damaged": lambda m: (m / "model.safetensors").write_bytes(random.Random(0).randbytes(5000)),
+    "model is damaged": lambda m: (m / "skeleton.json").write_bytes(random.Random(0).randbytes(99)),
+    "the model is damaged": lambda m: (m / "skeleton.json").write_text('{"skeleton": [1]}'),
+    "config.yaml: cannot be read": lambda m: (m / "config.yaml").write_bytes(b"\xff\xfe\x00"),
+    "config.yaml: not valid YAML": lambda m: (m / "config.yaml").write_text("kind: [multires"),
+    "config.yaml: holds list": lambda m: (m / "config.yaml").write_text("[1, 2]"),
+}
+
+
+@pytest.mark.parametrize("says", DAMAGES)
+def test_a_damaged_model_is_refused_in_one_line(gesturekit, model, wav, tmp_path, says):
+    copy = tmp_path / "model"
+    shutil.copytree(model, copy)
+    DAMAGES[says](copy)
+    done = gesturekit("render", wav, "--model", copy, "--out", tmp_path / "out")
+    assert done.status == 2
+    (line,) = done.err.splitlines()
+    assert line.startswith("Error: ") and str(copy) in line and says in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_folder_leads_to_its_model(gesturekit, model, wav, tmp_path):
+    done = gesturekit("render", wav, "--model", model.parent, "--out", tmp_path / "out")
+    assert done.status == 2
+    assert done.err == f"Error: {model.parent}: a run folder; its model is {model}\n"
+
+
+def test_bytes_changed_at_random_never_end_in_a_traceback(gesturekit, model, tmp_path):
+    rng = random.Random(0)
+    copy = tmp_path / "model"
+    refused = 0
+    for _ in range(60):
+        shutil.copytree(model, copy, dirs_exist_ok=True)
+        path = copy / rng.choice(["config.yaml", "skeleton.json", "model.safetensors"])
+        data = bytearray(path.read_bytes())
+        end = len(data)
+        if path.suffix == ".safetensors":  # its header; damaged numbers are still numbers
+            end = 8 + int.from_bytes(data[:8], "little")
+        if rng.random() < 0.3:
+            del data[rng.randrange(end) :]
+        else:
+            for _ in range(rng.choice([1, 4])):
+                data[rng.randrange(end)] = rng.randrange(256)
+        path.write_bytes(data)
+        done = gesturekit("render", "--seconds", 0.4, "--model", copy, "--out", tmp_path / "out")
+        assert done.status in (0, 1, 2), path
+        assert (done.err == "") == (done.status == 0)
+        refused += done.status == 2
+    assert refused > 20
+
+
+def test_ctrl_c_leaves_whole_files_only(model, wav, tmp_path):
+    folder, out = tmp_path / "many", tmp_path / "out"
+    folder.mkdir()
+    for i in range(300):
+        shutil.copy(wav, folder / f"{i:03d}.wav")
+    running = subprocess.Popen(
+        [sys.executable, "-m", "gesturekit", "render", folder, "--model", model, "--out", out]
+        + ["--format", "npz,html"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while not (out / "001.html").exists():
+        assert running.poll() is None and time.monotonic() < deadline, running.communicate()
+        time.sleep(0.01)
+    running.send_signal(signal.SIGINT)
+    told = running.communicate(timeout=60)[1]
+    assert running.returncode == 130
+    assert told.strip() == "Interrupted."
+    assert 2 <= len(names(out)) < 600
+    for path in out.iterdir():
+        assert re.fullmatch(r"\d{3}\.(npz|html)", path.name), "nothing temporary is left"
+        if path.suffix == ".npz":
+            assert Motion.load(path).n_frames == 38
+        else:
+            assert path.read_text(encoding="utf-8").rstrip().endswith("</html>")

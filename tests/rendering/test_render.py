@@ -1,0 +1,81 @@
+"""Many sounds through one model: each has an outcome of its own, as soon as it is there."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+import audio_features as af
+from gesturekit import Motion
+from gesturekit.errors import ConfigError
+from gesturekit.rendering.render import FORMATS, render
+
+
+@pytest.fixture
+def sounds(tmp_path, write_speech):
+    return [write_speech(tmp_path / "in" / f"{name}.wav", 1.5) for name in "abc"]
+
+
+def test_an_outcome_is_there_before_the_next_file_is_begun(model, sounds, tmp_path):
+    out = tmp_path / "out"
+    outcomes = render(model, sounds, out)
+    first = next(outcomes)
+    assert (first.source, first.files, first.error) == (str(sounds[0]), (out / "a.bvh",), None)
+    assert [path.name for path in out.iterdir()] == ["a.bvh"]
+    sounds[1].write_text("gone bad meanwhile")
+    second, third = outcomes
+    assert second.files == () and second.error.startswith(str(sounds[1]))
+    assert third.files == (out / "c.bvh",) and third.error is None
+
+
+def test_motion_on_disk_is_what_the_model_generates(model, sounds, tmp_path):
+    (outcome,) = render(model, sounds[:1], tmp_path, formats=("npz",), seed=5)
+    motion = model.generate(af.Wave.load(sounds[0]), seed=5)
+    again = Motion.load(outcome.files[0])
+    assert again.fps == motion.fps == 25 and again.n_frames == 38
+    assert (again.rotations == motion.rotations).all()
+    assert (again.translation == motion.translation).all()
+
+
+def test_folders_stand_for_the_sounds_in_them(model, sounds, tmp_path):
+    (sounds[0].parent / "notes.txt").write_text("not a sound, and not rendered")
+    (sounds[0].parent / ".hidden.wav").write_text("nor this")
+    sources = [sounds[2], sounds[0].parent]
+    outcomes = list(render(model, sources, tmp_path / "out"))
+    assert [outcome.source for outcome in outcomes] == [str(sounds[i]) for i in (2, 0, 1)]
+
+
+def test_a_file_that_cannot_be_written_is_told_and_the_others_are_kept(model, sounds, tmp_path):
+    out = tmp_path / "out"
+    (out / "b.npz").mkdir(parents=True)
+    one, two, three = render(model, sounds, out, formats=("bvh", "npz"))
+    assert one.error is None and three.error is None
+    assert two.files == (out / "b.bvh",)
+    assert str(sounds[1]) in two.error and "b.npz" in two.error
+    assert sorted(path.name for path in out.iterdir()) == [
+        f"{stem}.{kind}" for stem in "abc" for kind in ("bvh", "npz")
+    ]
+
+
+def test_a_model_that_gives_nan_fails_each_file_by_name(model, sounds, tmp_path):
+    damaged = copy.copy(model)
+    damaged.normaliser = copy.copy(model.normaliser)
+    object.__setattr__(damaged.normaliser, "mean", model.normaliser.mean * float("nan"))
+    for sound, outcome in zip(sounds, render(damaged, sounds, tmp_path), strict=True):
+        assert outcome.error.startswith(f"{sound}: ") and "NaN" in outcome.error
+
+
+def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
+    (outcome,) = render(model, [tmp_path / "none.wav"], tmp_path / "out", formats=FORMATS)
+    assert outcome.files == () and "none.wav: no such file" in outcome.error
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("formats", "names"), [(("bvh", "obj"), "obj"), ((), "none"), (("BVH",), "BVH")]
+)
+def test_unknown_formats(model, sounds, tmp_path, formats, names):
+    with pytest.raises(ConfigError, match=f"{names}.*known: bvh, npz, html, png"):
+        next(render(model, sounds, tmp_path / "out", formats=formats))
+    assert not (tmp_path / "out").exists()

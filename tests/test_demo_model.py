@@ -1,0 +1,136 @@
+"""The bundled model does what the first page promises."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.evaluation import arm_speed, max_speed
+from gesturekit.motion.rotations import rotation_angles
+from gesturekit.systems import bundled_speech
+
+RECIPE = Path(__file__).resolve().parents[1] / "recipes" / "demo"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return gk.load("demo")
+
+
+@pytest.fixture(scope="module")
+def speech() -> af.Wave:
+    return af.Wave.load(bundled_speech())
+
+
+@pytest.fixture(scope="module")
+def say():
+    """say(pitch_range, swing): the same sentences, monotone or lively in pitch and energy."""
+    pytest.importorskip("espeakng_loader", reason="pip install espeakng-loader")
+    sys.path.insert(0, str(RECIPE))
+    from voice import Voice, speak
+
+    def make(pitch_range: int, swing: float) -> af.Wave:
+        sentences = [
+            "I had not thought that it could be so *simple*.",
+            "But then we *tried* it again, and this time everything *worked*!",
+            "So what I would say is *this*: take your time.",
+        ]
+        spoken, rate = speak(sentences, Voice("en-us+m2", pitch_range=pitch_range))
+        pause = np.zeros(rate // 2, np.float32)
+        samples = np.concatenate([part for s in spoken for part in (s, pause)])
+        time = np.arange(len(samples)) / rate
+        loudness = np.exp(swing * np.sin(2 * np.pi * 0.8 * time))
+        return af.Wave((0.5 * samples * loudness).astype(np.float32), rate, None)
+
+    yield make
+    sys.path.remove(str(RECIPE))
+    sys.modules.pop("voice", None)
+
+
+def test_the_model_is_small_and_says_where_it_comes_from():
+    folder = bundled_speech().parent
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 4 * 2**20
+    assert "synthetic" in (folder / "README.md").read_text()
+
+
+def test_as_many_frames_as_the_sound_is_long(model, speech):
+    for start, duration in ((0.0, None), (0.3, 1.0), (1.0, 0.21), (0.5, 3.333)):
+        part = speech.slice(start, duration or speech.duration)
+        samples, rate = len(part.samples), part.sample_rate
+        expected = int(np.floor(samples * model.fps / rate + 0.5))
+        assert model.generate(part).n_frames == expected
+
+
+def test_the_same_seed_is_the_same_file_and_another_seed_another(model, speech, tmp_path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        model.generate(speech, seed=seed).save(tmp_path / f"{name}.bvh")
+    files = {name: (tmp_path / f"{name}.bvh").read_bytes() for name in "abc"}
+    assert files["a"] == files["b"] != files["c"]
+    one, other = (gk.Motion.load(tmp_path / f"{name}.bvh").positions() for name in "ac")
+    assert np.abs(one - other).max() > 0.01
+
+
+def test_it_moves_like_a_body(model, speech):
+    motion = model.generate(speech)
+    assert np.isfinite(motion.rotations).all() and max_speed(motion) < 10.0
+    still = [
+        name
+        for name in model.representation.joints
+        if rotation_angles(
+            motion.rotations[:, j := motion.skeleton.index(name)], motion.rotations[:1, j]
+        ).max()
+        < 1e-4
+    ]
+    assert not still, "joints that move in training"
+    feet = motion.positions()[:, [motion.skeleton.index(f"{s}Foot") for s in ("Left", "Right")]]
+    assert np.ptp(feet[..., 1]) < 0.1, "feet stay near the floor"
+
+
+def test_two_wavs_give_two_motions(model, speech):
+    half = speech.duration / 2
+    one, other = (model.generate(speech.slice(start, half)) for start in (0.0, half))
+    n = min(one.n_frames, other.n_frames)
+    assert np.abs(one.positions()[:n] - other.positions()[:n]).max() > 0.05
+
+
+def test_silence_moves_less_than_speech(model, speech):
+    silence = af.Wave(np.zeros_like(speech.samples), speech.sample_rate, None)
+    idle = arm_speed(model.generate(silence)).mean()
+    assert idle < 0.3 * arm_speed(model.generate(speech)).mean()
+
+
+def test_twenty_decibels_quieter_is_the_same_motion(model, speech):
+    loud = model.generate(speech)
+    # As a 16-bit file would hold it.
+    quiet = np.round(speech.samples * 0.1 * 32768) / 32768
+    soft = model.generate(af.Wave(quiet.astype(np.float32), speech.sample_rate, None))
+    assert np.degrees(rotation_angles(loud.rotations, soft.rotations).max()) < 2.0
+
+
+def test_livelier_speech_moves_the_arms_more(model, say):
+    flat, lively = say(pitch_range=5, swing=0.0), say(pitch_range=95, swing=0.7)
+    speeds = [
+        np.mean([arm_speed(model.generate(wave, seed=seed)).mean() for seed in range(4)])
+        for wave in (flat, lively)
+    ]
+    assert speeds[1] > 1.05 * speeds[0]
+
+
+def test_the_demo_command_leaves_every_format(tmp_path):
+    run = subprocess.run(
+        [sys.executable, "-m", "gesturekit", "demo", "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    names = {path.suffix for path in (tmp_path / "out").iterdir()}
+    assert names == {".bvh", ".npz", ".html", ".png"}
+    assert "Blender" in run.stdout and str(tmp_path / "out" / "speech.bvh") in run.stdout
+    with np.load(tmp_path / "out" / "speech.npz", allow_pickle=False) as arrays:
+        assert arrays["rotations"].shape[0] == arrays["translation"].shape[0]

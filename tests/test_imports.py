@@ -1,0 +1,95 @@
+"""Light to import, light to ask for help, and every example in the help works."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from gesturekit.cli import VERBS, cli
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.training.config import load_config
+
+ROOT = Path(__file__).resolve().parents[1]
+HEAVY = ("torch", "librosa", "transformers", "scipy.signal", "matplotlib")
+
+
+HELP = "from gesturekit.cli import main\ntry: main({})\nexcept SystemExit: pass"
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import gesturekit, audio_features",
+        "from gesturekit import GestureKitError; from audio_features import AudioError",
+        HELP.format(["--help"]),
+        *(HELP.format([verb, "--help"]) for verb in VERBS),
+    ],
+)
+def test_nothing_heavy_is_loaded(code):
+    code += f"\nimport sys\nprint('loaded', *set({HEAVY}) & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "loaded"
+
+
+def test_public_names_are_there():
+    import audio_features as af
+    import gesturekit as gk
+
+    for package in (gk, af):
+        for name in package.__all__:
+            assert getattr(package, name) is not None and name in dir(package)
+        with pytest.raises(AttributeError, match="no_such_name"):
+            _ = package.no_such_name
+
+
+def test_the_program_and_the_module_are_the_same():
+    done = subprocess.run(
+        [sys.executable, "-m", "gesturekit", "--help"], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    for verb in VERBS:
+        assert re.search(rf"^  {verb} ", done.stdout, re.MULTILINE), verb
+
+
+def example_of(verb: str) -> str:
+    """The command line that ends a verb's help."""
+    command = cli.get_command(click.Context(cli), verb)
+    shown = " ".join(command.get_help(click.Context(command, info_name=verb)).split())
+    assert " Example: " in shown, f"{verb} --help has no example"
+    return shown.rpartition(" Example: ")[2]
+
+
+def check_command_line(line: str) -> None:
+    """The verb exists and takes these options; a configuration in it exists and takes its keys."""
+    program, verb, *arguments = shlex.split(line, comments=True)
+    assert program == "gesturekit" and verb in VERBS, line
+    command = cli.get_command(click.Context(cli), verb)
+    parameters = command.make_context(verb, arguments).params
+    if verb == "train":
+        load_config(ROOT / parameters["config"], MultiresConfig, parameters["overrides"])
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_example_in_the_help_works(verb):
+    assert example_of(verb).startswith(f"gesturekit {verb} ")
+    check_command_line(example_of(verb))
+
+
+@pytest.mark.parametrize(
+    "page", ["README.md", *(p.relative_to(ROOT) for p in ROOT.glob("recipes/*/README.md"))], ids=str
+)
+def test_command_lines_on_the_pages_work(page):
+    text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
+    fenced = re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    indented = re.findall(r"^    .*$", text, re.MULTILINE)
+    for line in "\n".join([*fenced, *indented]).splitlines():
+        line = line.strip().removeprefix("$ ").removeprefix(".venv/bin/")
+        if line.startswith("gesturekit "):
+            check_command_line(line)
