@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -114,3 +116,55 @@ def write_pair(gesture, write_speech) -> Callable[..., tuple[Path, Path]]:
         return audio, motion
 
     return write
+
+
+@pytest.fixture(scope="session")
+def corpus(tmp_path_factory, write_pair, write_speech) -> Path:
+    """A manifest of two recordings of different lengths (6 and 2.5 s) and unpaired speech."""
+    from gesturekit.corpus import prepare
+
+    folder = tmp_path_factory.mktemp("corpus")
+    write_pair(folder / "paired", "a", 6.0, seed=1)
+    write_pair(folder / "paired", "b", 2.5, seed=2)
+    write_speech(folder / "more" / "c.wav", 5.0, level=0.1)
+    manifest = folder / "corpus.jsonl"
+    prepare([folder / "paired"], manifest, unpaired=[folder / "more"], holdout=0.0)
+    return manifest
+
+
+@pytest.fixture(scope="session")
+def write_wavlm() -> Callable[..., Any]:
+    """write_wavlm(folder, seed=0, norm="group"): a tiny WavLM of random weights, as Hugging Face
+    saves them; norm "layer" is the front end of the Large models. Returns the model."""
+    import torch
+    import transformers
+
+    def write(folder: Path, seed: int = 0, norm: str = "group") -> Any:
+        torch.manual_seed(seed)
+        config = transformers.WavLMConfig(
+            hidden_size=32,
+            num_hidden_layers=3,
+            num_attention_heads=4,
+            intermediate_size=64,
+            conv_dim=[16] * 7,
+            num_conv_pos_embeddings=16,
+            num_conv_pos_embedding_groups=4,
+            feat_extract_norm=norm,
+            do_stable_layer_norm=norm == "layer",
+        )
+        model = transformers.WavLMModel(config).eval()
+        model.save_pretrained(folder)
+        return model
+
+    return write
+
+
+@pytest.fixture
+def no_network(monkeypatch) -> None:
+    """Any attempt to reach the network fails the test."""
+
+    def refuse(*args: object, **kwargs: object) -> None:
+        raise AssertionError("the network was reached for")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import socket
 import warnings
 
 import numpy as np
@@ -14,43 +13,18 @@ torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
 
 
-@pytest.fixture(autouse=True)
-def no_network(monkeypatch):
-    def refuse(*args, **kwargs):
-        raise AssertionError("the network was reached for")
-
-    monkeypatch.setattr(socket.socket, "connect", refuse)
-    monkeypatch.setattr(socket, "getaddrinfo", refuse)
-
-
-def build(folder, norm: str):
-    """A tiny WavLM with random weights: "group" as Base, "layer" as Large."""
-    torch.manual_seed(0)
-    config = transformers.WavLMConfig(
-        hidden_size=32,
-        num_hidden_layers=3,
-        num_attention_heads=4,
-        intermediate_size=64,
-        conv_dim=[16] * 7,
-        num_conv_pos_embeddings=16,
-        num_conv_pos_embedding_groups=4,
-        feat_extract_norm=norm,
-        do_stable_layer_norm=norm == "layer",
-    )
-    model = transformers.WavLMModel(config).eval()
-    model.save_pretrained(folder)
-    return model
+pytestmark = pytest.mark.usefixtures("no_network")
 
 
 @pytest.fixture(scope="module", params=["group", "layer"])
-def weights(request, tmp_path_factory):
+def weights(request, tmp_path_factory, write_wavlm):
     folder = tmp_path_factory.mktemp(request.param)
-    return folder, build(folder, request.param), request.param
+    return folder, write_wavlm(folder, norm=request.param), request.param
 
 
 @pytest.fixture
-def base(tmp_path):
-    build(tmp_path / "base", "group")
+def base(tmp_path, write_wavlm):
+    write_wavlm(tmp_path / "base")
     return tmp_path / "base"
 
 
@@ -134,14 +108,14 @@ def test_fingerprints_name_the_weights_and_not_the_file(base, tmp_path):
     assert af.WavLM(base).fingerprint != first
 
 
-def test_a_spec_asks_for_its_own_weights(base, tmp_path, speech):
+def test_a_spec_asks_for_its_own_weights(base, tmp_path, speech, write_wavlm):
     extractor = af.WavLM(base, layer=2)
     spec = json.loads(json.dumps(extractor.spec))
     again = af.extractor_from_spec(spec, weights=base)
     np.testing.assert_array_equal(again.extract(speech).values, extractor.extract(speech).values)
     with pytest.raises(af.WeightsError, match="--weights"):
         af.extractor_from_spec(spec)
-    build(tmp_path / "other", "layer")
+    write_wavlm(tmp_path / "other", norm="layer")
     with pytest.raises(af.WeightsError) as caught:
         af.extractor_from_spec(spec, weights=tmp_path / "other")
     assert extractor.fingerprint in str(caught.value)

@@ -61,21 +61,6 @@ def gesturekit(capsys) -> Callable[..., Done]:
 
 
 @pytest.fixture(scope="session")
-def corpus(tmp_path_factory, write_pair, write_speech) -> Path:
-    """A manifest of two short pairs and some unpaired speech, by `gesturekit prepare`."""
-    folder = tmp_path_factory.mktemp("corpus")
-    write_pair(folder / "paired", "a", 3.0, seed=1)
-    write_pair(folder / "paired", "b", 2.5, seed=2)
-    write_speech(folder / "more" / "c.wav", 3.0, level=0.1)
-    manifest = folder / "corpus.jsonl"
-    more = ["--unpaired", str(folder / "more")]
-    with pytest.raises(SystemExit) as left:
-        main(["prepare", str(folder / "paired"), *more, "--out", str(manifest), "--holdout", "0"])
-    assert left.value.code == 0
-    return manifest
-
-
-@pytest.fixture(scope="session")
 def model(corpus, tmp_path_factory) -> Path:
     """A model folder, by `gesturekit train`; its motion is of no use, but it is motion."""
     run = tmp_path_factory.mktemp("runs") / "tiny"

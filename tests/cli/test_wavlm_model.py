@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import re
-import socket
 from pathlib import Path
 
 import pytest
-import torch
-import transformers
 import yaml
 
 from gesturekit import Motion
@@ -16,33 +13,12 @@ from gesturekit import Motion
 CONFIG = Path(__file__).resolve().parents[2] / "recipes" / "multires_speech" / "config.yaml"
 
 
-def write_weights(folder: Path, seed: int) -> Path:
-    """A WavLM of random weights with the front end of the real one."""
-    torch.manual_seed(seed)
-    config = transformers.WavLMConfig(
-        hidden_size=16,
-        num_hidden_layers=2,
-        num_attention_heads=2,
-        intermediate_size=32,
-        conv_dim=[8] * 7,
-        num_conv_pos_embeddings=16,
-        num_conv_pos_embedding_groups=4,
-    )
-    transformers.WavLMModel(config).save_pretrained(folder)
-    return folder
+pytestmark = pytest.mark.usefixtures("no_network")
 
 
-@pytest.fixture(autouse=True)
-def no_network(monkeypatch):
-    def refuse(*args, **kwargs):
-        raise AssertionError("the network was reached for")
-
-    monkeypatch.setattr(socket.socket, "connect", refuse)
-    monkeypatch.setattr(socket, "getaddrinfo", refuse)
-
-
-def test_from_weights_to_motion(gesturekit, corpus, write_speech, tmp_path, tiny):
-    weights = write_weights(tmp_path / "wavlm", seed=0)
+def test_from_weights_to_motion(gesturekit, corpus, write_speech, write_wavlm, tmp_path, tiny):
+    weights = tmp_path / "wavlm"
+    write_wavlm(weights)
     run = tmp_path / "run"
     done = gesturekit(
         "train", CONFIG, f"corpus={corpus}", f"out={run}", f"features.weights={weights}", *tiny
@@ -58,7 +34,8 @@ def test_from_weights_to_motion(gesturekit, corpus, write_speech, tmp_path, tiny
     assert without.status == 2
     assert "--weights" in without.err and fingerprint in without.err
 
-    other = write_weights(tmp_path / "other", seed=1)
+    other = tmp_path / "other"
+    write_wavlm(other, seed=1)
     refused = gesturekit(*render, "--weights", other)
     assert refused.status == 2
     found = set(re.findall(r"[0-9a-f]{64}", refused.err))

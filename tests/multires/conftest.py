@@ -1,12 +1,9 @@
-"""A corpus of seconds and a pyramid of few channels: a run takes seconds too."""
+"""A pyramid of few channels, on the corpus of seconds: a run takes seconds too."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from gesturekit.corpus import prepare
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.training.config import build
 
@@ -27,18 +24,6 @@ SMALL = {
     "checkpoint_every": 5,
     "log_every": 2,
 }
-
-
-@pytest.fixture(scope="session")
-def corpus(tmp_path_factory, write_pair, write_speech) -> Path:
-    """Two recordings of different lengths, and unpaired speech."""
-    folder = tmp_path_factory.mktemp("corpus")
-    write_pair(folder / "paired", "a", 6.0, seed=1)
-    write_pair(folder / "paired", "b", 2.5, seed=2)
-    write_speech(folder / "more" / "c.wav", 5.0, level=0.1)
-    manifest = folder / "corpus.jsonl"
-    prepare([folder / "paired"], manifest, unpaired=[folder / "more"], holdout=0.0)
-    return manifest
 
 
 @pytest.fixture

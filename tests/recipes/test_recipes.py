@@ -6,8 +6,6 @@ import shlex
 from pathlib import Path
 
 import pytest
-import torch
-import transformers
 
 import gesturekit as gk
 from gesturekit.cli import main
@@ -36,34 +34,9 @@ CONFIG_CLASSES = {"multires": MultiresConfig}
 
 
 @pytest.fixture(scope="module")
-def corpus(tmp_path_factory, write_pair, write_speech) -> Path:
-    folder = tmp_path_factory.mktemp("corpus")
-    write_pair(folder / "paired", "a", 3.0, seed=1)
-    write_pair(folder / "paired", "b", 2.5, seed=2)
-    write_speech(folder / "more" / "c.wav", 3.0, level=0.1)
-    manifest = folder / "corpus.jsonl"
-    more = ["--unpaired", str(folder / "more")]
-    with pytest.raises(SystemExit) as left:
-        main(["prepare", str(folder / "paired"), *more, "--out", str(manifest), "--holdout", "0"])
-    assert left.value.code == 0
-    return manifest
-
-
-@pytest.fixture(scope="module")
-def wavlm(tmp_path_factory) -> Path:
-    """A WavLM of random weights with the front end of the real one."""
+def wavlm(tmp_path_factory, write_wavlm) -> Path:
     folder = tmp_path_factory.mktemp("wavlm")
-    torch.manual_seed(0)
-    config = transformers.WavLMConfig(
-        hidden_size=16,
-        num_hidden_layers=2,
-        num_attention_heads=2,
-        intermediate_size=32,
-        conv_dim=[8] * 7,
-        num_conv_pos_embeddings=16,
-        num_conv_pos_embedding_groups=4,
-    )
-    transformers.WavLMModel(config).save_pretrained(folder)
+    write_wavlm(folder)
     return folder
 
 
