@@ -19,6 +19,7 @@ _EXPORTS = {
     "Extractor": "extractor",
     "FeatureError": "errors",
     "FeatureTrack": "track",
+    "Liveliness": "acoustic",
     "LogMel": "acoustic",
     "MFCC": "acoustic",
     "Prosody": "acoustic",

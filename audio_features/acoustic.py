@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 
 from audio_features.errors import FeatureError
-from audio_features.pitch import track_pitch
-from audio_features.spectrum import MAX_MELS, ShortTimeSpectrum, to_db
+from audio_features.spectrum import FRAME_RATE, MAX_MELS, ShortTimeSpectrum
 from audio_features.track import FeatureTrack
-from audio_features.wave import SPEECH_LEVEL_DBFS, Wave
+from audio_features.wave import Wave
 
 _BANDS = 40  # mel bands behind MFCC and onset strength
+_OCTAVE_GUARD = 7.0  # semitones
 _ONSET_LAG = 2  # frames: windows 20 ms apart hardly overlap, so a rise shows in full
-_VOICED = 0.6  # periodicity from which a frame counts as voiced
-_AUDIBLE_DB = -30.0  # quieter frames than this, relative to active speech, are unvoiced
 
 
 class AcousticExtractor(ABC):
@@ -28,10 +26,13 @@ class AcousticExtractor(ABC):
     Attributes:
         spec: what `extractor_from_spec` needs to make this extractor again, JSON-able.
         names: names of the columns.
+        centred: for each column, whether a clip's own mean tells of voice and room alone and
+            may be taken out.
     """
 
     spec: dict[str, Any]
     names: tuple[str, ...]
+    centred: tuple[bool, ...]
 
     @property
     def dim(self) -> int:
@@ -61,6 +62,7 @@ class LogMel(AcousticExtractor):
         self.n_mels = _whole("n_mels", n_mels, MAX_MELS)
         self.spec = {"kind": "logmel", "n_mels": self.n_mels}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
+        self.centred = (True,) * self.n_mels
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         return spectrum.log_mel(self.n_mels)
@@ -76,6 +78,7 @@ class MFCC(AcousticExtractor):
         self.n = _whole("n", n, _BANDS)
         self.spec = {"kind": "mfcc", "n": self.n}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
+        self.centred = (True,) * self.n
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         from scipy.fft import dct
@@ -93,25 +96,53 @@ class Prosody(AcousticExtractor):
     """
 
     names = ("f0", "voicing", "energy", "onset")
+    centred = (True,) * 4
 
     def __init__(self) -> None:
         self.spec = {"kind": "prosody"}
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
-        rms = spectrum.wave.rms(spectrum.times, window=0.05)
-        energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
-
-        f0, voicing = track_pitch(spectrum.wave.samples, spectrum.n_frames)
-        voicing[energy < _AUDIBLE_DB] = 0.0
-        voiced = voicing >= _VOICED
-        semitones = np.zeros_like(f0)
-        if voiced.any():
-            semitones[voiced] = 12.0 * np.log2(f0[voiced] / np.median(f0[voiced]))
-
         bands = spectrum.log_mel(_BANDS)
-        onset = np.zeros_like(f0)
+        onset = np.zeros(spectrum.n_frames)
         onset[_ONSET_LAG:] = np.maximum(bands[_ONSET_LAG:] - bands[:-_ONSET_LAG], 0.0).mean(axis=1)
-        return np.stack([semitones, voicing, energy, onset], axis=1)
+        melody = spectrum.melody
+        return np.stack([melody.semitones, melody.voicing, melody.energy, onset], axis=1)
+
+
+class Liveliness(AcousticExtractor):
+    """How widely pitch and energy range around each moment: two columns.
+
+    - `f0_range`: mean distance of the pitch from its local mean over voiced frames, semitones.
+      Pitch is kept within 7 semitones of the clip's median, since trackers err by octaves.
+    - `energy_range`: the same of the energy, dB.
+
+    Both under a Gaussian of `seconds`. A monotonous clip stays low throughout, so its mean must
+    not be taken out.
+    """
+
+    names = ("f0_range", "energy_range")
+    centred = (False, False)
+
+    def __init__(self, seconds: float = 1.0) -> None:
+        if not isinstance(seconds, (int, float)) or not 0.05 <= seconds <= 60:
+            raise FeatureError(f"seconds={seconds!r}: a number from 0.05 to 60")
+        self.seconds = float(seconds)
+        self.spec = {"kind": "liveliness", "seconds": self.seconds}
+
+    def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
+        from scipy.ndimage import gaussian_filter1d
+
+        melody = spectrum.melody
+        sigma = self.seconds * FRAME_RATE
+        # Some weight that speaks of no range, so that a few voiced frames do not make one.
+        weight = gaussian_filter1d(melody.voiced.astype(float), sigma, mode="constant") + 0.02
+        columns = []
+        for values in (np.clip(melody.semitones, -_OCTAVE_GUARD, _OCTAVE_GUARD), melody.energy):
+            spoken = np.where(melody.voiced, values, 0.0)
+            mean = gaussian_filter1d(spoken, sigma, mode="constant") / weight
+            distance = np.where(melody.voiced, np.abs(values - mean), 0.0)
+            columns.append(gaussian_filter1d(distance, sigma, mode="constant") / weight)
+        return np.stack(columns, axis=1)
 
 
 def _whole(name: str, value: int, highest: int) -> int:

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from audio_features.acoustic import MFCC, AcousticExtractor, LogMel, Prosody
+from audio_features.acoustic import MFCC, AcousticExtractor, Liveliness, LogMel, Prosody
 from audio_features.errors import FeatureError, WeightsError
 from audio_features.spectrum import ShortTimeSpectrum
 from audio_features.track import FeatureTrack
@@ -31,6 +31,10 @@ class Extractor(Protocol):
     def dim(self) -> int:
         """Number of columns D."""
 
+    @property
+    def centred(self) -> tuple[bool, ...]:
+        """For each column, whether a clip's own mean tells of voice and room alone."""
+
     def extract(self, wave: Wave) -> FeatureTrack:
         """The features of a sound, (T, D) on their own time base."""
 
@@ -46,6 +50,7 @@ class Stack:
         if not self.parts:
             raise FeatureError("an empty stack: give at least one extractor")
         self.names = tuple(name for part in self.parts for name in part.names)
+        self.centred = tuple(mark for part in self.parts for mark in part.centred)
         doubles = sorted({name for name in self.names if self.names.count(name) > 1})
         if doubles:
             raise FeatureError(f"two parts of a stack both give {doubles[0]!r}: name each once")
@@ -100,7 +105,7 @@ def extractor_from_spec(
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
         return Stack([extractor_from_spec(part, weights=weights) for part in parts])
-    light = {"logmel": LogMel, "mfcc": MFCC, "prosody": Prosody}
+    light = {"logmel": LogMel, "mfcc": MFCC, "prosody": Prosody, "liveliness": Liveliness}
     if kind not in light:
         known = ", ".join([*light, "wavlm", "stack"])
         raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -22,6 +23,8 @@ MAX_MELS = 80
 HOP = SAMPLE_RATE // FRAME_RATE
 WINDOW = 400  # 25 ms
 N_FFT = 512
+_VOICED = 0.6  # periodicity from which a frame counts as voiced
+_AUDIBLE_DB = -30.0  # quieter frames than this, relative to active speech, are unvoiced
 _BLOCK_FRAMES = 3000  # 30 s worked on at a time, so that long files need little memory
 
 
@@ -43,6 +46,23 @@ def centred_frames(
         yield first, np.lib.stride_tricks.sliding_window_view(block, length)[::HOP]
 
 
+@dataclass(frozen=True)
+class Melody:
+    """How a voice rises, falls, swells and fades, 100 frames per second.
+
+    Attributes:
+        semitones: (T,) pitch relative to the clip's median over voiced frames; 0 where unvoiced.
+        voicing: (T,) 0 to 1, periodicity at the fundamental; 0 in frames too quiet.
+        energy: (T,) dB of the RMS over 50 ms, relative to active speech, at least -60.
+        voiced: (T,) bool, where `voicing` is high enough to speak of a pitch.
+    """
+
+    semitones: np.ndarray
+    voicing: np.ndarray
+    energy: np.ndarray
+    voiced: np.ndarray
+
+
 class ShortTimeSpectrum:
     """A sound prepared for the acoustic features.
 
@@ -61,6 +81,22 @@ class ShortTimeSpectrum:
         self.n_frames = wave.n_frames(FRAME_RATE)
         self.times = np.arange(self.n_frames) / FRAME_RATE
         self._log_mels: dict[int, np.ndarray] = {}
+
+    @cached_property
+    def melody(self) -> Melody:
+        """Pitch, voicing and energy, tracked once for all that ask."""
+        # Pitch is tracked on the frames of this module.
+        from audio_features.pitch import track_pitch
+
+        rms = self.wave.rms(self.times, window=0.05)
+        energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
+        f0, voicing = track_pitch(self.wave.samples, self.n_frames)
+        voicing[energy < _AUDIBLE_DB] = 0.0
+        voiced = voicing >= _VOICED
+        semitones = np.zeros_like(f0)
+        if voiced.any():
+            semitones[voiced] = 12.0 * np.log2(f0[voiced] / np.median(f0[voiced]))
+        return Melody(semitones, voicing, energy, voiced)
 
     @cached_property
     def power(self) -> np.ndarray:

@@ -59,6 +59,11 @@ class WavLM:
         self._keep_layers(layer)
 
     @property
+    def centred(self) -> tuple[bool, ...]:
+        """All columns: a clip's mean tells of voice and room."""
+        return (True,) * self.dim
+
+    @property
     def spec(self) -> dict[str, Any]:
         """{"kind": "wavlm", "layer": …, "fingerprint": …}."""
         return {"kind": "wavlm", "layer": self.layer, "fingerprint": self.fingerprint}

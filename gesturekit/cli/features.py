@@ -11,7 +11,7 @@ import click
 if TYPE_CHECKING:
     from audio_features import Extractor
 
-KINDS = ("logmel", "mfcc", "prosody", "wavlm")
+KINDS = ("logmel", "mfcc", "prosody", "liveliness", "wavlm")
 
 
 @click.command(

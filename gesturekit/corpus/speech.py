@@ -27,7 +27,8 @@ class SpeechConditioner:
     Each clip is centred on the mean of its own active speech, which takes a stranger's voice,
     microphone and room to where the training voices were, and scaled by the spread seen in
     training, which leaves monotonous speech monotonous and silence silent. Where a clip holds
-    little or no speech, the training mean takes the place of its own.
+    little or no speech, the training mean takes the place of its own; so it always does in
+    columns whose mean says something of the speech (`centred` of the extractor).
 
     Attributes:
         extractor: an extractor of `audio_features`.
@@ -48,18 +49,21 @@ class SpeechConditioner:
         cls, waves: Iterable[af.Wave], extractor: Any, fps: float, align: str
     ) -> SpeechConditioner:
         """Learn centre and scale from training speech, paired and unpaired alike."""
-        centres, spreads, frames = [], [], 0
+        centres, spreads, frames = [], [], []
         for wave in waves:
             values, active = extract(wave, extractor, fps, align)
             if active.any():
                 spoken = values[active]
                 centres.append(spoken.mean(axis=0))
                 spreads.append(spoken.var(axis=0) * len(spoken))
-                frames += len(spoken)
+                frames.append(len(spoken))
         if not centres:
             return cls(extractor, fps, align, np.zeros(extractor.dim), np.ones(extractor.dim))
-        scale = np.maximum(np.sqrt(np.sum(spreads, axis=0) / frames), 1e-3)
-        return cls(extractor, fps, align, np.mean(centres, axis=0), scale)
+        centre = np.mean(centres, axis=0)
+        within = np.sum(spreads, axis=0) / np.sum(frames)
+        between = np.where(extractor.centred, 0.0, np.var(centres, axis=0))
+        scale = np.maximum(np.sqrt(within + between), 1e-3)
+        return cls(extractor, fps, align, centre, scale)
 
     @property
     def dim(self) -> int:
@@ -72,6 +76,7 @@ class SpeechConditioner:
         prior = _PRIOR_SECONDS * self.fps
         own = values[active].sum(axis=0)
         centre = (own + prior * self.centre) / (active.sum() + prior)
+        centre = np.where(self.extractor.centred, centre, self.centre)
         normalised = (values - centre) / self.scale
         return np.clip(normalised, -LIMIT, LIMIT).astype(np.float32)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from audio_features import MFCC, FeatureError, LogMel, Prosody, Stack, Wave
+from audio_features import MFCC, FeatureError, Liveliness, LogMel, Prosody, Stack, Wave
 from audio_features import spectrum as spectrum_module
 from audio_features.spectrum import FLOOR_DB
 
@@ -137,3 +137,27 @@ def test_prosody_of_real_speech(shared_data):
     voiced = columns(track, "voicing") > 0.6
     assert 0.15 < voiced.mean() < 0.9
     assert 1 < columns(track, "f0")[voiced].std() < 8
+
+
+def test_liveliness_is_the_range_of_pitch_and_energy():
+    rate = 16000
+    time = np.arange(5 * rate) / rate
+
+    def say(semitones: float, swell_db: float) -> Wave:
+        pitch = 130 * 2 ** (semitones / 12 * np.sin(2 * np.pi * 0.7 * time))
+        phase = 2 * np.pi * np.cumsum(pitch) / rate
+        tone = sum(np.sin(k * phase) / k for k in range(1, 20))
+        gain = 10 ** (swell_db / 20 * np.sin(2 * np.pi * 1.1 * time))
+        return Wave((0.05 * tone * gain).astype(np.float32), rate, None)
+
+    extractor = Liveliness()
+    flat, high, loud = (
+        extractor.extract(say(*how)).values[100:-100].mean(axis=0)
+        for how in ((0.2, 0.5), (5.0, 0.5), (0.2, 6.0))
+    )
+    assert high[0] > 5 * flat[0] and loud[0] < 2 * flat[0] + 0.2
+    assert loud[1] > 3 * flat[1]
+    silence = extractor.extract(Wave(np.zeros(rate, np.float32), rate, None)).values
+    assert np.abs(silence).max() == 0.0
+    with pytest.raises(FeatureError, match="seconds=0"):
+        Liveliness(seconds=0)

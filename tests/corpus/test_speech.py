@@ -65,3 +65,12 @@ def test_a_strangers_timbre_is_taken_out(conditioner):
     spread = conditioner.scale[:24]
     assert np.abs(raw[0] - raw[1]).max() / spread.mean() > 1.0, "the microphone is heard"
     assert np.abs(plain[:, :24].mean(axis=0) - other[:, :24].mean(axis=0)).mean() < 0.6
+
+
+def test_a_monotonous_clip_is_not_made_lively_by_its_own_mean():
+    extractor = af.Stack([af.Prosody(), af.Liveliness()])
+    waves = [voice(4.0, seed=s, swing=swing) for s, swing in enumerate((0.1, 1.5))]
+    conditioner = SpeechConditioner.fit(waves, extractor, 25.0, "mean")
+    column = extractor.names.index("f0_range")
+    flat, lively = (conditioner(wave)[:, column].mean() for wave in waves)
+    assert lively > flat + 0.5
