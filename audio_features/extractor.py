@@ -122,9 +122,10 @@ def _wavlm(settings: dict[str, Any], weights: str | os.PathLike[str] | None) -> 
     if settings:
         raise FeatureError(f"feature spec of WavLM: unknown setting {sorted(settings)[0]!r}")
     if weights is None:
+        which = f" with fingerprint {wanted}" if wanted else ""
         raise WeightsError(
-            f"WavLM weights are needed (fingerprint {wanted}): "
-            "name their folder (weights=…, on the command line --weights)"
+            f"WavLM weights{which} are needed: name their folder "
+            "(features.weights=FOLDER to train, else --weights FOLDER)"
         )
     extractor = WavLM(weights, layer=layer)
     if wanted is not None and extractor.fingerprint != wanted:

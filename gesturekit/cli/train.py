@@ -26,6 +26,10 @@ def command(config: Path, overrides: tuple[str, ...], resume: bool) -> None:
     from gesturekit.systems import train
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    model = train(config, overrides, resume=resume)
+    try:
+        model = train(config, overrides, resume=resume)
+    except KeyboardInterrupt:
+        click.echo("\nStopped; the same command with --resume goes on.", err=True)
+        raise
     click.echo(f"Model: {model}")
     click.echo(f"Render with: gesturekit render speech.wav --model {model} --out rendered")

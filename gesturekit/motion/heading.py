@@ -1,18 +1,11 @@
-"""Which way a body faces, and turning it."""
+"""Which way a body faces."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
-from gesturekit.motion.rotations import (
-    multiply_quaternions,
-    quaternion_from_rotation_vector,
-    rotate_vectors,
-)
 
 
 def heading(motion: Motion) -> float:
@@ -25,18 +18,3 @@ def heading(motion: Motion) -> float:
     left, right = (motion.skeleton.index(legs[side].hip) for side in ("left", "right"))
     across = (positions[:, left] - positions[:, right]).mean(axis=0)
     return float(np.arctan2(-across[2], across[0]))
-
-
-def turned(motion: Motion, angle: float) -> Motion:
-    """The motion turned about the world's Y axis by `angle`, radians."""
-    turn = quaternion_from_rotation_vector(np.array([0.0, angle, 0.0]))
-    rotations = motion.rotations.copy()
-    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
-    return replace(
-        motion, rotations=rotations, translation=rotate_vectors(turn, motion.translation)
-    )
-
-
-def facing_forward(motion: Motion) -> Motion:
-    """The motion turned so that, on the whole, it faces +Z."""
-    return turned(motion, -heading(motion))

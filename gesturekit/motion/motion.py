@@ -88,6 +88,12 @@ class Motion:
         ):
             object.__setattr__(self, key, value)
 
+    def __repr__(self) -> str:
+        return (
+            f"Motion({self.n_frames} frames at {self.fps:g} fps = {self.duration:.2f} s, "
+            f"{self.skeleton.n_joints} joints from {self.skeleton.names[0]!r})"
+        )
+
     @property
     def n_frames(self) -> int:
         """Number of frames T."""

@@ -25,6 +25,7 @@ from gesturekit.motion.rotations import (
     invert_quaternions,
     mean_quaternion,
     multiply_quaternions,
+    quaternion_from_rotation_vector,
     quaternion_from_sixd,
     rotate_vectors,
     sixd_from_quaternion,
@@ -59,7 +60,7 @@ class MultiresRepresentation:
         """Settle the root, the modelled joints and the means of all others from training motions.
 
         Args:
-            motions: motions of one rig (same names and parents); the first one's offsets are kept.
+            motions: motions of one rig (same names and parents); see `reference_skeleton`.
             joints: "body" (no fingers, no end joints), "all", or names.
 
         Raises:
@@ -67,7 +68,7 @@ class MultiresRepresentation:
         """
         if not motions:
             raise MotionError("no motion to learn a representation from")
-        skeleton = motions[0].skeleton
+        skeleton = reference_skeleton(motions)
         if joints == "all":
             wanted = set(skeleton.names)
         elif joints == "body":
@@ -154,10 +155,14 @@ class MultiresRepresentation:
         """Widths of the blocks that a skeleton-aware convolution tells apart."""
         return (6,) * len(self.joints) + (1,) * len(self.foot_points) + (3,)
 
-    def encode(self, motion: Motion) -> np.ndarray:
+    def encode(self, motion: Motion, turn: float = 0.0) -> np.ndarray:
         """(T, 6 K + C + 3) float64 of a motion of this rig; a performer's own offsets may differ.
 
         The root's orientation is the world's. Frame 0 has the displacement of frame 1.
+
+        Args:
+            motion: T frames.
+            turn: radians about the world's Y axis by which the whole motion is turned first.
 
         Raises:
             MotionError: joint names or parents differ from the rig's.
@@ -173,8 +178,9 @@ class MultiresRepresentation:
             )
         index = [self.skeleton.index(name) for name in self.joints]
         rotations = motion.rotations[:, index].copy()
-        rotations[:, 0] = motion.global_rotations()[:, self.root]
-        position = motion.positions()[:, self.root]
+        about_y = quaternion_from_rotation_vector(np.array([0.0, turn, 0.0]))
+        rotations[:, 0] = multiply_quaternions(about_y, motion.global_rotations()[:, self.root])
+        position = rotate_vectors(about_y, motion.positions()[:, self.root])
         displacement = np.diff(position, axis=0, prepend=position[:1])
         if motion.n_frames > 1:
             displacement[0] = displacement[1]
@@ -223,6 +229,17 @@ class MultiresRepresentation:
             fps=fps,
             joint_translations=moving,
         )
+
+
+def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
+    """The skeleton of these motions that lies nearest to the median of all their offsets.
+
+    Files of one performer may differ in where a moving joint happens to rest; the commonest
+    place is meant, and no bone shall get a length that nobody has.
+    """
+    offsets = np.stack([motion.skeleton.offsets for motion in motions])
+    apart = np.abs(offsets - np.median(offsets, axis=0)).sum(axis=(1, 2))
+    return motions[int(apart.argmin())].skeleton
 
 
 def _local_position(motion: Motion, name: str) -> np.ndarray:

@@ -24,8 +24,9 @@ from gesturekit.atomic import atomic_write
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, CorpusError
-from gesturekit.motion.heading import facing_forward
-from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.motion.heading import heading
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.representation import MultiresRepresentation, reference_skeleton
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.interpolation import resample
@@ -138,7 +139,7 @@ class TrainingData:
         paired: recordings with motion.
         unpaired: (S, T) speech without motion; where the corpus has none, that of `paired`.
         silence: (S, T) what the model hears when nobody speaks, one window long.
-        speakers: a reference skeleton for each named speaker, that of the first recording.
+        speakers: a reference skeleton for each named speaker.
         window: frames of a training window; None takes whole sequences.
     """
 
@@ -260,19 +261,20 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             f"{config.corpus}: no item of split train has both audio and motion; "
             "run gesturekit prepare on a folder of wav + BVH pairs"
         )
-    motions = [facing_forward(item.load_motion().resample(config.fps)) for item in items]
+    motions = [item.load_motion().resample(config.fps) for item in items]
     representation = MultiresRepresentation.fit(motions, config.joints)
     vectors = []
     for item, motion in zip(items, motions, strict=True):
         try:
-            vectors.append(representation.encode(motion))
+            # Every recording is turned to face +Z on the whole.
+            vectors.append(representation.encode(motion, turn=-heading(motion)))
         except ValueError as error:
             raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
     normaliser = Normaliser.fit(vectors, representation)
-    speakers: dict[str, Skeleton] = {}
+    by_speaker: dict[str, list[Motion]] = {}
     for item, motion in zip(items, motions, strict=True):
         if item.speaker is not None:
-            speakers.setdefault(item.speaker, motion.skeleton)
+            by_speaker.setdefault(item.speaker, []).append(motion)
 
     others = manifest.unpaired("train")
     progress = tqdm([*items, *others], desc="Listening", unit="file", leave=False)
@@ -311,7 +313,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         representation=representation,
         conditioner=conditioner,
         normaliser=normaliser,
-        speakers=speakers,
+        speakers={name: reference_skeleton(own) for name, own in by_speaker.items()},
         unpaired_is_paired=not unpaired,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,8 @@ class _Trainer:
         with tqdm(
             total=sum(iterations * cost[first] for first, iterations in pairs),
             bar_format="{l_bar}{bar}| {elapsed} gone, {remaining} left {postfix}",
-            mininterval=1.0,
+            # A log file wants a line now and then, a terminal a living bar.
+            mininterval=1.0 if sys.stderr.isatty() else 60.0,
         ) as progress:
             start = 0
             for first, iterations in pairs:
@@ -156,7 +158,6 @@ class _Trainer:
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },
         )
-        log.info("Wrote the model to %s", folder)
         return folder
 
 

@@ -139,7 +139,8 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
 
 def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
     if not isinstance(values, dict):
-        raise ConfigError(f"{where}: {prefix or 'the file'} must hold keys, not {values!r}")
+        name = prefix.rstrip(".") or "the file"
+        raise ConfigError(f"{where}: {name} must hold keys, not {values!r}")
     hints = typing.get_type_hints(schema)
     names = [field.name for field in dataclasses.fields(schema)]
     for key in values:
@@ -155,7 +156,8 @@ def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
             field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         )
         if required and field.name not in made:
-            raise ConfigError(f"{where}: {prefix}{field.name} is missing")
+            name = f"{prefix}{field.name}"
+            raise ConfigError(f"{where}: {name} is missing; add it there, or {name}=... here")
     try:
         return schema(**made)
     except ConfigError as error:

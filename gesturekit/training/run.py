@@ -43,6 +43,7 @@ class Run:
             if not config_file.is_file():
                 raise ConfigError(f"{folder}: no run to resume here; start it without --resume")
             before = read_yaml(config_file)
+            before, config = _dotted(before), _dotted(config)
             for key in sorted(set(before) | set(config)):
                 # Where the run lies and how it reports do not change what it computes.
                 if key not in ("out", "checkpoint_every") and before.get(key) != config.get(key):
@@ -97,6 +98,15 @@ class Run:
         """Finish writing TensorBoard events."""
         if self._events is not None:
             self._events.close()
+
+
+def _dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested keys as section.key, so that a difference can be named."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        flat |= _dotted(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return flat
 
 
 def _versions() -> dict[str, str]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import gesturekit as gk
 from gesturekit.errors import MotionError
-from gesturekit.motion.heading import facing_forward, heading, turned
-from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.motion.heading import heading
+from gesturekit.motion.representation import MultiresRepresentation, reference_skeleton
 
 
 def body_error(representation, motion) -> float:
@@ -71,8 +73,20 @@ def test_another_rig_is_refused(gesture, skeleton):
 
 
 @pytest.mark.parametrize("angle", [-2.0, 0.3, 1.5])
-def test_heading_is_the_way_the_body_is_turned(gesture, angle):
+def test_a_motion_is_turned_as_it_is_encoded(gesture, angle):
     motion = gesture(2.0)
-    start = heading(motion)
-    assert heading(turned(motion, angle)) - start == pytest.approx(angle)
-    assert heading(facing_forward(turned(motion, angle))) == pytest.approx(0.0, abs=1e-9)
+    motion.translation[:, 2] += 0.3 * motion.times
+    representation = MultiresRepresentation.fit([motion])
+    plain = representation.decode(representation.encode(motion), motion.fps)
+    turned = representation.decode(representation.encode(motion, turn=angle), motion.fps)
+    assert heading(turned) - heading(plain) == pytest.approx(angle)
+    walked = turned.translation[-1] - turned.translation[0]
+    assert np.arctan2(walked[0], walked[2]) == pytest.approx(angle, abs=1e-6)
+
+
+def test_the_reference_skeleton_is_the_commonest_one(gesture):
+    motion = gesture(1.0)
+    offsets = motion.skeleton.offsets.copy()
+    offsets[1] += [0.0, 0.0, -4.5]
+    odd = replace(motion, skeleton=replace(motion.skeleton, offsets=offsets))
+    assert reference_skeleton([odd, motion, motion]) is motion.skeleton
