@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 COLOURS = {MIDDLE: "#d9d2c5", LEFT: "#e88a62", RIGHT: "#5d97bf"}
 """What each side of the body is painted with."""
 _EDGE = "#26303b"
+_NOSE = "#a89d88"
 _SOFT = "#6b7785"
 _SPEED = "#c8643a"
 _INCHES_PER_FIGURE = 1.3
@@ -209,8 +210,8 @@ def _figure(axes: Axes, figure: Figure, frame: int, time: float, wide: float) ->
         skull = Ellipse(centre, 0.68 * head.size, 0.92 * head.size, angle=angle).get_verts()
         shapes.append((2 * depth[head.base], skull, COLOURS[MIDDLE], 0.6))
         if depth[head.face] > depth[head.base]:
-            nose = Ellipse(centre + 0.36 * looks, 0.13 * head.size, 0.17 * head.size).get_verts()
-            shapes.append((np.inf, nose, _EDGE, 0.0))
+            nose = Ellipse(centre + 0.36 * looks, 0.12 * head.size, 0.26 * head.size, angle=angle)
+            shapes.append((np.inf, nose.get_verts(), _NOSE, 0.0))
     # The farthest first, as a painter does.
     for order, (_, outline, colour, border) in enumerate(sorted(shapes, key=lambda s: s[0])):
         patch = Polygon(outline * place + [time, 0], facecolor=colour, clip_on=False)
