@@ -30,6 +30,7 @@ import click
     type=click.FloatRange(min=0, min_open=True, max=4 * 3600),
     help="Length of an idle motion, without any wav.",
 )
+@click.option("--speaker", help="Whose body to move, of those that the corpus named.")
 @click.option(
     "--weights", type=click.Path(path_type=Path), help="WavLM weights the model was trained with."
 )
@@ -43,6 +44,7 @@ def command(
     seed: int,
     samples: int,
     seconds: float | None,
+    speaker: str | None,
     weights: Path | None,
 ) -> None:
     """Turn each WAV (or folder of audio) into motion, as long as the sound.
@@ -63,7 +65,14 @@ def command(
     failed = 0
     wanted = [name.strip() for name in formats.split(",") if name.strip()]
     for outcome in render(
-        loaded, sources, out, formats=wanted, seed=seed, samples=samples, seconds=seconds
+        loaded,
+        sources,
+        out,
+        formats=wanted,
+        seed=seed,
+        samples=samples,
+        seconds=seconds,
+        speaker=speaker,
     ):
         for path in outcome.files:
             click.echo(click.format_filename(path))

@@ -16,6 +16,9 @@ LIMIT = 6.0
 _PRIOR_SECONDS = 1.0
 """How much active speech the training mean is worth when a clip's own mean is taken."""
 
+Heard = tuple[np.ndarray, np.ndarray]
+"""What `extract` gives: features (T, S), not normalised, and where speech is active (T,)."""
+
 _ACTIVITY_HOP = 0.01
 """Seconds between two frames of speech activity."""
 
@@ -46,14 +49,20 @@ class SpeechConditioner:
 
     @classmethod
     def fit(
-        cls, waves: Iterable[af.Wave], extractor: Any, fps: float, align: str
+        cls, heard: Iterable[Heard], extractor: Any, fps: float, align: str
     ) -> SpeechConditioner:
-        """Learn centre and scale from training speech, paired and unpaired alike."""
+        """Learn centre and scale from training speech, paired and unpaired alike.
+
+        Args:
+            heard: what `extract` gives for each clip.
+            extractor: what it was extracted by.
+            fps: frames per second of the motion.
+            align: see `FeatureTrack.to_rate`.
+        """
         centres, spreads, frames = [], [], []
-        for wave in waves:
-            values, active = extract(wave, extractor, fps, align)
+        for values, active in heard:
             if active.any():
-                spoken = values[active]
+                spoken = values[active].astype(np.float64)
                 centres.append(spoken.mean(axis=0))
                 spreads.append(spoken.var(axis=0) * len(spoken))
                 frames.append(len(spoken))
@@ -72,7 +81,11 @@ class SpeechConditioner:
 
     def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
         """(T, S) float32 normalised features; T follows from the wave's length unless given."""
-        values, active = extract(wave, self.extractor, self.fps, self.align, n_frames)
+        return self.normalise(*extract(wave, self.extractor, self.fps, self.align, n_frames))
+
+    def normalise(self, values: np.ndarray, active: np.ndarray) -> np.ndarray:
+        """(T, S) float32 from what `extract` gives for a clip."""
+        values = values.astype(np.float64)
         prior = _PRIOR_SECONDS * self.fps
         own = values[active].sum(axis=0)
         centre = (own + prior * self.centre) / (active.sum() + prior)
@@ -90,11 +103,11 @@ class SpeechConditioner:
 
 def extract(
     wave: af.Wave, extractor: Any, fps: float, align: str, n_frames: int | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Features (T, S) of a wave on motion frames, and whether there is active speech (T,)."""
+) -> Heard:
+    """Features (T, S) float32 of a wave on motion frames, and where speech is active (T,)."""
     n_frames = wave.n_frames(fps) if n_frames is None else n_frames
     track = extractor.extract(wave.at_level())
-    values = track.to_rate(fps, n_frames=n_frames, method=align).values.astype(np.float64)
+    values = track.to_rate(fps, n_frames=n_frames, method=align).values
     activity = wave.active(hop=_ACTIVITY_HOP)
     nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)
     return values, activity[np.minimum(nearest, len(activity) - 1)]

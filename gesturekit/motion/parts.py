@@ -12,6 +12,8 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from gesturekit.errors import MotionError
 from gesturekit.motion.skeleton import Skeleton
 
@@ -115,6 +117,13 @@ def upper_body(skeleton: Skeleton) -> tuple[str, ...]:
     """Names of the first joint of the spine and all below it: spine, neck, head, arms, hands."""
     first = skeleton.index(find_parts(skeleton).spine[0])
     return tuple(skeleton.names[j] for j in (first, *skeleton.descendants(first)))
+
+
+def leg_length(skeleton: Skeleton) -> float:
+    """Length of thigh and shank, metres, mean of both sides."""
+    legs = find_parts(skeleton).legs.values()
+    bones = [skeleton.index(name) for leg in legs for name in (leg.knee, leg.ankle)]
+    return float(np.linalg.norm(skeleton.offsets[bones], axis=1).sum() / 2)
 
 
 def arm_joints(skeleton: Skeleton) -> tuple[str, str, str, str]:

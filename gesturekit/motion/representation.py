@@ -19,7 +19,7 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import body_joints
+from gesturekit.motion.parts import body_joints, leg_length
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -195,8 +195,10 @@ class MultiresRepresentation:
         Args:
             values: motion vectors; rotations need not be orthonormal.
             fps: frames per second.
-            skeleton: a performer's offsets to use in place of the reference ones.
+            skeleton: a performer's offsets to use in place of the reference ones; steps and the
+                height of the root grow with the length of the legs.
         """
+        size = 1.0 if skeleton is None else leg_length(skeleton) / leg_length(self.skeleton)
         skeleton = skeleton or self.skeleton
         n_frames = len(values)
         modelled = quaternion_from_sixd(
@@ -205,7 +207,7 @@ class MultiresRepresentation:
         rotations = np.tile(self.fixed_rotations, (n_frames, 1, 1))
         rotations[:, [self.skeleton.index(name) for name in self.joints]] = modelled
         dx, height, dz = values[:, self.root_columns].T
-        position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1)
+        position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1) * size
         moving = {
             name: np.tile(value, (n_frames, 1)) for name, value in self.fixed_translations.items()
         }

@@ -48,14 +48,15 @@ class Windows:
         coarser: (N, D, T) what the level below the pair generated; None at the first level.
         noise: noise for each level of the pair, (N, 1, T_i) or None for none at all.
         conditions: (N, S, T_i) residual speech features for each level of the pair.
-        speech: (N, S, T_i) the same speech, not residual.
+        speech: (N, S, T_i) the same speech, not residual, for the arm-speed loss of random steps;
+            None where nothing asks for it.
         targets: (N, D, T_i) recorded motion; None on random steps, which have none.
     """
 
     coarser: Tensor | None
     noise: tuple[Tensor | None, ...]
     conditions: tuple[Tensor, ...]
-    speech: tuple[Tensor, ...]
+    speech: tuple[Tensor, ...] | None
     targets: tuple[Tensor, ...] | None
 
     def take(self, index: Tensor) -> Windows:
@@ -68,7 +69,7 @@ class Windows:
             coarser=None if self.coarser is None else self.coarser[index],
             noise=rows(self.noise),
             conditions=rows(self.conditions),
-            speech=rows(self.speech),
+            speech=None if self.speech is None else rows(self.speech),
             targets=None if self.targets is None else rows(self.targets),
         )
 
@@ -118,10 +119,18 @@ class Bank:
         count: int,
         rng: torch.Generator,
     ) -> Windows:
-        """Windows for reconstruction steps: paired speech, z*, and the recorded motion."""
+        """Windows for reconstruction steps: paired speech, z*, and the recorded motion.
+
+        `count` of them, or every one there is where that is fewer: a whole sequence has one.
+        """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         speech, motion, z_star = [], [], []
-        for sequence, start in random_windows(sequences, n_frames, count, rng):
+        starts = sum(sequence.n_frames - n_frames + 1 for sequence in sequences)
+        if starts > count:
+            windows = random_windows(sequences, n_frames, count, rng)
+        else:
+            windows = every_window(sequences, n_frames)
+        for sequence, start in windows:
             speech.append(sequence.speech[:, start : start + n_frames])
             motion.append(sequence.motion[:, start : start + n_frames])
             z_star.append(sequence.z_star_window(start, lengths[0]))
@@ -179,7 +188,9 @@ class Bank:
             coarser=coarser,
             noise=tuple(noises[here]),
             conditions=tuple(conditions[here]),
-            speech=tuple(resample(speech.to(to), n) for n in lengths[here]),
+            speech=tuple(resample(speech.to(to), n) for n in lengths[here])
+            if motion is None and self.config.uses_arm_speed
+            else None,
             targets=None
             if motion is None
             else tuple(resample(motion.to(to), n) for n in lengths[here]),
@@ -193,6 +204,15 @@ def random_windows(
     room = torch.tensor([float(sequence.n_frames - n_frames + 1) for sequence in sequences])
     for which in torch.multinomial(room, count, replacement=True, generator=rng).tolist():
         yield sequences[which], int(torch.randint(int(room[which]), (), generator=rng))
+
+
+def every_window(
+    sequences: Sequence[PairedSequence], n_frames: int
+) -> Iterator[tuple[PairedSequence, int]]:
+    """Sequences and start frames of all windows, each once."""
+    for sequence in sequences:
+        for start in range(sequence.n_frames - n_frames + 1):
+            yield sequence, start
 
 
 def _chunks(n: int, size: int) -> Iterator[slice]:

@@ -159,3 +159,8 @@ class MultiresConfig:
         _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)
         if self.threads is not None:
             _positive(threads=self.threads)
+
+    @property
+    def uses_arm_speed(self) -> bool:
+        """Whether random steps are told how fast the arms should be."""
+        return bool(self.losses.arm_speed and self.schedule.generator_steps)

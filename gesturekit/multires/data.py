@@ -21,8 +21,9 @@ from tqdm import tqdm
 
 import audio_features as af
 from gesturekit.atomic import atomic_write
+from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.manifest import Manifest
-from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.corpus.speech import SpeechConditioner, extract
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion.heading import heading
 from gesturekit.motion.motion import Motion
@@ -176,6 +177,7 @@ class TrainingData:
         about = {
             "names": [sequence.name for sequence in self.paired],
             "unpaired": 0 if self.unpaired_is_paired else len(self.unpaired),
+            "features": self.conditioner.extractor.spec,
             "window": self.window,
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
@@ -190,6 +192,7 @@ class TrainingData:
 
         Raises:
             ConfigError: the folder's data is missing or damaged.
+            WeightsError: the WavLM weights are not those that the run began with.
         """
         try:
             about = json.loads((folder / "data.json").read_text(encoding="utf-8"))
@@ -210,7 +213,8 @@ class TrainingData:
                 window=about["window"],
                 representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
                 conditioner=SpeechConditioner(
-                    _extractor(config),
+                    # By the spec, which knows the weights that the features were made with.
+                    af.extractor_from_spec(about["features"], weights=config.features.weights),
                     config.fps,
                     config.features.align,
                     tensors["features.centre"].numpy(),
@@ -220,6 +224,8 @@ class TrainingData:
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
                 unpaired_is_paired=not unpaired,
             )
+        except af.WeightsError:
+            raise
         except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
             raise ConfigError(
                 f"{folder}: the run's training data cannot be read ({error}); start a new run"
@@ -262,6 +268,10 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             "run gesturekit prepare on a folder of wav + BVH pairs"
         )
     motions = [item.load_motion().resample(config.fps) for item in items]
+    for item, motion in zip(items, motions, strict=True):
+        different = first_difference(motion.skeleton, motions[0].skeleton)
+        if different:
+            raise CorpusError(f"{config.corpus}: item {item.id}: another skeleton: {different}")
     representation = MultiresRepresentation.fit(motions, config.joints)
     vectors = []
     for item, motion in zip(items, motions, strict=True):
@@ -278,25 +288,21 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
 
     others = manifest.unpaired("train")
     progress = tqdm([*items, *others], desc="Listening", unit="file", leave=False)
-    conditioner = SpeechConditioner.fit(
-        (item.load_wave() for item in progress),
-        extractor,
-        config.fps,
-        config.features.align,
-    )
+    align = config.features.align
+    heard = [extract(item.load_wave(), extractor, config.fps, align) for item in progress]
+    conditioner = SpeechConditioner.fit(heard, extractor, config.fps, align)
+    # From the first to the last, each making room for what becomes of it.
+    heard.reverse()
     paired = []
     for item, vector in zip(items, vectors, strict=True):
-        wave = item.load_wave()
-        n_frames = min(len(vector), wave.n_frames(config.fps))
-        speech = torch.from_numpy(conditioner(wave, n_frames).T.copy())
+        values, active = heard.pop()
+        n_frames = min(len(vector), len(values))
+        speech = _columns(conditioner.normalise(values[:n_frames], active[:n_frames]))
         motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
         paired.append(
             PairedSequence.make(item.id, motion, speech, config.network.levels, config.seed)
         )
-    unpaired = tuple(
-        torch.from_numpy(conditioner(item.load_wave()).T.copy())
-        for item in tqdm(others, desc="Unpaired speech", unit="file", leave=False)
-    )
+    unpaired = tuple(_columns(conditioner.normalise(*heard.pop())) for _ in others)
     window = config.schedule.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
     longest = max(sequence.n_frames for sequence in paired)
@@ -308,7 +314,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     return TrainingData(
         paired=tuple(paired),
         unpaired=unpaired or tuple(sequence.speech for sequence in paired),
-        silence=torch.from_numpy(conditioner.silence(frames or longest).T.copy()),
+        silence=_columns(conditioner.silence(frames or longest)),
         window=frames,
         representation=representation,
         conditioner=conditioner,
@@ -316,6 +322,11 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         speakers={name: reference_skeleton(own) for name, own in by_speaker.items()},
         unpaired_is_paired=not unpaired,
     )
+
+
+def _columns(values: np.ndarray) -> Tensor:
+    """(T, S) to (S, T)."""
+    return torch.from_numpy(np.ascontiguousarray(values.T))
 
 
 def _extractor(config: MultiresConfig) -> Any:

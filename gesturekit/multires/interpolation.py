@@ -1,8 +1,9 @@
 """Upsampling and padding along time, as index operations.
 
-Gathers by index have a deterministic backward pass on a GPU, which torch's own interpolation and
-reflection padding have not. The weights are those of the audio front-end: motion and features
-never disagree on where a frame lies.
+On a GPU torch can make the backward pass of gathers by index deterministic
+(`torch.use_deterministic_algorithms`), and not that of its own interpolation and reflection
+padding. The weights are those of the audio front-end: motion and features never disagree on where
+a frame lies.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import sys
 import time
 from pathlib import Path
@@ -51,6 +52,10 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
     """
     if config.threads:
         torch.set_num_threads(config.threads)
+    if _device(config.device).type == "cuda":
+        # Same seed, same weights, on a GPU too; cuBLAS wants to be told before its first use.
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+        torch.use_deterministic_algorithms(True, warn_only=True)
     run = Run(config.out, to_dict(config), resume=resume)
     try:
         return _Trainer(config, run, resume=resume).run()
@@ -149,12 +154,18 @@ class _Trainer:
             speakers=self.data.speakers,
         )
         seconds = sum(sequence.n_frames for sequence in self.data.paired) / self.config.fps
+        heard = sum(clip.shape[-1] for clip in self.data.unpaired) / self.config.fps
+        last = self.folder.last_metrics()
         folder = self.folder.folder / "model"
         model.save(
             folder,
             notes={
                 "Recordings": f"{len(self.data.paired)}, {seconds:.0f} s",
+                "Unpaired speech": "none"
+                if self.data.unpaired_is_paired
+                else f"{len(self.data.unpaired)} files, {heard:.0f} s",
                 "Training steps": str(steps),
+                "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },
         )
@@ -183,7 +194,7 @@ class _Pair:
             "generator": torch.optim.Adam(self.generators.parameters(), lr=rate),
             "discriminator": torch.optim.Adam(self.discriminators.parameters(), lr=rate),
         }
-        self.targets = self._arm_speed_targets() if self.config.losses.arm_speed else []
+        self.targets = self._arm_speed_targets() if self.config.uses_arm_speed else []
         self._bank: dict[str, dict[int, Windows]] = {}
 
     def state(self) -> dict[str, Any]:
@@ -215,15 +226,11 @@ class _Pair:
                 totals[name] = totals.get(name, 0.0) + value
             since += 1
             step = offset + iteration + 1
+            self._check_finite(step, totals)
             progress.update(cost)
             last = iteration + 1 == self.iterations
             if step % self.config.log_every == 0 or last:
                 means = {name: value / since for name, value in totals.items()}
-                if not all(math.isfinite(value) for value in means.values()):
-                    raise ModelError(
-                        f"training diverged at step {step} (losses {means}); the last checkpoint "
-                        "stands. A lower schedule.learning_rate usually helps"
-                    )
                 pace = (time.monotonic() - clock) / since
                 self.trainer.folder.log(
                     step, {**means, "seconds_per_iteration": pace}, level=self.first + 1
@@ -232,7 +239,19 @@ class _Pair:
                 progress.set_postfix_str(f"level {self.first + 1}-{self.indices[-1] + 1}: {shown}")
                 totals, since, clock = {}, 0, time.monotonic()
             if step % self.config.checkpoint_every == 0 or last:
+                networks = nn.ModuleList([self.generators, self.discriminators])
+                norms = [weight.detach().norm() for weight in networks.parameters()]
+                self._check_finite(step, {"weights": float(torch.stack(norms).sum())})
                 self.trainer.folder.checkpoints.save(step, self.state())
+
+    def _check_finite(self, step: int, values: dict[str, float]) -> None:
+        """Stop before a checkpoint is written over what can still be used."""
+        wrong = [name for name, value in values.items() if not math.isfinite(value)]
+        if wrong:
+            raise ModelError(
+                f"training diverged at step {step} ({', '.join(wrong)} are no numbers any more); "
+                "the last checkpoint stands. A lower schedule.learning_rate usually helps"
+            )
 
     def _fill_bank(self, renewal: int) -> None:
         """Draw and pre-generate windows for reconstruction and for random steps."""
@@ -240,13 +259,16 @@ class _Pair:
         self._bank = {"paired": {}, "random": {}}
         rng = generator(self.config.seed, "bank", self.first, renewal)
         total = sum(len(members) for members in trainer.groups.values())
+        schedule = self.config.schedule
         for n_frames, members in trainer.groups.items():
             sequences = [trainer.data.paired[i] for i in members]
-            count = max(1, self.config.schedule.bank * len(members) // total)
-            self._bank["paired"][n_frames] = bank.paired(
-                sequences, n_frames, self.first, count, rng
-            )
-            self._bank["random"][n_frames] = bank.random(n_frames, self.first, count, rng)
+            count = max(1, schedule.bank * len(members) // total)
+            if schedule.reconstruction_steps:
+                self._bank["paired"][n_frames] = bank.paired(
+                    sequences, n_frames, self.first, count, rng
+                )
+            if schedule.discriminator_steps or schedule.generator_steps:
+                self._bank["random"][n_frames] = bank.random(n_frames, self.first, count, rng)
 
     def _draw(self, kind: str, n_frames: int, rng: torch.Generator) -> Windows:
         windows = self._bank[kind][n_frames]
@@ -325,14 +347,16 @@ class _Pair:
             if weights.adversarial:
                 score = -critic(motion).mean()
                 parts.setdefault("adversarial", []).append(weights.adversarial * score)
-            if weights.contact:
+            # One frame, the coarsest level of a very short recording, has no speed.
+            moves = motion.shape[-1] > 1
+            if weights.contact and moves:
                 loss = self.trainer.kinematics.contact_loss(values, stride)
                 parts.setdefault("contact", []).append(weights.contact * loss)
             # Rounding makes strides of two levels straddle 2; half the full rate is meant.
             if weights.smoothness and stride < 2.05:
                 loss = self.trainer.kinematics.smoothness_loss(values, stride)
                 parts.setdefault("smooth", []).append(weights.smoothness * loss)
-            if weights.arm_speed:
+            if weights.arm_speed and moves:
                 target = self.targets[i]
                 speed = target.log_speed(self.trainer.kinematics.arm_speed(values, stride))
                 wanted = target(windows.speech[i])
@@ -348,7 +372,21 @@ class _Pair:
     def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
         """Reconstruction of paired motion from z* and its own speech (eq. 15)."""
         windows = self._draw("paired", n_frames, rng)
-        made = self._generate(windows)
+        if self.config.losses.rec_input == "real":
+            # Every level starts from the recorded motion below it, the pair's second one too.
+            below = (windows.coarser, *windows.targets)
+            made = [
+                self.trainer.network(
+                    windows.noise[i : i + 1],
+                    windows.conditions[i : i + 1],
+                    first=self.first + i,
+                    coarser=below[i],
+                    lengths=[target.shape[-1]],
+                )[0]
+                for i, target in enumerate(windows.targets)
+            ]
+        else:
+            made = self._generate(windows)
         errors = [F.l1_loss(m, target) for m, target in zip(made, windows.targets, strict=True)]
         self._step("generator", self.config.losses.reconstruction * torch.stack(errors).sum())
         return float(torch.stack(errors).detach().mean())

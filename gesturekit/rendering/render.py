@@ -34,6 +34,7 @@ def render(
     seed: int = 0,
     samples: int = 1,
     seconds: float | None = None,
+    speaker: str | None = None,
 ) -> Iterator[Outcome]:
     """Generate motion for each audio file and write it as STEM.bvh (STEM_s1.bvh ... for samples).
 
@@ -46,6 +47,7 @@ def render(
         seed: the same seed gives the same files, whatever else is rendered beside.
         samples: how many motions for each file.
         seconds: without sources, how long an idle motion to make.
+        speaker: whose body to move, of those that the model's corpus named.
 
     Yields:
         an outcome for each file, as it is done.
@@ -64,25 +66,28 @@ def render(
         yield _render_one(
             "motion",
             None,
-            out / "motion",
+            out,
+            "motion",
             formats,
-            lambda: model.generate(seconds=seconds, samples=samples, seed=seed),
+            lambda: model.generate(seconds=seconds, samples=samples, seed=seed, speaker=speaker),
         )
         return
     for path in files:
         yield _render_one(
             str(path),
             path,
-            out / path.stem,
+            out,
+            path.stem,
             formats,
-            lambda path=path: model.generate(path, samples=samples, seed=seed, seconds=seconds),
+            lambda path=path: model.generate(path, samples=samples, seed=seed, speaker=speaker),
         )
 
 
 def _render_one(
     source: str,
     audio: Path | None,
-    stem: Path,
+    out: Path,
+    stem: str,
     formats: Sequence[str],
     generate: Callable[[], Motion | list[Motion]],
 ) -> Outcome:
@@ -91,13 +96,14 @@ def _render_one(
         made = generate()
         motions = made if isinstance(made, list) else [made]
         for number, motion in enumerate(motions, start=1):
-            name = stem.name if len(motions) == 1 else f"{stem.name}_s{number}"
+            name = stem if len(motions) == 1 else f"{stem}_s{number}"
             for kind in formats:
-                path = stem.with_name(f"{name}.{kind}")
+                path = out / f"{name}.{kind}"
                 sound = {"audio": audio} if kind in ("html", "png") and audio else {}
                 motion.save(path, **sound)
                 files.append(path)
-    except (GestureKitError, af.AudioFeaturesError, OSError, MemoryError) as error:
+    # torch says RuntimeError where memory runs out.
+    except (GestureKitError, af.AudioFeaturesError, OSError, MemoryError, RuntimeError) as error:
         reason = str(error) or "not enough memory"
         # Not every reason names the input: a model that gives NaN, a disk that is full.
         reason = reason if source in reason else f"{source}: {reason}"

@@ -46,7 +46,9 @@ class Run:
             before, config = _dotted(before), _dotted(config)
             for key in sorted(set(before) | set(config)):
                 # Where the run lies and how it reports do not change what it computes.
-                if key not in ("out", "checkpoint_every") and before.get(key) != config.get(key):
+                if key not in ("out", "checkpoint_every", "log_every") and before.get(
+                    key
+                ) != config.get(key):
                     raise ConfigError(
                         f"{config_file}: the run was started with {key}: {before.get(key)!r}, now "
                         f"it is {config.get(key)!r}; resume with the same settings or start anew"
@@ -93,6 +95,16 @@ class Run:
             file.write(json.dumps({"step": step, **labels, **values}) + "\n")
         for name, value in values.items():
             self._events.add_scalar(name, value, step)
+
+    def last_metrics(self) -> dict[str, float]:
+        """The numbers logged last, without step, labels and timing."""
+        lines = self._metrics.read_text(encoding="utf-8").splitlines()
+        logged = json.loads(lines[-1]) if lines else {}
+        return {
+            name: value
+            for name, value in logged.items()
+            if isinstance(value, float) and name != "seconds_per_iteration"
+        }
 
     def close(self) -> None:
         """Finish writing TensorBoard events."""

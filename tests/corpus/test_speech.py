@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.corpus.speech import SpeechConditioner, extract
 
 
 def voice(seconds: float, *, level: float = 0.1, swing: float = 1.0, seed: int = 0) -> af.Wave:
@@ -23,10 +23,15 @@ def voice(seconds: float, *, level: float = 0.1, swing: float = 1.0, seed: int =
     return af.Wave((level * (tone * syllables * loudness + noise)).astype(np.float32), rate, None)
 
 
+def fitted(waves, extractor) -> SpeechConditioner:
+    heard = (extract(wave, extractor, 25.0, "mean") for wave in waves)
+    return SpeechConditioner.fit(heard, extractor, 25.0, "mean")
+
+
 @pytest.fixture(scope="module")
 def conditioner() -> SpeechConditioner:
     extractor = af.Stack([af.LogMel(n_mels=24), af.Prosody()])
-    return SpeechConditioner.fit([voice(4.0, seed=s) for s in range(3)], extractor, 25.0, "mean")
+    return fitted([voice(4.0, seed=s) for s in range(3)], extractor)
 
 
 def test_twenty_decibels_quieter_sounds_the_same(conditioner):
@@ -70,7 +75,7 @@ def test_a_strangers_timbre_is_taken_out(conditioner):
 def test_a_monotonous_clip_is_not_made_lively_by_its_own_mean():
     extractor = af.Stack([af.Prosody(), af.Liveliness()])
     waves = [voice(4.0, seed=s, swing=swing) for s, swing in enumerate((0.1, 1.5))]
-    conditioner = SpeechConditioner.fit(waves, extractor, 25.0, "mean")
+    conditioner = fitted(waves, extractor)
     column = extractor.names.index("f0_range")
     flat, lively = (conditioner(wave)[:, column].mean() for wave in waves)
     assert lively > flat + 0.5

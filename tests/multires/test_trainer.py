@@ -10,10 +10,15 @@ import torch
 from safetensors.torch import load_file
 
 import gesturekit as gk
-from gesturekit.errors import ConfigError
+from audio_features import WeightsError
+from gesturekit.corpus import prepare
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.multires import trainer
 from gesturekit.multires.bank import Bank
-from gesturekit.multires.data import TrainingData
+from gesturekit.multires.interpolation import resample
+from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
 from gesturekit.multires.trainer import train
+from gesturekit.training.checkpoint import Checkpoints
 
 
 def weights(config):
@@ -60,27 +65,123 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(make_confi
 
 
 def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypatch):
-    speech_read, targets_read = [], []
-    window, windows = TrainingData.speech_window, Bank._windows
+    read = {"_discriminator_step": [], "_random_step": [], "_reconstruction_step": []}
+    step = []
 
-    def speech_window(self, n_frames, rng):
-        speech_read.append({id(clip) for clip in self.unpaired})
-        assert not {id(clip) for clip in self.unpaired} & {id(s.speech) for s in self.paired}
-        return window(self, n_frames, rng)
+    def marked(config):
+        data = load_training_data(config)
+        for sequence in data.paired:
+            sequence.speech.fill_(1.0)
+        for speech in data.unpaired:
+            speech.fill_(2.0)
+        return data
 
-    def make_windows(self, n_frames, first, speech, noises, motion):
-        made = windows(self, n_frames, first, speech, noises, motion)
-        targets_read.append((noises[-1] is None, motion is None, made.targets is None))
-        return made
+    def generate(self, windows):
+        (heard,) = {float(x) for part in windows.conditions for x in part.unique()}
+        read[step[-1]].append((heard, windows.targets is not None))
+        return whole_generate(self, windows)
 
-    monkeypatch.setattr(TrainingData, "speech_window", speech_window)
-    monkeypatch.setattr(Bank, "_windows", make_windows)
-    train(make_config())
-    assert speech_read, "random windows come from the unpaired speech"
-    random = [(motion, target) for fixed, motion, target in targets_read if not fixed]
-    paired = [(motion, target) for fixed, motion, target in targets_read if fixed]
-    assert random and all(motion and target for motion, target in random)
-    assert paired and not any(motion or target for motion, target in paired)
+    def recorded(name, method):
+        def run(self, *arguments):
+            step.append(name)
+            return method(self, *arguments)
+
+        return run
+
+    load_training_data, whole_generate = trainer.load_training_data, trainer._Pair._generate
+    monkeypatch.setattr(trainer, "load_training_data", marked)
+    monkeypatch.setattr(trainer._Pair, "_generate", generate)
+    for name in read:
+        monkeypatch.setattr(trainer._Pair, name, recorded(name, getattr(trainer._Pair, name)))
+    train(make_config(features={"residual": False}, schedule={"silence": 0.0}))
+    assert set(read["_random_step"]) == {(2.0, False)}
+    assert set(read["_discriminator_step"]) == {(2.0, False)}
+    assert set(read["_reconstruction_step"]) == {(1.0, True)}
+
+
+def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(
+    make_config, monkeypatch
+):
+    upsampled, wanted = [], []
+    forward, step, draw = (
+        LevelGenerator.forward,
+        trainer._Pair._reconstruction_step,
+        trainer._Pair._draw,
+    )
+
+    def record_input(self, up, noise, condition):
+        upsampled.append(up)
+        return forward(self, up, noise, condition)
+
+    def record_windows(self, kind, n_frames, rng):
+        windows = draw(self, kind, n_frames, rng)
+        wanted.append(windows)
+        return windows
+
+    def check(self, n_frames, rng):
+        upsampled.clear()
+        report = step(self, n_frames, rng)
+        coarse, fine = wanted[-1].targets
+        assert torch.equal(upsampled[1], resample(coarse, fine.shape[-1]))
+        return report
+
+    monkeypatch.setattr(LevelGenerator, "forward", record_input)
+    monkeypatch.setattr(trainer._Pair, "_draw", record_windows)
+    monkeypatch.setattr(trainer._Pair, "_reconstruction_step", check)
+    train(make_config(losses={"rec_input": "real"}))
+
+
+def test_a_bank_holds_a_whole_sequence_once(make_config):
+    config = make_config(schedule={"window": None})
+    data = trainer.load_training_data(config)
+    network = MultiresGenerator(data.representation, data.conditioner.dim, config.network)
+    bank = Bank(data, config, network)
+    for n_frames, members in data.window_lengths().items():
+        sequences = [data.paired[i] for i in members]
+        windows = bank.paired(sequences, n_frames, 2, 8, torch.Generator().manual_seed(0))
+        assert len(windows.coarser) == len(sequences) and windows.speech is None
+        assert torch.equal(windows.targets[-1], torch.stack([s.motion for s in sequences]))
+
+
+def test_a_recording_of_one_frame_at_the_coarsest_level_trains(make_config, write_pair, tmp_path):
+    for stem, seconds in {"long": 1.0, "short": 0.5}.items():
+        write_pair(tmp_path / "pairs", stem, seconds)
+    prepare([tmp_path / "pairs"], tmp_path / "short.jsonl", holdout=0.0)
+    config = make_config(
+        corpus=str(tmp_path / "short.jsonl"),
+        network={"levels": 10},
+        schedule={"first_pair": 20, "further_pairs": 1},
+    )
+    assert (train(config) / "config.yaml").is_file()
+
+
+def test_no_checkpoint_is_written_of_what_is_no_number(make_config, monkeypatch):
+    step = trainer._Pair._random_step
+
+    def broken(self, n_frames, rng):
+        report = step(self, n_frames, rng)
+        with torch.no_grad():
+            next(self.generators.parameters()).fill_(float("nan"))
+        return report
+
+    monkeypatch.setattr(trainer._Pair, "_random_step", broken)
+    config = make_config(schedule={"reconstruction_steps": 0}, checkpoint_every=1, log_every=100)
+    with pytest.raises(ModelError, match="diverged at step 1 "):
+        train(config)
+    assert Checkpoints(config.out / "checkpoints").latest() is None
+
+
+def test_a_run_resumes_only_with_the_weights_it_began_with(make_config, write_wavlm, tmp_path):
+    write_wavlm(tmp_path / "weights")
+    config = make_config(
+        features={"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "weights")},
+        schedule={"first_pair": 1, "further_pairs": 1},
+    )
+    train(config)
+    assert train(config, resume=True).is_dir()
+    write_wavlm(tmp_path / "weights", seed=1)
+    with pytest.raises(WeightsError, match="fingerprint"):
+        train(config, resume=True)
 
 
 def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path, caplog, corpus):

@@ -46,6 +46,14 @@ def test_folders_stand_for_the_sounds_in_them(model, sounds, tmp_path):
     assert [outcome.source for outcome in outcomes] == [str(sounds[i]) for i in (2, 0, 1)]
 
 
+def test_no_name_leads_out_of_the_folder(model, sounds, tmp_path):
+    odd = sounds[0].rename(sounds[0].with_name("..wav"))
+    (outcome,) = render(model, [odd], tmp_path / "here" / "out")
+    assert outcome.error is None
+    assert [path.parent for path in outcome.files] == [tmp_path / "here" / "out"]
+    assert outcome.files[0].is_file() and len(list((tmp_path / "here").iterdir())) == 1
+
+
 def test_a_file_that_cannot_be_written_is_told_and_the_others_are_kept(model, sounds, tmp_path):
     out = tmp_path / "out"
     (out / "b.npz").mkdir(parents=True)
