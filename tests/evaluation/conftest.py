@@ -10,39 +10,6 @@ import pytest
 from audio_features import Wave
 from gesturekit.motion import Motion, Skeleton
 
-JOINTS = {
-    "Hips": (None, (0.0, 0.0, 0.0)),
-    "Spine": ("Hips", (0.0, 0.2, 0.0)),
-    "Neck": ("Spine", (0.0, 0.3, 0.0)),
-    "Head": ("Neck", (0.0, 0.1, 0.0)),
-    "LeftArm": ("Spine", (0.2, 0.25, 0.0)),
-    "LeftForeArm": ("LeftArm", (0.3, 0.0, 0.0)),
-    "LeftHand": ("LeftForeArm", (0.25, 0.0, 0.0)),
-    "RightArm": ("Spine", (-0.2, 0.25, 0.0)),
-    "RightForeArm": ("RightArm", (-0.3, 0.0, 0.0)),
-    "RightHand": ("RightForeArm", (-0.25, 0.0, 0.0)),
-    "LeftUpLeg": ("Hips", (0.1, -0.05, 0.0)),
-    "LeftLeg": ("LeftUpLeg", (0.0, -0.42, 0.0)),
-    "LeftFoot": ("LeftLeg", (0.0, -0.42, 0.0)),
-    "RightUpLeg": ("Hips", (-0.1, -0.05, 0.0)),
-    "RightLeg": ("RightUpLeg", (0.0, -0.42, 0.0)),
-    "RightFoot": ("RightLeg", (0.0, -0.42, 0.0)),
-}
-
-
-@pytest.fixture(scope="session")
-def skeleton() -> Skeleton:
-    names = tuple(JOINTS)
-    return Skeleton(
-        names=names,
-        parents=tuple(
-            -1 if parent is None else names.index(parent) for parent, _ in JOINTS.values()
-        ),
-        offsets=np.array([offset for _, offset in JOINTS.values()]),
-        end_sites={},
-        rotation_orders=("ZXY",) * len(names),
-    )
-
 
 @pytest.fixture(scope="session")
 def turning(skeleton: Skeleton) -> Callable[..., Motion]:
