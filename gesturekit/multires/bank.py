@@ -22,25 +22,6 @@ from gesturekit.multires.networks import MultiresGenerator
 
 
 @dataclass(frozen=True)
-class LevelRange:
-    """The levels a pair trains, for windows of one length."""
-
-    first: int
-    lengths: tuple[int, ...]
-    """Frames of each level of the pair."""
-
-    @classmethod
-    def of(cls, n_frames: int, levels: int, first: int) -> LevelRange:
-        """The pair that begins at level `first` (counted from 0) in windows of `n_frames`."""
-        return cls(first, tuple(af.level_lengths(n_frames, levels)[first : first + 2]))
-
-    @property
-    def indices(self) -> range:
-        """The levels, counted from 0."""
-        return range(self.first, self.first + len(self.lengths))
-
-
-@dataclass(frozen=True)
 class Windows:
     """N windows of one length, ready for the levels of a pair.
 
@@ -146,14 +127,14 @@ class Bank:
         rng: torch.Generator,
     ) -> list[Tensor]:
         """Recorded motion (B, D, T_i) for the discriminators of the pair."""
-        levels = LevelRange.of(n_frames, self.config.network.levels, first)
+        lengths = af.level_lengths(n_frames, self.config.network.levels)[first : first + 2]
         motion = torch.stack(
             [
                 sequence.motion[:, start : start + n_frames]
                 for sequence, start in random_windows(sequences, n_frames, count, rng)
             ]
         ).to(self.device)
-        return [resample(motion, n) for n in levels.lengths]
+        return [resample(motion, n) for n in lengths]
 
     @torch.no_grad()
     def _windows(

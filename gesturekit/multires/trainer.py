@@ -15,8 +15,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm import tqdm
 
+import audio_features as af
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.multires.bank import Bank, LevelRange, Windows
+from gesturekit.multires.bank import Bank, Windows
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.data import TrainingData, load_training_data
 from gesturekit.multires.interpolation import resample
@@ -180,7 +181,7 @@ class _Pair:
         self.config = trainer.config
         self.first = first
         self.iterations = iterations
-        self.indices = LevelRange.of(10**6, self.config.network.levels, first).indices
+        self.indices = range(first, min(first + 2, self.config.network.levels))
         self.generators = nn.ModuleList(trainer.network.levels[i] for i in self.indices)
         self.discriminators = nn.ModuleList(
             _seeded(
@@ -404,7 +405,7 @@ class _Pair:
             speeches, speeds = [], []
             stride = 1.0
             for sequence in self.trainer.data.paired:
-                n = LevelRange.of(sequence.n_frames, levels, i).lengths[0]
+                n = af.level_lengths(sequence.n_frames, levels)[i]
                 if n < 2:
                     continue  # a single frame has no speed
                 stride = sequence.n_frames / n
