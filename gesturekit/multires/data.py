@@ -71,6 +71,10 @@ class Normaliser:
         scale[-3:] = across, max(height, _SCALE_FLOORS["height"]), across
         return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
 
+    def to(self, device: torch.device) -> Normaliser:
+        """The same on another device."""
+        return Normaliser(self.mean.to(device), self.scale.to(device))
+
     def forward(self, x: Tensor) -> Tensor:
         """(B, D, T) in their own units to normalised."""
         return (x - self.mean[:, None]) / self.scale[:, None]

@@ -141,12 +141,11 @@ class MultiresModel:
         conditions = condition_levels(hears, lengths, self.residual)
         # One motion at a time: in a batch, sums would be made in another order, and a motion
         # would depend on how many were asked for.
-        skeleton = self.skeleton if speaker is None else self.speakers[speaker]
         motions = [
             self.representation.decode(
                 self._sample(conditions, lengths, n_frames, seed, number),
                 self.fps,
-                skeleton=skeleton,
+                skeleton=None if speaker is None else self.speakers[speaker],
             )
             for number in range(samples)
         ]

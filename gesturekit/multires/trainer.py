@@ -77,13 +77,13 @@ class _Trainer:
             log.warning(
                 "The corpus has no unpaired speech: random steps draw windows of the paired speech."
             )
-        seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
-        heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
+        self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
+        self.heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
         log.info(
             "Training on %d recordings (%.0f s) and %.0f s of %s speech; %d joints, %d features.",
             len(self.data.paired),
-            seconds,
-            heard,
+            self.seconds,
+            self.heard,
             "the same" if self.data.unpaired_is_paired else "unpaired",
             len(self.data.representation.joints),
             self.data.conditioner.dim,
@@ -95,10 +95,16 @@ class _Trainer:
             ),
         ).to(self.device)
         self.kinematics = VectorKinematics(self.data.representation, config.fps).to(self.device)
-        self.mean = self.data.normaliser.mean[:, None].to(self.device)
-        self.scale = self.data.normaliser.scale[:, None].to(self.device)
+        self.normaliser = self.data.normaliser.to(self.device)
         self.bank = Bank(self.data, config, self.network)
         self.groups = self.data.window_lengths()
+        # How often a step takes windows of each length: as often as there are frames of it.
+        self.group_frames = torch.tensor(
+            [
+                float(sum(self.data.paired[i].n_frames for i in members))
+                for members in self.groups.values()
+            ]
+        )
         if not resume:
             self.data.save(run.folder / "data")
             run.begin()
@@ -154,17 +160,15 @@ class _Trainer:
             z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
             speakers=self.data.speakers,
         )
-        seconds = sum(sequence.n_frames for sequence in self.data.paired) / self.config.fps
-        heard = sum(clip.shape[-1] for clip in self.data.unpaired) / self.config.fps
         last = self.folder.last_metrics()
         folder = self.folder.folder / "model"
         model.save(
             folder,
             notes={
-                "Recordings": f"{len(self.data.paired)}, {seconds:.0f} s",
+                "Recordings": f"{len(self.data.paired)}, {self.seconds:.0f} s",
                 "Unpaired speech": "none"
                 if self.data.unpaired_is_paired
-                else f"{len(self.data.unpaired)} files, {heard:.0f} s",
+                else f"{len(self.data.unpaired)} files, {self.heard:.0f} s",
                 "Training steps": str(steps),
                 "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
                 **{str(key): str(value) for key, value in self.config.notes.items()},
@@ -285,15 +289,11 @@ class _Pair:
         """One iteration: discriminator, random-generation and reconstruction steps."""
         schedule = self.config.schedule
         rng = generator(self.config.seed, "iteration", self.first, iteration)
-        groups = self.trainer.groups
-        lengths = list(groups)
-        frames = torch.tensor(
-            [float(sum(self.trainer.data.paired[i].n_frames for i in groups[n])) for n in lengths]
-        )
+        lengths = list(self.trainer.groups)
         report: dict[str, float] = {}
 
         def length() -> int:
-            return lengths[int(torch.multinomial(frames, 1, generator=rng))]
+            return lengths[int(torch.multinomial(self.trainer.group_frames, 1, generator=rng))]
 
         for _ in range(schedule.discriminator_steps):
             report["critic"] = self._discriminator_step(length(), rng)
@@ -344,7 +344,7 @@ class _Pair:
         parts: dict[str, list[Tensor]] = {}
         for i, (critic, motion) in enumerate(zip(self.discriminators, made, strict=True)):
             stride = n_frames / motion.shape[-1]
-            values = motion * self.trainer.scale + self.trainer.mean
+            values = self.trainer.normaliser.inverse(motion)
             if weights.adversarial:
                 score = -critic(motion).mean()
                 parts.setdefault("adversarial", []).append(weights.adversarial * score)
@@ -410,7 +410,7 @@ class _Pair:
                     continue  # a single frame has no speed
                 stride = sequence.n_frames / n
                 motion = resample(sequence.motion[None].to(self.trainer.device), n)
-                values = motion * self.trainer.scale + self.trainer.mean
+                values = self.trainer.normaliser.inverse(motion)
                 speed = self.trainer.kinematics.arm_speed(values, stride, smoothing=0.0)
                 speeds.append(speed[0])
                 speeches.append(resample(sequence.speech.to(self.trainer.device), n))
