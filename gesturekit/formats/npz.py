@@ -1,52 +1,55 @@
 """Motion as numpy archives: our own keys for any rig, and those of AMASS and BEAT2 for SMPL's.
 
 Native keys (format 1): `gk_version, names, parents, offsets, rotation_orders, end_site_joints,
-end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`. On a rig of the
-SMPL family `poses, trans, betas, expressions, gender, model, mocap_frame_rate, mocap_framerate`
-stand beside them, which PantoMatrix, the SMPL-X add-on of Blender and aitviewer read.
+end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`, and where they
+are known `body_betas, body_pelvis, gender, model, expressions`. On a rig of the SMPL family the
+keys of `gesturekit.formats.amass` stand beside them.
+
+Who reads what: the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the tools around
+BEAT2 read what is written by default. The add-on's format AMASS wants `up="z"`. aitviewer
+(`SMPLSequence.from_amass`) and readers of AMASS want `rig="smplh", up="z"`: they look for the
+fingers where SMPL-H has them.
 """
 
 from __future__ import annotations
 
 import os
 import warnings
-import zipfile
-import zlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gesturekit.archive import Archive, open_archive
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError
-from gesturekit.formats.smpl import N_JOINTS, is_smpl, model_pelvis, smpl_skeleton
-from gesturekit.formats.up_axis import Z_TO_Y
+from gesturekit.formats.amass import body_info, from_amass, to_amass, with_expressions
+from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.rotations import (
-    invert_quaternions,
-    multiply_quaternions,
-    quaternion_from_rotation_vector,
-    rotate_vectors,
-    rotation_vector_from_quaternion,
-)
 from gesturekit.motion.skeleton import Skeleton
 
 NPZ_FORMAT = 1
-_MAX_BYTES = 8 << 30  # a file that unpacks to more than this is not read
-# What zipfile, zlib and numpy raise on a file that is damaged or something else.
-_UNREADABLE = (OSError, EOFError, ValueError, MemoryError, zipfile.BadZipFile, zlib.error)
+_MAX_JOINTS = 2000
 
 
-def read_npz(path: str | os.PathLike[str], *, up: str = "auto") -> Motion:
+def read_npz(
+    path: str | os.PathLike[str],
+    *,
+    up: str = "auto",
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+) -> Motion:
     """Read a motion npz: ours, or one with the keys `poses` and `trans` of AMASS and BEAT2.
 
-    Joints of an SMPL rig lie as on an average adult, since the file does not hold the body model.
+    Without a body model the joints of an SMPL rig lie as on an average adult. What the file tells
+    of the body is kept in `info` (`betas`, `gender`) and written again.
 
     Args:
         path: the file.
         up: axis that points up in an AMASS-like file, "y" or "z"; "auto" looks where the pelvis'
             own up points in most frames. Ours are always Y up.
+        body_model: of the SMPL family, or its .npz file: bones become as long as the file's
+            `betas` say, and the feet get the six vertices of theirs.
 
     Raises:
         FormatError: missing, damaged, of a newer format, or without the keys of a motion.
@@ -54,35 +57,56 @@ def read_npz(path: str | os.PathLike[str], *, up: str = "auto") -> Motion:
     path = Path(path)
     if up not in ("auto", "y", "z"):
         raise FormatError(f"up axis {up!r}; expected auto, y or z")
-    values = _load(path)
-    try:
-        motion = _from_native(values) if "gk_version" in values else _from_smpl(values, up)
-    except KeyError as error:
-        raise FormatError(f"{path}: no key {error} in the archive") from None
-    except (TypeError, ValueError, IndexError) as error:
-        raise FormatError(f"{path}: {error}") from None
+    with open_archive(path) as archive:
+        try:
+            is_native = "gk_version" in archive
+            motion = _from_native(archive) if is_native else from_amass(archive, up)
+        except (TypeError, ValueError, IndexError, OverflowError) as error:
+            text = str(error)
+            raise FormatError(text if text.startswith(str(path)) else f"{path}: {text}") from None
     motion.info["source"] = str(path)
-    return motion
+    return motion if body_model is None else fit_body(motion, body_model)
 
 
-def write_npz(motion: Motion, path: str | os.PathLike[str], *, up: str = "y") -> None:
+def write_npz(
+    motion: Motion,
+    path: str | os.PathLike[str],
+    *,
+    rig: str | None = None,
+    up: str = "y",
+    fps: float | None = None,
+) -> None:
     """Write a motion npz; on a rig of the SMPL family with the keys of BEAT2 and AMASS.
 
     Args:
         motion: what to write.
         path: the file; it appears whole or not at all.
+        rig: "smplx", "smplh" or "smpl": the motion is put on that rig first. By default it stays
+            on its own, and if that is of the SMPL family, its pose vectors are those of SMPL-X.
         up: axis that points up in the SMPL keys: "y" as BEAT2 has it, "z" as AMASS has it. The
             native keys are always Y up.
+        fps: resample to this rate; by default the motion's own is kept.
 
     Warns:
         UserWarning: the SMPL-X add-on of Blender would refuse or misplay the frame rate.
+
+    Raises:
+        FormatError: an unknown rig or axis.
+        MotionError: a rig that cannot be retargeted to the one asked for.
     """
     if up not in ("y", "z"):
         raise FormatError(f"up axis {up!r}; expected y or z")
+    if rig is not None and rig not in RIGS:
+        raise FormatError(f"rig {rig!r}; expected {', '.join(RIGS)}")
+    if rig is not None:
+        motion = as_smpl(motion, RIGS[rig])
+    if fps is not None and fps != motion.fps:
+        motion = motion.resample(fps)
     values = _native(motion)
     if is_smpl(motion.skeleton):
-        values |= _smpl(motion, up)
-        if motion.fps % 30:
+        posed = motion if rig else as_smpl(motion, RIGS["smplx"])
+        values |= to_amass(posed, up)
+        if posed.skeleton.n_joints == RIGS["smplx"] and motion.fps % 30:
             fate = "refuses" if motion.fps < 30 else "plays at the wrong speed"
             warnings.warn(
                 f"{path}: the SMPL-X add-on of Blender {fate} {motion.fps:g} fps; write a multiple "
@@ -93,38 +117,11 @@ def write_npz(motion: Motion, path: str | os.PathLike[str], *, up: str = "y") ->
         np.savez(out, **values)
 
 
-def _load(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-        if size > _MAX_BYTES:
-            raise FormatError(f"{path}: unpacks to {size / 2**30:.1f} GiB; that is no motion")
-        values = {}
-        with np.load(path, allow_pickle=False) as archive:
-            for key in archive.files:
-                try:
-                    values[key] = archive[key]
-                except ValueError as error:
-                    if "pickle" not in str(error).lower():
-                        raise
-                    # Some archives hold notes as pickled objects; a motion's arrays never are.
-        return values
-    except FormatError:
-        raise
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file") from None
-    except _UNREADABLE as error:
-        raise FormatError(f"{path}: not a readable npz file: {error}") from None
-
-
-# Native keys
-
-
 def _native(motion: Motion) -> dict[str, Any]:
     skeleton = motion.skeleton
     ends = [(skeleton.index(k), site) for k, sites in skeleton.end_sites.items() for site in sites]
     moving = motion.joint_translations
-    return {
+    values = {
         "gk_version": NPZ_FORMAT,
         "names": np.array(skeleton.names),
         "parents": np.array(skeleton.parents),
@@ -138,92 +135,54 @@ def _native(motion: Motion) -> dict[str, Any]:
         "joint_translations": np.array(list(moving.values())).reshape(-1, motion.n_frames, 3),
         "fps": motion.fps,
     }
+    for key, known in (("body_betas", "betas"), ("body_pelvis", "rest_pelvis")):
+        if known in motion.info:
+            values[key] = np.asarray(motion.info[known], dtype=np.float64)
+    if motion.expressions is not None:
+        values["expressions"] = motion.expressions
+    return values
 
 
-def _from_native(values: Mapping[str, np.ndarray]) -> Motion:
-    version = values["gk_version"]
+def _from_native(archive: Archive) -> Motion:
+    version = archive["gk_version"]
     if version.shape or version != NPZ_FORMAT:
         raise FormatError(f"motion format {version}; this version of gesturekit reads {NPZ_FORMAT}")
-    names = tuple(str(name) for name in values["names"])
+    names = tuple(str(name) for name in _list(archive, "names"))
+    end_joints, end_offsets = _list(archive, "end_site_joints"), _list(archive, "end_site_offsets")
     ends: dict[str, tuple[np.ndarray, ...]] = {}
-    for j, site in zip(values["end_site_joints"], values["end_site_offsets"]):
+    for j, site in zip(end_joints, end_offsets):
         ends[names[j]] = (*ends.get(names[j], ()), site)
+    skeleton = Skeleton(
+        names=names,
+        parents=tuple(_list(archive, "parents").tolist()),
+        offsets=archive.numbers("offsets"),
+        end_sites=ends,
+        rotation_orders=tuple(str(order) for order in _list(archive, "rotation_orders")),
+    )
     motion = Motion(
-        skeleton=Skeleton(
-            names=names,
-            parents=tuple(values["parents"].tolist()),
-            offsets=values["offsets"],
-            end_sites=ends,
-            rotation_orders=tuple(str(order) for order in values["rotation_orders"]),
-        ),
-        rotations=values["rotations"],
-        translation=values["translation"],
-        fps=values["fps"].item(),
+        skeleton=skeleton,
+        rotations=archive.numbers("rotations"),
+        translation=archive.numbers("translation"),
+        fps=archive.numbers("fps").item(),
         joint_translations={
             names[j]: places
-            for j, places in zip(values["moving_joints"], values["joint_translations"])
+            for j, places in zip(
+                _list(archive, "moving_joints"), archive.numbers("joint_translations")
+            )
         },
     )
-    if "betas" in values:
-        motion.info["betas"] = values["betas"]
-    return motion
+    motion.info.update(body_info(archive, "body_betas", skeleton.n_joints))
+    if "body_pelvis" in archive:
+        place = archive.numbers("body_pelvis")
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise FormatError(f"body_pelvis is {place.tolist()}; expected three numbers")
+        motion.info["rest_pelvis"] = place
+    return with_expressions(motion, archive) if "expressions" in archive else motion
 
 
-# SMPL keys
-
-
-def _smpl(motion: Motion, up: str) -> dict[str, Any]:
-    skeleton, n_frames = motion.skeleton, motion.n_frames
-    rotations, pelvis = motion.rotations.copy(), motion.translation
-    if up == "z":
-        back = invert_quaternions(Z_TO_Y)
-        rotations[:, 0] = multiply_quaternions(back, rotations[:, 0])
-        pelvis = rotate_vectors(back, pelvis)
-    poses = np.zeros((n_frames, 55, 3))
-    whole = smpl_skeleton(55)
-    for j, name in enumerate(skeleton.names):
-        if name in whole.names:  # SMPL's hand stubs have no place in SMPL-X
-            poses[:, whole.index(name)] = rotation_vector_from_quaternion(rotations[:, j])
-    betas = np.zeros(300)
-    if skeleton.n_joints == 55:  # the shapes of SMPL and SMPL-H mean nothing to SMPL-X
-        known = np.asarray(motion.info.get("betas", ()), dtype=np.float64).ravel()[:300]
-        betas[: len(known)] = known
-    rate = int(motion.fps) if motion.fps == int(motion.fps) else motion.fps
-    return {
-        "poses": poses.reshape(n_frames, 165),
-        "trans": pelvis - model_pelvis(55),
-        "betas": betas,
-        "expressions": np.zeros((n_frames, 100)),
-        "gender": "neutral",
-        "model": "smplx2020",
-        "surface_model_type": "smplx",
-        "mocap_frame_rate": rate,
-        "mocap_framerate": rate,
-    }
-
-
-def _from_smpl(values: Mapping[str, np.ndarray], up: str) -> Motion:
-    poses = np.asarray(values["poses"], dtype=np.float64)
-    trans = np.asarray(values["trans"], dtype=np.float64)
-    n_joints = poses.shape[1] // 3 if poses.ndim == 2 else 0
-    if n_joints not in N_JOINTS or poses.shape[1] % 3:
-        raise FormatError(
-            f"poses have shape {poses.shape}; expected (frames, 3 x joints) with "
-            f"{', '.join(map(str, N_JOINTS))} joints of an SMPL rig"
-        )
-    if trans.shape != (len(poses), 3):
-        raise FormatError(f"trans has shape {trans.shape}; expected ({len(poses)}, 3)")
-    rates = [values[key] for key in ("mocap_frame_rate", "mocap_framerate", "fps") if key in values]
-    if not rates:
-        raise FormatError("no key 'mocap_frame_rate' or 'mocap_framerate' in the archive")
-    skeleton = smpl_skeleton(n_joints)
-    rotations = quaternion_from_rotation_vector(poses.reshape(len(poses), n_joints, 3))
-    pelvis = trans + model_pelvis(n_joints)
-    if up == "auto":
-        body = rotate_vectors(rotations[:, 0], np.array([0.0, 1.0, 0.0]))
-        up = "z" if np.median(body[:, 2] - body[:, 1]) > 0 else "y"
-    if up == "z":
-        rotations[:, 0] = multiply_quaternions(Z_TO_Y, rotations[:, 0])
-        pelvis = rotate_vectors(Z_TO_Y, pelvis)
-    info = {"up": up, "betas": np.asarray(values.get("betas", ()))}
-    return Motion(skeleton, rotations, pelvis, float(rates[0].item()), info=info)
+def _list(archive: Archive, key: str) -> np.ndarray:
+    """An array of one entry for each joint, or so."""
+    values = archive[key]
+    if values.ndim < 1 or len(values) > _MAX_JOINTS:
+        raise FormatError(f"{key} have shape {values.shape}; that is no body's rig")
+    return values

@@ -2,15 +2,25 @@
 
 The body models' own rest joints come with files whose licence forbids handing them on, and follow
 from `betas`. Without them we place the joints as on an adult of average build, 1.7 m tall,
-measured by no model; rotations are exact all the same.
+measured by no model; rotations are exact all the same. With one, `fit_body` takes its joints.
+
+What a file tells of the performer's body rides in a motion's `info`: `betas` (of the rig's own
+shape space), `gender`, and `rest_pelvis`, where the file's model holds its pelvis.
 """
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
+from gesturekit.errors import FormatError
+from gesturekit.formats.up_axis import Z_TO_Y
+from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import IDENTITY, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
 _BODY = (  # name, parent, offset of the left or middle joint (m): x to the left, Y up, +Z forward
@@ -52,6 +62,9 @@ _FINGERS = {  # place of the first joint and lengths of the next two steps (m)
 }
 N_JOINTS = (22, 24, 52, 55)
 """Sizes of rigs: body, SMPL (with hand stubs), SMPL-H (with fingers), SMPL-X (with face too)."""
+
+RIGS = {"smpl": 24, "smplh": 52, "smplx": 55}
+"""Joints of the rigs that a file can be asked for in."""
 
 _MODEL_PELVIS = {22: (0.0, -0.22, 0.03), 24: (0.0, -0.22, 0.03), 52: (0.0, -0.22, 0.03)}
 _SMPLX_PELVIS = (0.0, -0.35, 0.01)
@@ -105,3 +118,59 @@ def is_smpl(skeleton: Skeleton) -> bool:
         return False
     rig = smpl_skeleton(n)
     return (skeleton.names, skeleton.parents) == (rig.names, rig.parents)
+
+
+def as_smpl(motion: Motion, n_joints: int) -> Motion:
+    """The motion on the rig of that many joints of the SMPL family.
+
+    From another rig of the family, shared joints keep their rotations, joints that only the new
+    one has (fingers, face, SMPL's hand stubs) stay at rest, and the pelvis its place in the world.
+    SMPL and SMPL-H share one space of body shapes; on the way to SMPL-X or from it `betas` mean
+    nothing and are dropped. Any other rig is retargeted.
+
+    Raises:
+        MotionError: a rig that cannot be retargeted.
+    """
+    if motion.skeleton.n_joints == n_joints and is_smpl(motion.skeleton):
+        return motion
+    rig = smpl_skeleton(n_joints)
+    if not is_smpl(motion.skeleton):
+        from gesturekit.motion.retarget import retarget
+
+        return retarget(motion, rig)
+    rotations = np.tile(IDENTITY, (motion.n_frames, n_joints, 1))
+    old = motion.skeleton
+    for j, name in enumerate(rig.names):
+        if name in old.names:
+            rotations[:, j] = motion.rotations[:, old.index(name)]
+    info = dict(motion.info)
+    expressions = motion.expressions
+    if (old.n_joints == 55) != (n_joints == 55):
+        expressions = None
+        for key in ("betas", "model", "rest_pelvis"):
+            info.pop(key, None)
+    return replace(motion, skeleton=rig, rotations=rotations, info=info, expressions=expressions)
+
+
+def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> Motion:
+    """The motion on the rig of a body model: its joints under the motion's `betas`, its feet.
+
+    The six vertices of the feet become end sites of the foot joints, where `foot_points` finds
+    them. A file's `trans` keeps its meaning: the pelvis is moved to where the model holds it.
+
+    Raises:
+        FormatError: a model of another family.
+    """
+    body = BodyModel.of(body_model)
+    if body.n_joints not in N_JOINTS or body.parents != smpl_skeleton(body.n_joints).parents:
+        raise FormatError(f"{body.source}: a model of {body.n_joints} joints, not of SMPL's family")
+    motion = as_smpl(motion, body.n_joints)
+    info = motion.info | {"body_model": body.source}
+    rig = body.rig(motion.skeleton, info.get("betas"))
+    shift = np.zeros(3)
+    if "rest_pelvis" in info:
+        shift = rig.offsets[0] - info["rest_pelvis"]
+        if info.get("up") == "z":
+            shift = rotate_vectors(Z_TO_Y, shift)
+    info["rest_pelvis"] = rig.offsets[0]
+    return replace(motion, skeleton=rig, translation=motion.translation + shift, info=info)

@@ -21,10 +21,16 @@ class FootPoint:
 
 
 def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
-    """Left heel, left toe, right heel, right toe.
+    """Where the left foot touches the floor, then where the right one does.
 
-    The heel is the ankle joint. The toe is the toe joint, or where the rig has none the farthest
-    end of the foot (a leaf or an end site on the ankle); without that there is no toe point.
+    On any rig, heel and toe. The heel is the ankle joint. The toe is the toe joint, or where the
+    rig has none the farthest end of the foot (a leaf or an end site on the ankle); without that
+    there is no toe point.
+
+    With a body model, big toe, small toe and heel: `BodyModel.rig` puts those vertices on the foot
+    joints as end sites, and three or more of them on a foot are what touches the floor. They are
+    fixed to the joint they are weighted to most, so that labels, losses and measurements see the
+    same points and none needs the skin; see `BodyModel.vertices` for the skinned ones.
 
     Raises:
         MotionError: legs that cannot be told; see `gesturekit.motion.parts.find_parts`.
@@ -32,6 +38,14 @@ def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
     legs = find_parts(skeleton).legs
     points = []
     for side in SIDES:
+        soles = [
+            FootPoint(joint, site)
+            for joint in (legs[side].toe, legs[side].ankle)
+            for site in skeleton.end_sites.get(joint, ())
+        ]
+        if len(soles) >= 3:
+            points += soles
+            continue
         points.append(FootPoint(legs[side].ankle, np.zeros(3)))
         toe = _toe(skeleton, legs[side])
         if toe is not None:

@@ -20,10 +20,13 @@ from gesturekit.motion.skeleton import Skeleton
 _READERS = {
     ".bvh": ("gesturekit.formats.bvh", "read_bvh"),
     ".npz": ("gesturekit.formats.npz", "read_npz"),
+    ".json": ("gesturekit.formats.easymocap", "read_easymocap"),
+    "a folder": ("gesturekit.formats.easymocap", "read_easymocap"),
 }
 _WRITERS = {
     ".bvh": ("gesturekit.formats.bvh", "write_bvh"),
     ".npz": ("gesturekit.formats.npz", "write_npz"),
+    ".obj": ("gesturekit.formats.obj", "write_obj"),
     ".html": ("gesturekit.viewer", "write_html"),
     ".png": ("gesturekit.viewer", "write_picture"),
 }
@@ -41,6 +44,8 @@ class Motion:
         joint_translations: joint name to (T, 3), metres, in the parent's frame: replaces that
             joint's offset, for files that move joints other than the root.
         info: what is known of its origin (source file, unit found, ...).
+        expressions: (T, E) coefficients of the face, as SMPL-X has them, or None. They are carried
+            along and resampled; nothing else looks at them.
 
     Raises:
         MotionError: shapes that do not fit, numbers that are not finite, or no frame at all.
@@ -52,6 +57,7 @@ class Motion:
     fps: float
     joint_translations: Mapping[str, np.ndarray] = field(default_factory=dict)
     info: dict[str, Any] = field(default_factory=dict)
+    expressions: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         rotations = np.asarray(self.rotations, dtype=np.float64)
@@ -79,12 +85,16 @@ class Motion:
         if not (np.isfinite(fps) and fps > 0):
             raise MotionError(f"fps is {self.fps!r}; expected a positive number")
         translation = _places(self.translation, n_frames, "translation")
+        expressions = self.expressions
+        if expressions is not None:
+            expressions = _rows(expressions, n_frames, "expressions")
         for key, value in (
             # Unit ones stay as they are, to the last bit: what is read again is what was written.
             ("rotations", np.where(np.abs(length - 1) > 1e-12, rotations / length, rotations)),
             ("translation", translation),
             ("fps", fps),
             ("joint_translations", moving),
+            ("expressions", expressions),
         ):
             object.__setattr__(self, key, value)
 
@@ -156,12 +166,13 @@ class Motion:
             rotations=self.rotations[part],
             translation=self.translation[part],
             joint_translations={k: v[part] for k, v in self.joint_translations.items()},
+            expressions=None if self.expressions is None else self.expressions[part],
             info=dict(self.info),
         )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], **options: Any) -> Motion:
-        """Read a .bvh or .npz file; `options` are those of `gesturekit.formats`.
+        """Read a .bvh or .npz file, or a folder of EasyMocap; `options` are those of the reader.
 
         Raises:
             FormatError: the file is missing, of another kind, or broken.
@@ -169,7 +180,7 @@ class Motion:
         return _dispatch(_READERS, path, "read")(path, **options)
 
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write a .bvh, .npz, .html or .png file; `options` are those of the format's writer.
+        """Write a .bvh, .npz, .obj, .html or .png file; `options` are those of the writer.
 
         Raises:
             FormatError: no such format, or one that cannot hold this motion.
@@ -178,7 +189,7 @@ class Motion:
 
 
 def _dispatch(table: Mapping[str, tuple[str, str]], path: str | os.PathLike[str], verb: str) -> Any:
-    suffix = Path(path).suffix.lower()
+    suffix = "a folder" if Path(path).is_dir() else Path(path).suffix.lower()
     if suffix not in table:
         raise FormatError(
             f"{path}: cannot {verb} motion as {suffix or 'a file without suffix'}; "
@@ -194,6 +205,13 @@ def _places(values: np.ndarray, n_frames: int, what: str) -> np.ndarray:
         raise MotionError(
             f"{what} has shape {values.shape}; {n_frames} frames need ({n_frames}, 3)"
         )
+    return _rows(values, n_frames, what)
+
+
+def _rows(values: np.ndarray, n_frames: int, what: str) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 2 or len(values) != n_frames:
+        raise MotionError(f"{what} has shape {values.shape}; {n_frames} frames need as many rows")
     if not np.isfinite(values).all():
         raise MotionError(
             f"{what} is not finite in frame {np.argwhere(~np.isfinite(values))[0][0]}"

@@ -52,5 +52,6 @@ def resample_motion(motion: Motion, fps: float, n_frames: int | None = None) -> 
         translation=between(motion.translation),
         fps=fps,
         joint_translations={k: between(v) for k, v in motion.joint_translations.items()},
+        expressions=None if motion.expressions is None else between(motion.expressions),
         info=dict(motion.info),
     )

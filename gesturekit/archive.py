@@ -1,0 +1,155 @@
+"""Reading an npz file that may be broken or hostile: nothing pickled, nothing beyond its size."""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.errors import FormatError
+
+ALLOWANCE = 64 << 20
+"""Bytes that the arrays read from a file may always take."""
+MAX_RATIO = 20
+"""Beyond the allowance, how many times larger than the file they may be. Real recordings deflate
+to a half or a third; zeros, to a thousandth."""
+_MAX_DIRECTORY = 1 << 20  # bytes of the list of members: ten thousand of them
+_END = struct.Struct("<4s8xI4xH")  # end record of a zip: signature, size of the list, comment
+# What zipfile, zlib and numpy raise on a file that is damaged or something else.
+_UNREADABLE = (
+    EOFError,
+    MemoryError,
+    NotImplementedError,
+    OSError,
+    RecursionError,
+    RuntimeError,
+    SyntaxError,
+    ValueError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+class Archive:
+    """The arrays of an npz file, each read when it is asked for; see `open_archive`.
+
+    An array's header is looked at before memory is taken for it. Arrays of pickled Python objects
+    are refused when they are asked for, and do no harm before.
+    """
+
+    def __init__(self, path: Path, members: zipfile.ZipFile) -> None:
+        self.path = path
+        self._members = members
+        self._left = max(ALLOWANCE, MAX_RATIO * path.stat().st_size)
+
+    def __contains__(self, key: str) -> bool:
+        return f"{key}.npy" in self._members.NameToInfo
+
+    def __getitem__(self, key: str) -> np.ndarray:
+        """The array called `key`.
+
+        Raises:
+            FormatError: there is none, it is pickled, damaged, or larger than the file allows.
+        """
+        if key not in self:
+            raise FormatError(f"{self.path}: no key {key!r} in the archive")
+        info = self._members.NameToInfo[f"{key}.npy"]
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise FormatError(f"{self.path}: key {key!r} is packed in a way that numpy never does")
+        try:
+            with self._members.open(info) as member:
+                shape, dtype = _header(member)
+                start = member.tell()
+            if dtype.hasobject:
+                raise FormatError(
+                    f"{self.path}: key {key!r} is a pickled Python object, which could run code "
+                    "and is never loaded; save it as a plain array"
+                )
+            n_bytes = dtype.itemsize * math.prod(shape)
+            if n_bytes != info.file_size - start or (not dtype.itemsize and math.prod(shape) > 1):
+                raise FormatError(
+                    f"{self.path}: key {key!r} declares shape {shape} of {dtype}, {n_bytes} bytes, "
+                    f"and holds {info.file_size - start}"
+                )
+            if n_bytes > self._left:
+                raise FormatError(
+                    f"{self.path}: key {key!r} unpacks to {n_bytes / 2**20:.0f} MiB, far more "
+                    "than its file suggests; save it with numpy.savez"
+                )
+            self._left -= n_bytes
+            with self._members.open(info) as member:
+                return np.lib.format.read_array(member, allow_pickle=False)
+        except FormatError:
+            raise
+        except _UNREADABLE as error:
+            raise FormatError(f"{self.path}: key {key!r} cannot be read: {error}") from None
+
+    def numbers(self, key: str, dtype: type = np.float64) -> np.ndarray:
+        """The array called `key` as floating-point numbers.
+
+        Raises:
+            FormatError: as above, or it does not hold real numbers.
+        """
+        values = self[key]
+        if values.dtype.kind not in "fiu":
+            held = repr(values.item()) if values.size == 1 else str(values.dtype)
+            raise FormatError(f"{self.path}: key {key!r} holds {held[:60]}, not numbers")
+        return values.astype(dtype, copy=False)
+
+
+@contextmanager
+def open_archive(path: str | os.PathLike[str]) -> Iterator[Archive]:
+    """Open an npz file for reading.
+
+    Raises:
+        FormatError: missing, no npz, or with a list of members that is no list of arrays.
+    """
+    path = Path(path)
+    try:
+        _check_directory(path)
+        members = zipfile.ZipFile(path)
+    except FileNotFoundError:
+        raise FormatError(f"{path}: no such file") from None
+    except FormatError:
+        raise
+    except _UNREADABLE as error:
+        raise FormatError(f"{path}: not a readable npz file: {error}") from None
+    with members:
+        yield Archive(path, members)
+
+
+def _header(member: zipfile.ZipExtFile) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(member)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(member)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(member)
+    else:
+        raise ValueError(f"version {version} of the npy format, which no plain array needs")
+    return shape, dtype
+
+
+def _check_directory(path: Path) -> None:
+    """Refuse a list of members that zipfile would need gigabytes to read."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - (1 << 16) - 64))
+        tail = file.read()
+    at = tail.rfind(b"PK\5\6")
+    if at < 0 or len(tail) - at < _END.size:
+        raise FormatError(f"{path}: not a readable npz file: it is no zip archive, or cut short")
+    _, directory, _ = _END.unpack_from(tail, at)
+    if tail[max(0, at - 20) : at].startswith(b"PK\6\7"):
+        raise FormatError(f"{path}: an archive of more than 4 GiB; cut the recording into pieces")
+    if directory > _MAX_DIRECTORY:
+        raise FormatError(
+            f"{path}: its list of members takes {directory} bytes; a motion has a few arrays"
+        )

@@ -1,0 +1,302 @@
+"""Body models of the SMPL family, from the files their users have: joints, skin, feet.
+
+Loper et al. 2015. The skin at rest is `template + shapes . betas`; the joints at rest are a fixed
+mixture of its vertices; a pose adds small corrections to the skin and then carries each vertex
+with the joints it is weighted to (linear blend skinning).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.archive import Archive, open_archive
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.motion.kinematics import forward_kinematics, global_rotations
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import matrix_from_quaternion
+from gesturekit.motion.skeleton import Skeleton
+
+FOOT_VERTICES = {
+    6890: (3216, 3226, 3387, 6617, 6624, 6787),
+    10475: (5770, 5780, 8846, 8463, 8474, 8635),
+}
+"""Left big toe, left small toe, left heel and the same of the right foot, by the number of vertices
+of the mesh: SMPL and SMPL-H share one, SMPL-X has another (as in the package smplx, vertex_ids)."""
+
+Fail = Callable[[str], FormatError]
+_MAX_VERTICES, _MAX_JOINTS = 200_000, 256
+_CHUNK = 1 << 20  # numbers of one step of skinning
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """A body's skin and joints at rest, and how they follow from its shape. Metres, Y up.
+
+    Attributes:
+        template: (V, 3) vertices of the mean body.
+        faces: (F, 3) indices of vertices, counter-clockwise from outside.
+        shapes: (V, 3, B) what each of the B betas adds to them.
+        pose_corrections: (V, 3, 9 (J - 1)) what each entry of the joints' rotation matrices less
+            the identity adds, the root's left out; or None.
+        regressor: (J, V) joints at rest as mixtures of vertices.
+        weights: (V, J) how much each vertex goes with each joint; rows sum to 1.
+        parents: of the joints, -1 for the root.
+        feet: six vertices: big toe, small toe and heel of the left foot, then of the right.
+        source: the file.
+    """
+
+    template: np.ndarray
+    faces: np.ndarray
+    shapes: np.ndarray
+    pose_corrections: np.ndarray | None
+    regressor: np.ndarray
+    weights: np.ndarray
+    parents: tuple[int, ...]
+    feet: tuple[int, ...] | None = None
+    source: str = ""
+    _joints: tuple[np.ndarray, np.ndarray] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        joints = self.regressor @ self.template
+        n_joints, n_vertices = self.regressor.shape
+        by_shape = self.regressor @ self.shapes.reshape(n_vertices, -1)
+        by_shape = by_shape.reshape(n_joints, 3, -1)
+        object.__setattr__(self, "_joints", (joints.astype(float), by_shape.astype(float)))
+
+    def __repr__(self) -> str:
+        return f"BodyModel({self.source!r}, {self.n_vertices} vertices, {self.n_joints} joints)"
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints J."""
+        return len(self.parents)
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices V."""
+        return len(self.template)
+
+    @classmethod
+    def of(cls, model: BodyModel | str | os.PathLike[str]) -> BodyModel:
+        """The model itself, or the one in a file; the last file is remembered."""
+        if isinstance(model, BodyModel):
+            return model
+        path = Path(model)
+        try:
+            stamp = path.stat().st_mtime_ns
+        except OSError as error:
+            raise FormatError(f"{path}: no such body model: {error.strerror}") from None
+        return _remembered(str(path), stamp)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, feet: Sequence[int] | None = None) -> BodyModel:
+        """Read the npz file of an SMPL, SMPL-H or SMPL-X model.
+
+        Arrays of SMPL-X that are pickled (`joint2num`, ...) are not needed and not loaded.
+        `J_regressor` may stand in the parts of a sparse matrix: `J_regressor_data`,
+        `J_regressor_indices` and `J_regressor_indptr`.
+
+        Args:
+            path: the .npz file.
+            feet: the six foot vertices, where the mesh is none of those of `FOOT_VERTICES`.
+
+        Raises:
+            FormatError: missing, damaged, pickled, or arrays that do not fit one another.
+        """
+        path = Path(path)
+        if path.suffix.lower() == ".pkl":
+            raise FormatError(
+                f"{path}: a pickle can run code and is never loaded; use the model's .npz file"
+            )
+        with open_archive(path) as archive:
+            return _read(archive, feet)
+
+    def vertices_at_rest(
+        self, betas: np.ndarray | None = None, indices: Sequence[int] | None = None
+    ) -> np.ndarray:
+        """(N, 3) vertices of the unmoved body, all of them or those named, metres."""
+        at = slice(None) if indices is None else list(indices)
+        betas = self._betas(betas)
+        shaped = self.template[at] + self.shapes[at][..., : len(betas)] @ betas
+        return shaped.astype(np.float64)
+
+    def joints_at_rest(self, betas: np.ndarray | None = None) -> np.ndarray:
+        """(J, 3) joints of the unmoved body, metres."""
+        betas = self._betas(betas)
+        mean, by_shape = self._joints
+        return mean + by_shape[..., : len(betas)] @ betas
+
+    def rig(self, skeleton: Skeleton, betas: np.ndarray | None = None) -> Skeleton:
+        """The skeleton with the offsets of this body, and its foot vertices as end sites.
+
+        A foot vertex is fixed to the joint that has the greatest weight on it.
+
+        Raises:
+            MotionError: the joints hang on one another otherwise than the model's.
+        """
+        if skeleton.parents != self.parents:
+            raise MotionError(
+                f"the body model has {self.n_joints} joints and the rig {skeleton.n_joints}, or "
+                "they hang on one another in another way"
+            )
+        joints = self.joints_at_rest(betas)
+        offsets = joints - joints[np.maximum(self.parents, 0)]
+        offsets[0] = joints[0]
+        ends: dict[str, tuple[np.ndarray, ...]] = {}
+        if self.feet:
+            for vertex, place in zip(self.feet, self.vertices_at_rest(betas, self.feet)):
+                joint = int(self.weights[vertex].argmax())
+                name = skeleton.names[joint]
+                ends[name] = (*ends.get(name, ()), place - joints[joint])
+        return replace(skeleton, offsets=offsets, end_sites=ends)
+
+    def vertices(
+        self,
+        motion: Motion,
+        indices: Sequence[int] | None = None,
+        betas: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """(T, N, 3) world positions of vertices under a motion, metres.
+
+        Only those asked for are computed. Face expressions are not applied, and fingers turn from
+        the model's flat hand.
+
+        Args:
+            motion: on a rig with the model's joints; its own offsets do not matter.
+            indices: which vertices; all by default.
+            betas: the body's shape; by default that of the motion's `info`.
+
+        Raises:
+            MotionError: a rig with other joints.
+        """
+        betas = motion.info.get("betas") if betas is None else betas
+        rig = self.rig(motion.skeleton, betas)
+        at = np.arange(self.n_vertices) if indices is None else np.asarray(indices)
+        rest = self.vertices_at_rest(betas, at)
+        joints = self.joints_at_rest(betas)
+        weights = self.weights[at].astype(np.float64)
+        corrections = None
+        if self.pose_corrections is not None:
+            corrections = self.pose_corrections[at].reshape(len(at) * 3, -1).T
+        moved = np.empty((motion.n_frames, len(at), 3))
+        chunk = max(1, _CHUNK // (9 * max(len(at), self.n_joints)))
+        for start in range(0, motion.n_frames, chunk):
+            part = slice(start, start + chunk)
+            local = motion.rotations[part]
+            turns = matrix_from_quaternion(global_rotations(local, rig))
+            places = forward_kinematics(local, motion.translation[part], rig)
+            skin = rest[None]
+            if corrections is not None:
+                bends = (matrix_from_quaternion(local[:, 1:]) - np.eye(3)).reshape(len(local), -1)
+                added = bends.astype(corrections.dtype) @ corrections
+                skin = rest + added.reshape(len(local), -1, 3)
+            # A vertex goes with joint j to R_j (v - J_j) + p_j; the mixture of maps is one map.
+            steps = places - np.einsum("tjab,jb->tja", turns, joints)
+            turn = np.tensordot(turns, weights, axes=(1, 1))  # (t, a, b, n)
+            turned = (turn * skin.transpose(0, 2, 1)[:, None]).sum(axis=2)
+            moved[part] = turned.transpose(0, 2, 1) + weights @ steps
+        return moved
+
+    def _betas(self, betas: np.ndarray | None) -> np.ndarray:
+        """As many as the model has; of the mean body where none are given."""
+        if betas is None:
+            return np.zeros(0)
+        betas = np.asarray(betas, dtype=np.float64).ravel()
+        return betas[: self.shapes.shape[-1]]
+
+
+@lru_cache(maxsize=1)
+def _remembered(path: str, stamp: int) -> BodyModel:
+    return BodyModel.load(path)
+
+
+def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
+    def fail(what: str) -> FormatError:
+        return FormatError(f"{archive.path}: {what}; expected a model of the SMPL family")
+
+    template = archive.numbers("v_template", np.float32)
+    weights = archive.numbers("weights", np.float32)
+    if template.ndim != 2 or template.shape[1] != 3 or not 0 < len(template) <= _MAX_VERTICES:
+        raise fail(f"v_template has shape {template.shape}")
+    n_vertices = len(template)
+    if weights.ndim != 2 or len(weights) != n_vertices or not 0 < weights.shape[1] <= _MAX_JOINTS:
+        raise fail(f"weights have shape {weights.shape} for {n_vertices} vertices")
+    n_joints = weights.shape[1]
+    shapes = np.zeros((n_vertices, 3, 0), np.float32)
+    if "shapedirs" in archive:
+        shapes = archive.numbers("shapedirs", np.float32)
+        if shapes.ndim != 3 or shapes.shape[:2] != (n_vertices, 3):
+            raise fail(f"shapedirs have shape {shapes.shape} for {n_vertices} vertices")
+        if n_joints == 55:  # SMPL-X: 300 shapes and 100 expressions of the face, or 10 and 10
+            shapes = shapes[..., : 300 if shapes.shape[-1] >= 400 else 10]
+    corrections = None
+    if "posedirs" in archive:
+        corrections = archive.numbers("posedirs", np.float32)
+        if corrections.shape != (n_vertices, 3, 9 * (n_joints - 1)):
+            raise fail(f"posedirs have shape {corrections.shape} for {n_joints} joints")
+    faces = archive["f"]
+    if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
+        raise fail(f"f has shape {faces.shape} of {faces.dtype}")
+    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < n_vertices:
+        raise fail(f"f names vertices that are not among {n_vertices}")
+    if feet is not None and not all(0 <= vertex < n_vertices for vertex in feet):
+        raise fail(f"foot vertices {list(feet)} are not among {n_vertices}")
+    if feet is not None and len(feet) != 6:
+        raise fail(f"{len(feet)} foot vertices, not six")
+    regressor = _regressor(archive, n_joints, n_vertices, fail)
+    arrays = [template, weights, shapes, regressor]
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise fail("numbers that are not finite")
+    return BodyModel(
+        template=template,
+        faces=faces.astype(np.int64),
+        shapes=shapes,
+        pose_corrections=corrections,
+        regressor=regressor,
+        weights=weights,
+        parents=_parents(archive, n_joints, fail),
+        feet=FOOT_VERTICES.get(n_vertices) if feet is None else tuple(feet),
+        source=str(archive.path),
+    )
+
+
+def _parents(archive: Archive, n_joints: int, fail: Fail) -> tuple[int, ...]:
+    table = archive.numbers("kintree_table")
+    if table.ndim == 2:
+        table = table[0]
+    if table.shape != (n_joints,):
+        raise fail(f"kintree_table has shape {table.shape} for {n_joints} joints")
+    # The root's parent is -1, or what 2^32 wraps it to.
+    parents = (-1, *(int(parent) for parent in table[1:]))
+    if not all(0 <= parent < j for j, parent in enumerate(parents) if j):
+        raise fail("kintree_table is no tree with parents before children")
+    return parents
+
+
+def _regressor(archive: Archive, n_joints: int, n_vertices: int, fail: Fail) -> np.ndarray:
+    """(J, V) float32, from a plain array or the parts of a compressed sparse matrix."""
+    shape = (n_joints, n_vertices)
+    if "J_regressor" in archive or "J_regressor_data" not in archive:
+        dense = archive.numbers("J_regressor", np.float32)
+    else:
+        from scipy.sparse import csc_array, csr_array
+
+        data = archive.numbers("J_regressor_data", np.float32)
+        indices = archive["J_regressor_indices"]
+        starts = archive["J_regressor_indptr"]
+        kind = csr_array if len(starts) == n_joints + 1 else csc_array
+        try:
+            sparse = kind((data, indices, starts), shape=shape)
+            sparse.check_format(full_check=True)
+        except (TypeError, ValueError) as error:
+            raise fail(f"J_regressor is no sparse matrix of shape {shape} ({error})") from None
+        dense = sparse.toarray()
+    if dense.shape != shape:
+        raise fail(f"J_regressor has shape {dense.shape}, not {shape}")
+    return dense

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_array, csr_array
+from scipy.spatial.transform import Rotation
+
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
+from gesturekit.motion.rotations import quaternion_from_rotation_vector
+
+
+@pytest.fixture(scope="module")
+def saved(capsule_body, tmp_path_factory):
+    """saved(24, key=other) -> the model's file, with arrays exchanged or (None) left out."""
+
+    def make(n_joints=24, **change):
+        path = tmp_path_factory.mktemp("body") / "BODY.npz"
+        values = capsule_body(n_joints) | change
+        np.savez(path, **{key: value for key, value in values.items() if value is not None})
+        return path
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def body(saved, capsule_body):
+    return BodyModel.load(saved(), feet=capsule_body(24)["feet"])
+
+
+def a_motion(n_joints=24, n_frames=20, betas=None):
+    rng = np.random.default_rng(3)
+    turns = np.cumsum(rng.normal(0, 0.08, (n_frames, n_joints, 3)), axis=0)
+    info = {} if betas is None else {"betas": betas}
+    return Motion(
+        smpl_skeleton(n_joints),
+        quaternion_from_rotation_vector(turns),
+        np.array([0.2, 0.9, 0.1]) + np.cumsum(rng.normal(0, 0.01, (n_frames, 3)), axis=0),
+        30.0,
+        info=info,
+    )
+
+
+def test_joints_at_rest_follow_the_shape(body):
+    mean = body.joints_at_rest()
+    # Pelvis, then the offsets of the rig it was built around.
+    np.testing.assert_allclose(
+        np.diff(mean[[0, 1, 4, 7]], axis=0)[0], [0.06, -0.09, -0.005], atol=1e-6
+    )
+    larger = body.joints_at_rest([2.0])
+    np.testing.assert_allclose(larger - larger[0], 1.1 * (mean - mean[0]), atol=1e-5)
+    many = np.zeros(300)
+    many[0] = 2.0
+    np.testing.assert_allclose(body.joints_at_rest(many), larger, atol=1e-12)
+
+
+@pytest.mark.parametrize("n_joints", [24, 55])
+def test_skin_and_joints_are_those_of_the_package_smplx(saved, capsule_body, n_joints):
+    torch = pytest.importorskip("torch")
+    lbs = pytest.importorskip("smplx.lbs").lbs
+    path = saved(n_joints)
+    body = BodyModel.load(path)
+    betas = np.random.default_rng(0).normal(size=10)
+    motion = a_motion(n_joints, betas=betas)
+    arrays = capsule_body(n_joints)
+    as_tensor = {k: torch.from_numpy(np.asarray(v, dtype=np.float64)) for k, v in arrays.items()}
+    vectors = Rotation.from_quat(motion.rotations.reshape(-1, 4)).as_rotvec()
+    vertices, joints = lbs(
+        torch.from_numpy(np.tile(betas, (motion.n_frames, 1))),
+        torch.from_numpy(vectors.reshape(motion.n_frames, -1)),
+        as_tensor["v_template"],
+        as_tensor["shapedirs"][..., :10],
+        as_tensor["posedirs"].reshape(-1, 9 * (n_joints - 1)).T,
+        as_tensor["J_regressor"],
+        torch.tensor(body.parents),
+        as_tensor["weights"],
+    )
+    # smplx adds `transl` to the pelvis at rest; our translation is where the pelvis is.
+    step = motion.translation - body.joints_at_rest(betas)[0]
+    np.testing.assert_allclose(body.vertices(motion), vertices.numpy() + step[:, None], atol=2e-6)
+    rig = body.rig(motion.skeleton, betas)
+    ours = Motion(rig, motion.rotations, motion.translation, 30.0).positions()
+    np.testing.assert_allclose(ours, joints.numpy() + step[:, None], atol=2e-6)
+
+
+def test_a_few_vertices_are_those_of_the_whole_skin(body):
+    motion = a_motion(betas=np.array([1.0, -1.0]))
+    few = body.vertices(motion, body.feet)
+    assert few.shape == (20, 6, 3)
+    np.testing.assert_allclose(few, body.vertices(motion)[:, list(body.feet)], atol=1e-6)
+
+
+def test_a_rig_of_the_body_has_its_six_foot_points(body):
+    motion = a_motion()
+    rig = body.rig(motion.skeleton)
+    points = foot_points(rig)
+    assert [point.joint for point in points] == [
+        *("left_foot", "left_foot", "left_ankle"),
+        *("right_foot", "right_foot", "right_ankle"),
+    ]
+    still = Motion(rig, np.tile([0.0, 0, 0, 1], (3, 24, 1)), np.tile(rig.offsets[0], (3, 1)), 30.0)
+    feet = foot_positions(still)
+    np.testing.assert_allclose(feet[0], body.vertices_at_rest(indices=body.feet), atol=1e-9)
+    assert contact_labels(still).shape == (3, 6) and contact_labels(still).min() == 1
+    # Fixed to one joint they are where the skin is, but for what a pose corrects (millimetres).
+    moving = Motion(rig, motion.rotations, motion.translation, 30.0)
+    apart = np.linalg.norm(foot_positions(moving) - body.vertices(moving, body.feet), axis=-1)
+    assert apart.max() < 0.01
+
+
+def test_regressors_in_the_parts_of_a_sparse_matrix(saved, body, capsule_body):
+    dense = capsule_body(24)["J_regressor"]
+    for kind in (csr_array, csc_array):
+        sparse = kind(dense)
+        path = saved(
+            J_regressor=None,
+            J_regressor_data=sparse.data,
+            J_regressor_indices=sparse.indices,
+            J_regressor_indptr=sparse.indptr,
+        )
+        np.testing.assert_array_equal(BodyModel.load(path).regressor, body.regressor)
+
+
+def test_smplx_files_keep_expressions_of_the_face_behind_the_shapes(saved, capsule_body):
+    assert BodyModel.load(saved(55)).shapes.shape[-1] == 10
+    many = np.zeros((len(capsule_body(55)["v_template"]), 3, 400))
+    assert BodyModel.load(saved(55, shapedirs=many)).shapes.shape[-1] == 300
+    assert BodyModel.load(saved(24)).shapes.shape[-1] == 20
+
+
+def test_pickled_notes_are_left_alone_and_pickled_arrays_refused(saved):
+    notes = np.array([{"pelvis": 0}], dtype=object)
+    assert BodyModel.load(saved(joint2num=notes)).n_joints == 24
+    with pytest.raises(FormatError, match="'J_regressor'.*pickled"):
+        BodyModel.load(saved(J_regressor=notes))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"v_template": np.zeros((9, 3))}, "9 vertices"),
+        ({"v_template": None}, "'v_template'"),
+        ({"weights": np.zeros((3, 2))}, "weights"),
+        ({"kintree_table": np.array([[-1, 5, 0] + [0] * 21, range(24)])}, "tree"),
+        ({"f": np.array([[0, 1, 99999]])}, "among"),
+        ({"f": np.array([[0.0, 1.0, 2.0]])}, "f has shape"),
+        ({"posedirs": np.zeros((3, 3, 207))}, "posedirs"),
+        ({"shapedirs": np.zeros((3, 3))}, "shapedirs"),
+        ({"J_regressor": np.zeros((24, 7))}, "J_regressor"),
+        ({"J_regressor": None}, "'J_regressor'"),
+    ],
+)
+def test_files_that_are_no_body_model(saved, change, says):
+    path = saved(**change)
+    with pytest.raises(FormatError) as caught:
+        BodyModel.load(path)
+    assert str(path) in str(caught.value) and says in str(caught.value)
+
+
+def test_what_else_is_refused(saved, body, tmp_path):
+    with pytest.raises(FormatError, match="no such body model"):
+        BodyModel.of(tmp_path / "absent.npz")
+    (tmp_path / "SMPL.pkl").write_bytes(b"\x80\x04.")
+    with pytest.raises(FormatError, match="pickle"):
+        BodyModel.load(tmp_path / "SMPL.pkl")
+    with pytest.raises(FormatError, match="not six"):
+        BodyModel.load(saved(), feet=[1, 2])
+    with pytest.raises(MotionError, match="24 joints and the rig 55"):
+        body.vertices(a_motion(55))
