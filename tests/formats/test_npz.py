@@ -9,8 +9,10 @@ import pytest
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_npz, write_npz
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 
 
@@ -74,11 +76,11 @@ def test_smaller_rigs_fill_the_same_165_numbers(tmp_path, n_joints):
         assert rotation_angles(a, turned[:, whole.index(name)]).max() < 1e-6
 
 
-def foreign(path, motion, up, **change):
+def foreign(path, motion, up, rig=None, **change):
     """What a file by others holds: the native keys taken out."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        write_npz(motion, path, up=up)
+        write_npz(motion, path, up=up, rig=rig)
     with np.load(path) as file:
         keys = ("poses", "trans", "betas", "gender", "mocap_framerate")
         values = {key: file[key] for key in keys} | change
@@ -113,10 +115,165 @@ def test_rates_that_the_blender_add_on_cannot_take(tmp_path, fps, says):
     assert read_npz(tmp_path / "a.npz").fps == fps
 
 
-def test_shapes_of_a_body_are_kept(tmp_path):
-    motion = replace(smpl_motion(55), info={"betas": np.arange(10.0)})
-    write_npz(motion, tmp_path / "a.npz")
-    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz").info["betas"][:10], np.arange(10))
+def add_on_accepts(path, target_fps=30):
+    """What `Add Animation` of the SMPL-X add-on for Blender asks of a file, line by line."""
+    with np.load(path) as data:
+        keys = {"trans", "gender", "betas", "poses"}
+        if not keys <= set(data) or not {"mocap_frame_rate", "mocap_framerate"} & set(data):
+            return False
+        gender = str(data["gender"])
+        fps = int(
+            data["mocap_frame_rate"] if "mocap_frame_rate" in data else data["mocap_framerate"]
+        )
+        betas, poses, trans = data["betas"], data["poses"], data["trans"]
+        expressions = data["expressions"]  # the copy that comes with BEAT2 asks for them too
+    if gender not in ("female", "male", "neutral") or fps < target_fps:
+        return False
+    step = fps / target_fps
+    return (
+        step == int(step)  # it takes every int(step)-th frame: else it plays at another speed
+        and all(float(beta) == beta for beta in betas)
+        and all(poses[frame].reshape(-1, 3)[54].shape == (3,) for frame in range(len(trans)))
+        and len(expressions) == len(trans)
+    )
+
+
+@pytest.mark.parametrize("n_joints", [22, 24, 52, 55])
+def test_the_blender_add_on_accepts_every_rig_of_the_family(tmp_path, n_joints):
+    write_npz(smpl_motion(n_joints), tmp_path / "a.npz")
+    assert add_on_accepts(tmp_path / "a.npz")
+    write_npz(smpl_motion(n_joints, 60.0), tmp_path / "a.npz")
+    assert add_on_accepts(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("fps", [15.0, 20.0, 25.0, 50.0])
+def test_rates_are_converted_on_request(tmp_path, fps):
+    motion = smpl_motion(55, fps)
+    with pytest.warns(UserWarning, match="--fps 30"):
+        write_npz(motion, tmp_path / "as-is.npz")
+    assert not add_on_accepts(tmp_path / "as-is.npz")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_npz(motion, tmp_path / "a.npz", fps=30)
+    assert add_on_accepts(tmp_path / "a.npz")
+    again = read_npz(tmp_path / "a.npz")
+    assert again.fps == 30 and abs(again.duration - motion.duration) < 1 / 30
+
+
+def beat2(path, n_frames=12):
+    """A file as PantoMatrix' beat_format_save writes it."""
+    rng = np.random.default_rng(1)
+    values = {
+        "betas": rng.normal(size=300),
+        "poses": 0.3 * rng.normal(size=(n_frames, 165)),
+        "expressions": rng.normal(size=(n_frames, 100)),
+        "trans": rng.normal(size=(n_frames, 3)),
+        "model": "smplx2020",
+        "gender": "female",
+        "mocap_frame_rate": 30,
+    }
+    np.savez(path, **values)
+    return values
+
+
+def test_a_beat2_file_comes_back_as_it_was(tmp_path):
+    values = beat2(tmp_path / "beat2.npz")
+    motion = Motion.load(tmp_path / "beat2.npz", up="y")
+    motion.save(tmp_path / "a.npz")
+    Motion.load(tmp_path / "a.npz").save(tmp_path / "b.npz")  # and by way of the native keys
+    for name in ("a.npz", "b.npz"):
+        with np.load(tmp_path / name) as file:
+            for key in ("betas", "expressions", "trans"):
+                np.testing.assert_allclose(file[key], values[key], atol=1e-12)
+            np.testing.assert_allclose(file["poses"], values["poses"], atol=1e-9)
+            assert (str(file["gender"]), str(file["model"])) == ("female", "smplx2020")
+
+
+def test_expressions_follow_the_frames(tmp_path):
+    values = beat2(tmp_path / "beat2.npz")
+    motion = read_npz(tmp_path / "beat2.npz", up="y")
+    part = motion.slice(3, 9)
+    np.testing.assert_array_equal(part.expressions, values["expressions"][3:9])
+    assert part.mirror().expressions.shape == (6, 100)
+    half = motion.resample(15.0)
+    np.testing.assert_allclose(half.expressions, values["expressions"][::2], atol=1e-12)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("old", [22, 24, 52, 55])
+@pytest.mark.parametrize(("rig", "new"), [("smpl", 24), ("smplh", 52), ("smplx", 55)])
+def test_any_rig_of_the_family_to_any_other(tmp_path, old, rig, new, up):
+    motion = smpl_motion(old)
+    path = foreign(tmp_path / "a.npz", motion, up, rig=rig)
+    again = read_npz(path, up=up)
+    assert again.skeleton.names == smpl_skeleton(new).names
+    np.testing.assert_allclose(again.translation, motion.translation, atol=1e-9)
+    for j, name in enumerate(again.skeleton.names):
+        turns = again.rotations[:, j]
+        if name in motion.skeleton.names:
+            expected = motion.rotations[:, motion.skeleton.index(name)]
+        else:
+            expected = np.tile([0.0, 0, 0, 1], (len(turns), 1))
+        assert rotation_angles(turns, expected).max() < 1e-6
+
+
+def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
+    betas = np.arange(1.0, 11.0)
+    motion = replace(smpl_motion(24), info={"betas": betas, "gender": "male"})
+    write_npz(motion, tmp_path / "h.npz", rig="smplh")
+    write_npz(motion, tmp_path / "x.npz", rig="smplx")
+    write_npz(motion, tmp_path / "own.npz")
+    with np.load(tmp_path / "h.npz") as h, np.load(tmp_path / "x.npz") as x:
+        np.testing.assert_array_equal(h["betas"], [*betas, 0, 0, 0, 0, 0, 0])
+        assert h["dmpls"].shape == (20, 8)
+        assert not x["betas"].any() and x["betas"].shape == (300,)
+        assert str(x["gender"]) == str(h["gender"]) == "male"
+    np.testing.assert_array_equal(read_npz(tmp_path / "own.npz").info["betas"], betas)
+
+
+def test_a_rig_of_another_kind_is_retargeted(tmp_path, gesture):
+    pytest.importorskip("gesturekit.motion.retarget")
+    write_npz(gesture(1.0), tmp_path / "a.npz", rig="smplx")
+    assert add_on_accepts(tmp_path / "a.npz")
+    motion = read_npz(tmp_path / "a.npz")
+    assert motion.skeleton.n_joints == 55 and motion.n_frames == 30
+    with pytest.raises(FormatError, match="rig 'smal'"):
+        write_npz(motion, tmp_path / "b.npz", rig="smal")
+
+
+def test_the_average_body_is_as_tall_as_people_are():
+    for n_joints in (22, 24, 52, 55):
+        rig = smpl_skeleton(n_joints)
+        still = Motion(rig, np.tile([0.0, 0, 0, 1], (1, n_joints, 1)), rig.offsets[:1], 30.0)
+        at = dict(zip(rig.names, still.positions()[0]))
+        # The head's joint sits some 17 cm below the crown, the toes' 2 cm above the sole.
+        assert 1.6 < at["head"][1] - at["left_foot"][1] + 0.17 + 0.02 < 1.8
+        assert 1.3 < at["left_wrist"][0] - at["right_wrist"][0] < 1.5
+        assert abs(at["left_ankle"][1] - 0.07) < 0.03
+
+
+def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
+    values = beat2(tmp_path / "beat2.npz")
+    arrays = capsule_body(55)
+    np.savez(tmp_path / "BODY.npz", **arrays)
+    body = BodyModel.load(tmp_path / "BODY.npz", feet=arrays["feet"])
+    motion = read_npz(tmp_path / "beat2.npz", up="y", body_model=body)
+    joints = body.joints_at_rest(values["betas"])
+    np.testing.assert_allclose(motion.translation, values["trans"] + joints[0], atol=1e-9)
+    np.testing.assert_allclose(motion.skeleton.offsets[1], joints[1] - joints[0], atol=1e-9)
+    assert contact_labels(motion).shape == (12, 6)
+    # Fitted later it is the same, and what is written is what was read.
+    later = fit_body(read_npz(tmp_path / "beat2.npz", up="y"), body)
+    np.testing.assert_allclose(later.positions(), motion.positions(), atol=1e-9)
+    for up in ("y", "z"):
+        path = foreign(tmp_path / "a.npz", motion, up)
+        again = read_npz(path, up=up, body_model=body)
+        np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)
+    write_npz(motion, tmp_path / "native.npz")
+    again = read_npz(tmp_path / "native.npz")
+    assert len(foot_points(again.skeleton)) == 6
+    with np.load(tmp_path / "native.npz") as file:
+        np.testing.assert_allclose(file["trans"], values["trans"], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -130,6 +287,10 @@ def test_shapes_of_a_body_are_kept(tmp_path):
         ({"poses": np.full((20, 165), np.nan)}, "frame 0"),
         ({"mocap_framerate": -30.0}, "fps"),
         ({"mocap_framerate": "thirty"}, "thirty"),
+        ({"mocap_frame_rate": 60}, "differ: mocap_frame_rate 60, mocap_framerate 30"),
+        ({"betas": np.zeros((2, 3, 4))}, "betas"),
+        ({"poses": np.array([{}])}, "'poses' is a pickled"),
+        ({"poses": np.full((20, 165), 1j)}, "'poses' holds complex128"),
     ],
 )
 def test_amass_files_that_are_broken(tmp_path, change, says):
@@ -187,8 +348,11 @@ def test_nothing_pickled_is_ever_loaded(tmp_path):
     assert read_npz(path).n_frames == 20  # a pickled note is left alone
     assert not Trap.sprung
     foreign(path, smpl_motion(55), "y", poses=np.array([Trap()], dtype=object))
-    with pytest.raises(FormatError, match="'poses'"):
+    with pytest.raises(FormatError, match="'poses' is a pickled"):
         read_npz(path)
+    foreign(path, smpl_motion(55), "y", gender=np.array([Trap()], dtype=object))
+    with pytest.warns(UserWarning, match="'gender' is a pickled"):
+        assert read_npz(path).n_frames == 20
     assert not Trap.sprung
     pickle.loads(pickle.dumps(Trap()))
     assert Trap.sprung  # the trap works

@@ -49,3 +49,26 @@ def test_frame_0_copies_frame_1(person):
 
 def test_one_frame_stands(person):
     np.testing.assert_array_equal(contact_labels(still(person, 1)), np.ones((1, 4)))
+
+
+def test_idle_feet_stand_and_running_feet_do_not(shared_data):
+    for file in ("000", "003", "012"):
+        idle = Motion.load(shared_data / f"motion/reactidle/{file}_genuine.bvh")
+        assert contact_labels(idle).mean(axis=0).min() > 0.8
+    # Estimated from a video: the ankles never come quite to rest.
+    running = Motion.load(shared_data / "smpl/glamr_running_smpl.npz")
+    assert contact_labels(running).mean() < 0.2
+
+
+def test_soles_of_three_points_and_more_are_what_touches(person):
+    sole = (np.array([-0.02, -0.02, 0.05]), np.array([0.03, -0.02, 0.04]))
+    rig = replace(
+        person,
+        end_sites={
+            **person.end_sites,
+            "LeftToeBase": sole,
+            "LeftFoot": (np.array([0.0, -0.08, -0.05]),),
+        },
+    )
+    joints = [point.joint for point in foot_points(rig)]
+    assert joints == ["LeftToeBase", "LeftToeBase", "LeftFoot", "RightFoot", "RightToeBase"]

@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gesturekit.errors import FormatError
+from gesturekit.formats import read_easymocap
+from gesturekit.formats.smpl import model_pelvis, smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
+
+FRAMES = 40
+
+
+def recorded(name=0, n_frames=FRAMES, width=72, seed=0):
+    """One person as EasyMocap keeps it: a smooth random motion, Z up."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(n_frames)[:, None] / 30
+    swing = rng.uniform(-0.3, 0.3, width) * np.sin(2 * time + rng.uniform(0, 6, width))
+    swing[:, :3] = 0
+    upright = Rotation.from_euler("x", 90, degrees=True)
+    turn = Rotation.from_rotvec(np.outer(np.arange(n_frames), [0.0, 0, 0.02])) * upright
+    return {
+        "id": name,
+        "Rh": turn.as_rotvec(),
+        "Th": np.array([1.0, 2.0, 1.2]) + 0.1 * time * rng.normal(size=3),
+        "poses": swing,
+        "shapes": np.tile(rng.normal(size=10), (n_frames, 1)),
+    }
+
+
+def write(folder, people, *, first=0, missing=()):
+    """smpl/000000.json, ...; `missing` holds (id, frame)."""
+    folder = folder / "smpl"
+    folder.mkdir(parents=True, exist_ok=True)
+    n_frames = len(people[0]["Rh"])
+    for t in range(n_frames):
+        entries = [
+            {k: v if k == "id" else [v[t].tolist()] for k, v in person.items()}
+            for person in people
+            if (person["id"], t) not in missing
+        ]
+        (folder / f"{first + t:06d}.json").write_text(json.dumps(entries))
+    return folder
+
+
+def test_the_root_turns_about_the_models_origin(tmp_path):
+    person = recorded()
+    motion = Motion.load(write(tmp_path, [person]), fps=50.0)
+    assert motion.skeleton.names == smpl_skeleton(24).names
+    assert (motion.n_frames, motion.fps, motion.info["up"]) == (FRAMES, 50.0, "z")
+    # V = R X + T of each joint of the unturned body X, whose pelvis is at J.
+    unturned = Motion(
+        motion.skeleton,
+        np.concatenate([np.tile([0.0, 0, 0, 1], (FRAMES, 1, 1)), motion.rotations[:, 1:]], axis=1),
+        np.tile(model_pelvis(24), (FRAMES, 1)),
+        50.0,
+    )
+    turn = Rotation.from_rotvec(person["Rh"]).as_matrix()
+    z_up = np.einsum("tab,tjb->tja", turn, unturned.positions()) + person["Th"][:, None]
+    y_up = np.stack([z_up[..., 0], z_up[..., 2], -z_up[..., 1]], axis=-1)
+    np.testing.assert_allclose(motion.positions(), y_up, atol=1e-9)
+    np.testing.assert_allclose(motion.info["betas"], person["shapes"][0], atol=1e-12)
+    assert motion.positions()[:, motion.skeleton.index("head"), 1].min() > 1.0  # it stands
+
+
+def test_the_folder_above_and_a_single_frame_are_read_too(tmp_path):
+    folder = write(tmp_path, [recorded()])
+    whole = Motion.load(tmp_path)
+    one = Motion.load(folder / "000007.json")
+    assert (whole.n_frames, one.n_frames) == (FRAMES, 1)
+    np.testing.assert_allclose(one.rotations[0], whole.rotations[7], atol=1e-12)
+
+
+def test_the_body_model_places_the_pelvis(tmp_path, capsule_body):
+    person = recorded()
+    np.savez(tmp_path / "BODY.npz", **capsule_body(24))
+    body = BodyModel.load(tmp_path / "BODY.npz")
+    motion = read_easymocap(write(tmp_path, [person]), body_model=body)
+    pelvis = body.joints_at_rest(person["shapes"][0])[0]
+    z_up = Rotation.from_rotvec(person["Rh"]).apply(pelvis) + person["Th"]
+    expected = np.stack([z_up[:, 0], z_up[:, 2], -z_up[:, 1]], axis=-1)
+    np.testing.assert_allclose(motion.translation, expected, atol=1e-9)
+
+
+def test_one_of_several_people(tmp_path):
+    people = [recorded(3, seed=1), recorded(5, seed=2)]
+    folder = write(tmp_path, people, missing={(3, 0), (3, 1)})
+    with pytest.warns(UserWarning, match=r"3 \(38 frames\), 5 \(40 frames\); 5 is read"):
+        assert read_easymocap(folder).info["person"] == 5
+    third = read_easymocap(folder, person=3)
+    assert (third.n_frames, third.info["first_frame"]) == (38, 2)
+    with pytest.raises(FormatError, match="no person 4; it has 3"):
+        read_easymocap(folder, person=4)
+
+
+def test_short_gaps_are_filled_and_long_ones_refused(tmp_path):
+    person = recorded()
+    whole = Motion.load(write(tmp_path / "whole", [person]))
+    folder = write(tmp_path / "gap", [person], missing={(0, t) for t in range(10, 15)})
+    (folder / "000020.json").unlink()
+    with pytest.warns(UserWarning, match="6 missing frames"):
+        motion = Motion.load(folder)
+    assert (motion.n_frames, motion.info["filled_frames"]) == (FRAMES, 6)
+    np.testing.assert_allclose(motion.rotations[15:20], whole.rotations[15:20])
+    assert np.linalg.norm(motion.positions() - whole.positions(), axis=-1).max() < 0.02
+    with pytest.raises(FormatError, match=r"frames 10 to 14 are missing, 0.17 s.*max_gap"):
+        read_easymocap(folder, max_gap=0.1)
+
+
+@pytest.mark.parametrize(
+    ("width", "n_joints"), [(63, 22), (66, 22), (69, 24), (72, 24), (156, 52), (165, 55)]
+)
+def test_poses_of_every_length(tmp_path, width, n_joints):
+    person = recorded(width=3 * n_joints)
+    person["poses"] = person["poses"][:, 3 * n_joints - width :]
+    motion = Motion.load(write(tmp_path, [person]))
+    assert motion.skeleton.n_joints == n_joints and "hands" not in motion.info
+    full = recorded(width=3 * n_joints)["poses"].reshape(FRAMES, n_joints, 3)
+    turned = Rotation.from_quat(motion.rotations[:, 5]).as_rotvec()
+    np.testing.assert_allclose(turned, full[:, 5], atol=1e-9)
+
+
+@pytest.mark.parametrize(("width", "n_joints"), [(78, 52), (87, 55)])
+def test_hands_as_pca_are_left_at_rest_and_told(tmp_path, width, n_joints):
+    person = recorded(width=width)
+    motion = Motion.load(write(tmp_path, [person]))
+    names = motion.skeleton.names
+    assert motion.skeleton.n_joints == n_joints and "PCA" in motion.info["hands"]
+    fingers = [j for j, name in enumerate(names) if name[-1] in "123" and "spine" not in name]
+    assert len(fingers) == 30
+    np.testing.assert_array_equal(motion.rotations[:, fingers, 3], 1.0)
+    if n_joints == 55:
+        jaw = Rotation.from_quat(motion.rotations[:, names.index("jaw")]).as_rotvec()
+        np.testing.assert_allclose(jaw, person["poses"][:, 78:81], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "not a readable JSON"),
+        ("[" * 100_000, "not a readable JSON"),
+        ("{}", "no list of people"),
+        ("[1]", "entry 0 is no person"),
+        ('[{"id": "a"}]', "id 'a'"),
+        ('[{"id": 0}]', "no 'Rh'"),
+        ('[{"id": 0, "Rh": [[0, 0]]}]', "2 numbers; expected 3"),
+        ('[{"id": 0, "Rh": [[0, [0], 0]]}]', "no table of numbers"),
+        ('[{"id": 0, "Rh": {"a": 1}}]', "no table of numbers"),
+        ('[{"id": 0, "Rh": [0, 0, NaN]}]', "finite"),
+        ('[{"id": 0, "Rh": [0, 0, 1e999]}]', "finite"),
+        (
+            '[{"id": 0, "Rh": [0, 0, 0], "Th": [0, 0, 0], "poses": [1, 2]}]',
+            "2 numbers; expected 66",
+        ),
+        ("[]", "nobody"),
+        ("[" + "9" * 5000 + "]", "JSON"),
+    ],
+)
+def test_broken_frames_name_their_file(tmp_path, text, says):
+    (tmp_path / "000000.json").write_text(text)
+    with pytest.raises(FormatError) as caught:
+        Motion.load(tmp_path)
+    assert says in str(caught.value) and str(tmp_path) in str(caught.value)
+
+
+def test_other_folders_and_settings_are_refused(tmp_path):
+    with pytest.raises(FormatError, match="no frames of EasyMocap"):
+        Motion.load(tmp_path)
+    with pytest.raises(FormatError, match="no such file"):
+        read_easymocap(tmp_path / "absent")
+    folder = write(tmp_path, [recorded(n_frames=2)])
+    for options in ({"fps": 0.0}, {"fps": float("nan")}, {"up": "x"}):
+        with pytest.raises(FormatError):
+            read_easymocap(folder, **options)
+    person = recorded(n_frames=2)
+    mixed = write(tmp_path / "mixed", [person])
+    (mixed / "000001.json").write_text(
+        json.dumps([{"id": 0, "Rh": [0, 0, 0], "Th": [0, 0, 0], "poses": [0] * 66, "shapes": []}])
+    )
+    with warnings.catch_warnings(), pytest.raises(FormatError, match="in some frames"):
+        Motion.load(mixed)
