@@ -164,11 +164,8 @@ def _text(archive: Archive, key: str) -> str:
     if key not in archive:
         return ""
     try:
-        value = archive[key]
+        texts = archive.texts(key)
     except FormatError as error:
         warnings.warn(f"{error}; it is passed over", stacklevel=2)
         return ""
-    if value.size != 1 or value.dtype.kind not in "US" or value.dtype.itemsize > 400:
-        return ""
-    text = value.item()
-    return text.decode("ascii", "replace") if isinstance(text, bytes) else text
+    return texts[0] if texts and len(texts[0]) < 100 else ""

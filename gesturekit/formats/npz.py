@@ -147,7 +147,7 @@ def _from_native(archive: Archive) -> Motion:
     version = archive["gk_version"]
     if version.shape or version != NPZ_FORMAT:
         raise FormatError(f"motion format {version}; this version of gesturekit reads {NPZ_FORMAT}")
-    names = tuple(str(name) for name in _list(archive, "names"))
+    names = tuple(archive.texts("names", _MAX_JOINTS))
     end_joints, end_offsets = _list(archive, "end_site_joints"), _list(archive, "end_site_offsets")
     ends: dict[str, tuple[np.ndarray, ...]] = {}
     for j, site in zip(end_joints, end_offsets):
@@ -157,7 +157,7 @@ def _from_native(archive: Archive) -> Motion:
         parents=tuple(_list(archive, "parents").tolist()),
         offsets=archive.numbers("offsets"),
         end_sites=ends,
-        rotation_orders=tuple(str(order) for order in _list(archive, "rotation_orders")),
+        rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
     )
     motion = Motion(
         skeleton=skeleton,

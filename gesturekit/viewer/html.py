@@ -24,7 +24,10 @@ import numpy as np
 from audio_features import Wave
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import GestureKitError, MotionError
+from gesturekit.formats.smpl import fit_body
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.skin import Skin, steady_turns
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, outline
 
 if TYPE_CHECKING:
@@ -43,6 +46,7 @@ def write_html(
     *,
     audio: str | os.PathLike[str] | Wave | None = None,
     title: str | None = None,
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
 ) -> None:
     """Write a page that plays a motion: open it by a double click, send it by mail.
 
@@ -51,16 +55,22 @@ def write_html(
         path: the .html file to write.
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         title: the page's heading; the file's stem by default.
+        body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs;
+            the motion is put on its rig.
 
     Raises GestureKitError where the player has not been bundled, AudioError where `audio` is no
-    sound.
+    sound, FormatError where `body_model` is none.
     """
     path = Path(path)
     motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
     if not motions:
         raise MotionError("no motion to show: write_html was given an empty mapping")
     player = _player()
-    page = _page(motions, audio)
+    body = None
+    if body_model is not None:
+        body = BodyModel.of(body_model)
+        motions = {label: fit_body(motion, body) for label, motion in motions.items()}
+    page = _page(motions, audio, body)
     text = _fill(
         title=html.escape(title if title is not None else path.stem),
         motion=_json(page),
@@ -93,13 +103,22 @@ def _json(page: dict[str, Any]) -> str:
     return json.dumps(page, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def _page(motions: Mapping[str, Motion], audio: Any) -> dict[str, Any]:
+def _page(motions: Mapping[str, Motion], audio: Any, body: BodyModel | None) -> dict[str, Any]:
     figures = {label: Figure.of(motion) for label, motion in motions.items()}
     page = {
         "format": 1,
         "height": max(figure.height for figure in figures.values()),
         "figures": [_figure(label, motions[label], figure) for label, figure in figures.items()],
     }
+    if body is not None:
+        skin = Skin.of(body)
+        page["skin"] = {
+            "faces": _base64(skin.faces.astype("<u4").tobytes()),
+            "joints": _base64(skin.joints.tobytes()),
+            "weights": _base64(skin.weights.tobytes()),
+        }
+        for figure, motion in zip(page["figures"], motions.values()):
+            figure["skin"] = _skin(motion, body)
     if audio is not None:
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
         sound = Sound.of(audio)
@@ -145,8 +164,19 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
     }
 
 
+def _skin(motion: Motion, body: BodyModel) -> dict[str, Any]:
+    """The body at rest, and how its joints are turned in every frame."""
+    betas = motion.info.get("betas")
+    turns = np.rint(steady_turns(motion) * 32_767).astype(np.int64)
+    return {
+        "vertices": _base64(body.vertices_at_rest(betas).astype("<f4").tobytes()),
+        "joints": _base64(body.joints_at_rest(betas).astype("<f4").tobytes()),
+        "turns": _base64(_pack(turns)),
+    }
+
+
 def _pack(steps: np.ndarray) -> bytes:
-    """Deflate whole numbers (T, P, 3) of 16 bits: see `points` in player/data.js."""
+    """Deflate whole numbers (T, ...) of 16 bits: see `unpack` in player/data.js."""
     channels = steps.reshape(len(steps), -1).T
     difference = np.diff(channels, axis=1, prepend=0) & 0xFFFF
     planes = np.stack([difference & 0xFF, difference >> 8]).astype(np.uint8)

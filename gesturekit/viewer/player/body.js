@@ -1,8 +1,10 @@
-// A figure made of tapered limbs. What is drawn where is decided in gesturekit/viewer/figure.py.
+// A figure made of tapered limbs, or a body's skin where the page has one. What is drawn where is
+// decided in gesturekit/viewer/figure.py.
 
 import {
   Color, Group, LatheGeometry, Matrix4, Mesh, MeshLambertMaterial, SphereGeometry, Vector2, Vector3,
 } from "three";
+import { Skin } from "./skin.js";
 
 // One palette a figure: the middle of the body, its left, its right, and its ink on the strip.
 const PALETTES = [
@@ -44,6 +46,12 @@ export class Body extends Group {
     const palette = PALETTES[index % PALETTES.length];
     figure.ink = palette.ink;
     const material = (colour) => new MeshLambertMaterial({ color: new Color(colour) });
+    if (figure.skin) {
+      this.bones = [];
+      this.skin = new Skin(figure, material(palette.middle));
+      this.add(this.skin, ...this.skin.skeleton.bones);
+      return;
+    }
     const skins = [material(palette.middle), material(palette.left), material(palette.right)];
     this.bones = figure.limbs.map(({ ends, radii, side, across, width, length }) => {
       const mesh = new Mesh(limb(length, radii[0], radii[1]), skins[side]);
@@ -83,7 +91,9 @@ export class Body extends Group {
     return out.set(points[index * 3], points[index * 3 + 1], points[index * 3 + 2]);
   }
 
-  place(points) {
+  // Points as data.js' `pose` fills them, at `time` seconds.
+  place(points, time) {
+    this.skin?.place(points, time);
     for (const { mesh, ends, across, width, length } of this.bones) {
       this.point(points, ends[0], A);
       this.point(points, ends[1], B);

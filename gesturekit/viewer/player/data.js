@@ -12,28 +12,50 @@ async function inflate(compressed) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// Points are stored as whole steps from the root, one channel after the other, each value as its
-// difference from the frame before, all low bytes first and then all high bytes.
-async function points(figure) {
-  const { n_frames: frames, n_points: count, step } = figure;
-  const channels = count * 3;
-  const packed = await inflate(bytes(figure.points));
+// Whole numbers of 16 bits are stored one channel after the other, each value as its difference
+// from the frame before, all low bytes first and then all high bytes.
+async function unpack(base64, frames, channels) {
+  const packed = await inflate(bytes(base64));
   const high = frames * channels;
-  const steps = new Int16Array(frames * channels);
+  const values = new Int16Array(frames * channels);
   for (let c = 0, at = 0; c < channels; c++) {
     let value = 0;
     for (let t = 0; t < frames; t++, at++) {
       value = (value + packed[at] + (packed[high + at] << 8)) & 0xffff;
-      steps[t * channels + c] = value; // kept modulo 2^16, so the sign comes back here
+      values[t * channels + c] = value; // kept modulo 2^16, so the sign comes back here
     }
   }
+  return values;
+}
+
+// Points are stored as whole steps from the root.
+async function points(figure) {
+  const { n_frames: frames, n_points: count, step } = figure;
+  const channels = count * 3;
+  const steps = await unpack(figure.points, frames, channels);
   const root = new Float32Array(bytes(figure.root).buffer);
   return { steps, root, step, channels };
 }
 
+// A skin at rest; four numbers of `turns` are a joint's quaternion.
+async function skin({ n_frames: frames, n_joints: count, skin }, shared) {
+  return {
+    ...shared,
+    vertices: new Float32Array(bytes(skin.vertices).buffer),
+    rest: new Float32Array(bytes(skin.joints).buffer),
+    turns: await unpack(skin.turns, frames, 4 * count),
+  };
+}
+
 export async function read(element) {
   const page = JSON.parse(element.textContent);
+  const shared = page.skin && {
+    faces: new Uint32Array(bytes(page.skin.faces).buffer),
+    joints: bytes(page.skin.joints),
+    weights: bytes(page.skin.weights),
+  };
   for (const figure of page.figures) {
+    if (figure.skin) figure.skin = await skin(figure, shared);
     Object.assign(figure, await points(figure));
     figure.speed.values = bytes(figure.speed.values);
   }
@@ -42,14 +64,29 @@ export async function read(element) {
   return page;
 }
 
+// The frames around `time` seconds, and how far it is from the one to the other.
+function around(figure, time) {
+  const at = Math.min(Math.max(time * figure.fps, 0), figure.n_frames - 1);
+  const before = Math.floor(at);
+  return [before, Math.min(before + 1, figure.n_frames - 1), at - before];
+}
+
+// Fill `out` (4 numbers a joint) with quaternions at `time` seconds, not quite of length 1.
+export function turns(figure, time, out) {
+  const { turns } = figure.skin;
+  const [before, after, w] = around(figure, time);
+  const count = out.length;
+  for (let c = 0; c < count; c++) {
+    out[c] = turns[before * count + c] * (1 - w) + turns[after * count + c] * w;
+  }
+  return out;
+}
+
 // Fill `out` (3 numbers a point) with where the figure's points are at `time` seconds, halfway
 // between frames too, so that motion at 15 frames a second looks smooth on any screen.
 export function pose(figure, time, out) {
   const { steps, root, step, channels } = figure;
-  const at = Math.min(Math.max(time * figure.fps, 0), figure.n_frames - 1);
-  const before = Math.floor(at);
-  const after = Math.min(before + 1, figure.n_frames - 1);
-  const w = at - before;
+  const [before, after, w] = around(figure, time);
   for (let axis = 0; axis < 3; axis++) {
     const r = root[before * 3 + axis] * (1 - w) + root[after * 3 + axis] * w;
     for (let c = axis; c < channels; c += 3) {

@@ -79,7 +79,7 @@ async function main() {
   function show(time) {
     if (time === shown) return;
     shown = time;
-    for (const body of bodies) body.place(pose(body.figure, time, body.points));
+    for (const body of bodies) body.place(pose(body.figure, time, body.points), time);
     if (bodies.length === 1) root(time, middle);
     stage.setMiddle(middle, $("follow").checked);
     strip.draw(time);
