@@ -2,8 +2,8 @@
 
 Native keys (format 1): `gk_version, names, parents, offsets, rotation_orders, end_site_joints,
 end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`, and where they
-are known `body_betas, body_pelvis, gender, model, expressions`. On a rig of the SMPL family the
-keys of `gesturekit.formats.amass` stand beside them.
+are known `body_betas, body_pelvis, body_up, gender, model, expressions`. On a rig of the SMPL
+family the keys of `gesturekit.formats.amass` stand beside them.
 
 Who reads what: the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the tools around
 BEAT2 read what is written by default. The add-on's format AMASS wants `up="z"`. aitviewer
@@ -138,6 +138,7 @@ def _native(motion: Motion) -> dict[str, Any]:
     for key, known in (("body_betas", "betas"), ("body_pelvis", "rest_pelvis")):
         if known in motion.info:
             values[key] = np.asarray(motion.info[known], dtype=np.float64)
+            values["body_up"] = motion.info.get("up", "y")  # of the file that they come from
     if motion.expressions is not None:
         values["expressions"] = motion.expressions
     return values
@@ -177,6 +178,7 @@ def _from_native(archive: Archive) -> Motion:
         if place.shape != (3,) or not np.isfinite(place).all():
             raise FormatError(f"body_pelvis is {place.tolist()}; expected three numbers")
         motion.info["rest_pelvis"] = place
+        motion.info["up"] = "z" if archive.texts("body_up") == ["z"] else "y"
     return with_expressions(motion, archive) if "expressions" in archive else motion
 
 

@@ -129,8 +129,8 @@ def tip(joint: str, drawn: dict[str, Shape | None], parts: BodyParts | None) -> 
             return HAND.on(side)
         if joint == parts.arms[name].elbow:
             return FOREARM.on(side)
-        if joint == parts.legs[name].ankle:
-            return FOOT.on(side)
+        if joint == parts.legs[name].ankle:  # a heel needs no limb beside the foot
+            return None if parts.legs[name].toe else FOOT.on(side)
     own = drawn[joint]
     if own is None:
         return None

@@ -208,8 +208,11 @@ def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Lim
         for joint, parent in enumerate(skeleton.parents)
         if parent >= 0
     ]
+    toes = {leg.toe for leg in parts.legs.values()} if parts else set()
     for name, sites in points.motion.end_positions().items():
         shape = anatomy.tip(name, drawn, parts)
+        if name in toes:  # a foot is no bird's: one limb to the middle of its toes
+            sites = sites.mean(axis=1, keepdims=True)
         if shape:
             joint = skeleton.index(name)
             pairs += [(joint, points.add(site), shape) for site in np.moveaxis(sites, 1, 0)]

@@ -217,6 +217,27 @@ def test_any_rig_of_the_family_to_any_other(tmp_path, old, rig, new, up):
         assert rotation_angles(turns, expected).max() < 1e-6
 
 
+def test_other_spellings_of_the_same(tmp_path):
+    motion = smpl_motion(24)
+    path = foreign(
+        tmp_path / "a.npz",
+        motion,
+        "y",
+        rig="smpl",
+        betas=np.tile(np.arange(10.0), (20, 1)),
+        gender=np.bytes_(b"Male"),
+        mocap_framerate=np.array([30], dtype=np.int16),
+        mocap_frame_rate=30.0,
+    )
+    with np.load(path) as file:
+        values = dict(file)
+    np.savez(path, **(values | {"poses": values["poses"].reshape(20, 24, 3)}))
+    again = read_npz(path, up="y")
+    np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)
+    np.testing.assert_allclose(again.info["betas"], np.arange(10))
+    assert again.info["gender"] == "male"
+
+
 def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
     betas = np.arange(1.0, 11.0)
     motion = replace(smpl_motion(24), info={"betas": betas, "gender": "male"})
@@ -269,6 +290,9 @@ def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
         path = foreign(tmp_path / "a.npz", motion, up)
         again = read_npz(path, up=up, body_model=body)
         np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)
+        read_npz(path, up=up).save(tmp_path / "native.npz")
+        later = fit_body(read_npz(tmp_path / "native.npz"), body)
+        np.testing.assert_allclose(later.positions(), motion.positions(), atol=1e-9)
     write_npz(motion, tmp_path / "native.npz")
     again = read_npz(tmp_path / "native.npz")
     assert len(foot_points(again.skeleton)) == 6

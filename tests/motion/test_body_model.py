@@ -10,6 +10,7 @@ from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
+from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.rotations import quaternion_from_rotation_vector
 
 
@@ -55,6 +56,29 @@ def test_joints_at_rest_follow_the_shape(body):
     many = np.zeros(300)
     many[0] = 2.0
     np.testing.assert_allclose(body.joints_at_rest(many), larger, atol=1e-12)
+
+
+def test_skin_by_the_formula_of_the_paper(saved, capsule_body):
+    """Loper et al. 2015, eqs. 2 to 4 and 6 to 10, vertex by vertex with 4 x 4 matrices."""
+    arrays, body = capsule_body(24), BodyModel.load(saved(24))
+    betas = np.random.default_rng(0).normal(size=20)
+    motion = a_motion(n_frames=2, betas=betas)
+    shaped = arrays["v_template"] + arrays["shapedirs"] @ betas
+    joints = arrays["J_regressor"] @ shaped
+    for t in range(2):
+        turns = Rotation.from_quat(motion.rotations[t]).as_matrix()
+        world = []
+        for j, parent in enumerate(body.parents):
+            local = np.eye(4)
+            local[:3, :3] = turns[j]
+            local[:3, 3] = joints[j] - joints[parent] if j else motion.translation[t]
+            world.append(world[parent] @ local if j else local)
+        posed = shaped + arrays["posedirs"] @ (turns[1:] - np.eye(3)).ravel()
+        expected = np.zeros_like(posed)
+        for j, matrix in enumerate(world):
+            moved = (posed - joints[j]) @ matrix[:3, :3].T + matrix[:3, 3]
+            expected += arrays["weights"][:, j, None] * moved
+        np.testing.assert_allclose(body.vertices(motion)[t], expected, atol=2e-6)
 
 
 @pytest.mark.parametrize("n_joints", [24, 55])
@@ -109,6 +133,15 @@ def test_a_rig_of_the_body_has_its_six_foot_points(body):
     moving = Motion(rig, motion.rotations, motion.translation, 30.0)
     apart = np.linalg.norm(foot_positions(moving) - body.vertices(moving, body.feet), axis=-1)
     assert apart.max() < 0.01
+
+
+def test_the_motion_vector_has_the_six_labels_of_the_paper(body):
+    motion = a_motion()
+    motion = Motion(body.rig(motion.skeleton), motion.rotations, motion.translation, 30.0)
+    representation = MultiresRepresentation.fit([motion], joints="all")
+    assert representation.n_features == 24 * 6 + 6 + 3
+    labels = representation.encode(motion)[:, representation.contact_columns]
+    np.testing.assert_array_equal(labels, contact_labels(motion))
 
 
 def test_regressors_in_the_parts_of_a_sparse_matrix(saved, body, capsule_body):

@@ -1,0 +1,109 @@
+"""The skin that a page holds, put together as player/skin.js does."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import gesturekit.viewer.html as page_module
+from gesturekit.formats.smpl import fit_body, smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
+from gesturekit.viewer import write_html
+
+pytestmark = pytest.mark.skipif(
+    not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
+)
+
+
+@pytest.fixture
+def body(tmp_path, capsule_body) -> BodyModel:
+    np.savez(tmp_path / "BODY.npz", **capsule_body(24))
+    return BodyModel.load(tmp_path / "BODY.npz")
+
+
+def turning(n_joints: int = 24, n_frames: int = 60) -> Motion:
+    """All joints swing, and the body turns round twice."""
+    rng = np.random.default_rng(0)
+    time = np.arange(n_frames)[:, None, None] / 30
+    swing = 0.5 * np.sin(3 * time + rng.uniform(0, 6, (n_joints, 3)))
+    swing[:, 0] = np.linspace(0, 4 * np.pi, n_frames)[:, None] * [0, 1, 0]
+    rotations = Rotation.from_rotvec(swing.reshape(-1, 3)).as_quat().reshape(n_frames, -1, 4)
+    path = np.array([0.0, 0.9, 0.0]) + 0.5 * time[:, 0] * [1, 0, 1]
+    info = {"betas": np.array([1.0, -0.5])}
+    return Motion(smpl_skeleton(n_joints), rotations, path, 30.0, info=info)
+
+
+def unpack(text: str, frames: int) -> np.ndarray:
+    """What `unpack` of player/data.js does: (T, channels)."""
+    packed = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).astype(np.int64)
+    low, high = packed.reshape(2, -1, frames)
+    return np.cumsum(low + (high << 8), axis=1).astype(np.uint16).view(np.int16).T
+
+
+def array(text: str, dtype: str, width: int) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), dtype).reshape(-1, width)
+
+
+def page_of(path: Path) -> dict:
+    text = path.read_text(encoding="utf-8")
+    found = re.search(r'<script type="application/json" id="motion">(.*?)</script>', text, re.S)
+    return json.loads(found[1])
+
+
+@pytest.mark.parametrize("n_joints", [22, 24, 55])
+def test_the_skin_moves_as_the_body_model_says(tmp_path, body, n_joints):
+    motion = turning(n_joints)
+    if n_joints == 55:
+        motion = replace(motion, info={})
+    motion.save(tmp_path / "a.html", body_model=body)
+    page = page_of(tmp_path / "a.html")
+    figure, shared = page["figures"][0], page["skin"]
+    frames, count = figure["n_frames"], figure["n_joints"]
+    root = array(figure["root"], "<f4", 3)[:, None]
+    steps = unpack(figure["points"], frames).reshape(frames, -1, 3)
+    places = (root + steps * figure["step"])[:, :count]
+    turns = unpack(figure["skin"]["turns"], frames).reshape(frames, count, 4) / 32767.0
+    # So near to one another that a frame in between can be read off a straight line.
+    assert np.linalg.norm(np.diff(turns, axis=0), axis=-1).max() < 0.5
+    turns = Rotation.from_quat(turns.reshape(-1, 4)).as_matrix().reshape(frames, count, 3, 3)
+    rest = array(figure["skin"]["vertices"], "<f4", 3)
+    centres = array(figure["skin"]["joints"], "<f4", 3)
+    joints, weights = array(shared["joints"], "u1", 4), array(shared["weights"], "u1", 4)
+    assert (weights.sum(axis=1) == 255).all()
+    np.testing.assert_array_equal(array(shared["faces"], "<u4", 3), body.faces)
+    moved = np.zeros((frames, len(rest), 3))
+    for k in range(4):
+        j = joints[:, k]
+        from_joint = rest - centres[j]
+        moved += (weights[:, k] / 255)[:, None] * (
+            np.einsum("tvab,vb->tva", turns[:, j], from_joint) + places[:, j]
+        )
+    uncorrected = replace(body, pose_corrections=None)
+    expected = uncorrected.vertices(fit_body(motion, body))
+    assert np.abs(moved - expected).max() < 1e-3  # metres; weights are in parts of 255
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="Chromium is not installed")
+def test_a_page_with_skins_opens_in_a_browser(tmp_path, body):
+    pair = {"left": turning(), "right": turning(22)}
+    write_html(pair, tmp_path / "pair.html", body_model=body)
+    command = ["chromium", "--headless", "--no-sandbox", "--use-angle=swiftshader"]
+    command += ["--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"]
+    command += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
+    command += ["--window-size=320,240", "--virtual-time-budget=100", "--dump-dom"]
+    command.append((tmp_path / "pair.html").as_uri() + "#t=1")
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert 'data-state="ready"' in shown.stdout
+    assert "CONSOLE" not in shown.stderr
