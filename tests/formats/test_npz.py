@@ -262,6 +262,21 @@ def test_a_rig_of_another_kind_is_retargeted(tmp_path, gesture):
         write_npz(motion, tmp_path / "b.npz", rig="smal")
 
 
+def test_joints_hang_together_as_in_the_models_own_tables():
+    body = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
+    assert list(smpl_skeleton(22).parents) == body
+    assert list(smpl_skeleton(24).parents) == [*body, 20, 21]
+    for n_joints, face in ((52, []), (55, [15, 15, 15])):
+        first = 22 + len(face)
+        hands = [
+            parent
+            for wrist, start in ((20, first), (21, first + 15))
+            for joint in range(start, start + 15, 3)
+            for parent in (wrist, joint, joint + 1)
+        ]
+        assert list(smpl_skeleton(n_joints).parents) == [*body, *face, *hands]
+
+
 def test_the_average_body_is_as_tall_as_people_are():
     for n_joints in (22, 24, 52, 55):
         rig = smpl_skeleton(n_joints)
