@@ -21,7 +21,7 @@ MAX_RATIO = 20
 """Beyond the allowance, how many times larger than the file they may be. Real recordings deflate
 to a half or a third; zeros, to a thousandth."""
 _MAX_DIRECTORY = 1 << 20  # bytes of the list of members: ten thousand of them
-_END = struct.Struct("<4s8xI4xH")  # end record of a zip: signature, size of the list, comment
+_END = struct.Struct("<12xI6x")  # end record of a zip: the size of the list of members
 
 
 class Archive:
@@ -86,8 +86,9 @@ class Archive:
         """
         values = self[key]
         if values.dtype.kind not in "fiu":
-            held = repr(values.item()) if values.size == 1 else str(values.dtype)
-            raise FormatError(f"{self.path}: key {key!r} holds {held[:60]}, not numbers")
+            text = self.texts(key) if values.size == 1 else []
+            held = repr(text[0][:60]) if text else str(values.dtype)
+            raise FormatError(f"{self.path}: key {key!r} holds {held}, not numbers")
         return values.astype(dtype, copy=False)
 
     def texts(self, key: str, at_most: int = 1) -> list[str]:
@@ -96,18 +97,13 @@ class Archive:
         Raises:
             FormatError: as above, more texts than `at_most`, or characters that do not exist.
         """
-        values = self[key].ravel()
-        if len(values) > at_most:
-            raise FormatError(f"{self.path}: key {key!r} holds {len(values)} texts, too many")
-        if values.dtype.kind == "S":
-            return [text.decode("ascii", "replace") for text in values.tolist()]
-        if values.dtype.kind != "U" or not values.dtype.itemsize:
-            return []
-        # Python itself checks them only in parts, and fails with an internal error.
-        codes = np.ascontiguousarray(values).view(values.dtype.str[0] + "u4")
-        if codes.max(initial=0) > sys.maxunicode:
-            raise FormatError(f"{self.path}: key {key!r} holds characters that do not exist")
-        return values.tolist()
+        values = self[key]
+        if values.size > at_most:
+            raise FormatError(f"{self.path}: key {key!r} holds {values.size} texts, too many")
+        try:
+            return _texts(values)
+        except ValueError as error:
+            raise FormatError(f"{self.path}: key {key!r} {error}") from None
 
 
 @contextmanager
@@ -131,6 +127,18 @@ def open_archive(path: str | os.PathLike[str]) -> Iterator[Archive]:
         yield Archive(path, members)
 
 
+def _texts(values: np.ndarray) -> list[str]:
+    if values.dtype.kind == "S":
+        return [text.decode("ascii", "replace") for text in values.ravel().tolist()]
+    if values.dtype.kind != "U" or not values.dtype.itemsize:
+        return []
+    values = np.ascontiguousarray(values).ravel()
+    # Python itself checks them only in parts, and fails with an internal error.
+    if values.view(values.dtype.str[0] + "u4").max(initial=0) > sys.maxunicode:
+        raise ValueError("holds characters that do not exist")
+    return values.tolist()
+
+
 def _header(member: zipfile.ZipExtFile) -> tuple[tuple[int, ...], np.dtype]:
     version = np.lib.format.read_magic(member)
     if version == (1, 0):
@@ -151,7 +159,7 @@ def _check_directory(path: Path) -> None:
     at = tail.rfind(b"PK\5\6")
     if at < 0 or len(tail) - at < _END.size:
         raise FormatError(f"{path}: not a readable npz file: it is no zip archive, or cut short")
-    _, directory, _ = _END.unpack_from(tail, at)
+    (directory,) = _END.unpack_from(tail, at)
     if tail[max(0, at - 20) : at].startswith(b"PK\6\7"):
         raise FormatError(f"{path}: an archive of more than 4 GiB; cut the recording into pieces")
     if directory > _MAX_DIRECTORY:

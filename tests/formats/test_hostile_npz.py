@@ -123,6 +123,7 @@ def test_what_stays_within_the_allowance_stays_within_memory(tmp_path):
         ("poses", zeros((0, 72)), "trans has shape"),
         ("betas", zeros((500_000,)), "betas have shape"),
         ("mocap_framerate", zeros((2,)), "mocap_framerate has shape"),
+        ("trans", npy(np.array([2**31], "<u4").view("<U1")), "characters that do not exist"),
     ],
 )
 def test_headers_that_promise_too_much(tmp_path, key, content, says):

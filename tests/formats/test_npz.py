@@ -146,6 +146,22 @@ def test_the_blender_add_on_accepts_every_rig_of_the_family(tmp_path, n_joints):
     assert add_on_accepts(tmp_path / "a.npz")
 
 
+def test_aitviewer_finds_hands_and_floor(tmp_path):
+    """What its SMPLSequence.from_amass takes from a file, for an SMPL-H body with Z up."""
+    motion = smpl_motion(55)
+    write_npz(motion, tmp_path / "a.npz", rig="smplh", up="z")
+    with np.load(tmp_path / "a.npz") as data:
+        assert data["gender"].item() == "neutral" and data["mocap_framerate"].tolist() == 30
+        assert data["betas"].shape == (16,)
+        poses, trans = data["poses"], data["trans"]
+    hands = poses[:, 66:111].reshape(20, 15, 3), poses[:, 111:156].reshape(20, 15, 3)
+    for side, hand in zip(("left", "right"), hands):
+        own = motion.rotations[:, motion.skeleton.index(f"{side}_index1")]
+        assert rotation_angles(quaternion_from_rotation_vector(hand[:, 0]), own).max() < 1e-6
+    height = motion.translation[:, 1] - trans[:, 2]
+    assert np.ptp(height) < 1e-9 and abs(height[0]) < 0.1  # up is z; but for the model's origin
+
+
 @pytest.mark.parametrize("fps", [15.0, 20.0, 25.0, 50.0])
 def test_rates_are_converted_on_request(tmp_path, fps):
     motion = smpl_motion(55, fps)
