@@ -100,10 +100,15 @@ class Archive:
         values = self[key]
         if values.size > at_most:
             raise FormatError(f"{self.path}: key {key!r} holds {values.size} texts, too many")
-        try:
-            return _texts(values)
-        except ValueError as error:
-            raise FormatError(f"{self.path}: key {key!r} {error}") from None
+        if values.dtype.kind == "S":
+            return [text.decode("ascii", "replace") for text in values.ravel().tolist()]
+        if values.dtype.kind != "U" or not values.dtype.itemsize:
+            return []
+        values = np.ascontiguousarray(values).ravel()
+        # Python itself checks them only in parts, and fails with an internal error.
+        if values.view(values.dtype.str[0] + "u4").max(initial=0) > sys.maxunicode:
+            raise FormatError(f"{self.path}: key {key!r} holds characters that do not exist")
+        return values.tolist()
 
 
 @contextmanager
@@ -125,18 +130,6 @@ def open_archive(path: str | os.PathLike[str]) -> Iterator[Archive]:
         raise FormatError(f"{path}: not a readable npz file: {error}") from None
     with members:
         yield Archive(path, members)
-
-
-def _texts(values: np.ndarray) -> list[str]:
-    if values.dtype.kind == "S":
-        return [text.decode("ascii", "replace") for text in values.ravel().tolist()]
-    if values.dtype.kind != "U" or not values.dtype.itemsize:
-        return []
-    values = np.ascontiguousarray(values).ravel()
-    # Python itself checks them only in parts, and fails with an internal error.
-    if values.view(values.dtype.str[0] + "u4").max(initial=0) > sys.maxunicode:
-        raise ValueError("holds characters that do not exist")
-    return values.tolist()
 
 
 def _header(member: zipfile.ZipExtFile) -> tuple[tuple[int, ...], np.dtype]:
