@@ -29,3 +29,7 @@ class ConfigError(GestureKitError, ValueError):
 
 class ModelError(GestureKitError, ValueError):
     """A model folder, or the weights it asks for, that cannot be used."""
+
+
+class EvaluationError(GestureKitError, ValueError):
+    """A metric that cannot be computed from what it was given."""

@@ -7,12 +7,20 @@ from typing import Any
 
 # No module may be called like a public function: importing it would hide the function.
 _HOMES = {
+    "PatchScores": "patches",
     "SyncResult": "listening",
     "arm_speed": "physical",
     "arm_speed_ratio": "physical",
+    "coverage": "patches",
+    "global_diversity": "patches",
+    "inter_diversity": "patches",
+    "intra_diversity": "patches",
     "jerk": "physical",
     "jerk_ratio": "physical",
+    "local_diversity": "patches",
     "max_speed": "physical",
+    "patch_features": "patches",
+    "patch_scores": "patches",
     "speech_envelope": "listening",
     "sync": "listening",
 }

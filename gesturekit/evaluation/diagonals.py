@@ -1,0 +1,166 @@
+"""Distances between all frames of two motions, and their sums along diagonals.
+
+A window of w frames of one motion laid over w frames of another is a piece of a diagonal of the
+matrix of frame distances. All sums are of what they are sums of, never differences of longer
+sums, so that equal windows are exactly 0 apart. Compiled by numba, O(L N) time and memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+# Squared distances below this share of the squared lengths are computed anew from the frames:
+# |a|² + |b|² - 2ab loses digits there. The rest keep a relative error below about 1e-9.
+_NEAR = 1e-6
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    try:
+        return njit(cache=True, nogil=True)(function)
+    except RuntimeError:  # no folder that a compiled function could be kept in
+        return njit(nogil=True)(function)
+
+
+def frame_distances(a: np.ndarray, b: np.ndarray, *, squared: bool = False) -> np.ndarray:
+    """(L, N) Euclidean distances of the rows of `a` (L, D) and `b` (N, D), float64.
+
+    Relative error below 1e-8; equal rows are exactly 0 apart.
+    """
+    centre = b.mean(axis=0)  # distances do not change, the numbers that cancel get smaller
+    left, right = a - centre, b - centre
+    distances = left @ right.T
+    _finish(
+        distances,
+        np.einsum("ij,ij->i", left, left),
+        np.einsum("ij,ij->i", right, right),
+        a,
+        b,
+        squared,
+    )
+    return distances
+
+
+@_compiled
+def _finish(products, left, right, a, b, squared):  # noqa: ANN001, ANN202
+    """Turn inner products into distances, in place."""
+    n = products.shape[1]
+    for i in range(products.shape[0]):
+        near = 0
+        for j in range(n):
+            size = left[i] + right[j]
+            value = size - 2.0 * products[i, j]
+            products[i, j] = value
+            near += value < _NEAR * size
+        if near:
+            for j in range(n):
+                if products[i, j] < _NEAR * (left[i] + right[j]):
+                    total = 0.0
+                    for k in range(a.shape[1]):
+                        step = a[i, k] - b[j, k]
+                        total += step * step
+                    products[i, j] = total
+        if not squared:
+            for j in range(n):
+                products[i, j] = np.sqrt(products[i, j])
+
+
+@_compiled
+def _sum_windows(start, distances, ends, begins, sums):  # noqa: ANN001, ANN202
+    """Fill sums[j] with distances[start + t, j + t] added up over t < w, one start after another.
+
+    Rows are cut into blocks of w; a window is the end of one block and the beginning of the next.
+
+    Args:
+        start: 0 at the first call, then one more at each.
+        distances: (L, N).
+        ends: (w, N) memory: sums from a row of the block down to the block's last row.
+        begins: (N + w) memory, by diagonal: sums from the next block's first row downwards.
+        sums: (N - w + 1) result.
+    """
+    width, n_columns = ends.shape
+    into = start % width
+    if into == 0:
+        last = start + width - 1
+        ends[width - 1] = distances[last]
+        for up in range(1, width):
+            for column in range(n_columns - up):
+                below = ends[width - up, column + 1]
+                ends[width - 1 - up, column] = distances[last - up, column] + below
+        begins[:] = 0.0
+        sums[:] = ends[0, : len(sums)]
+        return
+    row = start + width - 1
+    for column in range(n_columns):
+        begins[column + width - into] += distances[row, column]
+    for column in range(len(sums)):
+        sums[column] = ends[into, column] + begins[column + 2 * width - 1 - into]
+
+
+@_compiled
+def _memory(n_columns, width):  # noqa: ANN001, ANN202
+    return (
+        np.empty((width, n_columns)),
+        np.empty(n_columns + width),
+        np.empty(n_columns - width + 1),
+    )
+
+
+@_compiled
+def window_sums(distances, width):  # noqa: ANN001, ANN201
+    """(L - w + 1, N - w + 1): entry (i, j) is the sum of distances[i + t, j + t] over t < w."""
+    n_rows, n_columns = distances.shape
+    ends, begins, _ = _memory(n_columns, width)
+    sums = np.empty((n_rows - width + 1, n_columns - width + 1))
+    for start in range(len(sums)):
+        _sum_windows(start, distances, ends, begins, sums[start])
+    return sums
+
+
+@_compiled
+def least_window_sums(distances, width):  # noqa: ANN001, ANN201
+    """Minima of `window_sums` over its columns (L - w + 1) and over its rows (N - w + 1)."""
+    n_rows, n_columns = distances.shape
+    ends, begins, sums = _memory(n_columns, width)
+    of_rows = np.empty(n_rows - width + 1)
+    of_columns = np.full(len(sums), np.inf)
+    for start in range(len(of_rows)):
+        _sum_windows(start, distances, ends, begins, sums)
+        least = np.inf
+        for column in range(len(sums)):
+            least = min(least, sums[column])
+            of_columns[column] = min(of_columns[column], sums[column])
+        of_rows[start] = least
+    return of_rows, of_columns
+
+
+@_compiled
+def segmentation_cost(distances, shortest):  # noqa: ANN001, ANN201
+    """Least sum of distances over all ways to lay the rows, in segments, along diagonals.
+
+    Segments follow each other without gap, each at least `shortest` rows long and wholly inside
+    the matrix; where in the columns each one lies is free. Infinite where none fit.
+    """
+    n_rows, n_columns = distances.shape
+    ends, begins, sums = _memory(n_columns, shortest)
+    best = np.full(n_rows + 1, np.inf)  # of the first so many rows
+    best[0] = 0.0
+    # By diagonal: the least cost of the rows so far where the last segment runs along it and is
+    # long enough to stop.
+    running = np.full(n_rows + n_columns, np.inf)
+    for start in range(n_rows - shortest + 1):
+        _sum_windows(start, distances, ends, begins, sums)
+        row = start + shortest - 1
+        diagonal = n_rows - start  # of column shortest - 1 in this row
+        least = np.inf
+        for column in range(len(sums)):
+            on = running[diagonal + column] + distances[row, column + shortest - 1]
+            fresh = best[start] + sums[column]
+            cost = min(on, fresh)
+            running[diagonal + column] = cost
+            least = min(least, cost)
+        best[row + 1] = least
+    return best[n_rows]
