@@ -1,0 +1,236 @@
+"""Poses that do not depend on where a body stands and which way it faces, and windows of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import EvaluationError
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints, find_parts, upper_body
+from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
+
+_SMALLEST_SCALE = 1e-3
+"""Metres; a coordinate that varies by less in the reference is measured in this."""
+_SHORTEST_BONE = 1e-4
+_MOST_FRAMES = 1000
+
+
+@dataclass(frozen=True)
+class _Variant:
+    directions: bool
+    joints: str
+    fps: float
+    n_frames: int
+    stride: int  # frames between the starts of two windows; 0 is half a window
+
+
+_VARIANTS = {
+    # Joint positions, as in GENEA 2022 (genea_numerical_evaluations), whose 14 were of its own rig.
+    "genea": _Variant(False, "body", 30.0, 60, 0),
+    # Directions of the upper body's bones, as in Yoon et al. 2020, who had nine of them.
+    "yoon": _Variant(True, "upper", 15.0, 34, 10),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class PoseWindows:
+    """Makes windows of poses from motions of a rig.
+
+    Each frame is seen from the pelvis and turned about the vertical so that the hips face +Z:
+    where the body stands and which way it faces are left out. The variant "genea" takes positions
+    of joints, each coordinate less its mean over its standard deviation; "yoon" takes unit vectors
+    along bones, less their mean.
+
+    Attributes:
+        variant: "genea" or "yoon".
+        bones: (from, to) joint names; positions all go from the pelvis.
+        fps: frame rate that motions are brought to.
+        n_frames: frames of a window.
+        stride: frames between the starts of two windows.
+        mean: (3 B,) of the reference's frames.
+        scale: (3 B,) what poses are divided by.
+    """
+
+    variant: str
+    bones: tuple[tuple[str, str], ...]
+    fps: float
+    n_frames: int
+    stride: int
+    mean: np.ndarray
+    scale: np.ndarray
+
+    def __post_init__(self) -> None:
+        _require_variant(self.variant)
+        if not 10 <= self.n_frames <= _MOST_FRAMES:
+            raise EvaluationError(f"windows of {self.n_frames} frames; 10 to {_MOST_FRAMES} can be")
+        if not (1 <= self.fps <= 1000 and 1 <= self.stride <= _MOST_FRAMES):
+            raise EvaluationError(f"windows at {self.fps!r} fps, every {self.stride!r} frames")
+        for name in ("mean", "scale"):
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            if values.shape != (self.n_features,) or not np.isfinite(values).all():
+                raise EvaluationError(f"{name} of poses: expected {self.n_features} finite numbers")
+            object.__setattr__(self, name, values)
+        if (self.scale <= 0).any() or not self.bones:
+            raise EvaluationError("poses need bones, and scales above 0")
+
+    @property
+    def n_features(self) -> int:
+        """Numbers a frame: three a bone."""
+        return 3 * len(self.bones)
+
+    @classmethod
+    def fit(
+        cls,
+        motions: Sequence[Motion],
+        variant: str = "genea",
+        *,
+        n_frames: int | None = None,
+        joints: str | Sequence[str] | None = None,
+    ) -> PoseWindows:
+        """Settle joints, means and scales from a reference set.
+
+        Args:
+            motions: motions of one rig (joints are found by name).
+            variant: "genea" (60 frames at 30 fps, every 30) or "yoon" (34 at 15 fps, every 10).
+            n_frames: another length of a window; GENEA also has 30 and 90.
+            joints: "body" (no fingers, face, end joints), "upper" (those of spine, head and arms),
+                or names. By default "body" for "genea", "upper" for "yoon".
+
+        Raises:
+            EvaluationError: no motions, no such variant, or joints that one of them lacks.
+        """
+        _require_variant(variant)
+        if not motions:
+            raise EvaluationError("there is no motion to learn poses from")
+        form = _VARIANTS[variant]
+        n_frames = form.n_frames if n_frames is None else n_frames
+        bones = _bones(motions[0], form, form.joints if joints is None else joints)
+        width = 3 * len(bones)
+        stride = form.stride or max(1, n_frames // 2)
+        plain = cls(variant, bones, form.fps, n_frames, stride, np.zeros(width), np.ones(width))
+        frames = np.concatenate([plain.frames(motion) for motion in motions])
+        scale = np.ones(width)
+        if not form.directions:
+            scale = np.maximum(frames.std(axis=0), _SMALLEST_SCALE)
+        return cls(variant, bones, form.fps, n_frames, stride, frames.mean(axis=0), scale)
+
+    def frames(self, motion: Motion) -> np.ndarray:
+        """(T', 3 B) normalised poses of a motion, at this object's frame rate.
+
+        Raises:
+            EvaluationError: the motion lacks a joint, or a bone that needs a direction has none.
+        """
+        skeleton = motion.skeleton
+        require_joints(motion, sorted({name for bone in self.bones for name in bone}))
+        motion = motion if motion.fps == self.fps else motion.resample(self.fps)
+        positions = motion.positions()
+        ends = np.array([[skeleton.index(name) for name in bone] for bone in self.bones])
+        bones = positions[:, ends[:, 1]] - positions[:, ends[:, 0]]
+        bones = rotate_vectors(_to_front(motion, positions)[:, None], bones)
+        if _VARIANTS[self.variant].directions:
+            lengths = np.linalg.norm(bones, axis=-1, keepdims=True)
+            if (lengths < _SHORTEST_BONE).any():
+                bad = self.bones[int(np.argwhere(lengths < _SHORTEST_BONE)[0][1])]
+                raise EvaluationError(
+                    f"{described(motion)}: {bad[0]!r} and {bad[1]!r} lie in one place; "
+                    "no direction leads from one to the other"
+                )
+            bones = bones / lengths
+        return (bones.reshape(len(bones), -1) - self.mean) / self.scale
+
+    def cut(self, motions: Sequence[Motion]) -> list[np.ndarray]:
+        """(W_i, n_frames, 3 B) windows of each motion; those shorter than a window are left out.
+
+        Raises:
+            EvaluationError: see `frames`; or no motion is as long as a window.
+        """
+        clips = []
+        for motion in motions:
+            frames = self.frames(motion)
+            if len(frames) >= self.n_frames:
+                windows = np.lib.stride_tricks.sliding_window_view(frames, self.n_frames, axis=0)
+                clips.append(windows[:: self.stride].transpose(0, 2, 1))
+        if not clips:
+            raise EvaluationError(
+                f"none of {len(motions)} motions is as long as a window of "
+                f"{self.n_frames / self.fps:.3g} s ({self.n_frames} frames at {self.fps:g} fps)"
+            )
+        return clips
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but mean and scale, as plain values."""
+        return {
+            "variant": self.variant,
+            "bones": [list(bone) for bone in self.bones],
+            "fps": self.fps,
+            "n_frames": self.n_frames,
+            "stride": self.stride,
+        }
+
+
+def require_joints(motion: Motion, joints: Sequence[str]) -> None:
+    """Check that a motion has the joints that others have.
+
+    Raises:
+        EvaluationError: it lacks some.
+    """
+    missing = sorted(set(joints) - set(motion.skeleton.names))
+    if missing:
+        raise EvaluationError(
+            f"{described(motion)} has no joint {', '.join(missing[:5])}"
+            f"{', ...' if len(missing) > 5 else ''}, which the other motions have; "
+            "give motions of one rig, or retarget them to it"
+        )
+
+
+def described(motion: Motion) -> str:
+    """A motion in an error message: its file, or what it is."""
+    return str(motion.info.get("source") or motion)
+
+
+def _require_variant(variant: str) -> None:
+    if variant not in _VARIANTS:
+        raise EvaluationError(f"variant {variant!r}; expected {' or '.join(_VARIANTS)}")
+
+
+def _bones(
+    motion: Motion, form: _Variant, joints: str | Sequence[str]
+) -> tuple[tuple[str, str], ...]:
+    skeleton = motion.skeleton
+    pelvis = find_parts(skeleton).pelvis
+    if isinstance(joints, str):
+        if joints not in ("body", "upper"):
+            raise EvaluationError(f"joints: {joints!r}; expected body, upper, or joint names")
+        chosen = set(body_joints(skeleton))
+        if joints == "upper":
+            chosen &= set(upper_body(skeleton))
+        chosen &= {skeleton.names[j] for j in skeleton.descendants(skeleton.index(pelvis))}
+    else:
+        chosen = {skeleton.names[skeleton.index(name)] for name in joints} - {pelvis}
+    bones = []
+    for name in skeleton.names:
+        if name not in chosen:
+            continue
+        start = pelvis
+        if form.directions:
+            j = skeleton.index(name)
+            above = [skeleton.names[i] for i in skeleton.ancestors(j)]
+            start = next((a for a in above if a in chosen), pelvis)
+            if np.linalg.norm(skeleton.offsets[j]) < _SHORTEST_BONE:
+                continue  # a joint on top of its parent has no direction
+        bones.append((start, name))
+    return tuple(bones)
+
+
+def _to_front(motion: Motion, positions: np.ndarray) -> np.ndarray:
+    """(T, 4) turns about the vertical after which the left hip lies at +X of the right one."""
+    legs = find_parts(motion.skeleton).legs
+    left, right = (motion.skeleton.index(legs[side].hip) for side in ("left", "right"))
+    across = positions[:, left] - positions[:, right]
+    turn = np.zeros((len(across), 3))
+    turn[:, 1] = np.arctan2(across[:, 2], across[:, 0])
+    return quaternion_from_rotation_vector(turn)
