@@ -11,7 +11,7 @@ import sys
 
 import click
 
-VERBS = ("demo", "features", "prepare", "train", "render")
+VERBS = ("demo", "features", "prepare", "train", "render", "fit-features")
 
 
 class VerbGroup(click.Group):
@@ -25,7 +25,7 @@ class VerbGroup(click.Group):
         """The verb of this name; None where there is none."""
         if name not in VERBS:
             return None
-        return importlib.import_module(f"gesturekit.cli.{name}").command
+        return importlib.import_module(f"gesturekit.cli.{name.replace('-', '_')}").command
 
 
 @click.group(

@@ -1,0 +1,113 @@
+"""`gesturekit fit-features`: a feature extractor for the Fréchet gesture distance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from gesturekit.motion import Motion
+
+
+@click.command(
+    "fit-features", epilog="Example: gesturekit fit-features recordings/ --out features --seed 0"
+)
+@click.argument(
+    "reference", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REFERENCE..."
+)
+@click.option(
+    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
+)
+@click.option(
+    "--variant",
+    type=click.Choice(["genea", "yoon"]),
+    default="genea",
+    show_default=True,
+    help="genea: positions of body joints, 60 frames at 30 fps; yoon: directions of the upper "
+    "body's bones, 34 frames at 15 fps.",
+)
+@click.option("--frames", type=int, help="Frames of a window.  [default: the variant's]")
+@click.option(
+    "--joints", metavar="LIST", help="body, upper, or joint names.  [default: the variant's]"
+)
+@click.option("--steps", type=click.IntRange(1), default=2300, show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True)
+def command(
+    reference: tuple[Path, ...],
+    out: Path,
+    variant: str,
+    frames: int | None,
+    joints: str | None,
+    steps: int,
+    seed: int,
+) -> int:
+    """Fit the autoencoder of the Fréchet gesture distance on your own recordings.
+
+    REFERENCE are motion files (bvh, npz) of one rig, or folders of them. The output folder gets
+    feature_model.safetensors and feature_model.json, and the fingerprint is printed: distances may
+    be compared where it is the same. Takes minutes on a CPU.
+
+    Exit codes: 0 all files were used; 1 some could not be read; 2 none could.
+    """
+    import logging
+
+    from tqdm import tqdm
+
+    from gesturekit.evaluation import FeatureModel
+
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    motions, failed = _read(reference)
+    names: str | list[str] | None = joints
+    if joints is not None and joints not in ("body", "upper"):
+        names = [name.strip() for name in joints.split(",") if name.strip()]
+    with tqdm(total=steps, unit="step", disable=None) as bar:
+        model = FeatureModel.fit(
+            motions,
+            variant,
+            n_frames=frames,
+            joints=names,
+            steps=steps,
+            seed=seed,
+            progress=lambda step, loss: bar.update(),
+        )
+    model.save(out)
+    click.echo(
+        f"{out}: {variant}, {model.windows.n_frames} frames at {model.windows.fps:g} fps, "
+        f"{len(model.windows.bones)} bones, {model.training['windows']} windows; "
+        f"{100 * (1 - model.training['unexplained']):.0f} % reconstructed"
+    )
+    click.echo(f"Fingerprint: {model.fingerprint}")
+    return 1 if failed else 0
+
+
+def _read(paths: tuple[Path, ...]) -> tuple[list[Motion], int]:
+    """Motions of files and of folders, and how many could not be read."""
+    from gesturekit.corpus.pairing import scan
+    from gesturekit.errors import EvaluationError, GestureKitError
+    from gesturekit.motion import Motion
+
+    files: list[Path] = []
+    failed = 0
+    for path in paths:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        found, problems = scan(path)
+        failed += len(problems)
+        for problem in problems:
+            click.echo(f"Error: {problem}", err=True)
+        files += [one.path for one in found if not one.is_speech]
+    motions = []
+    for file in files:
+        try:
+            motions.append(Motion.load(file))
+        except (GestureKitError, OSError) as error:
+            failed += 1
+            click.echo(f"Error: {error}", err=True)
+    if not motions:
+        raise EvaluationError(
+            f"no motion (bvh, npz) could be read from {', '.join(map(str, paths))}"
+        )
+    return motions, failed
