@@ -90,11 +90,17 @@ class FeatureModel:
         windows = PoseWindows.fit(motions, variant, n_frames=n_frames, joints=joints)
         clips = [windows.frames(motion).astype(np.float32) for motion in motions]
         frames = torch.from_numpy(np.concatenate(clips))
-        starts, first = [], 0
-        for clip in clips:
-            starts.append(torch.arange(first, first + len(clip) - windows.n_frames + 1))
-            first += len(clip)
-        starts = torch.cat([s for s in starts if len(s)] or [torch.empty(0)])
+        # Of windows that lie within one motion, as rows of all frames one after the other.
+        lengths = np.array([len(clip) for clip in clips])
+        firsts = np.cumsum(lengths) - lengths
+        starts = torch.from_numpy(
+            np.concatenate(
+                [
+                    first + np.arange(max(0, length - windows.n_frames + 1))
+                    for first, length in zip(firsts, lengths)
+                ]
+            )
+        )
         if len(starts) < 2:
             raise EvaluationError(
                 f"{len(starts)} windows of {windows.n_frames / windows.fps:.3g} s in "

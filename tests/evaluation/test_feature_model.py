@@ -1,0 +1,195 @@
+"""The feature extractor: what poses it sees, that it repeats itself, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from safetensors.torch import load_file, save_file
+
+from gesturekit.errors import EvaluationError, MotionError
+from gesturekit.evaluation import FeatureModel, PoseWindows, fgd
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import (
+    multiply_quaternions,
+    quaternion_from_euler,
+    rotate_vectors,
+)
+
+
+@pytest.fixture(scope="module")
+def clips(gesture) -> list[Motion]:
+    return [gesture(6.0, seed=number) for number in range(3)]
+
+
+@pytest.fixture(scope="module")
+def model(clips) -> FeatureModel:
+    return FeatureModel.fit(clips, n_frames=30, steps=8, seed=1)
+
+
+@pytest.mark.parametrize("variant", ["genea", "yoon"])
+def test_poses_do_not_know_where_a_body_stands_and_faces(clips, variant):
+    windows = PoseWindows.fit(clips, variant)
+    motion = clips[0]
+    yaw = np.linspace(0.0, 200.0, motion.n_frames)  # turns while it talks
+    turn = quaternion_from_euler(np.stack([0 * yaw, yaw, 0 * yaw], axis=-1), "XYZ")
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
+    walk = np.outer(motion.times, [1.0, 0.0, 0.5])
+    moved = replace(motion, rotations=rotations, translation=motion.translation + walk)
+    fps = windows.fps
+    assert windows.frames(moved.resample(30.0)) == pytest.approx(
+        windows.frames(motion), abs=1e-6 if fps == 30 else 1e-2
+    )
+
+
+def test_genea_poses_are_positions_in_units_of_their_spread(clips, skeleton):
+    windows = PoseWindows.fit(clips)
+    frames = np.concatenate([windows.frames(motion) for motion in clips])
+    assert frames.mean(axis=0) == pytest.approx(np.zeros(windows.n_features), abs=1e-9)
+    wrist = [bone for _, bone in windows.bones].index("LeftHand")
+    assert frames[:, 3 * wrist : 3 * wrist + 3].std(axis=0) == pytest.approx(np.ones(3))
+    # In metres, a body that faces +z: the left hand is where forward kinematics puts it.
+    motion = clips[0]
+    positions = motion.positions()[5]
+    left, right = (positions[skeleton.index(f"{side}UpLeg")] for side in ("Left", "Right"))
+    yaw = np.degrees(np.arctan2((left - right)[2], (left - right)[0]))
+    seen = rotate_vectors(
+        quaternion_from_euler(np.array([0.0, yaw, 0.0]), "XYZ"),
+        positions[skeleton.index("LeftHand")] - positions[0],
+    )
+    found = (windows.frames(motion) * windows.scale + windows.mean)[5, 3 * wrist : 3 * wrist + 3]
+    assert found == pytest.approx(seen, abs=1e-9)
+
+
+def test_yoon_poses_are_directions_of_the_upper_body(clips):
+    windows = PoseWindows.fit(clips, "yoon")
+    assert {bone for _, bone in windows.bones}.isdisjoint({"LeftLeg", "RightFoot", "LeftUpLeg"})
+    assert ("LeftArm", "LeftForeArm") in windows.bones
+    vectors = windows.frames(clips[0]) + windows.mean
+    lengths = np.linalg.norm(vectors.reshape(len(vectors), -1, 3), axis=-1)
+    assert lengths == pytest.approx(np.ones_like(lengths))
+    assert (windows.fps, windows.n_frames, windows.stride) == (15.0, 34, 10)
+
+
+def test_windows_start_every_half_window(clips):
+    windows = PoseWindows.fit(clips)
+    frames = windows.frames(clips[0])
+    (cut,) = windows.cut([clips[0], clips[1].slice(0, 59)])  # one is too short
+    assert cut.shape == (5, 60, windows.n_features)  # 180 frames: 0, 30, ..., 120
+    assert np.array_equal(cut[4], frames[120:180])
+
+
+def test_no_window_reaches_from_one_motion_into_the_next(clips):
+    short = clips[1].slice(0, 20)
+    alone = FeatureModel.fit([clips[0], clips[2]], n_frames=30, steps=1)
+    beside = FeatureModel.fit([clips[0], short, clips[2]], n_frames=30, steps=1)
+    assert beside.training["windows"] == alone.training["windows"] == 2 * 151
+
+
+def test_a_seed_gives_the_same_numbers(clips, model):
+    again = FeatureModel.fit(clips, n_frames=30, steps=8, seed=1)
+    assert again.fingerprint == model.fingerprint
+    for one, other in zip(model.encode(clips), again.encode(clips)):
+        assert np.array_equal(one, other)
+    assert FeatureModel.fit(clips, n_frames=30, steps=8, seed=2).fingerprint != model.fingerprint
+    # A motion's features do not depend on what else is encoded.
+    assert np.array_equal(model.encode(clips[1:2])[0], model.encode(clips)[1])
+    assert model.encode(clips)[0].shape == (11, 32)
+
+
+def test_it_learns(clips):
+    little = FeatureModel.fit(clips, n_frames=30, joints="upper", steps=1)
+    more = FeatureModel.fit(clips, n_frames=30, joints="upper", steps=60)
+    assert more.training["unexplained"] < 0.6 * little.training["unexplained"]
+    assert 0 <= fgd(clips, clips[::-1], more).value < 1e-6
+
+
+def test_steps_are_reported_and_small_sets_warned_about(clips, caplog):
+    seen = []
+    with caplog.at_level(logging.WARNING):
+        FeatureModel.fit(clips, n_frames=30, steps=3, progress=lambda *told: seen.append(told))
+    assert [step for step, _ in seen] == [1, 2, 3] and seen[0][1] > 0
+    assert "0.3 minutes of motion" in caplog.text
+
+
+@pytest.mark.parametrize("variant", ["genea", "yoon"])
+def test_a_saved_model_gives_the_same_figures(clips, variant, tmp_path):
+    model = FeatureModel.fit(clips, variant, n_frames=34, steps=3)
+    model.save(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "feature_model.json",
+        "feature_model.safetensors",
+    ]
+    again = FeatureModel.load(tmp_path)
+    assert again.fingerprint == model.fingerprint and again.training == model.training
+    assert np.array_equal(again.encode(clips)[0], model.encode(clips)[0])
+
+
+def test_a_damaged_model_is_refused(model, tmp_path):
+    with pytest.raises(EvaluationError, match=r"made by gesturekit fit-features"):
+        FeatureModel.load(tmp_path)
+    model.save(tmp_path)
+    tensors_file, json_file = (
+        tmp_path / "feature_model.safetensors",
+        tmp_path / "feature_model.json",
+    )
+    tensors, text = load_file(tensors_file), json_file.read_text(encoding="utf-8")
+
+    changed = dict(tensors)
+    changed["windows.mean"] = tensors["windows.mean"] + 1e-9
+    save_file(changed, tensors_file)
+    with pytest.raises(EvaluationError, match="is not what feature_model.json was written with"):
+        FeatureModel.load(tmp_path)
+    tensors_file.write_bytes(tensors_file.read_bytes()[:1000])
+    with pytest.raises(EvaluationError, match="feature_model.safetensors: cannot be read"):
+        FeatureModel.load(tmp_path)
+    save_file(tensors, tensors_file)
+
+    def with_windows(**values):
+        record = json.loads(text)
+        record["windows"] |= values
+        return json.dumps(record)
+
+    for damaged, message in (
+        ("{", "cannot be read"),
+        ("[]", "no feature model"),
+        (text.replace('"format": 1', '"format": 2'), "a newer gesturekit"),
+        (with_windows(n_frames=10**12), "10 to 1000 can be"),
+        (with_windows(n_frames=40), "damaged"),
+        (with_windows(variant="x"), "'x'"),
+        (with_windows(fps=0), "at 0"),
+        (with_windows(bones=[]), "damaged|expected 0"),
+        (with_windows(bones=3), "damaged"),
+        (text.replace('"windows": {', '"other": {'), "damaged"),
+    ):
+        json_file.write_text(damaged, encoding="utf-8")
+        with pytest.raises(EvaluationError, match=message):
+            FeatureModel.load(tmp_path)
+    json_file.write_text(text, encoding="utf-8")
+    assert FeatureModel.load(tmp_path).fingerprint == model.fingerprint
+
+
+def test_bad_input_gets_one_clear_error(clips, model, skeleton):
+    names = tuple("Left_Arm" if name == "LeftArm" else name for name in skeleton.names)
+    other = replace(clips[0], skeleton=replace(skeleton, names=names))
+    with pytest.raises(EvaluationError, match="has no joint LeftArm, which the other motions"):
+        fgd([other], clips, model)
+    with pytest.raises(EvaluationError, match="none of 1 motions is as long as a window of 1 s"):
+        fgd([clips[0].slice(0, 1)], clips, model)
+    for options, message in (
+        ({"variant": "fgd"}, "'fgd'; expected genea or yoon"),
+        ({"n_frames": 5}, "windows of 5 frames"),
+        ({"n_frames": 500}, "0 windows"),
+        ({"joints": "legs"}, "'legs'; expected body, upper"),
+        ({"steps": 0}, "steps is 0"),
+    ):
+        with pytest.raises(EvaluationError, match=message):
+            FeatureModel.fit(clips, **({"steps": 1} | options))
+    with pytest.raises(MotionError, match="no joint 'LeftWing'"):
+        FeatureModel.fit(clips, joints=["LeftWing"], steps=1)
+    with pytest.raises(EvaluationError, match="there is no motion"):
+        FeatureModel.fit([])
