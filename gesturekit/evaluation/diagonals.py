@@ -45,7 +45,14 @@ def frame_distances(a: np.ndarray, b: np.ndarray, *, squared: bool = False) -> n
 
 
 @_compiled
-def _finish(products, left, right, a, b, squared):  # noqa: ANN001, ANN202
+def _finish(
+    products: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    squared: bool,
+) -> None:
     """Turn inner products into distances, in place."""
     n = products.shape[1]
     for i in range(products.shape[0]):
@@ -69,7 +76,9 @@ def _finish(products, left, right, a, b, squared):  # noqa: ANN001, ANN202
 
 
 @_compiled
-def _sum_windows(start, distances, ends, begins, sums):  # noqa: ANN001, ANN202
+def _sum_windows(
+    start: int, distances: np.ndarray, ends: np.ndarray, begins: np.ndarray, sums: np.ndarray
+) -> None:
     """Fill sums[j] with distances[start + t, j + t] added up over t < w, one start after another.
 
     Rows are cut into blocks of w; a window is the end of one block and the beginning of the next.
@@ -101,7 +110,7 @@ def _sum_windows(start, distances, ends, begins, sums):  # noqa: ANN001, ANN202
 
 
 @_compiled
-def _memory(n_columns, width):  # noqa: ANN001, ANN202
+def _memory(n_columns: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (
         np.empty((width, n_columns)),
         np.empty(n_columns + width),
@@ -110,7 +119,7 @@ def _memory(n_columns, width):  # noqa: ANN001, ANN202
 
 
 @_compiled
-def window_sums(distances, width):  # noqa: ANN001, ANN201
+def window_sums(distances: np.ndarray, width: int) -> np.ndarray:
     """(L - w + 1, N - w + 1): entry (i, j) is the sum of distances[i + t, j + t] over t < w."""
     n_rows, n_columns = distances.shape
     ends, begins, _ = _memory(n_columns, width)
@@ -121,7 +130,7 @@ def window_sums(distances, width):  # noqa: ANN001, ANN201
 
 
 @_compiled
-def least_window_sums(distances, width):  # noqa: ANN001, ANN201
+def least_window_sums(distances: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Minima of `window_sums` over its columns (L - w + 1) and over its rows (N - w + 1)."""
     n_rows, n_columns = distances.shape
     ends, begins, sums = _memory(n_columns, width)
@@ -138,7 +147,7 @@ def least_window_sums(distances, width):  # noqa: ANN001, ANN201
 
 
 @_compiled
-def segmentation_cost(distances, shortest):  # noqa: ANN001, ANN201
+def segmentation_cost(distances: np.ndarray, shortest: int) -> float:
     """Least sum of distances over all ways to lay the rows, in segments, along diagonals.
 
     Segments follow each other without gap, each at least `shortest` rows long and wholly inside

@@ -39,6 +39,8 @@ THRESHOLD = 2.0
 """Distance below which the variant "ganimator" calls a window covered."""
 CONTACT_SPEED = 0.54
 """m/s; GANimator's 0.018 a frame at 30 fps, on Mixamo rigs in metres."""
+_MOST_PAIRS = 10**9
+"""Pairs of frames that are compared at most: 8 GB."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,11 @@ def patch_scores(
         raise EvaluationError(
             f"generated has {generated.shape[1]} numbers a frame, reference "
             f"{reference.shape[1]}: they must be features of one kind and rig"
+        )
+    if len(generated) * len(reference) > _MOST_PAIRS:
+        raise EvaluationError(
+            f"{len(generated)} frames against {len(reference)} would take "
+            f"{8e-9 * len(generated) * len(reference):.0f} GB; compare shorter pieces"
         )
     if coverage_window is not None:
         _check_window("window", coverage_window, reference, generated, variant, "reference")
