@@ -163,12 +163,12 @@ def patch_scores(
             f"{8e-9 * len(generated) * len(reference):.0f} GB; compare shorter pieces"
         )
     if coverage_window is not None:
-        _check_window("window", coverage_window, reference, generated, variant, "reference")
+        _check_window(coverage_window, reference, generated, variant, "reference")
         threshold = _threshold(threshold, variant)
     if min_segment is not None:
         _check_segments(min_segment, len(generated), len(reference))
     if local_window is not None:
-        _check_window("window", local_window, generated, reference, variant, "generated")
+        _check_window(local_window, generated, reference, variant, "generated")
 
     distances = frame_distances(generated, reference, squared=variant == "paper")
     covered = overall = local = np.nan
@@ -233,7 +233,7 @@ def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15
         samples = [samples]
     figures = []
     for frames in _samples(samples, least=1):
-        _check_window("window", window, frames, frames, "ganimator", "sample")
+        _check_window(window, frames, frames, "ganimator", "sample")
         apart = np.sqrt(window_sums(frame_distances(frames, frames, squared=True), window))
         figures.append(apart[:-1, :-1].mean() / window)
     return float(np.mean(figures))
@@ -323,15 +323,15 @@ def _samples(samples: Sequence[np.ndarray], least: int) -> list[np.ndarray]:
 
 
 def _check_window(
-    name: str, window: int, looked_up: np.ndarray, among: np.ndarray, variant: str, what: str
+    window: int, looked_up: np.ndarray, among: np.ndarray, variant: str, what: str
 ) -> None:
     """`looked_up` is the array whose windows are looked for in `among`."""
-    _check_count(name, window)
-    need = window + 1 if variant == "ganimator" else window
+    _check_count("window", window)
+    need = window + (variant == "ganimator")
     if len(looked_up) < need or len(among) < window:
         short = len(looked_up) if len(looked_up) < need else len(among)
         raise EvaluationError(
-            f"{name} is {window} frames; {what} needs at least {need} and the other {window}, "
+            f"window is {window} frames; {what} needs at least {need} and the other {window}, "
             f"but one has {short}"
         )
 

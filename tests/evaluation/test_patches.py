@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 
 import numpy as np
@@ -89,7 +90,7 @@ def same(value):
     return pytest.approx(value, rel=1e-6, abs=1e-12)
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=int(os.environ.get("GESTUREKIT_FUZZ", "120")), deadline=None)
 @given(
     motions(),
     st.integers(1, 14),
