@@ -96,17 +96,19 @@ def _sum_windows(
         last = start + width - 1
         ends[width - 1] = distances[last]
         for up in range(1, width):
+            # Views, as numba is slow where it cannot tell that an index is not negative.
+            row, above, below = distances[last - up], ends[width - 1 - up], ends[width - up, 1:]
             for column in range(n_columns - up):
-                below = ends[width - up, column + 1]
-                ends[width - 1 - up, column] = distances[last - up, column] + below
+                above[column] = row[column] + below[column]
         begins[:] = 0.0
         sums[:] = ends[0, : len(sums)]
         return
-    row = start + width - 1
+    row, begun = distances[start + width - 1], begins[width - into :]
     for column in range(n_columns):
-        begins[column + width - into] += distances[row, column]
+        begun[column] += row[column]
+    ending = begun[width - 1 :]
     for column in range(len(sums)):
-        sums[column] = ends[into, column] + begins[column + 2 * width - 1 - into]
+        sums[column] = ends[into, column] + ending[column]
 
 
 @_compiled
@@ -162,14 +164,13 @@ def segmentation_cost(distances: np.ndarray, shortest: int) -> float:
     running = np.full(n_rows + n_columns, np.inf)
     for start in range(n_rows - shortest + 1):
         _sum_windows(start, distances, ends, begins, sums)
-        row = start + shortest - 1
-        diagonal = n_rows - start  # of column shortest - 1 in this row
+        row = distances[start + shortest - 1, shortest - 1 :]
+        along = running[n_rows - start :]
+        before = best[start]
         least = np.inf
         for column in range(len(sums)):
-            on = running[diagonal + column] + distances[row, column + shortest - 1]
-            fresh = best[start] + sums[column]
-            cost = min(on, fresh)
-            running[diagonal + column] = cost
+            cost = min(along[column] + row[column], before + sums[column])
+            along[column] = cost
             least = min(least, cost)
-        best[row + 1] = least
+        best[start + shortest] = least
     return best[n_rows]
