@@ -57,6 +57,25 @@ def rotate_vectors(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     )
 
 
+def shortest_arc(a: np.ndarray, b: np.ndarray, spare: np.ndarray | None = None) -> np.ndarray:
+    """(..., 4) the smallest turns that take unit vectors `a` (..., 3) to unit vectors `b`.
+
+    Args:
+        a: where from.
+        b: where to.
+        spare: (..., 3) about what to turn where they are opposite and any axis would do; by
+            default about the axis that lies least along `a`.
+    """
+    a, b = np.broadcast_arrays(np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64))
+    if spare is None:
+        spare = np.eye(3)[np.abs(a).argmin(axis=-1)]
+    spare = spare - (a * spare).sum(axis=-1, keepdims=True) * a
+    cosine = (a * b).sum(axis=-1, keepdims=True)
+    turn = np.concatenate([np.cross(a, b), 1 + cosine], axis=-1)
+    half = np.concatenate([spare, np.zeros_like(cosine)], axis=-1)
+    return normalize_quaternions(np.where(cosine < -1 + 1e-9, half, turn))
+
+
 def rotation_angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(...) radians in [0, pi], the angle of the turn from `a` to `b`, exact for small turns."""
     turn = multiply_quaternions(invert_quaternions(a), b)

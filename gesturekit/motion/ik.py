@@ -1,0 +1,144 @@
+"""Two-bone inverse kinematics: where hip and knee must turn so that the ankle is where it shall be.
+
+Analytic (the law of cosines), for all frames at once. What it promises:
+
+- An ankle that is already there stays there: the rotations come back as they were.
+- The knee keeps its direction. A leg that was straight has none; it bends along the pole.
+- No pop at full extension. A target that is farther than the leg reaches is approached
+  asymptotically, from a little before the leg is straight (the "soft" limit of animation rigs).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gesturekit.motion.rotations import (
+    invert_quaternions,
+    multiply_quaternions,
+    quaternion_from_matrix,
+    rotate_vectors,
+    shortest_arc,
+)
+
+SOFTNESS = 0.03
+"""The last share of the limb's length over which it gives way."""
+_TINY = 1e-9
+
+
+def two_bone_ik(
+    joints: np.ndarray,
+    target: np.ndarray,
+    rotations: np.ndarray,
+    above: np.ndarray,
+    *,
+    pole: np.ndarray | None = None,
+    softness: float = SOFTNESS,
+) -> np.ndarray:
+    """Turn a limb of two bones so that its end reaches a target.
+
+    Args:
+        joints: (..., 3, 3) world positions of its three joints (hip, knee, ankle), metres.
+        target: (..., 3) where the third joint shall be.
+        rotations: (..., 2, 4) local rotations of the first two joints.
+        above: (..., 2, 4) world rotations of the parents of the first two joints. The second is
+            that of the first joint itself unless helper joints lie between.
+        pole: (..., 3) direction, world, into which a straight limb bends. By default the mean
+            direction of the middle joint over all frames, as the first joint sees it.
+        softness: share of the limb's length over which it gives way before it is straight.
+
+    Returns:
+        (..., 2, 4) local rotations of the first two joints. The third joint's world rotation
+        turns along with the second's; who wants to keep it turns it back.
+    """
+    start, middle, end = np.moveaxis(np.asarray(joints, dtype=np.float64), -2, 0)
+    first, second = middle - start, end - middle
+    a, b = _length(first), _length(second)
+    now, wanted = _length(end - start), _length(target - start)
+    along, toward = _unit(end - start), _unit(target - start)
+    new = np.maximum(reachable(wanted, a + b, now, softness), np.abs(a - b))
+    bend = first - _dot(first, along) * along
+    if pole is None:
+        pole = _mean_pole(bend, multiply_quaternions(above[..., 0, :], rotations[..., 0, :]))
+    height = _height(a, b, new)
+    # The bend that is there, and what comes to it along the pole where there was little.
+    old = _length(bend)
+    extra = np.maximum(height - old, 0) / (1 + (old / (0.1 * a + _TINY)) ** 2)
+    side = _perpendicular(bend + extra * _perpendicular(pole, along), along)
+    swing = shortest_arc(along, toward)
+    toward_side = rotate_vectors(swing, side)
+    reach = np.sqrt(np.maximum(a**2 - height**2, 0)) * np.where(new**2 + a**2 < b**2, -1.0, 1.0)
+    new_first = reach * toward + height * toward_side
+    new_second = new * toward - new_first
+    normal, new_normal = np.cross(along, side), np.cross(toward, toward_side)
+    turn_first = _turn(first, normal, new_first, new_normal)
+    turn_second = _turn(second, normal, new_second, new_normal)
+    local_first = _conjugate(turn_first, above[..., 0, :], rotations[..., 0, :])
+    # The second joint's parent has been turned by the first.
+    turn_second = multiply_quaternions(invert_quaternions(turn_first), turn_second)
+    local_second = _conjugate(turn_second, above[..., 1, :], rotations[..., 1, :])
+    return np.stack([local_first, local_second], axis=-2)
+
+
+def reachable(
+    distance: np.ndarray, length: np.ndarray, now: np.ndarray, softness: float = SOFTNESS
+) -> np.ndarray:
+    """(...) metres that a limb stretches to when asked for `distance`.
+
+    All of it up to `(1 - softness) length`, or up to what it is stretched to `now` if that is
+    more; then less and less of it, never more than `length`. Continuous, as is its slope.
+    """
+    begin = np.minimum(np.maximum((1 - softness) * length, now), length)
+    left = np.maximum(length - begin, _TINY)
+    beyond = np.maximum(distance - begin, 0)
+    return np.where(distance <= begin, distance, begin + left * -np.expm1(-beyond / left))
+
+
+def _height(a: np.ndarray, b: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """Height of the triangle with sides a and b over its base."""
+    cosine = (a**2 + base**2 - b**2) / np.maximum(2 * a * base, _TINY)
+    return a * np.sqrt(np.maximum(1 - np.clip(cosine, -1, 1) ** 2, 0))
+
+
+def _mean_pole(bend: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    own = rotate_vectors(invert_quaternions(turned), bend).reshape(-1, 3).mean(axis=0)
+    return rotate_vectors(turned, np.broadcast_to(own, bend.shape))
+
+
+def _turn(
+    bone: np.ndarray, normal: np.ndarray, new_bone: np.ndarray, new_normal: np.ndarray
+) -> np.ndarray:
+    """World rotation that takes a bone, and the normal of the limb's plane, to new ones."""
+    old, new = _basis(bone, normal), _basis(new_bone, new_normal)
+    return quaternion_from_matrix(new @ np.swapaxes(old, -1, -2))
+
+
+def _basis(bone: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    x = _unit(bone)
+    y = _perpendicular(normal, x)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def _conjugate(turn: np.ndarray, above: np.ndarray, local: np.ndarray) -> np.ndarray:
+    """The local rotation of a joint that the world turns by `turn`."""
+    turned = multiply_quaternions(multiply_quaternions(invert_quaternions(above), turn), above)
+    return multiply_quaternions(turned, local)
+
+
+def _perpendicular(v: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Unit vectors: what of `v` is perpendicular to unit `along`; any perpendicular if nothing."""
+    v = v - _dot(v, along) * along
+    spare = np.eye(3)[np.abs(along).argmin(axis=-1)]
+    spare = spare - _dot(spare, along) * along
+    return _unit(np.where(_length(v) > 1e-7, v, spare))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return (a * b).sum(axis=-1, keepdims=True)
+
+
+def _length(v: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(_length(v), _TINY)
