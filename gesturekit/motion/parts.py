@@ -1,33 +1,32 @@
-"""Which joint is which part of the body, told from names and from what hangs on what.
-
-Left and right are found first: a joint whose name holds a mark of the left side ("Left", "l_",
-".L", a leading "L", ...) and whose counterpart with the mark of the right side exists. Then the
-elbows and knees are found by name, as their names are the least ambiguous ("RightShoulder" is a
-collar bone in one file and an upper arm in the next), and all else by its place in the tree.
-"""
+"""Which joint is which part of the body: told by names and shape (`part_finder`), and checked."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.joint_names import SIDES, named_pairs
+from gesturekit.motion.limb_shapes import find_limbs
+from gesturekit.motion.part_checks import check_limbs
+from gesturekit.motion.part_finder import ARM, LEG, PartFinder
 from gesturekit.motion.skeleton import Skeleton
 
-SIDES = ("left", "right")
-
-_ELBOW = ("forearm", "lowerarm", "lowarm", "elbow", "radius")
-_KNEE = ("knee", "shin", "calf", "tibia", "lowerleg", "lowleg", "leg")
-_NOT_KNEE = ("upleg", "upperleg")
-_WRIST = ("wrist", "hand")
-_ANKLE = ("ankle", "foot")
-_TOE = ("toe", "toes", "toebase", "ball", "foot")
-_HEAD = ("head", "face")
-_END = ("end", "nub", "tip", "site", "headtop")
-_TWIST = ("twist", "roll")
+__all__ = [
+    "SIDES",
+    "Arm",
+    "BodyParts",
+    "Leg",
+    "arm_joints",
+    "body_joints",
+    "find_parts",
+    "left_right_pairs",
+    "leg_length",
+    "part_labels",
+    "upper_body",
+]
 
 
 @dataclass(frozen=True)
@@ -80,30 +79,86 @@ class BodyParts:
 def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     """(left, right) names of the joints that are each other's mirror image, left joints in order.
 
-    A joint without a counterpart lies in the middle of the body.
+    By name; where no name tells sides, by the shape of the rig. A joint without a counterpart lies
+    in the middle of the body.
     """
-    pairs = []
-    names = set(skeleton.names)
-    for name in skeleton.names:
-        for other in _right_names(name):
-            if other in names and other != name:
-                pairs.append((name, other))
-                break
-    return tuple(pairs)
+    pairs = named_pairs(skeleton)
+    if not pairs:
+        try:
+            shape = find_limbs(skeleton)
+        except MotionError:
+            return ()
+        pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
+    return pairs
 
 
 def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> BodyParts:
     """Name the parts of a rig.
 
     Args:
-        skeleton: the rig.
-        overrides: joints named by hand, such as {"left_elbow": "Joint12"}. Keys are `head` and
+        skeleton: the rig; parts that it was given by hand (`Skeleton.parts`) count.
+        overrides: more joints named by hand, such as {"left_elbow": "Joint12"}. Keys are `head` and
             left_ or right_ with clavicle, shoulder, elbow, wrist, hip, knee, ankle or toe.
 
     Raises:
-        MotionError: parts that cannot be told, with what to name by hand.
+        MotionError: parts that cannot be told, or cannot be what they are taken for (a knee that
+            does not hang on the hip, a left leg twice as long as the right one, ...), with what to
+            name by hand.
     """
-    return _Finder(skeleton, overrides or {}).parts()
+    found = PartFinder(skeleton, {**skeleton.parts, **(overrides or {})})
+    check_limbs(skeleton, found.limbs, found.head, found.guessed)
+
+    def names(joints: list[int]) -> tuple[str, ...]:
+        return tuple(skeleton.names[j] for j in joints)
+
+    def limb(side: str, parts: tuple[str, ...]) -> dict[str, str | None]:
+        joints = {part: found.limbs[f"{side}_{part}"] for part in parts}
+        return {part: None if j is None else skeleton.names[j] for part, j in joints.items()}
+
+    below_head = () if found.head is None else skeleton.descendants(found.head)
+    return BodyParts(
+        pelvis=skeleton.names[found.pelvis],
+        spine=names(found.spine),
+        neck=skeleton.names[found.neck[0]] if found.neck else None,
+        head=None if found.head is None else skeleton.names[found.head],
+        arms={side: Arm(**limb(side, ARM)) for side in SIDES},
+        legs={side: Leg(**limb(side, LEG)) for side in SIDES},
+        fingers=names(found.fingers()),
+        face=names([j for j in below_head if j not in found.ends]),
+        ends=names(sorted(found.ends)),
+    )
+
+
+def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Joint name to the part of the body it is, in words, for every joint in order.
+
+    "pelvis", "spine", "neck", "head", "left elbow" and the like; "finger", "face", "end" (marks
+    where a bone stops), "twist" (turns a bone about itself), "root" (above the pelvis), "other".
+
+    Raises:
+        MotionError: as `find_parts`.
+    """
+    parts = find_parts(skeleton, overrides)
+    labels = dict.fromkeys(skeleton.names, "other")
+    pelvis = skeleton.index(parts.pelvis)
+    labels |= {skeleton.names[j]: "root" for j in skeleton.ancestors(pelvis)}
+    helpers = PartFinder(skeleton, {**skeleton.parts, **(overrides or {})}).helpers()
+    labels |= {skeleton.names[j]: "twist" for j in helpers}
+    for label, joints in (("finger", parts.fingers), ("face", parts.face), ("end", parts.ends)):
+        labels |= dict.fromkeys(joints, label)
+    labels[parts.pelvis] = "pelvis"
+    labels |= dict.fromkeys(parts.spine, "spine")
+    if parts.head is not None:
+        if parts.neck is not None:
+            head, neck = skeleton.index(parts.head), skeleton.index(parts.neck)
+            between = [j for j in skeleton.ancestors(head) if j >= neck]
+            labels |= {skeleton.names[j]: "neck" for j in between}
+        labels[parts.head] = "head"
+    for side in SIDES:
+        for limb in (parts.arms[side], parts.legs[side]):
+            named = {joint: f"{side} {part}" for part, joint in vars(limb).items()}
+            labels |= {joint: label for joint, label in named.items() if joint is not None}
+    return labels
 
 
 def body_joints(skeleton: Skeleton) -> tuple[str, ...]:
@@ -121,8 +176,12 @@ def upper_body(skeleton: Skeleton) -> tuple[str, ...]:
 
 def leg_length(skeleton: Skeleton) -> float:
     """Length of thigh and shank, metres, mean of both sides."""
-    legs = find_parts(skeleton).legs.values()
-    bones = [skeleton.index(name) for leg in legs for name in (leg.knee, leg.ankle)]
+    bones: list[int] = []
+    for leg in find_parts(skeleton).legs.values():
+        ankle, hip = skeleton.index(leg.ankle), skeleton.index(leg.hip)
+        # All that lies between: helper joints split bones.
+        way = [ankle, *skeleton.ancestors(ankle)]
+        bones += way[: way.index(hip)]
     return float(np.linalg.norm(skeleton.offsets[bones], axis=1).sum() / 2)
 
 
@@ -131,179 +190,3 @@ def arm_joints(skeleton: Skeleton) -> tuple[str, str, str, str]:
     arms = find_parts(skeleton).arms
     left, right = arms["left"], arms["right"]
     return left.shoulder, left.elbow, right.shoulder, right.elbow
-
-
-class _Finder:
-    def __init__(self, skeleton: Skeleton, overrides: Mapping[str, str]) -> None:
-        self.skeleton = skeleton
-        self.overrides = {key: skeleton.index(name) for key, name in overrides.items()}
-        known = {"head"} | {
-            f"{side}_{part}"
-            for side in SIDES
-            for part in (*Arm.__dataclass_fields__, *Leg.__dataclass_fields__)
-        }
-        for key in overrides:
-            if key not in known:
-                raise MotionError(f"no part is called {key!r}; expected {', '.join(sorted(known))}")
-        self.side = [""] * skeleton.n_joints
-        for pair in left_right_pairs(skeleton):
-            for side, name in zip(SIDES, pair):
-                self.side[skeleton.index(name)] = side
-        self.bare = [_bare(name, side) for name, side in zip(skeleton.names, self.side)]
-        self.missing: list[str] = []
-
-    def parts(self) -> BodyParts:
-        joints: dict[str, dict[str, int | None]] = {}
-        for side in SIDES:
-            joints[side] = self._arm(side) | self._leg(side)
-        if self.missing:
-            raise MotionError(
-                f"cannot tell {', '.join(self.missing)} from the joint names "
-                f"{', '.join(self.skeleton.names[:8])}, ...; name them by hand: "
-                f"find_parts(skeleton, overrides={{{self.missing[0]!r}: 'joint name', ...}})"
-            )
-        chest = self._meeting(joints["left"]["shoulder"], joints["right"]["shoulder"])
-        pelvis = self._meeting(joints["left"]["hip"], joints["right"]["hip"])
-        pelvis = self._meeting(pelvis, chest)
-        spine = [j for j in self._way_down(pelvis, chest) if j != pelvis]
-        if not spine:
-            raise MotionError(
-                f"arms and legs both hang on {self.skeleton.names[pelvis]!r}: the rig has no spine"
-            )
-        head = self._head(chest)
-        above = [] if head is None else self._way_down(chest, head)[1:-1]
-        if len(spine) > 1 and self.bare[chest].endswith("neck"):  # 3ds Max hangs arms on the neck
-            above.insert(0, spine.pop())
-        neck = above[0] if above else None
-        ends = self._ends()
-        wrists = [joints[side]["wrist"] for side in SIDES]
-        below_wrists = {j for w in wrists if w is not None for j in self.skeleton.descendants(w)}
-        below_head = set() if head is None else set(self.skeleton.descendants(head))
-        name = self._name
-        return BodyParts(
-            pelvis=name(pelvis),
-            spine=tuple(name(j) for j in spine),
-            neck=name(neck),
-            head=name(head),
-            arms={
-                s: Arm(**{k: name(joints[s][k]) for k in Arm.__dataclass_fields__}) for s in SIDES
-            },
-            legs={
-                s: Leg(**{k: name(joints[s][k]) for k in Leg.__dataclass_fields__}) for s in SIDES
-            },
-            fingers=tuple(
-                name(j) for j in sorted(below_wrists - ends) if not self.bare[j].endswith("hand")
-            ),
-            face=tuple(name(j) for j in sorted(below_head - ends)),
-            ends=tuple(name(j) for j in sorted(ends)),
-        )
-
-    def _name(self, joint: int | None) -> str | None:
-        return None if joint is None else self.skeleton.names[joint]
-
-    def _arm(self, side: str) -> dict[str, int | None]:
-        of_side = [j for j, s in enumerate(self.side) if s == side]
-        elbow = self._find(f"{side}_elbow", of_side, _ELBOW)
-        shoulder = self._above(f"{side}_shoulder", elbow, side)
-        clavicle = self._above(f"{side}_clavicle", shoulder, side, required=False)
-        wrist = self._find(f"{side}_wrist", self._below(elbow), _WRIST, required=False)
-        return {"clavicle": clavicle, "shoulder": shoulder, "elbow": elbow, "wrist": wrist}
-
-    def _leg(self, side: str) -> dict[str, int | None]:
-        of_side = [j for j, s in enumerate(self.side) if s == side]
-        knee = self._find(f"{side}_knee", of_side, _KNEE, but=_NOT_KNEE)
-        hip = self._above(f"{side}_hip", knee, side)
-        ankle = self._find(f"{side}_ankle", self._below(knee), _ANKLE)
-        toe = self._find(f"{side}_toe", self._below(ankle), _TOE, required=False)
-        return {"hip": hip, "knee": knee, "ankle": ankle, "toe": toe}
-
-    def _below(self, joint: int | None) -> Iterable[int]:
-        return () if joint is None else self.skeleton.descendants(joint)
-
-    def _find(
-        self,
-        part: str,
-        among: Iterable[int],
-        endings: tuple[str, ...],
-        but: tuple[str, ...] = (),
-        required: bool = True,
-    ) -> int | None:
-        """The joint nearest the root whose bare name ends like one of `endings`."""
-        if part in self.overrides:
-            return self.overrides[part]
-        fitting = [
-            j for j in among if self.bare[j].endswith(endings) and not self.bare[j].endswith(but)
-        ]
-        if fitting:
-            return min(fitting, key=lambda j: self.skeleton.depth[j])
-        if required:
-            self.missing.append(part)
-        return None
-
-    def _above(self, part: str, joint: int | None, side: str, required: bool = True) -> int | None:
-        """The nearest joint above of the same side; helpers that only twist a bone do not count."""
-        if part in self.overrides:
-            return self.overrides[part]
-        if joint is not None:
-            for above in self.skeleton.ancestors(joint):
-                if self.side[above] == side and not self.bare[above].endswith(_TWIST):
-                    return above
-        if required and joint is not None:
-            self.missing.append(part)
-        return None
-
-    def _head(self, chest: int) -> int | None:
-        if "head" in self.overrides:
-            return self.overrides["head"]
-        middle = [
-            j
-            for j in self.skeleton.descendants(chest)
-            if not self.side[j] and not self.bare[j].endswith(_END)
-        ]
-        named = [j for j in middle if self.bare[j].endswith(_HEAD)]
-        return min(named or middle[-1:], key=lambda j: self.skeleton.depth[j], default=None)
-
-    def _ends(self) -> set[int]:
-        return {
-            j
-            for j in range(self.skeleton.n_joints)
-            if self.skeleton.is_leaf(j) and self.bare[j].endswith(_END)
-        }
-
-    def _meeting(self, a: int, b: int) -> int:
-        """The lowest joint that both hang on (or are)."""
-        of_a = {a, *self.skeleton.ancestors(a)}
-        return next(j for j in (b, *self.skeleton.ancestors(b)) if j in of_a)
-
-    def _way_down(self, top: int, bottom: int) -> list[int]:
-        """Joints from `top` to `bottom`, both included."""
-        way = [bottom, *self.skeleton.ancestors(bottom)]
-        return way[: way.index(top) + 1][::-1] if top in way else []
-
-
-_LEFT_WORD = re.compile("left", re.IGNORECASE)
-# An "l" that stands where a word begins (start, after a sign or digit, or a capital after a small
-# letter): "L_Hip", "b_l_arm", "upper_arm.L", "HandL", "lfemur".
-_LEFT_LETTER = re.compile(r"(?<![A-Za-z])[lL]|(?<=[a-z])L(?![a-z])")
-
-
-def _right_names(name: str) -> Iterable[str]:
-    """What the right counterpart of `name` may be called, if `name` is of the left."""
-    for match in _LEFT_WORD.finditer(name):
-        right = {"left": "right", "LEFT": "RIGHT"}.get(match[0], "Right")
-        yield name[: match.start()] + right + name[match.end() :]
-    for match in _LEFT_LETTER.finditer(name):
-        right = "R" if match[0] == "L" else "r"
-        yield name[: match.start()] + right + name[match.end() :]
-
-
-def _bare(name: str, side: str) -> str:
-    """Small letters of a name without name space, side, digits and signs: "forearm"."""
-    name = name.rsplit(":", 1)[-1]
-    if side:
-        letter = side[0]
-        marks = rf"{side}|(?<![A-Za-z])(?i:{letter})(?![a-z])|(?<=[a-z]){letter.upper()}(?![a-z])"
-        name, count = re.subn(marks, " ", name, flags=re.IGNORECASE if side in name.lower() else 0)
-        if not count:  # "lfemur", "LHipJoint"
-            name = name[1:]
-    return re.sub("[^a-z]", "", name.lower())

@@ -28,6 +28,8 @@ class Skeleton:
         end_sites: joint name to the (3,) offsets, metres, of the ends that hang on it (`End Site`
             of BVH: no joint of its own, it only says where a bone stops).
         rotation_orders: axes of each joint's Euler angles in a file, intrinsic, as "ZXY".
+        parts: parts of the body named by hand, such as {"left_elbow": "Joint12"}, where names and
+            shape of the rig do not tell them; see `gesturekit.motion.parts.find_parts`.
 
     Raises:
         MotionError: several roots, a child before its parent, names that repeat, wrong shapes,
@@ -39,6 +41,7 @@ class Skeleton:
     offsets: np.ndarray
     end_sites: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
     rotation_orders: tuple[str, ...] = ()
+    parts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         names = tuple(str(name) for name in self.names)
@@ -75,8 +78,14 @@ class Skeleton:
             ("offsets", offsets),
             ("end_sites", ends),
             ("rotation_orders", orders),
+            ("parts", dict(self.parts)),
         ):
             object.__setattr__(self, key, value)
+        for part, name in self.parts.items():
+            try:
+                self.index(name)
+            except MotionError as error:
+                raise MotionError(f"part {part!r}: {error}") from None
 
     @property
     def n_joints(self) -> int:
@@ -146,7 +155,7 @@ class Skeleton:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, for `skeleton.json` of a model folder."""
-        return {
+        values = {
             "format": SKELETON_FORMAT,
             "names": list(self.names),
             "parents": list(self.parents),
@@ -154,6 +163,7 @@ class Skeleton:
             "end_sites": {k: [site.tolist() for site in v] for k, v in self.end_sites.items()},
             "rotation_orders": list(self.rotation_orders),
         }
+        return values | ({"parts": dict(self.parts)} if self.parts else {})
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Skeleton:
@@ -176,6 +186,7 @@ class Skeleton:
                 offsets=np.array(values["offsets"], dtype=np.float64),
                 end_sites={k: tuple(v) for k, v in values.get("end_sites", {}).items()},
                 rotation_orders=tuple(values.get("rotation_orders", ())),
+                parts=dict(values.get("parts", {})),
             )
         except KeyError as error:
             raise MotionError(f"the skeleton lacks the field {error}") from None

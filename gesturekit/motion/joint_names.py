@@ -1,0 +1,49 @@
+"""What joint names say: which side of the body, and which bone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from gesturekit.motion.skeleton import Skeleton
+
+SIDES = ("left", "right")
+
+_LEFT_WORD = re.compile("left", re.IGNORECASE)
+# An "l" that stands where a word begins (start, after a sign or digit, or a capital after a small
+# letter): "L_Hip", "b_l_arm", "upper_arm.L", "HandL", "lfemur".
+_LEFT_LETTER = re.compile(r"(?<![A-Za-z])[lL]|(?<=[a-z])L(?![a-z])")
+
+
+def named_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
+    """(left, right) names of the joints that differ by the mark of a side alone, in order."""
+    pairs = []
+    names = set(skeleton.names)
+    for name in skeleton.names:
+        for other in _right_names(name):
+            if other in names and other != name:
+                pairs.append((name, other))
+                break
+    return tuple(pairs)
+
+
+def _right_names(name: str) -> Iterable[str]:
+    """What the right counterpart of `name` may be called, if `name` is of the left."""
+    for match in _LEFT_WORD.finditer(name):
+        right = {"left": "right", "LEFT": "RIGHT"}.get(match[0], "Right")
+        yield name[: match.start()] + right + name[match.end() :]
+    for match in _LEFT_LETTER.finditer(name):
+        right = "R" if match[0] == "L" else "r"
+        yield name[: match.start()] + right + name[match.end() :]
+
+
+def bare_name(name: str, side: str) -> str:
+    """Small letters of a name without name space, side, digits and signs: "forearm"."""
+    name = name.rsplit(":", 1)[-1]
+    if side:
+        letter = side[0]
+        marks = rf"{side}|(?<![A-Za-z])(?i:{letter})(?![a-z])|(?<=[a-z]){letter.upper()}(?![a-z])"
+        name, count = re.subn(marks, " ", name, flags=re.IGNORECASE if side in name.lower() else 0)
+        if not count:  # "lfemur", "LHipJoint"
+            name = name[1:]
+    return re.sub("[^a-z]", "", name.lower())
