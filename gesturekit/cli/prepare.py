@@ -57,8 +57,20 @@ import click
     show_default=True,
     help="Seconds by which sound and motion may differ in length; they are cut to the shorter.",
 )
+@click.option(
+    "--part",
+    "parts",
+    multiple=True,
+    metavar="PART=JOINT",
+    help="Names a part of the body, as left_elbow=Joint12, that the rig's names and shape do not "
+    "tell. May be repeated.",
+)
 def command(
-    folders: tuple[Path, ...], out: Path, hold_out_seconds: str | None, **options: object
+    folders: tuple[Path, ...],
+    out: Path,
+    hold_out_seconds: str | None,
+    parts: tuple[str, ...],
+    **options: object,
 ) -> int:
     """Pair speech (wav, flac, mp3, ogg) with motion (bvh, npz) and write a manifest.
 
@@ -71,6 +83,7 @@ def command(
 
     from gesturekit.corpus import prepare
     from gesturekit.corpus.splits import parse_intervals
+    from gesturekit.motion.parts import parse_parts
 
     if not (folders or options["unpaired"] or options["unpaired_motion"]):
         raise click.UsageError("give at least one FOLDER of recordings")
@@ -78,6 +91,7 @@ def command(
         folders,
         out,
         hold_out_seconds=parse_intervals(hold_out_seconds) if hold_out_seconds else (),
+        parts=parse_parts(parts),
         # On a terminal only: a bar in a log file is noise.
         progress=lambda tasks: tqdm(tasks, unit="file", desc="checking", disable=None, leave=False),
         **options,

@@ -34,6 +34,20 @@ import click
 @click.option(
     "--weights", type=click.Path(path_type=Path), help="WavLM weights the model was trained with."
 )
+@click.option(
+    "--rig",
+    type=click.Path(path_type=Path),
+    metavar="AVATAR.bvh",
+    help="Another body to move: any rig of a person, of any names, size and rest pose.",
+)
+@click.option(
+    "--rig-part",
+    "rig_parts",
+    multiple=True,
+    metavar="PART=JOINT",
+    help="With --rig: names a part of its body, as left_elbow=Joint12, that the names and shape "
+    "of the rig do not tell. May be repeated.",
+)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -46,6 +60,8 @@ def command(
     seconds: float | None,
     speaker: str | None,
     weights: Path | None,
+    rig: Path | None,
+    rig_parts: tuple[str, ...],
 ) -> None:
     """Turn each WAV (or folder of audio) into motion, as long as the sound.
 
@@ -53,6 +69,7 @@ def command(
     """
     import logging
 
+    from gesturekit.motion.parts import parse_parts
     from gesturekit.rendering.render import render
     from gesturekit.systems import load
 
@@ -61,6 +78,8 @@ def command(
         raise click.UsageError("Give audio files, or --seconds for an idle motion.")
     if sources and seconds is not None:
         raise click.UsageError("--seconds goes without audio: a motion is as long as its speech.")
+    if rig_parts and rig is None:
+        raise click.UsageError("--rig-part names parts of the body that --rig gives.")
     loaded = load(model, weights=weights)
     failed = 0
     wanted = [name.strip() for name in formats.split(",") if name.strip()]
@@ -73,6 +92,8 @@ def command(
         samples=samples,
         seconds=seconds,
         speaker=speaker,
+        rig=rig,
+        rig_parts=parse_parts(rig_parts),
     ):
         for path in outcome.files:
             click.echo(click.format_filename(path))

@@ -1,70 +1,31 @@
-"""What can be wrong inside a recording that reads well: one function a defect.
+"""What can be wrong with a recording that reads well: T-poses, rigs that differ, what is too much.
 
-Each function answers with frames; `preparation` turns the answers into problems.
+What goes wrong in the motion itself is `gesturekit.motion.defects`; `recording` turns all of it
+into problems.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import find_parts
-
-MAX_SPEED = 10.0
-"""m/s; a joint that moves faster between two frames has jumped. A boxer's fist reaches 10."""
+from gesturekit.motion.rotations import IDENTITY, rotation_angles
 
 MAX_JUMP_SHARE = 0.05
 """A recording is left out when more than this share of its frames are jumps."""
 
-MIN_FROZEN = 1.0
-"""Seconds without any movement that are worth a warning: living people never stand so still."""
-
-# The steps in which text files hold a pose: identical rows differ by nothing at all.
-_STILL_ANGLE = 1e-5  # radians
-_STILL_DISTANCE = 1e-6  # metres
+MAX_JITTER_SHARE = 0.05
+"""A recording is warned about when more than this share of its frames tremble."""
 
 # How far a held T-pose may stray: an actor's is never exact, and he sways.
 _ARM_ANGLE = np.deg2rad(25.0)
 _SWAY = 0.10  # metres
 _REST_ANGLE = np.deg2rad(0.5)
-
-
-def frozen_runs(motion: Motion) -> list[tuple[int, int]]:
-    """Runs of frames [first, stop) in which no joint moves at all, of `MIN_FROZEN` or longer."""
-    angle = _chord(motion.rotations[1:], motion.rotations[:-1]).max(axis=1) * 2.0
-    distance = np.abs(np.diff(motion.translation, axis=0)).max(axis=1)
-    for values in motion.joint_translations.values():
-        distance = np.maximum(distance, np.abs(np.diff(values, axis=0)).max(axis=1))
-    still = (angle < _STILL_ANGLE) & (distance < _STILL_DISTANCE)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    # A run of n still steps is n + 1 equal frames.
-    runs = [(int(first), int(stop) + 1) for first, stop in edges.reshape(-1, 2)]
-    return [(first, stop) for first, stop in runs if stop - first >= MIN_FROZEN * motion.fps]
-
-
-@dataclass(frozen=True)
-class Jumps:
-    """Frames at which some joint is further from its last place than a person can move."""
-
-    frames: tuple[int, ...]
-    joint: str
-    speed: float
-    """The fastest jump of all, in m/s, and the joint that makes it."""
-
-
-def find_jumps(motion: Motion) -> Jumps | None:
-    """Frames reached faster than `MAX_SPEED` in world space, or None."""
-    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=-1) * motion.fps
-    frames = np.flatnonzero(steps.max(axis=1) > MAX_SPEED) + 1
-    if len(frames) == 0:
-        return None
-    joint = int(np.unravel_index(steps.argmax(), steps.shape)[1])
-    return Jumps(tuple(map(int, frames)), motion.skeleton.names[joint], float(steps.max()))
 
 
 def reference_pose(motion: Motion) -> tuple[int, int]:
@@ -116,18 +77,12 @@ def usual_skeleton(skeletons: Sequence[Skeleton]) -> Skeleton:
     return max(skeletons, key=lambda skeleton: counts[skeleton.names, skeleton.parents])
 
 
-def _chord(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance of unit quaternions (..., 4), either sign; about half the angle where small."""
-    return np.minimum(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
-
-
 def _in_rest_pose(motion: Motion) -> np.ndarray:
     """(T,) True where every joint but the root has its rest rotation, to half a degree."""
     others = [j for j, parent in enumerate(motion.skeleton.parents) if parent >= 0]
     if not others:
         return np.zeros(motion.n_frames, dtype=bool)
-    away = _chord(motion.rotations[:, others], np.array([0.0, 0.0, 0.0, 1.0])).max(axis=1) * 2.0
-    return away < _REST_ANGLE
+    return rotation_angles(IDENTITY, motion.rotations[:, others]).max(axis=1) < _REST_ANGLE
 
 
 def _arms_out(skeleton: Skeleton, positions: np.ndarray) -> np.ndarray:

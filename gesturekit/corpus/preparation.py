@@ -6,7 +6,7 @@ import math
 import os
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ def prepare(
     style: str | None = None,
     style_pattern: str | None = None,
     tolerance: float = 0.5,
+    parts: Mapping[str, str] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
 ) -> Report:
     """Find, check and split recordings, and write the manifest where any are usable.
@@ -55,6 +56,8 @@ def prepare(
             without extension); its groups named `style` and `speaker` give the labels.
         tolerance: seconds by which sound and motion of a pair may differ in length. Less is
             trimmed to the shorter, more is an error.
+        parts: parts of the body named by hand, such as {"left_elbow": "Joint12"}, for rigs whose
+            names and shape do not tell them; see `gesturekit.motion.parts.find_parts`.
         progress: wraps the list of recordings while they are checked, as tqdm does.
 
     Raises:
@@ -71,7 +74,7 @@ def prepare(
     tasks, left_over, problems = _find(folders, unpaired, unpaired_motion)
     recordings: list[Recording] = []
     for recording, is_alone in progress(tasks):
-        checked, found = examine(recording, tolerance)
+        checked, found = examine(recording, tolerance, parts)
         if checked is not None:
             checked, unlabelled = label(checked, None if is_alone else speaker)
             recordings.append(checked)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import checks
 from gesturekit.corpus.problem import Problem
-from gesturekit.errors import GestureKitError
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.errors import GestureKitError, MotionError
+from gesturekit.motion import Motion, Skeleton, defects
+from gesturekit.motion.parts import find_parts
 
 MIN_DURATION = 0.5
 """Seconds; anything shorter is too little to learn from."""
@@ -43,19 +47,22 @@ class Recording:
         return self.motion or self.audio
 
 
-def examine(recording: Recording, tolerance: float) -> tuple[Recording | None, list[Problem]]:
+def examine(
+    recording: Recording, tolerance: float, parts: Mapping[str, str] | None = None
+) -> tuple[Recording | None, list[Problem]]:
     """Load a recording and look for everything that may be wrong with it.
 
     Args:
         recording: where its files are.
         tolerance: seconds by which sound and motion may differ in length.
+        parts: parts of the body named by hand, where the rig does not tell them.
 
     Returns:
         The recording with what is used of it, or None where an error leaves it out; and the
         problems found.
     """
     problems: list[Problem] = []
-    wave, motion = _loaded(recording, problems)
+    wave, motion = _loaded(recording, parts or {}, problems)
     if problems:
         return None, problems
     start, stop = 0.0, math.inf
@@ -66,6 +73,10 @@ def examine(recording: Recording, tolerance: float) -> tuple[Recording | None, l
             problems.append(Problem("warning", recording.audio, "silence: no speech in it"))
     if motion is not None:
         recording = replace(recording, fps=motion.fps, skeleton=motion.skeleton)
+        try:
+            find_parts(motion.skeleton)
+        except MotionError as error:
+            problems.append(Problem("note", recording.motion, str(error)))
         first, end = _check_motion(motion, recording.motion, problems)
         start, motion_stop = first / motion.fps, end / motion.fps
         if wave is not None:
@@ -79,7 +90,9 @@ def examine(recording: Recording, tolerance: float) -> tuple[Recording | None, l
     return replace(recording, start=start, stop=stop), problems
 
 
-def _loaded(recording: Recording, problems: list[Problem]) -> tuple[Wave | None, Motion | None]:
+def _loaded(
+    recording: Recording, parts: Mapping[str, str], problems: list[Problem]
+) -> tuple[Wave | None, Motion | None]:
     wave = motion = None
     if recording.audio is not None:
         try:
@@ -89,6 +102,7 @@ def _loaded(recording: Recording, problems: list[Problem]) -> tuple[Wave | None,
     if recording.motion is not None:
         try:
             motion = Motion.load(recording.motion)
+            motion = replace(motion, skeleton=replace(motion.skeleton, parts=parts))
         except GestureKitError as error:
             problems.append(Problem("error", recording.motion, str(error)))
     return wave, motion
@@ -130,7 +144,7 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
     def at(frame: int) -> str:
         return f"{(first + frame) / motion.fps:.2f} s"
 
-    runs = checks.frozen_runs(used)
+    runs = defects.frozen_runs(used)
     frozen = sum(end - begin for begin, end in runs)
     if frozen == used.n_frames:
         problems.append(
@@ -142,19 +156,39 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
         problems.append(
             Problem("warning", file, f"frozen (no joint moves at all) from {shown}{more}")
         )
-    jumps = checks.find_jumps(used)
+    jumps = defects.find_jumps(used)
     if jumps is not None:
         many = len(jumps.frames) > checks.MAX_JUMP_SHARE * used.n_frames
-        shown = ", ".join(at(frame) for frame in jumps.frames[:_TIMES_SHOWN])
-        more = len(jumps.frames) - _TIMES_SHOWN
         problems.append(
             Problem(
                 "error" if many else "warning",
                 file,
                 f"{len(jumps.frames)} of {used.n_frames} frames jump (over "
-                f"{checks.MAX_SPEED:g} m/s) at {shown}{f' and {more} more' if more > 0 else ''}; "
+                f"{defects.MAX_SPEED:g} m/s) at {_times(jumps.frames, at)}; "
                 f"fastest is {jumps.joint!r} with {jumps.speed:.0f} m/s"
                 + (": is its unit (cm or m) right?" if many else ""),
             )
         )
+        if many:
+            return first, stop
+    pops = defects.find_pops(used)
+    told = {frame + near for frame in jumps.frames for near in (-1, 0)} if jumps else set()
+    frames = [frame for frame in pops.frames if frame not in told] if pops else []
+    if frames:
+        how = f"{pops.joint!r}" + (f" by {np.degrees(pops.angle):.0f}°" if pops.angle else "")
+        text = (
+            f"pops (a joint is elsewhere for one frame) at {_times(frames, at)}; most of all {how}"
+        )
+        problems.append(Problem("warning", file, text))
+    jitter = defects.jitter_share(used)
+    if jitter > checks.MAX_JITTER_SHARE:
+        text = f"jitters in {jitter:.0%} of its frames: joints go to and fro from frame to frame"
+        problems.append(Problem("warning", file, text))
     return first, stop
+
+
+def _times(frames: Sequence[int], at: Callable[[int], str]) -> str:
+    """The first few of some frames, as times."""
+    more = len(frames) - _TIMES_SHOWN
+    shown = ", ".join(at(frame) for frame in frames[:_TIMES_SHOWN])
+    return f"{shown} and {more} more" if more > 0 else shown

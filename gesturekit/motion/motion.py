@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -138,11 +139,11 @@ class Motion:
         """(T, J, 4) quaternions from each joint's frame to the world."""
         return kinematics.global_rotations(self.rotations, self.skeleton)
 
-    def resample(self, fps: float, n_frames: int | None = None) -> Motion:
+    def resample(self, fps: float, n_frames: int | None = None, antialias: bool = False) -> Motion:
         """At another frame rate; see `gesturekit.motion.resampling.resample_motion`."""
         from gesturekit.motion.resampling import resample_motion
 
-        return resample_motion(self, fps, n_frames)
+        return resample_motion(self, fps, n_frames, antialias)
 
     def mirror(self) -> Motion:
         """Left and right exchanged; see `gesturekit.motion.mirroring.mirror_motion`."""
@@ -169,6 +170,23 @@ class Motion:
             expressions=None if self.expressions is None else self.expressions[part],
             info=dict(self.info),
         )
+
+    def trim(self, start: float = 0.0, stop: float | None = None) -> Motion:
+        """Seconds `start` to `stop`, the end by default; both are rounded to whole frames.
+
+        Raises:
+            MotionError: nothing is left, or the range leaves the motion.
+        """
+        last = self.n_frames / self.fps if stop is None else stop
+        if not (math.isfinite(start) and math.isfinite(last)):
+            raise MotionError(f"seconds {start} to {stop} are no range")
+        frames = [math.floor(seconds * self.fps + 0.5) for seconds in (start, last)]
+        if not 0 <= frames[0] < frames[1] <= self.n_frames:
+            raise MotionError(
+                f"{start:g} to {last:g} s of a motion of {self.duration:g} s; "
+                f"give seconds within it, at least {1 / self.fps:.3f} apart"
+            )
+        return self.slice(*frames)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], **options: Any) -> Motion:

@@ -17,27 +17,25 @@ _BONES_DIFFER = 3.5
 """No thigh is longer than its shank, or the other way round, by more; nor upper and lower arms."""
 
 
-def check_limbs(
-    skeleton: Skeleton, limbs: Mapping[str, int | None], head: int | None, guessed: bool
-) -> None:
+def check_limbs(skeleton: Skeleton, limbs: Mapping[str, int | None], guessed: bool) -> None:
     """See whether limbs hang together and have lengths that people's have.
 
     Args:
         skeleton: the rig.
         limbs: "left_elbow", ... to joint, None where the rig has none.
-        head: its head.
         guessed: named by hand or told by shape: then left and right are checked, too.
 
     Raises:
         MotionError: names the joints that cannot be what they were taken for.
     """
     told = {part: joint for part, joint in limbs.items() if joint is not None}
-    if head is not None:
-        told["head"] = head
     taken: dict[int, str] = {}
     for part, joint in told.items():
         if joint in taken:
-            raise _wrong(skeleton, told, part, taken[joint], "they are one joint")
+            raise MotionError(
+                f"{skeleton.names[joint]!r} cannot be both the {taken[joint].replace('_', ' ')} and "
+                f"the {part.replace('_', ' ')}; name one of them by hand (parts: {part}: JOINT)"
+            )
         taken[joint] = part
     for side in SIDES:
         for chain in _CHAINS:
@@ -47,7 +45,7 @@ def check_limbs(
                     raise _wrong(skeleton, told, below, above, "the one does not hang on the other")
     for part, joint in told.items():
         for start in ("left_shoulder", "right_shoulder", "left_hip", "right_hip"):
-            own = part.split("_")[0] == start.split("_")[0] and part != "head"
+            own = part.split("_")[0] == start.split("_")[0]
             if not own and told[start] in skeleton.ancestors(joint):
                 raise _wrong(skeleton, told, part, start, "the one hangs on the other")
     _check_lengths(skeleton, told)

@@ -14,11 +14,12 @@ from collections.abc import Iterable, Mapping
 from gesturekit.errors import MotionError
 from gesturekit.motion.joint_names import SIDES, bare_name, named_pairs
 from gesturekit.motion.limb_shapes import Limbs, find_limbs
+from gesturekit.motion.part_checks import check_limbs
 from gesturekit.motion.skeleton import Skeleton
 
 ARM = ("clavicle", "shoulder", "elbow", "wrist")
 LEG = ("hip", "knee", "ankle", "toe")
-KNOWN = ("head", *(f"{side}_{part}" for side in SIDES for part in (*ARM, *LEG)))
+KNOWN_PARTS = ("head", *(f"{side}_{part}" for side in SIDES for part in (*ARM, *LEG)))
 """What a joint may be called by hand."""
 
 _ELBOW = ("forearm", "lowerarm", "lowarm", "elbow", "radius")
@@ -37,15 +38,16 @@ class PartFinder:
 
     Attributes:
         limbs: part ("left_elbow", ...) to joint; None where the rig has none.
-        guessed: whether anything was told by shape or by hand, not by name.
         pelvis, spine, neck, head: the trunk; `neck` is all joints between spine and head.
         ends: leaves that only mark where a bone stops.
     """
 
     def __init__(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
         for key in by_hand:
-            if key not in KNOWN:
-                raise MotionError(f"no part is called {key!r}; expected {', '.join(sorted(KNOWN))}")
+            if key not in KNOWN_PARTS:
+                raise MotionError(
+                    f"no part is called {key!r}; expected {', '.join(sorted(KNOWN_PARTS))}"
+                )
         self.skeleton = skeleton
         self.by_hand = {key: skeleton.index(name) for key, name in by_hand.items()}
         self.side = [""] * skeleton.n_joints
@@ -58,8 +60,9 @@ class PartFinder:
         for side in SIDES:
             self._arm(side)
             self._leg(side)
-        self.guessed = bool(by_hand or self.missing)
+        guessed = bool(by_hand or self.missing)
         shape = self._limbs_by_shape() if self.missing else None
+        check_limbs(skeleton, self.limbs, guessed)
         self._trunk(shape)
         self.ends = {
             j
@@ -154,7 +157,8 @@ class PartFinder:
             MotionError: the shape does not tell either, or contradicts the names.
         """
         names = self.skeleton.names
-        missing = ", ".join(self.missing)
+        shown, more = self.missing[:3], len(self.missing) - 3
+        missing = ", ".join(shown) + (f" and {more} more" if more > 0 else "")
         by_hand = (
             f"name them by hand: `parts: {{{self.missing[0]}: JOINT, ...}}` in the configuration, "
             f"overrides={{{self.missing[0]!r}: 'JOINT', ...}} in Python"
@@ -176,14 +180,20 @@ class PartFinder:
         return shape
 
     def _head(self, chest: int, shape: Limbs | None) -> int | None:
-        if "head" in self.by_hand:
-            return self.by_hand["head"]
         in_limbs = {
             below
             for part in ("left_clavicle", "right_clavicle", "left_shoulder", "right_shoulder")
             if (joint := self.limbs[part]) is not None
             for below in (joint, *self.skeleton.descendants(joint))
         }
+        by_hand = self.by_hand.get("head")
+        if by_hand is not None:
+            if by_hand in in_limbs or chest not in self.skeleton.ancestors(by_hand):
+                raise MotionError(
+                    f"{self.skeleton.names[by_hand]!r} cannot be the head: it does not hang on "
+                    f"{self.skeleton.names[chest]!r} beside the arms"
+                )
+            return by_hand
         middle = [
             j
             for j in self.skeleton.descendants(chest)

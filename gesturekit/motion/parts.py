@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +10,11 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.motion.joint_names import SIDES, named_pairs
 from gesturekit.motion.limb_shapes import find_limbs
-from gesturekit.motion.part_checks import check_limbs
-from gesturekit.motion.part_finder import ARM, LEG, PartFinder
+from gesturekit.motion.part_finder import ARM, KNOWN_PARTS, LEG, PartFinder
 from gesturekit.motion.skeleton import Skeleton
 
 __all__ = [
+    "KNOWN_PARTS",
     "SIDES",
     "Arm",
     "BodyParts",
@@ -24,6 +24,7 @@ __all__ = [
     "find_parts",
     "left_right_pairs",
     "leg_length",
+    "parse_parts",
     "part_labels",
     "upper_body",
 ]
@@ -106,7 +107,6 @@ def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -
             name by hand.
     """
     found = PartFinder(skeleton, {**skeleton.parts, **(overrides or {})})
-    check_limbs(skeleton, found.limbs, found.head, found.guessed)
 
     def names(joints: list[int]) -> tuple[str, ...]:
         return tuple(skeleton.names[j] for j in joints)
@@ -127,6 +127,21 @@ def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -
         face=names([j for j in below_head if j not in found.ends]),
         ends=names(sorted(found.ends)),
     )
+
+
+def parse_parts(texts: Iterable[str]) -> dict[str, str]:
+    """Parts named by hand on a command line: "left_elbow=Joint12" to {"left_elbow": "Joint12"}.
+
+    Raises:
+        MotionError: no such part, or no joint.
+    """
+    parts = {}
+    for text in texts:
+        part, _, joint = text.partition("=")
+        if part not in KNOWN_PARTS or not joint:
+            raise MotionError(f"part {text!r}; expected PART=JOINT, of {', '.join(KNOWN_PARTS)}")
+        parts[part] = joint
+    return parts
 
 
 def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> dict[str, str]:

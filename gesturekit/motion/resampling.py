@@ -10,18 +10,28 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.rotations import slerp
+from gesturekit.motion.rotations import (
+    invert_quaternions,
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+    slerp,
+)
 
 
-def resample_motion(motion: Motion, fps: float, n_frames: int | None = None) -> Motion:
+def resample_motion(
+    motion: Motion, fps: float, n_frames: int | None = None, antialias: bool = False
+) -> Motion:
     """Frame k of the result is the motion at k / fps seconds; past its last frame it stands still.
 
-    Rotations go along the shorter arc, places along straight lines. Nothing is filtered.
+    Rotations go along the shorter arc, places along straight lines.
 
     Args:
         motion: what to resample.
         fps: frames per second of the result.
         n_frames: how many; by default as many as the duration holds, floor(duration fps + 1/2).
+        antialias: take out what is faster than the new rate can hold, half of it in Hz, instead of
+            folding it down. Does nothing where the rate rises.
 
     Raises:
         MotionError: fps is not positive, or no frame is asked for.
@@ -46,12 +56,53 @@ def resample_motion(motion: Motion, fps: float, n_frames: int | None = None) -> 
     def between(values: np.ndarray) -> np.ndarray:
         return values[low] + weight[:, None] * (values[high] - values[low])
 
+    rotations = slerp(motion.rotations[low], motion.rotations[high], weight[:, None])
+    places = between
+    if antialias and fps < motion.fps:
+        lowpass = _LowPass(low + weight, motion.fps / fps, motion.n_frames)
+        rotations = lowpass.rotations(motion.rotations, rotations)
+        places = lowpass.places
     return replace(
         motion,
-        rotations=slerp(motion.rotations[low], motion.rotations[high], weight[:, None]),
-        translation=between(motion.translation),
+        rotations=rotations,
+        translation=places(motion.translation),
         fps=fps,
-        joint_translations={k: between(v) for k, v in motion.joint_translations.items()},
-        expressions=None if motion.expressions is None else between(motion.expressions),
+        joint_translations={k: places(v) for k, v in motion.joint_translations.items()},
+        expressions=None if motion.expressions is None else places(motion.expressions),
         info=dict(motion.info),
     )
+
+
+class _LowPass:
+    """A Lanczos filter of three lobes at any times between frames; the end frames are held.
+
+    Rotations are averaged as rotation vectors about the unfiltered result (Lee and Shin 2002,
+    "General construction of time-domain filters for orientation data"): no bias by the sign of a
+    quaternion or by its chord.
+
+    Args:
+        times: (T,) in frames of the source.
+        ratio: frames of the source for one of the result, above 1.
+        n_frames: of the source.
+    """
+
+    def __init__(self, times: np.ndarray, ratio: float, n_frames: int) -> None:
+        reach = math.ceil(3 * ratio)
+        taps = np.floor(times).astype(np.int64)[:, None] + np.arange(-reach, reach + 2)
+        away = (taps - times[:, None]) / ratio
+        weights = np.sinc(away) * np.sinc(away / 3) * (np.abs(away) < 3)
+        self._weights = weights / weights.sum(axis=1, keepdims=True)
+        self._taps = np.clip(taps, 0, n_frames - 1)
+
+    def places(self, values: np.ndarray) -> np.ndarray:
+        """(T, D) of (T', D)."""
+        return (self._weights[..., None] * values[self._taps]).sum(axis=1)
+
+    def rotations(self, source: np.ndarray, unfiltered: np.ndarray) -> np.ndarray:
+        """(T, J, 4) of (T', J, 4) and the result without a filter (T, J, 4)."""
+        back = invert_quaternions(unfiltered)
+        vector = np.zeros((*unfiltered.shape[:-1], 3))
+        for tap, weight in zip(self._taps.T, self._weights.T):
+            away = rotation_vector_from_quaternion(multiply_quaternions(back, source[tap]))
+            vector += weight[:, None, None] * away
+        return multiply_quaternions(unfiltered, quaternion_from_rotation_vector(vector))

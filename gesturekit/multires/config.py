@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gesturekit.errors import ConfigError
+from gesturekit.motion.parts import KNOWN_PARTS
 
 
 def _positive(**values: float) -> None:
@@ -141,6 +142,9 @@ class MultiresConfig:
     seed: int = 0
     fps: float = 25.0
     joints: Literal["body", "all"] | tuple[str, ...] = "body"
+    parts: dict[str, str] = field(default_factory=dict)
+    """Parts of the body named by hand, such as {left_elbow: Joint12}, for rigs whose names and
+    shape do not tell them."""
     features: FeatureConfig = field(default_factory=FeatureConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     losses: LossConfig = field(default_factory=LossConfig)
@@ -157,6 +161,11 @@ class MultiresConfig:
 
     def __post_init__(self) -> None:
         _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)
+        for part, joint in self.parts.items():
+            if part not in KNOWN_PARTS:
+                raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
+            if not isinstance(joint, str):
+                raise ConfigError(f"parts.{part}: {joint!r} is no joint name")
         if self.threads is not None:
             _positive(threads=self.threads)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,9 +22,9 @@ from tqdm import tqdm
 import audio_features as af
 from gesturekit.atomic import atomic_write
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import Item, Manifest
 from gesturekit.corpus.speech import SpeechConditioner, extract
-from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.heading import heading
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation, reference_skeleton
@@ -271,7 +271,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             f"{config.corpus}: no item of split train has both audio and motion; "
             "run gesturekit prepare on a folder of wav + BVH pairs"
         )
-    motions = [item.load_motion().resample(config.fps) for item in items]
+    motions = [_load_motion(item, config) for item in items]
     for item, motion in zip(items, motions, strict=True):
         different = first_difference(motion.skeleton, motions[0].skeleton)
         if different:
@@ -326,6 +326,14 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         speakers={name: reference_skeleton(own) for name, own in by_speaker.items()},
         unpaired_is_paired=not unpaired,
     )
+
+
+def _load_motion(item: Item, config: MultiresConfig) -> Motion:
+    motion = item.load_motion().resample(config.fps)
+    try:
+        return replace(motion, skeleton=replace(motion.skeleton, parts=config.parts))
+    except MotionError as error:
+        raise ConfigError(f"parts: item {item.id}: {error}") from None
 
 
 def _columns(values: np.ndarray) -> Tensor:

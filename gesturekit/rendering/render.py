@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import audio_features as af
 from gesturekit.corpus.pairing import SPEECH_SUFFIXES
-from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.errors import ConfigError, GestureKitError, MotionError
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.retarget import retarget
+from gesturekit.motion.standing import standing_pose
 
 FORMATS = ("bvh", "npz", "html", "png")
 
@@ -35,6 +37,8 @@ def render(
     samples: int = 1,
     seconds: float | None = None,
     speaker: str | None = None,
+    rig: Path | None = None,
+    rig_parts: Mapping[str, str] | None = None,
 ) -> Iterator[Outcome]:
     """Generate motion for each audio file and write it as STEM.bvh (STEM_s1.bvh ... for samples).
 
@@ -48,6 +52,9 @@ def render(
         samples: how many motions for each file.
         seconds: without sources, how long an idle motion to make.
         speaker: whose body to move, of those that the model's corpus named.
+        rig: a motion file whose body to move instead, of any names, size and rest pose; see
+            `gesturekit.motion.retarget`.
+        rig_parts: parts of that body named by hand, where its joints' names do not tell them.
 
     Yields:
         an outcome for each file, as it is done.
@@ -55,12 +62,14 @@ def render(
     Raises:
         ConfigError: an unknown format, a folder without audio, two sources that would write the
             same file, or a folder for the results that cannot be written to.
+        FormatError, MotionError: a rig that cannot be read, or whose parts cannot be told.
     """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
         raise ConfigError(f"format {', '.join(unknown) or '(none)'}: known: {', '.join(FORMATS)}")
     files = _expand(sources)
     _refuse_clashes(files, out)
+    put_on = _keep if rig is None else _onto(rig, rig_parts or {})
     _make_folder(out)
     if not sources:
         yield _render_one(
@@ -69,6 +78,7 @@ def render(
             out,
             "motion",
             formats,
+            put_on,
             lambda: model.generate(seconds=seconds, samples=samples, seed=seed, speaker=speaker),
         )
         return
@@ -79,6 +89,7 @@ def render(
             out,
             path.stem,
             formats,
+            put_on,
             lambda path=path: model.generate(path, samples=samples, seed=seed, speaker=speaker),
         )
 
@@ -89,13 +100,14 @@ def _render_one(
     out: Path,
     stem: str,
     formats: Sequence[str],
+    put_on: Callable[[Motion], Motion],
     generate: Callable[[], Motion | list[Motion]],
 ) -> Outcome:
     files: list[Path] = []
     try:
         made = generate()
         motions = made if isinstance(made, list) else [made]
-        for number, motion in enumerate(motions, start=1):
+        for number, motion in enumerate(map(put_on, motions), start=1):
             name = stem if len(motions) == 1 else f"{stem}_s{number}"
             for kind in formats:
                 path = out / f"{name}.{kind}"
@@ -111,6 +123,21 @@ def _render_one(
         reason = " ".join(reason.encode("utf-8", "replace").decode().splitlines())
         return Outcome(source, tuple(files), reason)
     return Outcome(source, tuple(files))
+
+
+def _keep(motion: Motion) -> Motion:
+    return motion
+
+
+def _onto(rig: Path, parts: Mapping[str, str]) -> Callable[[Motion], Motion]:
+    """What puts motions on the body of a file; all that can be wrong with it is told at once."""
+    avatar = Motion.load(rig)
+    try:
+        skeleton = replace(avatar.skeleton, parts=parts)
+        pose = standing_pose(replace(avatar, skeleton=skeleton))
+    except MotionError as error:
+        raise MotionError(f"{rig}: {error}") from None
+    return lambda motion: retarget(motion, skeleton, pose=pose)
 
 
 def _expand(sources: Sequence[Path]) -> list[Path]:

@@ -6,46 +6,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-import soundfile
-
-BVH = """HIERARCHY
-ROOT Hips
-{{
-  OFFSET 0 0 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT Spine
-  {{
-    OFFSET 0 50 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    JOINT Head
-    {{
-      OFFSET 0 40 0
-      CHANNELS 3 Zrotation Xrotation Yrotation
-      End Site
-      {{
-        OFFSET 0 20 0
-      }}
-    }}
-  }}
-}}
-MOTION
-Frames: {frames}
-Frame Time: 0.0333333333
-"""
 
 
 @pytest.fixture
-def recordings(tmp_path: Path) -> Path:
+def recordings(tmp_path: Path, gesture, write_speech) -> Path:
     folder = tmp_path / "recordings"
-    folder.mkdir()
-    rng = np.random.default_rng(0)
-    for name in ("a", "b", "c"):
-        soundfile.write(folder / f"{name}.wav", 0.1 * rng.standard_normal(32000), 16000)
-        angle = 10 * np.sin(np.arange(60)[:, None] / 10 + rng.uniform(0, 6, 9))
-        rows = "".join(f"0 90 0 {' '.join(f'{x:.4f}' for x in row)}\n" for row in angle)
-        (folder / f"{name}.bvh").write_text(BVH.format(frames=60) + rows)
+    for seed, name in enumerate(("a", "b", "c")):
+        write_speech(folder / f"{name}.wav", 2.0)
+        gesture(2.0, seed=seed).save(folder / f"{name}.bvh")
     return folder
 
 

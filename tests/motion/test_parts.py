@@ -170,9 +170,11 @@ DEF-spine
   DEF-spine.001 DEF-spine.002 DEF-spine.003
         DEF-breast.L
         DEF-breast.R
-        DEF-shoulder.L DEF-upper_arm.L DEF-upper_arm.L.001 DEF-forearm.L DEF-forearm.L.001 DEF-hand.L
+        DEF-shoulder.L DEF-upper_arm.L DEF-upper_arm.L.001
+              DEF-forearm.L DEF-forearm.L.001 DEF-hand.L
                     DEF-thumb.01.L DEF-thumb.02.L
-        DEF-shoulder.R DEF-upper_arm.R DEF-upper_arm.R.001 DEF-forearm.R DEF-forearm.R.001 DEF-hand.R
+        DEF-shoulder.R DEF-upper_arm.R DEF-upper_arm.R.001
+              DEF-forearm.R DEF-forearm.R.001 DEF-hand.R
                     DEF-thumb.01.R DEF-thumb.02.R
         DEF-spine.004 DEF-spine.005 DEF-spine.006
 """

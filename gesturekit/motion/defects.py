@@ -1,0 +1,113 @@
+"""What goes wrong in captured and generated motion: jumps, pops, jitter and stretches frozen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import rotation_angles, slerp
+
+MAX_SPEED = 10.0
+"""m/s; a joint that moves faster between two frames has jumped. A boxer's fist reaches 10."""
+
+MIN_FROZEN = 1.0
+"""Seconds without any movement that are worth a warning: living people never stand so still."""
+
+POP_ACCELERATION = 630.0
+"""rad/s²; a joint that turns there and back with more has popped: 20 degrees for one frame at 30
+fps. A hand that is shaken at 5 Hz by 30 degrees reaches 520."""
+POP_ANGLE = np.deg2rad(5.0)
+"""At high frame rates a pop is at least so large."""
+POP_GRAVITIES = 10.0 * 9.81
+"""m/s²; the same for places (of the root, and of joints that a file moves)."""
+
+JITTER = 1.5e-3
+"""Metres; steps to and fro, frame by frame, are noise where each is longer than this."""
+
+# The steps in which text files hold a pose: identical rows differ by nothing at all.
+_STILL_ANGLE = 1e-5  # radians
+_STILL_DISTANCE = 1e-6  # metres
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Frames at which some joint is further from its last place than a person can move."""
+
+    frames: tuple[int, ...]
+    joint: str
+    speed: float
+    """The fastest jump of all, in m/s, and the joint that makes it."""
+
+
+@dataclass(frozen=True)
+class Pops:
+    """Frames that one joint spends away from where it was before and is again after."""
+
+    frames: tuple[int, ...]
+    joint: str
+    angle: float
+    """The largest pop of all, in radians off the middle between its neighbours (0 if the joint
+    pops in place, not in rotation), and the joint that makes it."""
+
+
+def find_jumps(motion: Motion) -> Jumps | None:
+    """Frames reached faster than `MAX_SPEED` in world space, or None."""
+    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=-1) * motion.fps
+    frames = np.flatnonzero(steps.max(axis=1) > MAX_SPEED) + 1 if len(steps) else ()
+    if len(frames) == 0:
+        return None
+    joint = int(np.unravel_index(steps.argmax(), steps.shape)[1])
+    return Jumps(tuple(map(int, frames)), motion.skeleton.names[joint], float(steps.max()))
+
+
+def find_pops(motion: Motion) -> Pops | None:
+    """Frames in which a joint is off the middle of the frames before and after it by more than
+    people can do, and by more than those two differ; or None."""
+    if motion.n_frames < 3:
+        return None
+    q, frame = motion.rotations, 1 / motion.fps
+    off = rotation_angles(slerp(q[:-2], q[2:], np.array(0.5)), q[1:-1])
+    limit = max(POP_ANGLE, POP_ACCELERATION / 2 * frame**2)
+    popping = (off > limit) & (off > rotation_angles(q[:-2], q[2:]))
+    names = {motion.skeleton.names[0]: motion.translation, **motion.joint_translations}
+    for name, places in names.items():
+        away = np.linalg.norm(places[1:-1] - (places[:-2] + places[2:]) / 2, axis=-1)
+        through = np.linalg.norm(places[2:] - places[:-2], axis=-1)
+        popping[:, motion.skeleton.index(name)] |= (away > POP_GRAVITIES / 2 * frame**2) & (
+            away > through
+        )
+    frames = np.flatnonzero(popping.any(axis=1)) + 1
+    if len(frames) == 0:
+        return None
+    largest = np.where(popping, off, -1.0)
+    joint = int(np.unravel_index(largest.argmax(), largest.shape)[1])
+    angle = float(largest.max()) if largest.max() > limit else 0.0
+    return Pops(tuple(map(int, frames)), motion.skeleton.names[joint], angle)
+
+
+def jitter_share(motion: Motion) -> float:
+    """Share of the frames in which some joint trembles: its last three steps in world space each
+    go back on the one before, and each is longer than `JITTER`. 0 for fewer than 4 frames."""
+    if motion.n_frames < 4:
+        return 0.0
+    steps = np.diff(motion.positions(), axis=0)
+    length = np.linalg.norm(steps, axis=-1)
+    back = (steps[1:] * steps[:-1]).sum(axis=-1) < -0.5 * length[1:] * length[:-1]
+    long = length > JITTER
+    back &= long[1:] & long[:-1]
+    return float((back[1:] & back[:-1]).any(axis=1).sum() / motion.n_frames)
+
+
+def frozen_runs(motion: Motion) -> list[tuple[int, int]]:
+    """Runs of frames [first, stop) in which no joint moves at all, of `MIN_FROZEN` or longer."""
+    angle = rotation_angles(motion.rotations[1:], motion.rotations[:-1]).max(axis=1)
+    distance = np.abs(np.diff(motion.translation, axis=0)).max(axis=1)
+    for values in motion.joint_translations.values():
+        distance = np.maximum(distance, np.abs(np.diff(values, axis=0)).max(axis=1))
+    still = (angle < _STILL_ANGLE) & (distance < _STILL_DISTANCE)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    # A run of n still steps is n + 1 equal frames.
+    runs = [(int(first), int(stop) + 1) for first, stop in edges.reshape(-1, 2)]
+    return [(first, stop) for first, stop in runs if stop - first >= MIN_FROZEN * motion.fps]
