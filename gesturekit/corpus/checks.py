@@ -19,7 +19,7 @@ from gesturekit.motion.rotations import IDENTITY, rotation_angles
 MAX_JUMP_SHARE = 0.05
 """A recording is left out when more than this share of its frames are jumps."""
 
-MAX_JITTER_SHARE = 0.05
+MAX_JITTER_SHARE = 0.1
 """A recording is warned about when more than this share of its frames tremble."""
 
 # How far a held T-pose may stray: an actor's is never exact, and he sways.

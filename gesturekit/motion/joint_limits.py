@@ -13,6 +13,8 @@ from gesturekit.motion.standing import FORWARD, standing_pose
 TOLERANCE = np.deg2rad(5.0)
 """Straight limbs overshoot by so much, in people and in captured motion."""
 
+_HINGES = (("shoulder", "elbow", "wrist", -1), ("hip", "knee", "ankle", 1))
+
 
 def bent_backwards(motion: Motion) -> dict[str, np.ndarray]:
     """Frames in which a hinge bends the wrong way by more than `TOLERANCE`.

@@ -154,9 +154,7 @@ class _Shape:
         upper, lower = bones[start], bones[start + 1]
         others = np.delete(bones, [start, start + 1])
         if others.size and others.max() * _CLEARLY > min(upper, lower):
-            raise MotionError(
-                f"which bones of the limb at {self._name(first[0])!r} are the long ones"
-            )
+            raise MotionError(f"no two bones of the limb at {self._name(first[0])!r} stand out")
         if max(upper, lower) > _CLEARLY**2 * min(upper, lower):
             raise MotionError(f"the limb at {self._name(first[0])!r} has one long bone, not two")
         return start

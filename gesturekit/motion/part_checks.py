@@ -33,8 +33,8 @@ def check_limbs(skeleton: Skeleton, limbs: Mapping[str, int | None], guessed: bo
     for part, joint in told.items():
         if joint in taken:
             raise MotionError(
-                f"{skeleton.names[joint]!r} cannot be both the {taken[joint].replace('_', ' ')} and "
-                f"the {part.replace('_', ' ')}; name one of them by hand (parts: {part}: JOINT)"
+                f"{skeleton.names[joint]!r} cannot be both {taken[joint]} and {part}; "
+                f"name one of them by hand (parts: {part}: JOINT)"
             )
         taken[joint] = part
     for side in SIDES:

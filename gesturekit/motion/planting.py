@@ -77,7 +77,7 @@ class Feet:
         )
 
     def heights(
-        self, source: BodyFrames, target: BodyFrames, same: bool
+        self, source: BodyFrames, target: BodyFrames, same: bool, scale: float
     ) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
         """Side to heights over the floor of (ankle, toe) on a level foot, source and target."""
         found = {}
@@ -89,7 +89,8 @@ class Feet:
                     float(np.median(points[side][still, 1])) - self.floor
                     for points in (self.ankles, self.toes)
                 )
-            found[side] = own, own if same else target.foot_heights(side)
+            scaled = own[0] * scale, own[1] * scale
+            found[side] = own, scaled if same else target.foot_heights(side)
         return found
 
 
@@ -107,10 +108,27 @@ class FootPlan:
         """(T, 3) middle between the target's hips."""
         return sum(positions[:, self.target.joints[f"{side}_hip"]] for side in SIDES) / 2
 
-    def hips(self) -> np.ndarray:
-        """(T, 3) where the middle between the target's hips shall be."""
+    def hips(self, turned: np.ndarray) -> np.ndarray:
+        """(T, 3) where the middle between the target's hips shall be: above its ankles as the
+        source's is, on the whole; longer or shorter feet than the source's shall not make it lean.
+        """
         ankle = [np.mean([self.heights[side][i][0] for side in SIDES]) for i in (0, 1)]
-        return self._scaled(self.source.hips, ankle[0], ankle[1])
+        hips = self._scaled(self.source.hips, *ankle)
+        moved = sum(
+            self.ankle(side, turned) - self._scaled(self.source.ankles[side], *self._ankles(side))
+            for side in SIDES
+        )
+        pelvis = self.target.joints["pelvis"]
+        own = multiply_quaternions(turned[:, pelvis], self.target.own["pelvis"])
+        ahead = rotate_vectors(own, np.broadcast_to(FORWARD, hips.shape))
+        angle = np.arctan2(ahead[:, 0], ahead[:, 2])
+        heading = np.stack([0 * angle, np.sin(angle / 2), 0 * angle, np.cos(angle / 2)], axis=-1)
+        own_way = rotate_vectors(invert_quaternions(heading), moved / 2).mean(axis=0)
+        return hips + rotate_vectors(heading, np.broadcast_to(own_way * [1, 0, 1], hips.shape))
+
+    def _ankles(self, side: str) -> tuple[float, float]:
+        own, target = self.heights[side]
+        return own[0], target[0]
 
     def give_way(self, turned: np.ndarray, at_origin: np.ndarray, hips: np.ndarray) -> np.ndarray:
         """(T, 3) by how much the hips must come down for both feet to be in reach, smoothly."""

@@ -104,7 +104,7 @@ def retarget(
         target,
         scale,
         feet_of_source,
-        feet_of_source.heights(source, target, same),
+        feet_of_source.heights(source, target, same, scale),
         round(GIVE_WAY * motion.fps),
     )
     at_origin = forward_kinematics(rotations, still, skeleton, moving)
@@ -116,7 +116,7 @@ def retarget(
         at_origin,
         rotations,
     )
-    hips = plan.hips()
+    hips = plan.hips(turned)
     if feet:
         hips = hips - plan.give_way(turned, at_origin, hips)
         rotations = plan.plant(rotations, turned, at_origin, hips)

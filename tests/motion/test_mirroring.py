@@ -48,10 +48,22 @@ def test_every_joint_lies_where_the_mirror_shows_its_counterpart(moving_person):
         "motion/reactidle/003_genuine.bvh",
         "motion/bandai/dataset-1_bye_happy_001.bvh",
         "motion/bandai/dataset-1_bow_feminine_001.bvh",
+        "smpl/glamr_running_smpl.npz",
     ],
 )
 def test_real_rigs(shared_data, file):
     check(Motion.load(shared_data / file))
+
+
+def test_a_rig_whose_names_say_nothing_is_mirrored_by_its_shape(moving_person):
+    person = moving_person.skeleton
+    names = tuple(f"Joint{j}" for j in range(person.n_joints))
+    ends = {names[person.index(name)]: sites for name, sites in person.end_sites.items()}
+    nameless = replace(moving_person, skeleton=replace(person, names=names, end_sites=ends))
+    expected = moving_person.mirror()
+    mirrored = nameless.mirror()
+    np.testing.assert_allclose(mirrored.positions(), expected.positions(), atol=1e-9)
+    np.testing.assert_allclose(mirrored.rotations, expected.rotations, atol=1e-9)
 
 
 def test_parallel_frames_reflect_as_vectors_do(moving_person):

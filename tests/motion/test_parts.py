@@ -1,16 +1,22 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.fingers import finger_chains
 from gesturekit.motion.parts import (
+    BodyParts,
     arm_joints,
     body_joints,
     find_parts,
     left_right_pairs,
+    leg_length,
+    part_labels,
     upper_body,
 )
 
@@ -335,13 +341,60 @@ def test_arm_joints(person):
     assert arm_joints(person) == ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
 
 
-def test_names_that_say_nothing():
-    plain = rig(MIXAMO)
-    names = tuple(f"joint{j}" for j in range(plain.n_joints))
-    skeleton = Skeleton(names, plain.parents, plain.offsets)
-    with pytest.raises(MotionError, match=r"left_elbow.*overrides"):
-        find_parts(skeleton)
-    by_hand = {
+def nameless(skeleton: Skeleton) -> Skeleton:
+    """The same rig, its joints called Joint1, Joint2, ..."""
+    names = tuple(f"Joint{j + 1}" for j in range(skeleton.n_joints))
+    ends = {names[skeleton.index(name)]: sites for name, sites in skeleton.end_sites.items()}
+    return replace(skeleton, names=names, end_sites=ends)
+
+
+def same_joints(found: BodyParts, expected: BodyParts, renamed: Skeleton, usual: Skeleton) -> None:
+    to_usual = dict(zip(renamed.names, usual.names, strict=True))
+    assert to_usual[found.pelvis] == expected.pelvis
+    assert tuple(to_usual[name] for name in found.spine) == expected.spine
+    assert (to_usual[found.neck], to_usual[found.head]) == (expected.neck, expected.head)
+    for side in ("left", "right"):
+        for ours, theirs in ((found.arms, expected.arms), (found.legs, expected.legs)):
+            told = {part: to_usual.get(joint) for part, joint in vars(ours[side]).items()}
+            assert told == vars(theirs[side])
+
+
+def test_names_that_say_nothing(mixamo):
+    """The shape tells: legs and arms, left from right by the feet, the head from its top."""
+    for usual in (mixamo, smpl_skeleton(24), smpl_skeleton(55)):
+        renamed = nameless(usual)
+        same_joints(find_parts(renamed), find_parts(usual), renamed, usual)
+        by_name = {tuple(map(usual.index, pair)) for pair in left_right_pairs(usual)}
+        by_shape = {tuple(map(renamed.index, pair)) for pair in left_right_pairs(renamed)}
+        assert by_shape <= by_name and len(by_shape) >= 8
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FILES if kind != "bandai"])
+def test_nameless_rigs_of_real_files(shared_data, kind):
+    usual = Motion.load(shared_data / FILES[kind]).skeleton
+    renamed = nameless(usual)
+    same_joints(find_parts(renamed), find_parts(usual), renamed, usual)
+
+
+def test_shapes_that_do_not_tell(mixamo, shared_data):
+    heap = nameless(Motion.load(shared_data / FILES["bandai"]).skeleton)
+    no_feet = np.where(np.abs(mixamo.offsets[:, 2:]) > 0.08, 0, mixamo.offsets)
+    three_bones = mixamo.offsets.copy()
+    hands = [mixamo.index(f"mixamorig:{side}Hand") for side in ("Left", "Right")]
+    three_bones[hands, 0] *= 0.5
+    knuckles = [j for j, parent in enumerate(mixamo.parents) if parent in hands]
+    three_bones[knuckles, 0] *= 2.5
+    for skeleton, says in (
+        (heap, "1 pairs of limbs"),
+        (replace(nameless(mixamo), offsets=no_feet), "where is forward"),
+        (replace(nameless(mixamo), offsets=three_bones), "no two bones"),
+    ):
+        with pytest.raises(MotionError, match=rf"left_elbow.*{says}.*parts: .*overrides"):
+            find_parts(skeleton)
+
+
+def by_hand(plain: Skeleton, names: tuple[str, ...]) -> dict[str, str]:
+    return {
         f"{side}_{part}": names[plain.index(name)]
         for side, word in (("left", "Left"), ("right", "Right"))
         for part, name in (
@@ -353,7 +406,99 @@ def test_names_that_say_nothing():
             ("ankle", f"{word}Foot"),
         )
     }
-    parts = find_parts(skeleton, overrides=by_hand)
-    assert parts.pelvis == "joint0" and parts.spine == ("joint1", "joint2", "joint3")
+
+
+def test_parts_named_by_hand():
+    plain = rig(MIXAMO)  # all in one point: nothing is told by shape
+    skeleton = nameless(plain)
+    with pytest.raises(MotionError, match=r"left_elbow.*overrides"):
+        find_parts(skeleton)
+    named = by_hand(plain, skeleton.names)
+    parts = find_parts(skeleton, overrides=named)
+    assert parts.pelvis == "Joint1" and parts.spine == ("Joint2", "Joint3", "Joint4")
+    # A skeleton that holds them needs no overrides, and keeps them.
+    holding = Skeleton.from_json(replace(skeleton, parts=named).to_json())
+    assert find_parts(holding) == parts == find_parts(holding.scaled(2.0))
     with pytest.raises(MotionError, match="left_elbo"):
-        find_parts(skeleton, overrides={"left_elbo": "joint1"})
+        find_parts(skeleton, overrides={"left_elbo": "Joint1"})
+    with pytest.raises(MotionError, match=r"left_elbow.*'Joint99'"):
+        replace(skeleton, parts={"left_elbow": "Joint99"})
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        ({"left_elbow": "LeftLeg"}, "'mixamorig:LeftLeg' cannot be both left_elbow and left_knee"),
+        ({"left_ankle": "RightFoot", "right_ankle": "LeftFoot"}, "does not hang on the other"),
+        ({"left_hip": "Spine1"}, "'mixamorig:LeftLeg' cannot be the left knee"),
+        ({"left_elbow": "LeftArm"}, "bones of 0.13 and 0.55 m"),
+        ({"head": "LeftHand"}, "'mixamorig:LeftHand' cannot be the head"),
+    ],
+)
+def test_wrong_parts_fail_loudly(mixamo, overrides, says):
+    with pytest.raises(MotionError, match=says):
+        find_parts(mixamo, {part: f"mixamorig:{name}" for part, name in overrides.items()})
+
+
+def test_bodies_that_cannot_be_fail_loudly(mixamo):
+    one_long_leg = mixamo.offsets.copy()
+    one_long_leg[[mixamo.index(f"mixamorig:Left{name}") for name in ("Leg", "Foot")]] *= 2
+    with pytest.raises(MotionError, match="the left leg would be 1.65 m long, the right"):
+        find_parts(replace(mixamo, offsets=one_long_leg))
+    high_knees = mixamo.offsets.copy()
+    high_knees[[mixamo.index(f"mixamorig:{side}Leg") for side in ("Left", "Right")]] *= 0.1
+    with pytest.raises(MotionError, match="left knee.*left ankle|left knee.*left hip"):
+        find_parts(replace(mixamo, offsets=high_knees))
+    swapped = {}
+    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe", "clavicle"):
+        for side, other in (("left", "right"), ("right", "left")):
+            parts = find_parts(mixamo)
+            limbs = vars(parts.arms[other]) | vars(parts.legs[other])
+            swapped[f"{side}_{part}"] = limbs[part]
+    with pytest.raises(MotionError, match="toes point backwards"):
+        find_parts(mixamo, swapped)
+
+
+def test_labels(mixamo):
+    labels = part_labels(mixamo)
+    assert list(labels) == list(mixamo.names)
+    for name, label in {
+        "Hips": "pelvis",
+        "Spine1": "spine",
+        "Neck": "neck",
+        "Head": "head",
+        "HeadTop_End": "end",
+        "LeftShoulder": "left clavicle",
+        "LeftForeArm": "left elbow",
+        "RightHandRing2": "finger",
+        "RightFoot": "right ankle",
+        "RightToeBase": "right toe",
+    }.items():
+        assert labels[f"mixamorig:{name}"] == label
+    genea = part_labels(rig(GENEA))
+    assert (genea["body_world"], genea["b_l_arm_twist"]) == ("root", "twist")
+    assert genea["p_navel"] == "other"
+
+
+def test_leg_length_counts_what_lies_between(mixamo):
+    assert leg_length(mixamo) == pytest.approx(0.406 + 0.421)
+    plain = rig(GENEA)
+    offsets = np.zeros((plain.n_joints, 3))
+    for side in "lr":
+        for joint, length in (("leg", 0.4), ("foot_twist", 0.2), ("foot", 0.2), ("upleg", 0.1)):
+            offsets[plain.index(f"b_{side}_{joint}"), 1] = -length
+    assert leg_length(replace(plain, offsets=offsets)) == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_fingers(mixamo, side):
+    chains = finger_chains(mixamo, find_parts(mixamo), side)
+    assert list(chains) == ["thumb", "index", "middle", "ring", "little"]
+    first = mixamo.index(f"mixamorig:{side.title()}HandPinky1")
+    assert chains["little"] == (first, first + 1, first + 2, first + 3)
+    biped = rig(BIPED)
+    (kind, chain) = next(iter(finger_chains(biped, find_parts(biped), side).items()))
+    assert kind == "thumb" and len(chain) == 1
+    unreal = rig(UNREAL)
+    index = finger_chains(unreal, find_parts(unreal), side)["index"]
+    assert [unreal.names[j] for j in index] == [f"index_0{n}_{side[0]}" for n in (1, 2)]
