@@ -144,6 +144,24 @@ def test_what_is_rendered_beside_changes_nothing(gesturekit, model, wav, tmp_pat
             assert made[i - 1] == (tmp_path / "first" / f"speech_s{i}.{kind}").read_bytes()
 
 
+def test_another_body(gesturekit, model, wav, gesture, tmp_path):
+    gesture(1.0).save(tmp_path / "avatar.bvh")
+    made = ("render", wav, "--model", model, "--out", tmp_path / "out", "--rig")
+    done = gesturekit(*made, tmp_path / "avatar.bvh", "--rig-part", "head=Head")
+    assert (done.status, done.err) == (0, "")
+    assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 38
+    for rig, part, says in (
+        ("avatar.bvh", "head=LeftHand", "'LeftHand' cannot be the head"),
+        ("avatar.bvh", "nose=Head", "part 'nose=Head'; expected PART=JOINT"),
+        ("none.bvh", "head=Head", "none.bvh"),
+    ):
+        done = gesturekit(*made, tmp_path / rig, "--rig-part", part)
+        assert done.status == 2 and done.err.startswith("Error: ") and says in done.err
+        assert len(done.err.splitlines()) == 1
+    done = gesturekit("render", wav, "--model", model, "--out", tmp_path, "--rig-part", "head=Head")
+    assert done.status == 2 and "--rig" in done.err
+
+
 def test_idle_motion_needs_no_sound(gesturekit, model, tmp_path):
     done = gesturekit(
         *("render", "--seconds", "2", "--samples", "2", "--model", model),

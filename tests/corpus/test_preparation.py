@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,6 +154,50 @@ def test_jumps_are_warned_about_and_many_are_an_error(tmp_path, write_speech, ge
     assert [item.id for item in report.manifest] == ["once"]
     assert "1 of 120 frames jump (over 10 m/s) at 2.00 s" in texts(report, "warning")[0]
     assert "119 of 120 frames jump" in texts(report, "error")[0]
+
+
+def test_pops_and_jitter_are_warned_about(tmp_path, write_speech, gesture):
+    motion = gesture(4.0)
+    popping, shaking = motion.rotations.copy(), motion.translation.copy()
+    popping[[30, 90], motion.skeleton.index("Head")] = [0.0, 0.5, 0.0, 0.75**0.5]
+    shaking[::2] += [0.004, 0.0, 0.0]
+    edited(motion, rotations=popping).save(tmp_path / "pop.bvh")
+    edited(motion, translation=shaking).save(tmp_path / "shake.bvh")
+    for name in ("pop", "shake"):
+        write_speech(tmp_path / f"{name}.wav", 4.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert len(report.manifest) == 2 and not errors(report)
+    pop, shake = sorted(texts(report, "warning"))
+    assert re.search(r"pop.bvh: pops .* at 1.00 s, 3.00 s; most of all 'Head' by \d\d°", pop)
+    assert re.search(r"shake.bvh: jitters in 9\d% of its frames", shake)
+
+
+def test_parts_that_cannot_be_told_are_noted_and_may_be_named(tmp_path, write_speech, gesture):
+    motion = gesture(2.0)
+    rig = motion.skeleton
+    names = tuple(f"Joint{j}" for j in range(rig.n_joints))
+    # Without toes nothing tells left from right.
+    nameless = replace(rig, names=names, end_sites={})
+    replace(motion, skeleton=nameless).save(tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 2.0)
+    report = prepare(tmp_path, holdout=0.0)
+    (note,) = texts(report, "note")
+    assert len(report.manifest) == 1
+    assert re.search(r"a.bvh: cannot tell left_elbow.*where is forward.*parts: \{left_elbow:", note)
+    by_hand = {
+        f"{side}_{part}": names[rig.index(side.title() + joint)]
+        for side in ("left", "right")
+        for part, joint in (
+            ("shoulder", "Arm"),
+            ("elbow", "ForeArm"),
+            ("hip", "UpLeg"),
+            ("knee", "Leg"),
+            ("ankle", "Foot"),
+        )
+    }
+    assert not prepare(tmp_path, holdout=0.0, parts=by_hand).problems
+    wrong = prepare(tmp_path, holdout=0.0, parts={"left_elbow": "Joint99"})
+    assert "Joint99" in texts(wrong, "error")[0]
 
 
 def test_a_recording_with_too_little_of_use_is_left_out(tmp_path, write_pair):

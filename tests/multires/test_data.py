@@ -10,8 +10,9 @@ import torch
 
 from audio_features import level_lengths
 from gesturekit.corpus import prepare
-from gesturekit.errors import CorpusError
+from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion import Skeleton
+from gesturekit.motion.parts import upper_body
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.data import (
     Normaliser,
@@ -142,3 +143,37 @@ def test_rigs_that_differ_are_refused_by_name(two_performers, gesture, tmp_path,
             load_training_data(make_config(corpus=str(two_performers)))
     finally:
         path.write_bytes(kept)
+
+
+def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, write_speech):
+    """A rig that neither names nor shape tell (no toes) trains once its parts are named."""
+    motion = gesture(3.0)
+    rig = motion.skeleton
+    names = tuple(f"Joint{j}" for j in range(rig.n_joints))
+    folder = tmp_path / "nameless"
+    write_speech(folder / "a.wav", 3.0)
+    replace(motion, skeleton=replace(rig, names=names, end_sites={})).save(folder / "a.bvh")
+    prepare([folder], tmp_path / "nameless.jsonl", holdout=0.0)
+    corpus = str(tmp_path / "nameless.jsonl")
+    with pytest.raises(MotionError, match=r"left_elbow.*parts: \{left_elbow: JOINT"):
+        load_training_data(make_config(corpus=corpus))
+    parts = {
+        f"{side}_{part}": names[rig.index(side.title() + joint)]
+        for side in ("left", "right")
+        for part, joint in (
+            ("shoulder", "Arm"),
+            ("elbow", "ForeArm"),
+            ("hip", "UpLeg"),
+            ("knee", "Leg"),
+            ("ankle", "Foot"),
+        )
+    }
+    data = load_training_data(make_config(corpus=corpus, parts=parts))
+    assert dict(data.representation.skeleton.parts) == parts
+    data.save(tmp_path)
+    again = TrainingData.load(tmp_path, make_config(corpus=corpus, parts=parts))
+    assert upper_body(again.representation.skeleton)[0] == names[rig.index("Spine")]
+    with pytest.raises(ConfigError, match="parts: 'left_elbo' is none of"):
+        make_config(parts={"left_elbo": "Joint7"})
+    with pytest.raises(ConfigError, match=r"parts.*'Joint99'"):
+        load_training_data(make_config(corpus=corpus, parts={"left_elbow": "Joint99"}))

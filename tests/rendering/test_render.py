@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import copy
 
+import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit import Motion
-from gesturekit.errors import ConfigError
+from gesturekit import Motion, Skeleton
+from gesturekit.errors import ConfigError, FormatError, MotionError
+from gesturekit.motion.kinematics import global_rotations
+from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.rendering.render import FORMATS, render
 
 
@@ -86,4 +89,57 @@ def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
 def test_unknown_formats(model, sounds, tmp_path, formats, names):
     with pytest.raises(ConfigError, match=f"{names}.*known: bvh, npz, html, png"):
         next(render(model, sounds, tmp_path / "out", formats=formats))
+    assert not (tmp_path / "out").exists()
+
+
+def avatar(path, motion, scale):
+    """A file of one frame: a larger body of other names, its arms lowered at rest."""
+    rig = motion.skeleton
+    pose = np.tile([0.0, 0.0, 0.0, 1.0], (rig.n_joints, 1))
+    for side, angle in (("Left", -0.6), ("Right", 0.6)):
+        pose[rig.index(f"{side}Arm")] = [0.0, 0.0, np.sin(angle), np.cos(angle)]
+    turned = global_rotations(pose, rig)
+    offsets = rotate_vectors(turned[[max(p, 0) for p in rig.parents]], rig.offsets)
+    names = tuple(f"avatar:{name}" for name in rig.names)
+    body = Skeleton(names, rig.parents, offsets * scale)
+    rest = np.tile([0.0, 0.0, 0.0, 1.0], (1, rig.n_joints, 1))
+    Motion(body, rest, np.array([[0.0, 0.9 * scale, 0.0]]), 30.0).save(path)
+    return path
+
+
+def test_another_body_moves_as_the_models_own(model, sounds, tmp_path, gesture):
+    rig = avatar(tmp_path / "avatar.bvh", gesture(1.0), 1.2)
+    (own,) = render(model, sounds[:1], tmp_path / "own")
+    (outcome,) = render(model, sounds[:1], tmp_path / "out", rig=rig)
+    assert outcome.error is None
+    usual, made = (Motion.load(done.files[0]) for done in (own, outcome))
+    assert made.skeleton.names == tuple(f"avatar:{name}" for name in usual.skeleton.names)
+    assert (made.n_frames, made.fps) == (usual.n_frames, usual.fps)
+    for start, end in (("LeftArm", "LeftForeArm"), ("RightForeArm", "RightHand")):
+        bones = []
+        for motion, prefix in ((usual, ""), (made, "avatar:")):
+            i, j = (motion.skeleton.index(prefix + name) for name in (start, end))
+            bone = motion.positions()[:, j] - motion.positions()[:, i]
+            bones.append(bone / np.linalg.norm(bone, axis=1, keepdims=True))
+        assert ((bones[0] * bones[1]).sum(axis=1) > 0.999).all()
+    legs = [motion.positions()[:, 0, 1].mean() for motion in (usual, made)]
+    assert legs[1] > 1.1 * legs[0]
+
+
+def test_a_rig_that_cannot_be_used_is_told_before_anything_is_done(
+    model, sounds, tmp_path, gesture
+):
+    cases = {"none.bvh": "none.bvh", "wrong.bvh": "wrong.bvh: .*cannot be both"}
+    avatar(tmp_path / "wrong.bvh", gesture(1.0), 1.0)
+    for name, says in cases.items():
+        with pytest.raises((FormatError, MotionError), match=says):
+            next(
+                render(
+                    model,
+                    sounds,
+                    tmp_path / "out",
+                    rig=tmp_path / name,
+                    rig_parts={"left_elbow": "avatar:LeftLeg"},
+                )
+            )
     assert not (tmp_path / "out").exists()
