@@ -18,7 +18,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gesturekit.errors import MotionError
 from gesturekit.motion.body_frames import BodyFrames, body_frames
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
@@ -134,7 +133,8 @@ def _turned(motion: Motion, source: BodyFrames, target: BodyFrames, same: bool) 
     frames = _for_target(
         source, target, source.world(motion.global_rotations(), motion.positions())
     )
-    segment_of = {joint: segment for segment, joint in target.joints.items()}
+    # Fingers that the source does not have rest on their hands, as all other extra joints do.
+    segment_of = {joint: segment for segment, joint in target.joints.items() if segment in frames}
     rests = motion.rotations if same else np.tile(target.pose, (motion.n_frames, 1, 1))
     pelvis, mover = target.joints["pelvis"], _mover(target)
     turned = np.empty((motion.n_frames, skeleton.n_joints, 4))
@@ -142,7 +142,7 @@ def _turned(motion: Motion, source: BodyFrames, target: BodyFrames, same: bool) 
         if j in segment_of:
             back = invert_quaternions(target.own[segment_of[j]])
             turned[:, j] = multiply_quaternions(frames[segment_of[j]], back)
-        elif j == mover:
+        elif j == mover and not same:
             # The pelvis rests on it: what turns the pelvis turns the mover.
             own = multiply_quaternions(frames["pelvis"], invert_quaternions(target.own["pelvis"]))
             for between in (pelvis, *skeleton.ancestors(pelvis)):
@@ -184,23 +184,7 @@ def _for_target(
             found[segment] = frames[kind.replace("wrist", "elbow")]
         elif kind.endswith("toe"):
             found[segment] = frames[kind.replace("toe", "ankle")]
-    for segment in target.joints:
-        if segment not in found:  # a finger that the source does not have: it rests on its hand
-            found[segment] = _resting(target, segment, found)
     return found
-
-
-def _resting(target: BodyFrames, segment: str, frames: dict[str, np.ndarray]) -> np.ndarray:
-    joint = target.joints[segment]
-    segment_of = {j: name for name, j in target.joints.items()}
-    own = multiply_quaternions(target.pose[joint], target.own[segment])
-    for above in target.skeleton.ancestors(joint):
-        if segment_of.get(above) in frames:
-            parent = segment_of[above]
-            world = multiply_quaternions(frames[parent], invert_quaternions(target.own[parent]))
-            return multiply_quaternions(world, own)
-        own = multiply_quaternions(target.pose[above], own)
-    raise MotionError(f"{target.skeleton.names[joint]!r} hangs on no part of the body")
 
 
 def _along(
