@@ -15,6 +15,7 @@ Joints that the source has no counterpart for rest.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -121,7 +122,8 @@ def retarget(
         rotations = plan.plant(rotations, turned, at_origin, hips)
         at_origin = forward_kinematics(rotations, still, skeleton, moving)
     shift = hips - plan.between_hips(at_origin)
-    return _placed(motion, skeleton, rotations, moving, mover, at_origin[:, mover] + shift)
+    made = _placed(motion, skeleton, rotations, moving, mover, at_origin[:, mover] + shift)
+    return replace(made, expressions=motion.expressions) if same else made
 
 
 # Turning
