@@ -55,6 +55,7 @@ class BodyFrames:
         bones: segment to (joint that its bone leads to, direction in the anatomical frame); only
             segments whose direction is carried over exactly.
         toes: side to (joint, offset (3,) in its frame) of the point where the foot rolls.
+        hands: side to the same of the wrist, or of where the forearm ends without one.
     """
 
     skeleton: Skeleton
@@ -64,6 +65,7 @@ class BodyFrames:
     own: dict[str, np.ndarray]
     bones: dict[str, tuple[int, np.ndarray]]
     toes: dict[str, tuple[int, np.ndarray]]
+    hands: dict[str, tuple[int, np.ndarray]]
 
     def world(
         self, turned: np.ndarray, positions: np.ndarray | None = None
@@ -169,6 +171,7 @@ class _Builder:
         self.frames: dict[str, np.ndarray] = {}
         self.bones: dict[str, tuple[int, np.ndarray]] = {}
         self.toes: dict[str, tuple[int, np.ndarray]] = {}
+        self.hands: dict[str, tuple[int, np.ndarray]] = {}
 
     def build(self) -> BodyFrames:
         self._trunk()
@@ -182,7 +185,14 @@ class _Builder:
             for segment, joint in self.joints.items()
         }
         return BodyFrames(
-            self.skeleton, self.parts, self.pose, self.joints, own, self.bones, self.toes
+            self.skeleton,
+            self.parts,
+            self.pose,
+            self.joints,
+            own,
+            self.bones,
+            self.toes,
+            self.hands,
         )
 
     def _add(self, segment: str, joint: str | int, turn: np.ndarray) -> None:
@@ -226,7 +236,11 @@ class _Builder:
             self._add(f"{side}_clavicle", arm.clavicle, self.body)
         self._limb(f"{side}_shoulder", arm.shoulder, arm.elbow, outward)
         if arm.wrist is None:
-            end = self._end(self.skeleton.index(arm.elbow))
+            elbow = self.skeleton.index(arm.elbow)
+            end = self._end(elbow)
+            if np.linalg.norm(end) > 0.01:
+                back = invert_quaternions(self.turned[elbow])
+                self.hands[side] = (elbow, rotate_vectors(back, end))
             way = end / max(np.linalg.norm(end), 1e-9)
             self._add(f"{side}_elbow", arm.elbow, self._aligned(self.body, outward, way))
             return
@@ -235,6 +249,7 @@ class _Builder:
 
     def _hand(self, side: str, name: str, outward: np.ndarray) -> None:
         wrist = self.skeleton.index(name)
+        self.hands[side] = (wrist, np.zeros(3))
         chains = finger_chains(self.skeleton, self.parts, side)
         knuckles = [self.places[c[0]] for kind, c in chains.items() if kind != "thumb"]
         forearm = self.frames[f"{side}_elbow"]

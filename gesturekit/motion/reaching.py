@@ -25,8 +25,6 @@ _INSIDE, _OUTSIDE = 0.4, 1.1
 """Shares of half the shoulders' width from the body's middle: nearer than the first a hand goes by
 its place, farther than the second by the arm's direction."""
 
-_ARM = ("shoulder", "elbow", "wrist")
-
 
 def reach_hands(
     source: BodyFrames,
@@ -46,47 +44,61 @@ def reach_hands(
         positions: (T, J, 3) of the target's joints, its arms turned like the source's.
         rotations: (T, J, 4) local rotations of the target's joints.
     """
-    needed = [f"{side}_wrist" for side in SIDES]
-    if any(segment not in frames.joints for segment in needed for frames in (source, target)):
+    if any(side not in frames.hands for side in SIDES for frames in (source, target)):
         return rotations
     skeleton = target.skeleton
     chest = source.chain("spine")[-1]
     across = multiply_quaternions(source_turned[:, source.joints[chest]], source.own[chest])
-    scale = _span(positions, target) / _span(source_positions, source)
+    turned = global_rotations(rotations, skeleton)
+    source_arms = _arms(source, source_positions, source_turned)
+    arms = _arms(target, positions, turned)
+    scale = _span(arms) / _span(source_arms)
     rotations = rotations.copy()
     for side, outward in zip(SIDES, (1.0, -1.0)):
-        middle = _between_shoulders(source_positions, source)
-        away = source_positions[:, source.joints[f"{side}_wrist"]] - middle
+        middle = _between_shoulders(source_arms)
+        away = source_arms[side][:, 2] - middle
         own = rotate_vectors(invert_quaternions(across), away)
-        shoulder = source_positions[:, source.joints[f"{side}_shoulder"]] - middle
-        half = np.linalg.norm(shoulder, axis=-1)
+        half = np.linalg.norm(source_arms[side][:, 0] - middle, axis=-1)
         share = np.clip((outward * own[:, 0] / half - _INSIDE) / (_OUTSIDE - _INSIDE), 0, 1)
         weight = 1 - share * share * (3 - 2 * share)
-        limb = [target.joints[f"{side}_{part}"] for part in _ARM]
-        at_place = _between_shoulders(positions, target) + scale * away
-        by_direction = positions[:, limb[2]]
-        turned = global_rotations(rotations, skeleton)
-        elbow = multiply_quaternions(turned[:, limb[0]], target.own[f"{side}_shoulder"])
-        rotations[:, limb[:2]] = two_bone_ik(
-            positions[:, limb],
+        at_place = _between_shoulders(arms) + scale * away
+        by_direction = arms[side][:, 2]
+        bones = [target.joints[f"{side}_{part}"] for part in ("shoulder", "elbow")]
+        upper_arm = multiply_quaternions(turned[:, bones[0]], target.own[f"{side}_shoulder"])
+        rotations[:, bones] = two_bone_ik(
+            arms[side],
             by_direction + weight[:, None] * (at_place - by_direction),
-            rotations[:, limb[:2]],
-            turned[:, [skeleton.parents[j] for j in limb[:2]]],
-            pole=rotate_vectors(elbow, np.broadcast_to(-FORWARD, (len(elbow), 3))),
+            rotations[:, bones],
+            turned[:, [skeleton.parents[j] for j in bones]],
+            pole=rotate_vectors(upper_arm, np.broadcast_to(-FORWARD, at_place.shape)),
         )
-        # The hand stays turned as it was.
-        above = global_rotations(rotations, skeleton)[:, skeleton.parents[limb[2]]]
-        rotations[:, limb[2]] = multiply_quaternions(invert_quaternions(above), turned[:, limb[2]])
+        wrist = target.joints.get(f"{side}_wrist")
+        if wrist is not None:  # the hand stays turned as it was
+            above = global_rotations(rotations, skeleton)[:, skeleton.parents[wrist]]
+            back = invert_quaternions(above)
+            rotations[:, wrist] = multiply_quaternions(back, turned[:, wrist])
     return rotations
 
 
-def _between_shoulders(positions: np.ndarray, frames: BodyFrames) -> np.ndarray:
-    return sum(positions[:, frames.joints[f"{side}_shoulder"]] for side in SIDES) / 2
+def _arms(frames: BodyFrames, positions: np.ndarray, turned: np.ndarray) -> dict[str, np.ndarray]:
+    """Side to (T, 3, 3), places of shoulder, elbow and wrist."""
+    arms = {}
+    for side in SIDES:
+        bones = [frames.joints[f"{side}_{part}"] for part in ("shoulder", "elbow")]
+        joint, offset = frames.hands[side]
+        hand = positions[:, joint] + rotate_vectors(turned[:, joint], offset)
+        arms[side] = np.concatenate([positions[:, bones], hand[:, None]], axis=1)
+    return arms
 
 
-def _span(positions: np.ndarray, frames: BodyFrames) -> float:
+def _between_shoulders(arms: dict[str, np.ndarray]) -> np.ndarray:
+    return sum(arm[:, 0] for arm in arms.values()) / 2
+
+
+def _span(arms: dict[str, np.ndarray]) -> float:
     """Metres from the middle of the shoulders to the wrist of an outstretched arm, mean of both."""
-    ways = [positions[:, [frames.joints[f"{s}_{p}"] for p in _ARM]] for s in SIDES]
-    arms = sum(np.linalg.norm(np.diff(way, axis=1), axis=-1).sum(axis=1) for way in ways)
-    shoulders = np.linalg.norm(ways[0][:, 0] - ways[1][:, 0], axis=-1)
-    return float(np.median(arms + shoulders)) / 2
+    lengths = sum(
+        np.linalg.norm(np.diff(arm, axis=1), axis=-1).sum(axis=1) for arm in arms.values()
+    )
+    shoulders = np.linalg.norm(arms["left"][:, 0] - arms["right"][:, 0], axis=-1)
+    return float(np.median(lengths + shoulders)) / 2

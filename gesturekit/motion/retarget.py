@@ -74,15 +74,7 @@ def retarget(
     same = (skeleton.names, skeleton.parents) == (motion.skeleton.names, motion.skeleton.parents)
     if same:
         # One rig means one thing by its axes, whatever a performer's offsets.
-        target = BodyFrames(
-            skeleton,
-            source.parts,
-            source.pose,
-            source.joints,
-            source.own,
-            source.bones,
-            source.toes,
-        )
+        target = replace(source, skeleton=skeleton)
     else:
         found = find_parts(skeleton, target_parts)
         target = body_frames(

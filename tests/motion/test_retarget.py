@@ -91,13 +91,17 @@ def skate(motion: Motion, labels: np.ndarray) -> float:
 def hand_distances(motion: Motion) -> np.ndarray:
     """(T, 3) wrist to hips on either side, and wrist to wrist, over the length of the trunk."""
     parts, positions = find_parts(motion.skeleton), motion.positions()
+    ends = motion.end_positions()
 
     def at(name: str) -> np.ndarray:
         return positions[:, motion.skeleton.index(name)]
 
     hips = sum(at(parts.legs[side].hip) for side in SIDES) / 2
     shoulders = sum(at(parts.arms[side].shoulder) for side in SIDES) / 2
-    left, right = (at(parts.arms[side].wrist) for side in SIDES)
+    left, right = (
+        at(arm.wrist) if arm.wrist else ends[arm.elbow][:, 0]
+        for arm in (parts.arms[side] for side in SIDES)
+    )
     trunk = np.linalg.norm(shoulders - hips, axis=-1).mean()
     ways = (left - hips, right - hips, left - right)
     return np.stack([np.linalg.norm(way, axis=-1) for way in ways], axis=-1) / trunk
@@ -171,6 +175,9 @@ def test_other_rigs_onto_zeggs(shared_data, zeggs, file):
     heights = [foot_positions(m)[..., 1].min(axis=1) for m in (motion, made)]
     assert abs(np.median(heights[0]) - np.median(heights[1])) < 0.01
     assert skate(made, np.ones(foot_positions(made).shape[:2])) < 0.02
+    # Hands that are folded stay so, and pass through neither each other nor the body.
+    hands, source = hand_distances(made).min(axis=0), hand_distances(motion).min(axis=0)
+    assert (hands > 0.85 * source).all() and (hands < 1.15 * source).all()
 
 
 def test_a_run_onto_mixamo(shared_data, mixamo):
