@@ -16,8 +16,8 @@ import numpy as np
 
 from gesturekit.archive import Archive
 from gesturekit.errors import FormatError
+from gesturekit.formats.axes import Z_TO_Y
 from gesturekit.formats.smpl import N_JOINTS, model_pelvis, smpl_skeleton
-from gesturekit.formats.up_axis import Z_TO_Y
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     invert_quaternions,

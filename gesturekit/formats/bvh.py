@@ -9,42 +9,50 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
 
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.bvh_grammar import ParsedBvh, parse_bvh
-from gesturekit.formats.up_axis import find_up_axis, z_up_to_y_up
-from gesturekit.motion.kinematics import forward_kinematics
+from gesturekit.formats.axes import file_axes, to_law
+from gesturekit.formats.bvh_grammar import ParsedBvh, ParsedJoint, parse_bvh
+from gesturekit.formats.units import METRES, first_fork, guess_unit
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler
 from gesturekit.motion.skeleton import ROTATION_ORDERS, Skeleton
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Metres in a unit of length."""
+STILL = 2.1e-6
+"""Position channels that vary by no more than this, in the file's unit, are an OFFSET: what is
+left of a constant that was written with six decimals."""
 
-STILL = 2.5e-6
-"""Position channels that vary by no more than this (metres) are an OFFSET: what is left of a
-constant that was written with five or six decimals."""
-
-_COMMON_RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 240)
-_NTSC = Decimal("1.001")
+_FRAMES_AT_ONCE = 1024
 
 
-def read_bvh(path: str | os.PathLike[str], *, unit: str = "auto", up: str = "auto") -> Motion:
+def read_bvh(
+    path: str | os.PathLike[str],
+    *,
+    unit: str = "auto",
+    up: str = "auto",
+    forward: str = "auto",
+) -> Motion:
     """Read a BVH file.
 
     Args:
         path: the file.
-        unit: of its lengths, "cm", "m" or "mm"; "auto" guesses from the size of the body.
-        up: its axis that points up, "y" or "z"; "auto" looks where the head is.
+        unit: of its lengths, one of `units.METRES`; "auto" takes the one that makes the body of
+            a person's size.
+        up: its axis that points up, "x" to "z" or "-x" to "-z"; "auto" looks at the rest pose
+            and where the body stands.
+        forward: its axis that a body at rest faces; "auto" looks at the rest pose, and takes
+            what is usual with `up` where that is none. Where people walk and look is left as it
+            is: only a file's axes are turned, to Y up, +Z forward.
 
     Returns:
-        The motion, metres and Y up. `info` tells `source`, `unit`, `up`, `frame_time` (as
-        written) and `renamed` (joints whose names repeated: new name to the name in the file).
+        The motion, metres, Y up, +Z forward. `info` tells `source`, `unit`, `up`, `forward` (of
+        the file), `guessed` (those of the three for which the file gave no evidence),
+        `frame_time` (as written) and `renamed` (joints whose names repeated: new name to the
+        name in the file).
 
     Raises:
         FormatError: no BVH, broken, or cut short; the message names file and line.
@@ -52,30 +60,35 @@ def read_bvh(path: str | os.PathLike[str], *, unit: str = "auto", up: str = "aut
     path = Path(path)
     if unit != "auto" and unit not in METRES:
         raise FormatError(f"unit {unit!r}; expected auto, {', '.join(METRES)}")
-    if up not in ("auto", "y", "z"):
-        raise FormatError(f"up axis {up!r}; expected auto, y or z")
     parsed = parse_bvh(path)
     try:
-        motion = _to_motion(parsed, unit, up)
+        motion = _to_motion(parsed, unit)
+        axes = file_axes(motion, up, forward)
+        motion.info.update(
+            source=str(path),
+            up=axes.up,
+            forward=axes.forward,
+            guessed=(*motion.info["guessed"], *axes.guessed),
+        )
+        return to_law(motion, axes)
     except MotionError as error:
         raise FormatError(f"{path}: {error}") from None
-    motion.info["source"] = str(path)
-    return motion
 
 
 def write_bvh(
     motion: Motion, path: str | os.PathLike[str], *, unit: str = "cm", decimals: int = 6
 ) -> None:
-    """Write a BVH file, Y up, the root's OFFSET 0 0 0.
+    """Write a BVH file, Y up.
 
-    Position channels stand on the root, and on the joints that the motion moves. Angles are
-    unwrapped, so that curves do not jump by 360 degrees.
+    Position channels stand on the root, and on the joints that the motion moves. Their OFFSET is
+    0 0 0: programs that add positions to it and those that replace it by them then agree. Angles
+    are unwrapped, so that curves do not jump by 360 degrees.
 
     Args:
         motion: what to write.
         path: the file; it appears whole or not at all.
-        unit: of its lengths, "cm", "m" or "mm".
-        decimals: of offsets and channels (metres get two more, millimetres one less).
+        unit: of its lengths, one of `units.METRES`.
+        decimals: of offsets and channels (longer units get up to two more, millimetres one less).
 
     Raises:
         FormatError: a unit or a joint name that the format cannot hold.
@@ -83,106 +96,114 @@ def write_bvh(
     if unit not in METRES:
         raise FormatError(f"unit {unit!r}; expected {', '.join(METRES)}")
     for name in motion.skeleton.names:
-        if set("{}") & set(name) or name != name.strip():
+        if set("{}") & set(name) or name != " ".join(name.split()):
             raise FormatError(f"{path}: a BVH file cannot hold the joint name {name!r}")
-    places = decimals + {"m": 2, "cm": 0, "mm": -1}[unit]
+    places = decimals + int(np.ceil(np.log10(METRES[unit] / METRES["cm"])))
     hierarchy = _hierarchy(motion, METRES[unit], places)
     values, lengths = _channels(motion, METRES[unit])
     row = " ".join(f"%.{places if is_length else decimals}f" for is_length in lengths) + "\n"
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as out:
         out.write(f"{hierarchy}MOTION\nFrames: {motion.n_frames}\n")
         out.write(f"Frame Time: {1 / motion.fps:.10f}\n")
-        for frame in values.tolist():
-            out.write(row % tuple(frame))
+        for frame in values:
+            out.write(row % tuple(frame.tolist()))
 
 
 # Reading
 
 
-def _to_motion(parsed: ParsedBvh, unit: str, up: str) -> Motion:
-    joints = parsed.joints
-    n_frames = len(parsed.frames)
+def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
+    """In metres, with the file's axes."""
+    joints, n_frames = parsed.joints, len(parsed.frames)
     offsets = np.array([joint.offset for joint in joints])
-    rotations = np.empty((n_frames, len(joints), 4))
-    places: dict[int, np.ndarray] = {}
-    orders = []
-    column = 0
-    for j, joint in enumerate(joints):
-        columns = {name: parsed.frames[:, column + i] for i, name in enumerate(joint.channels)}
-        column += len(joint.channels)
-        turning = "".join(name[0] for name in joint.channels if name[1] == "r")
-        orders.append(next(order for order in ROTATION_ORDERS if order.startswith(turning)))
-        angles = [columns.get(axis + "r", np.zeros(n_frames)) for axis in orders[j]]
-        rotations[:, j] = quaternion_from_euler(np.stack(angles, axis=-1), orders[j])
-        if any(name[1] == "p" for name in joint.channels):
-            places[j] = np.tile(offsets[j], (n_frames, 1))
-            for i, axis in enumerate("XYZ"):
-                places[j][:, i] = columns.get(axis + "p", places[j][:, i])
+    rotations = _rotations(parsed)
+    places = _places(parsed)
     skeleton = Skeleton(
         names=tuple(joint.name for joint in joints),
         parents=tuple(joint.parent for joint in joints),
         offsets=offsets,
         end_sites={j.name: tuple(np.array(end) for end in j.ends) for j in joints if j.ends},
-        rotation_orders=tuple(orders),
+        rotation_orders=tuple(_order(joint) for joint in joints),
     )
+    guessed = ()
     if unit == "auto":
-        unit = _guess_unit(skeleton, rotations[:1], {j: p[:1] for j, p in places.items()})
+        first = offsets.copy()
+        for j, values in places.items():
+            first[j] = values[0]
+        unit, sure = guess_unit(replace(skeleton, offsets=first), rotations[0])
+        guessed = () if sure else ("unit",)
     metres = METRES[unit]
-    translation = places.pop(0, np.tile(offsets[0], (n_frames, 1)))
+    translation = places.pop(0, None)
+    if translation is None:
+        translation = np.tile(offsets[0], (n_frames, 1))
     moving = {}
+    below_fork = skeleton.descendants(first_fork(skeleton))
     for j, values in places.items():
         low, high = values.min(axis=0), values.max(axis=0)
-        if ((high - low) * metres <= STILL).all():
+        if (high - low <= STILL).all():
             offsets[j] = (low + high) / 2
-        else:
-            moving[joints[j].name] = values * metres
+            continue
+        moving[joints[j].name] = values * metres
+        if not offsets[j].any() and j in below_fork:  # as we write it: a bone has a length
+            offsets[j] = values.mean(axis=0)
     motion = Motion(
         skeleton=replace(skeleton, offsets=offsets).scaled(metres),
         rotations=rotations,
         translation=translation * metres,
-        fps=_frame_rate(parsed.frame_time),
+        fps=parsed.fps,
         joint_translations=moving,
     )
-    up = find_up_axis(motion) if up == "auto" else up
-    motion.info.update(unit=unit, up=up, frame_time=parsed.frame_time)
+    motion.info.update(unit=unit, guessed=guessed, frame_time=parsed.frame_time)
     if parsed.renamed:
         motion.info["renamed"] = parsed.renamed
-    return z_up_to_y_up(motion) if up == "z" else motion
+    return motion
 
 
-def _guess_unit(skeleton: Skeleton, rotations: np.ndarray, places: dict[int, np.ndarray]) -> str:
-    """From how far the body reaches in the first frame: people are 1 to 2.5 m tall."""
-    moving = {skeleton.names[j]: values for j, values in places.items() if j}
-    positions = forward_kinematics(rotations, np.zeros((1, 3)), skeleton, moving)[0]
-    # Below the first fork: joints above it may lie anywhere between the origin and the body.
-    fork = next((j for j in range(skeleton.n_joints) if len(skeleton.children(j)) > 1), 0)
-    reach = np.ptp(positions[[fork, *skeleton.descendants(fork)]], axis=0).max()
-    return "m" if reach < 8 else "cm" if reach < 500 else "mm"
+def _order(joint: ParsedJoint) -> str:
+    """The order of its rotation channels; the axes that it does not turn about come last."""
+    turning = "".join(name[0] for name in joint.channels if name[1] == "r")
+    return next(order for order in ROTATION_ORDERS if order.startswith(turning))
 
 
-def _frame_rate(text: str) -> float:
-    """Frames per second of a `Frame Time`, which is often a rounded third or sixth."""
-    try:
-        seconds = Decimal(text)
-    except InvalidOperation:
-        raise MotionError(f"Frame Time: {text[:40]!r} is no number") from None
-    if not seconds.is_finite() or not 1e-5 <= seconds <= 1e5:
-        raise MotionError(f"Frame Time: {text[:40]} s; expected 0.00001 to 100000")
-    whole = round(1 / seconds)
-    common = min(_COMMON_RATES, key=lambda rate: abs(1 / Decimal(rate) - seconds))
-    # The likeliest rate that what was written cannot be told from: less than its last digit away.
-    digit = Decimal(1).scaleb(seconds.as_tuple().exponent)
-    rates = ((whole, digit / 1000), (common, digit), (whole, digit), (whole / _NTSC, digit))
-    for rate, tolerance in rates:
-        if rate and abs(1 / Decimal(rate) - seconds) < tolerance:
-            return float(rate)
-    return float(1 / seconds)
+def _rotations(parsed: ParsedBvh) -> np.ndarray:
+    """(T, J, 4) local quaternions."""
+    frames, joints = parsed.frames, parsed.joints
+    rotations = np.empty((len(frames), len(joints), 4))
+    in_order: dict[str, list[int]] = {}
+    columns = np.full((len(joints), 3), -1)
+    before = 0
+    for j, joint in enumerate(joints):
+        in_order.setdefault(_order(joint), []).append(j)
+        for i, axis in enumerate(_order(joint)):
+            if axis + "r" in joint.channels:
+                columns[j, i] = before + joint.channels.index(axis + "r")
+        before += len(joint.channels)
+    for start in range(0, len(frames), _FRAMES_AT_ONCE):  # so that nothing leaves the cache
+        part = slice(start, start + _FRAMES_AT_ONCE)
+        for order, js in in_order.items():
+            angles = np.where(columns[js] >= 0, frames[part][:, columns[js]], 0.0)
+            rotations[part, js] = quaternion_from_euler(angles, order)
+    return rotations
+
+
+def _places(parsed: ParsedBvh) -> dict[int, np.ndarray]:
+    """Joint to (T, 3): its place in its parent's frame, for joints with position channels."""
+    places: dict[int, np.ndarray] = {}
+    before = 0
+    for j, joint in enumerate(parsed.joints):
+        for column, name in enumerate(joint.channels, start=before):
+            if name[1] == "p":
+                if j not in places:
+                    places[j] = np.tile(np.array(joint.offset), (len(parsed.frames), 1))
+                places[j][:, "XYZ".index(name[0])] = parsed.frames[:, column]
+        before += len(joint.channels)
+    return places
 
 
 # Writing
 
 
-def _order(skeleton: Skeleton) -> list[int]:
+def _nested(skeleton: Skeleton) -> list[int]:
     """Joints in the order that nested blocks stand in a file, which is that of the channels."""
     order, waiting = [], [0]
     while waiting:
@@ -203,19 +224,19 @@ def _hierarchy(motion: Motion, metres: float, places: int) -> str:
         lines.extend("\t" * d + "}" for d in range(depth, next_depth - 1, -1))
 
     before = -1
-    for joint in _order(skeleton):
+    for joint in _nested(skeleton):
         name, depth = skeleton.names[joint], skeleton.depth[joint]
         close(before, depth)
         before = depth
         tabs = "\t" * depth
         turns = " ".join(f"{axis}rotation" for axis in skeleton.rotation_orders[joint])
         channels = f"CHANNELS 3 {turns}"
-        if _has_positions(motion, joint):
+        if moves := _has_positions(motion, joint):
             channels = f"CHANNELS 6 Xposition Yposition Zposition {turns}"
         lines += [
             f"{tabs}{'JOINT' if joint else 'ROOT'} {name}",
             f"{tabs}{{",
-            f"{tabs}\t{offset(skeleton.offsets[joint] if joint else np.zeros(3))}",
+            f"{tabs}\t{offset(np.zeros(3) if moves else skeleton.offsets[joint])}",
             f"{tabs}\t{channels}",
         ]
         for site in skeleton.end_sites.get(name, ()):
@@ -236,7 +257,7 @@ def _has_positions(motion: Motion, joint: int) -> bool:
 def _channels(motion: Motion, metres: float) -> tuple[np.ndarray, np.ndarray]:
     """Values (T, C) in the file's units, and which columns (C,) are lengths."""
     columns, lengths = [], []
-    for joint in _order(motion.skeleton):
+    for joint in _nested(motion.skeleton):
         if _has_positions(motion, joint):
             name = motion.skeleton.names[joint]
             columns.append(

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
 from gesturekit.errors import FormatError
+from gesturekit.formats.bvh_rows import LARGEST, Lines, parse_rows
+from gesturekit.formats.frame_rate import frame_rate
 
-_LONGEST_LINE = 1 << 20
-_MOST_JOINTS = 10_000
+_MOST_JOINTS = 4096
+_NOTHING = -2  # what the next { opens, where nothing does
+_BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
 
 @dataclass
 class ParsedJoint:
-    """A ROOT or JOINT as written.
+    """A ROOT or JOINT as written, or an End Site that has channels of its own.
 
     Attributes:
         name: unique; a name that comes again has a number added.
         parent: index of the joint that it stands in, -1 for the root.
         line: where it begins.
+        is_end: whether the file calls it an End Site.
         offset: in the file's unit.
         channels: "Xp" for Xposition, "Zr" for Zrotation, ..., in the file's order.
         ends: OFFSETs of its end sites.
@@ -31,6 +35,7 @@ class ParsedJoint:
     name: str
     parent: int
     line: int
+    is_end: bool = False
     offset: tuple[float, float, float] | None = None
     channels: list[str] = field(default_factory=list)
     ends: list[tuple[float, float, float]] = field(default_factory=list)
@@ -43,12 +48,14 @@ class ParsedBvh:
     Attributes:
         joints: parents before children.
         frame_time: as written.
+        fps: the frames per second that it stands for.
         frames: (T, C) float64, one column a channel, in the file's units.
         renamed: names that had to be changed, to what the file calls them.
     """
 
     joints: list[ParsedJoint]
     frame_time: str
+    fps: float
     frames: np.ndarray
     renamed: dict[str, str]
 
@@ -60,9 +67,11 @@ def parse_bvh(path: Path) -> ParsedBvh:
         FormatError: missing, no BVH, broken, or cut short; the message names file and line.
     """
     try:
+        with path.open("rb") as stream:
+            encoding = _BYTE_ORDER_MARKS.get(stream.read(2), "utf-8-sig")
         try:
-            return _parse(path, "utf-8-sig")
-        except UnicodeDecodeError:
+            return _parse(path, encoding)
+        except UnicodeError:
             return _parse(path, "latin-1")
     except OSError as error:
         raise FormatError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -71,204 +80,179 @@ def parse_bvh(path: Path) -> ParsedBvh:
 def _parse(path: Path, encoding: str) -> ParsedBvh:
     # newline=None takes all three line ends: \n, \r\n, and the \r of old Macs.
     with path.open(encoding=encoding, newline=None) as stream:
-        reader = _Lines(stream, path)
-        lines = iter(reader)
-        if (first := next(lines, "").upper()) != "HIERARCHY":
-            what = "is empty" if not reader.number else f"begins with {first[:40]!r}"
-            raise reader.error(f"the file {what}; a BVH file begins with HIERARCHY")
-        joints, renamed = _parse_hierarchy(lines, reader)
-        n_frames, frame_time = _parse_timing(lines, reader)
+        lines = Lines(stream, path)
+        if (first := lines.next()).upper() != "HIERARCHY":
+            what = f"begins with {first[:40]!r}" if first else "is empty"
+            raise lines.error(f"the file {what}; a BVH file begins with HIERARCHY")
+        joints, renamed = _name_apart(_fold_ends(_parse_hierarchy(lines)))
+        n_frames, frame_time, fps = _parse_timing(lines)
         n_channels = sum(len(joint.channels) for joint in joints)
-        frames = _parse_frames(lines, reader, n_frames, n_channels)
-    return ParsedBvh(joints, frame_time, frames, renamed)
+        if not n_channels:
+            raise lines.error("no joint has CHANNELS: the file holds no motion")
+        frames = parse_rows(lines, n_frames, n_channels)
+    return ParsedBvh(joints, frame_time, fps, frames, renamed)
 
 
-class _Lines:
-    """Lines of a file that are not blank, and where we are."""
-
-    def __init__(self, stream: TextIO, path: Path) -> None:
-        self.stream = stream
-        self.path = path
-        self.number = 0
-
-    def __iter__(self) -> Iterator[str]:
-        while line := self.stream.readline(_LONGEST_LINE):
-            self.number += 1
-            if len(line) >= _LONGEST_LINE:
-                raise self.error(f"a line of over {_LONGEST_LINE} characters; this is no BVH file")
-            if line := line.strip():
-                yield line
-
-    def error(self, message: str) -> FormatError:
-        return FormatError(f"{self.path}:{self.number}: {message}")
+# The hierarchy
 
 
-def _parse_hierarchy(
-    lines: Iterator[str], reader: _Lines
-) -> tuple[list[ParsedJoint], dict[str, str]]:
-    joints: list[ParsedJoint] = []
-    renamed: dict[str, str] = {}
-    taken: set[str] = set()
-    open_blocks: list[int | None] = []  # index of the joint, None for an end site
-    opening: int | None | str = "nothing"  # what the next { opens
+def _parse_hierarchy(lines: Lines) -> list[ParsedJoint]:
+    """All blocks, end sites among them, in the file's order."""
+    blocks: list[ParsedJoint] = []
+    open_blocks: list[int] = []
+    opening = _NOTHING
     for statement in _statements(lines):
         word, _, rest = statement.partition(" ")
         keyword = word.upper()
-        inside = open_blocks[-1] if open_blocks else None
+        inside = blocks[open_blocks[-1]] if open_blocks else None
         if keyword == "{":
-            if opening == "nothing":
-                raise reader.error("a { that opens no joint")
+            if opening == _NOTHING:
+                raise lines.error("a { that opens no joint")
             open_blocks.append(opening)
-            opening = "nothing"
-            continue
-        if opening != "nothing":
-            raise reader.error(f"expected {{ after the name of a joint, found {statement[:40]!r}")
-        if keyword == "}":
+            opening = _NOTHING
+        elif opening != _NOTHING:
+            raise lines.error(f"expected {{ after the name of a joint, found {statement[:40]!r}")
+        elif keyword == "}":
             if not open_blocks:
-                raise reader.error("a } too many")
+                raise lines.error("a } too many")
             open_blocks.pop()
         elif keyword == "MOTION":
             if open_blocks:
-                raise reader.error(f"MOTION while {len(open_blocks)} joints lack their }}")
+                raise lines.error(f"MOTION while {len(open_blocks)} joints lack their }}")
             break
-        elif keyword in ("ROOT", "JOINT"):
-            if keyword == "ROOT" and joints:
-                raise reader.error(
-                    f"a second ROOT, {rest!r} (the first is {joints[0].name!r}); "
-                    "export one skeleton a file"
-                )
-            if keyword == "JOINT" and inside is None:
-                raise reader.error(f"JOINT {rest!r} hangs on no joint")
-            if len(joints) >= _MOST_JOINTS:
-                raise reader.error(f"over {_MOST_JOINTS} joints")
-            name = rest.strip() or f"joint{len(joints)}"
-            unique, n = name, 1
-            while unique in taken:
-                n += 1
-                unique = f"{name}_{n}"
-            if unique != name:
-                renamed[unique] = name
-            taken.add(unique)
-            opening = len(joints)
-            joints.append(ParsedJoint(unique, -1 if inside is None else inside, reader.number))
-        elif keyword == "END":
-            if inside is None:
-                raise reader.error("an End Site that hangs on no joint")
-            opening = None
-        elif keyword == "OFFSET":
-            offset = _three_numbers(rest, reader)
-            if open_blocks and open_blocks[-1] is None:
-                joints[open_blocks[-2]].ends.append(offset)
-            elif inside is not None:
-                joints[inside].offset = offset
-            else:
-                raise reader.error("an OFFSET outside any joint")
-        elif keyword == "CHANNELS":
-            if inside is None:
-                raise reader.error("CHANNELS outside any joint")
-            joints[inside].channels = _parse_channels(rest, reader)
+        elif keyword in ("ROOT", "JOINT", "END", "ENDSITE"):
+            parent = open_blocks[-1] if open_blocks else -1
+            opening = len(blocks)
+            blocks.append(_block(keyword, rest, parent, blocks, lines))
+        elif keyword == "OFFSET" and inside:
+            inside.offset = _three_numbers(rest, lines)
+        elif keyword == "CHANNELS" and inside:
+            inside.channels = _parse_channels(rest, lines)
+        elif keyword in ("OFFSET", "CHANNELS"):
+            raise lines.error(f"{keyword} outside any joint")
         else:
-            raise reader.error(f"{statement[:40]!r} is nothing that a BVH hierarchy holds")
+            raise lines.error(f"{statement[:40]!r} is nothing that a BVH hierarchy holds")
     else:
-        raise reader.error("the file stops before MOTION")
-    if not joints:
-        raise reader.error("no ROOT before MOTION")
+        raise lines.error("the file stops before MOTION")
+    if not blocks:
+        raise lines.error("no ROOT before MOTION")
+    for block in blocks:
+        if block.offset is None:
+            if not block.is_end:
+                raise lines.error(f"joint {block.name!r} has no OFFSET", block.line)
+            block.offset = (0.0, 0.0, 0.0)
+    return blocks
+
+
+def _block(
+    keyword: str, rest: str, parent: int, blocks: list[ParsedJoint], lines: Lines
+) -> ParsedJoint:
+    if keyword == "ROOT" and blocks:
+        raise lines.error(
+            f"a second ROOT, {rest[:40]!r} (the first is {blocks[0].name!r}); "
+            "export one skeleton a file"
+        )
+    if keyword != "ROOT" and parent < 0:
+        raise lines.error(f"{keyword} {rest[:40]!r} hangs on no joint")
+    if len(blocks) >= _MOST_JOINTS:
+        raise lines.error(f"over {_MOST_JOINTS} joints")
+    if not rest.isprintable():
+        raise lines.error(f"joint name {rest[:40]!r} holds characters that cannot be shown")
+    if is_end := keyword.startswith("END"):
+        rest = f"{blocks[parent].name}_End"
+    return ParsedJoint(rest or f"joint{len(blocks)}", parent, lines.number, is_end)
+
+
+def _fold_ends(blocks: list[ParsedJoint]) -> list[ParsedJoint]:
+    """Joints alone: end sites become `ends`, but for the odd one with channels or joints in it."""
+    bears = {block.parent for block in blocks}
+    joints: list[ParsedJoint] = []
+    index: dict[int, int] = {-1: -1}
+    for number, block in enumerate(blocks):
+        block.parent = index[block.parent]
+        if block.is_end and not block.channels and number not in bears:
+            joints[block.parent].ends.append(block.offset)
+        else:
+            index[number] = len(joints)
+            joints.append(block)
+    return joints
+
+
+def _name_apart(joints: list[ParsedJoint]) -> tuple[list[ParsedJoint], dict[str, str]]:
+    """Joints with unique names, and which names that changed."""
+    renamed: dict[str, str] = {}
+    taken = {joint.name for joint in joints}
+    times: dict[str, int] = {}
     for joint in joints:
-        if joint.offset is None:
-            raise FormatError(f"{reader.path}:{joint.line}: joint {joint.name!r} has no OFFSET")
+        name = joint.name
+        n = times[name] = times.get(name, 0) + 1
+        if n > 1:
+            while f"{name}_{n}" in taken:
+                n += 1
+            times[name] = n
+            joint.name = f"{name}_{n}"
+            taken.add(joint.name)
+            renamed[joint.name] = name
     return joints, renamed
 
 
-def _statements(lines: Iterator[str]) -> Iterator[str]:
+def _statements(lines: Lines) -> Iterator[str]:
     """Statements of the hierarchy; braces may stand on lines of their own or not."""
-    for line in lines:
+    while line := lines.next():
         for part in line.replace("{", "\n{\n").replace("}", "\n}\n").split("\n"):
             if part := " ".join(part.split()):
                 yield part
 
 
-def _three_numbers(text: str, reader: _Lines) -> tuple[float, float, float]:
+def _three_numbers(text: str, lines: Lines) -> tuple[float, float, float]:
     try:
         x, y, z = (float(word) for word in text.split())
     except ValueError:
-        raise reader.error(f"OFFSET {text[:60]!r}; expected three numbers") from None
-    if not np.isfinite([x, y, z]).all():
-        raise reader.error(f"OFFSET {text[:60]!r} is not finite")
+        raise lines.error(f"OFFSET {text[:60]!r}; expected three numbers") from None
+    if not max(abs(x), abs(y), abs(z)) <= LARGEST or x != x or y != y or z != z:
+        raise lines.error(f"OFFSET {text[:60]!r} is not finite, or over {LARGEST:g}")
     return x, y, z
 
 
-def _parse_channels(text: str, reader: _Lines) -> list[str]:
+def _parse_channels(text: str, lines: Lines) -> list[str]:
     """As "Xp" and "Zr", in the file's order."""
     count, *names = text.split() or [""]
-    if not count.isdecimal() or int(count) != len(names):
-        raise reader.error(f"CHANNELS {text[:80]!r}: a count of {count!r} for {len(names)} names")
+    if not count.isdecimal() or int(count[:9]) != len(names):
+        raise lines.error(
+            f"CHANNELS {text[:80]!r}: a count of {count[:9]!r} for {len(names)} names"
+        )
     channels = []
     for name in names:
         axis, kind = name[:1].upper(), name[1:].lower()
         if axis not in ("X", "Y", "Z") or kind not in ("position", "rotation"):
-            raise reader.error(f"channel {name[:40]!r}; expected Xposition ... Zrotation")
+            raise lines.error(f"channel {name[:40]!r}; expected Xposition ... Zrotation")
         channels.append(axis + kind[0])
     if len(set(channels)) != len(channels):
-        raise reader.error(f"CHANNELS {text[:80]!r} names a channel twice")
+        raise lines.error(f"CHANNELS {text[:80]!r} names a channel twice")
     return channels
 
 
-def _parse_timing(lines: Iterator[str], reader: _Lines) -> tuple[int, str]:
-    n_frames = frame_time = None
+# The head of the motion
+
+
+def _parse_timing(lines: Lines) -> tuple[int, str, float]:
+    n_frames = frame_time = fps = None
     while n_frames is None or frame_time is None:
-        key, colon, value = next(lines, "").partition(":")
-        key, value = " ".join(key.upper().split()), value.strip()
-        if key == "FRAMES" and colon:
-            if not value.isdecimal():
-                raise reader.error(f"Frames: {value[:40]!r}; expected a whole number")
+        line = lines.next()
+        key, value = re.match(r"(?i)(frames|frame\s+time|)\s*:?\s*(.*)", line).groups()
+        if key.upper() == "FRAMES":
+            if not value.isdecimal() or len(value) > 18:
+                raise lines.error(f"Frames: {value[:40]!r}; expected a whole number")
             n_frames = int(value)
-        elif key == "FRAME TIME" and colon:
+        elif key:
             frame_time = value
+            try:
+                fps = frame_rate(value)
+            except ValueError as error:
+                raise lines.error(str(error)) from None
         else:
             missing = "Frames:" if n_frames is None else "Frame Time:"
-            raise reader.error(f"expected {missing!r} after MOTION, found {key[:40]!r}")
+            raise lines.error(f"expected {missing!r} after MOTION, found {line[:40]!r}")
     if n_frames == 0:
-        raise reader.error("the file holds no frame (Frames: 0)")
-    return n_frames, frame_time
-
-
-def _parse_frames(
-    lines: Iterator[str], reader: _Lines, n_frames: int, n_channels: int
-) -> np.ndarray:
-    rows = []
-    for line in lines:
-        if len(rows) == n_frames:
-            raise reader.error(f"more rows than the {n_frames} that `Frames:` declares")
-        try:
-            # Faster than numpy's own parsers of text.
-            row = np.array([float(word) for word in line.split()])
-        except ValueError:
-            raise reader.error(_bad_number(line)) from None
-        if "_" in line:  # which float() passes over
-            raise reader.error(_bad_number(line))
-        if len(row) != n_channels:
-            raise reader.error(
-                f"frame {len(rows) + 1} of {n_frames} has {len(row)} values; the channels "
-                f"need {n_channels}" + (" (is the file cut short?)" * (len(row) < n_channels))
-            )
-        if not np.isfinite(row).all():
-            bad = int(np.flatnonzero(~np.isfinite(row))[0])
-            raise reader.error(f"value {bad + 1} of frame {len(rows) + 1} is {row[bad]}")
-        rows.append(row)
-    if len(rows) < n_frames:
-        raise reader.error(
-            f"the file holds {len(rows)} frames but declares {n_frames}; it was cut short, or "
-            "`Frames:` is wrong"
-        )
-    return np.stack(rows)
-
-
-def _bad_number(line: str) -> str:
-    """What to say of a line of which not every word is a number."""
-    for word in line.split():
-        try:
-            float(word)
-        except ValueError:
-            hint = "; decimals need a point" if "," in word else ""
-            return f"{word[:40]!r} is no number{hint}"
-    return f"{line[:40]!r}: numbers hold no underscore"
+        raise lines.error("the file holds no frame (Frames: 0)")
+    return n_frames, frame_time, fps

@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 
 from gesturekit.errors import FormatError
-from gesturekit.formats.up_axis import Z_TO_Y
+from gesturekit.formats.axes import Z_TO_Y
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import IDENTITY, rotate_vectors

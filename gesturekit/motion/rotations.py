@@ -155,13 +155,16 @@ def quaternion_from_euler(angles: np.ndarray, order: str) -> np.ndarray:
 
     "ZXY" turns about Z, then about the new X, then about the newest Y, as BVH does.
     """
-    half = np.radians(np.asarray(angles, dtype=np.float64)) / 2
-    result = None
-    for column, axis in enumerate(order):
-        turn = np.zeros((*half.shape[:-1], 4))
-        turn[..., "XYZ".index(axis)] = np.sin(half[..., column])
-        turn[..., 3] = np.cos(half[..., column])
-        result = turn if result is None else multiply_quaternions(result, turn)
+    a, b, c = ("XYZ".index(axis) for axis in order)
+    parity = 1.0 if (b - a) % 3 == 1 else -1.0  # of the permutation
+    half = np.moveaxis(np.radians(np.asarray(angles, dtype=np.float64)) / 2, -1, 0)
+    (sa, sb, sc), (ca, cb, cc) = np.sin(half), np.cos(half)
+    # The product of three quaternions of one axis each, written out.
+    result = np.empty((*half.shape[1:], 4))
+    result[..., a] = sa * cb * cc + parity * ca * sb * sc
+    result[..., b] = ca * sb * cc - parity * sa * cb * sc
+    result[..., c] = ca * cb * sc + parity * sa * sb * cc
+    result[..., 3] = ca * cb * cc - parity * sa * sb * sc
     return result
 
 

@@ -320,10 +320,13 @@ def test_unit_and_up_axis_can_be_set(write, shared_data, tmp_path):
     path = write(SMALL)
     assert read_bvh(path, unit="m").translation[0, 1] == 90
     assert read_bvh(path, unit="mm").translation[0, 1] == pytest.approx(0.09)
-    with pytest.raises(FormatError, match="inch"):
-        read_bvh(path, unit="inch")
-    with pytest.raises(FormatError, match="'x'"):
-        read_bvh(path, up="x")
+    assert read_bvh(path, unit="inch").translation[0, 1] == pytest.approx(90 * 0.0254)
+    with pytest.raises(FormatError, match="'foot'.*inch"):
+        read_bvh(path, unit="foot")
+    with pytest.raises(FormatError, match="'w'"):
+        read_bvh(path, up="w")
+    with pytest.raises(FormatError, match="'-y' along the up axis 'y'"):
+        read_bvh(path, up="y", forward="-y")
 
 
 def test_z_up_files_are_stood_up(shared_data, tmp_path):

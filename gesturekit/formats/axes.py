@@ -1,0 +1,205 @@
+"""Which axes of a file point up and forward, and turning them to Y up, +Z forward.
+
+The rest pose, with all rotations at zero, tells a rig's axes where it stands upright: up from its
+legs and spine, forward from its hips and toes. Where a body walks or looks in the motion says
+nothing about its axes. Many rigs have a rest pose that is none (bones along their own x axes):
+then up is where the body stands in most frames, and forward the axis usual with that up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.motion.kinematics import forward_kinematics
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import BodyParts, find_parts, leg_length
+from gesturekit.motion.rotations import (
+    IDENTITY,
+    invert_quaternions,
+    multiply_quaternions,
+    quaternion_from_matrix,
+    rotate_vectors,
+)
+from gesturekit.motion.skeleton import Skeleton
+
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+USUAL_FORWARD = {"y": "z", "z": "-y", "x": "z", "-y": "-z", "-z": "y", "-x": "z"}
+"""The forward that goes with an up where nothing else is known: BVH's and glTF's with "y",
+Blender's with "z", a camera's with "-y"."""
+
+Z_TO_Y = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
+"""A quarter turn about x: (x, y, z) becomes (x, z, -y)."""
+
+_MOST_FRAMES = 500  # looked at, evenly spread, to find which way is up
+
+
+@dataclass(frozen=True)
+class FileAxes:
+    """The axes of a file.
+
+    Attributes:
+        up: axis of the world that points up.
+        forward: axis of the world that a body at rest faces.
+        rest: (up, forward) of the rest pose where they differ from the world's: a rig modelled
+            in one system that its root's rotation lays over into another.
+        guessed: those of "up" and "forward" for which there is no evidence.
+    """
+
+    up: str
+    forward: str
+    rest: tuple[str, str] | None = None
+    guessed: tuple[str, ...] = ()
+
+
+def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAxes:
+    """The axes of `motion`, as given or else as found in it.
+
+    Raises:
+        FormatError: no axis, or `forward` along `up`.
+    """
+    for name, axis in (("up", up), ("forward", forward)):
+        if axis != "auto" and axis not in AXES:
+            raise FormatError(f"{name} axis {axis!r}; expected auto, {', '.join(AXES)}")
+    found, standing = _evidence(motion) if "auto" in (up, forward) else (None, None)
+    if forward != "auto":
+        likely = (up,) if up != "auto" else (found and found[0], standing, "y", "z")
+        up = next((axis for axis in likely if axis and axis[-1] != forward[-1]), up)
+        return FileAxes(up, forward)
+    if up != "auto":
+        if found and found[0] == up:
+            return FileAxes(*found)
+        return FileAxes(up, USUAL_FORWARD[up], guessed=("forward",))
+    if found and standing in (None, found[0]):
+        return FileAxes(*found)
+    if standing:
+        return FileAxes(standing, USUAL_FORWARD[standing], found, ("forward",))
+    return FileAxes("y", "z", guessed=("up", "forward"))
+
+
+def turn_to_law(up: str, forward: str) -> np.ndarray:
+    """(4,) the rotation from axes `up` and `forward` to Y up, +Z forward.
+
+    Raises:
+        FormatError: `forward` lies along `up`.
+    """
+    if up[-1] == forward[-1]:
+        raise FormatError(f"forward axis {forward!r} along the up axis {up!r}")
+    y, z = _vector(up), _vector(forward)
+    return quaternion_from_matrix(np.stack([np.cross(y, z), y, z]))
+
+
+def turn_axes(motion: Motion, world: np.ndarray, rest: np.ndarray) -> Motion:
+    """The same motion in other axes.
+
+    Args:
+        motion: whose axes to turn.
+        world: (4,) the turn of the world, in which the root moves.
+        rest: (4,) the turn of the joints' own frames, in which offsets stand; the same as
+            `world` unless the rig's rest pose has axes of its own.
+    """
+    if np.allclose(world, IDENTITY) and np.allclose(rest, IDENTITY):
+        return motion
+    skeleton = motion.skeleton
+    back = invert_quaternions(rest)
+    offsets = rotate_vectors(rest, skeleton.offsets)
+    offsets[0] = rotate_vectors(world, skeleton.offsets[0])
+    rotations = multiply_quaternions(multiply_quaternions(rest, motion.rotations), back)
+    rotations[:, 0] = multiply_quaternions(
+        multiply_quaternions(world, motion.rotations[:, 0]), back
+    )
+    ends = {
+        name: tuple(rotate_vectors(rest, site) for site in sites)
+        for name, sites in skeleton.end_sites.items()
+    }
+    return replace(
+        motion,
+        skeleton=replace(skeleton, offsets=offsets, end_sites=ends),
+        rotations=rotations,
+        translation=rotate_vectors(world, motion.translation),
+        joint_translations={
+            name: rotate_vectors(rest, places) for name, places in motion.joint_translations.items()
+        },
+    )
+
+
+def to_law(motion: Motion, axes: FileAxes) -> Motion:
+    """`motion`, whose axes are `axes`, with Y up and +Z forward."""
+    world = turn_to_law(axes.up, axes.forward)
+    return turn_axes(motion, world, turn_to_law(*axes.rest) if axes.rest else world)
+
+
+def _vector(axis: str) -> np.ndarray:
+    return np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
+
+
+def _along(vectors: np.ndarray) -> np.ndarray:
+    """(..., 6) whether (..., 3) vectors point along each of AXES, within some 25 degrees."""
+    signed = np.concatenate([vectors, -vectors], axis=-1)
+    across = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return signed > 0.9 * np.maximum(across, 1e-9)
+
+
+def _axis(vector: np.ndarray) -> str | None:
+    hits = np.flatnonzero(_along(vector))
+    return AXES[hits[0]] if len(hits) else None
+
+
+def _evidence(motion: Motion) -> tuple[tuple[str, str] | None, str | None]:
+    """(up, forward) of the rest pose, and the axis that the body stands along in the motion."""
+    try:
+        parts = find_parts(motion.skeleton)
+    except MotionError:
+        return None, None
+    rest = _rest_axes(motion.skeleton, parts)
+    return rest, _standing(motion, parts, rest and rest[0])
+
+
+def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
+    """(up, forward) of the rest pose; None where it does not stand upright, or contradicts."""
+    rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
+    places = forward_kinematics(rest, np.zeros(3), skeleton)
+
+    def between(start: str, end: str) -> np.ndarray:
+        return places[skeleton.index(end)] - places[skeleton.index(start)]
+
+    legs = [parts.legs[side] for side in ("left", "right")]
+    up = _axis(between(parts.pelvis, parts.head or parts.spine[-1]))
+    down = [-between(leg.hip, leg.ankle) for leg in legs]
+    if up is None or any(_vector(up) @ leg < 0.8 * np.linalg.norm(leg) for leg in down):
+        return None
+    left = _axis(between(legs[1].hip, legs[0].hip))
+    if left is None or left[-1] == up[-1]:
+        return None
+    forward = _axis(np.cross(_vector(left), _vector(up)))
+    toes = [between(leg.ankle, leg.toe) for leg in legs if leg.toe]
+    if any(_vector(forward) @ toe < -1e-3 * np.linalg.norm(toe) for toe in toes):
+        return None  # left and right may be named the wrong way round
+    return up, forward
+
+
+def _standing(motion: Motion, parts: BodyParts, rest_up: str | None) -> str | None:
+    """The axis of the world that the body stands along in most frames.
+
+    One that is not the rest pose's counts only with the feet on the floor at zero: a body that
+    lies down stands along some axis too.
+    """
+    frames = np.unique(np.linspace(0, motion.n_frames - 1, _MOST_FRAMES).astype(int))
+    skeleton = motion.skeleton
+    positions = forward_kinematics(
+        motion.rotations[frames],
+        motion.translation[frames],
+        skeleton,
+        {name: places[frames] for name, places in motion.joint_translations.items()},
+    )
+    ankles = positions[:, [skeleton.index(parts.legs[side].ankle) for side in ("left", "right")]]
+    body = positions[:, skeleton.index(parts.spine[-1])] - ankles.mean(axis=1)
+    share = _along(body).mean(axis=0)
+    if share.max() <= 0.5:
+        return None
+    up = AXES[int(share.argmax())]
+    height = np.median((ankles @ _vector(up)).min(axis=1))
+    on_floor = abs(height) < 0.35 * leg_length(skeleton)
+    return up if on_floor or rest_up in (None, up) else None
