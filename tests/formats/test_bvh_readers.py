@@ -1,0 +1,247 @@
+"""Joints stand where other readers have them, and still do after we wrote the file anew."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import bvhio
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from gesturekit.formats import read_bvh, write_bvh
+from gesturekit.formats.units import METRES
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import rotation_angles
+
+FILES = (
+    "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
+    "motion/aitviewer/sample.bvh",
+    "motion/reactidle/000_genuine.bvh",
+    "motion/reactidle/012_genuine.bvh",
+    "motion/bandai/dataset-1_bye_happy_001.bvh",
+)
+
+
+def places_by_the_book(path: Path, frame: int) -> np.ndarray:
+    """(J, 3) world positions in the file's unit: by scipy, one token after the other."""
+    words = iter(re.split(r"\s+", path.read_text(encoding="utf-8").strip()))
+    joints, stack, frames = [], [], []
+    for word in words:
+        if word in ("ROOT", "JOINT", "End"):
+            next(words)
+            joints.append({"parent": stack[-1] if stack else None, "channels": []})
+            joints[-1]["end"] = word == "End"
+        elif word == "{":
+            stack.append(len(joints) - 1)
+        elif word == "}":
+            stack.pop()
+        elif word == "OFFSET":
+            joints[stack[-1]]["offset"] = np.array([float(next(words)) for _ in range(3)])
+        elif word == "CHANNELS":
+            joints[stack[-1]]["channels"] = [next(words) for _ in range(int(next(words)))]
+        elif word == "Time:":
+            next(words)
+            frames = [float(value) for value in words]
+    n = sum(len(joint["channels"]) for joint in joints)
+    values = iter(frames[n * frame : n * (frame + 1)])
+    for joint in joints:
+        place, turn = joint["offset"].copy(), Rotation.identity()
+        for channel in joint["channels"]:
+            value, axis = next(values), "XYZ".index(channel[0])
+            if channel.endswith("position"):
+                place[axis] = value
+            else:
+                turn = turn * Rotation.from_rotvec(np.radians(value) * np.eye(3)[axis])
+        if joint["parent"] is not None:
+            above = joints[joint["parent"]]
+            place = above["place"] + above["turn"].apply(place)
+            turn = above["turn"] * turn
+        joint["place"], joint["turn"] = place, turn
+    return np.array([joint["place"] for joint in joints if not joint["end"]])
+
+
+def places_by_bvhio(path: Path, frames: list[int]) -> np.ndarray:
+    """(frames, J, 3) world positions in the file's unit."""
+    root = bvhio.readAsHierarchy(str(path))
+    joints = [joint for joint, _, _ in root.layout()]
+    places = []
+    for frame in frames:
+        root.loadPose(frame)
+        places.append([list(joint.PositionWorld) for joint in joints])
+    return np.array(places)
+
+
+def shortened(path: Path, to: Path, n_frames: int = 12) -> Path:
+    """Every so manieth frame of a file, so that slow readers are done soon."""
+    head, rows = re.split(r"(?<=\n)(?=[-\d])", path.read_text(), maxsplit=1)
+    rows = rows.strip().split("\n")
+    rows = rows[:: max(1, len(rows) // n_frames)][:n_frames]
+    to.write_text(re.sub(r"Frames:.*", f"Frames: {len(rows)}", head) + "\n".join(rows) + "\n")
+    return to
+
+
+def same_motion(one: Motion, two: Motion) -> None:
+    """Rotations to 1e-4 degrees, joints and end sites to 1e-4 cm."""
+    order = [one.skeleton.index(name) for name in two.skeleton.names]
+    assert np.degrees(rotation_angles(one.rotations[:, order], two.rotations)).max() < 1e-4
+    np.testing.assert_allclose(one.positions()[:, order], two.positions(), atol=1e-6)
+    ends = one.end_positions()
+    for name, places in two.end_positions().items():
+        np.testing.assert_allclose(ends[name], places, atol=1e-6)
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_real_files_stand_where_bvhio_and_the_book_have_them(shared_data, tmp_path, file):
+    path = shortened(shared_data / file, tmp_path / "short.bvh")
+    motion = read_bvh(path)
+    write_bvh(motion, tmp_path / "again.bvh")
+    places = motion.positions()
+    frames = list(range(motion.n_frames))
+    again = read_bvh(tmp_path / "again.bvh")
+    order = [motion.skeleton.index(name) for name in again.skeleton.names]
+    for of, scale, joints in (
+        (path, METRES[motion.info["unit"]], slice(None)),
+        (tmp_path / "again.bvh", 0.01, order),
+    ):
+        ours = places[:, joints]
+        np.testing.assert_allclose(ours, places_by_bvhio(of, frames) * scale, atol=1e-5)
+        book = np.array([places_by_the_book(of, frame) for frame in frames])
+        # Positions that vary by their last digit alone are read as an offset.
+        np.testing.assert_allclose(ours, book * scale, atol=2e-6)
+
+
+def test_what_we_write_stands_where_bvhio_has_it(gesture, tmp_path):
+    motion = gesture(0.5)
+    orders = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX") * 4
+    skeleton = replace(motion.skeleton, rotation_orders=orders[: motion.skeleton.n_joints])
+    sway = np.sin(np.arange(motion.n_frames))[:, None] * [0.02, 0.01, 0.03]
+    for moving in ({}, {"Chest": sway + [0, 0.2, 0], "LeftHand": sway + [0.25, 0, 0]}):
+        written = replace(motion, skeleton=skeleton, joint_translations=moving)
+        write_bvh(written, tmp_path / "a.bvh")
+        places = places_by_bvhio(tmp_path / "a.bvh", list(range(motion.n_frames)))
+        again = read_bvh(tmp_path / "a.bvh")
+        order = [skeleton.index(name) for name in again.skeleton.names]
+        np.testing.assert_allclose(written.positions()[:, order], places / 100, atol=1e-5)
+        same_motion(again, written)
+
+
+@pytest.mark.parametrize("unit", ["cm", "m"])
+@pytest.mark.parametrize("file", FILES)
+def test_real_files_survive(shared_data, tmp_path, file, unit):
+    motion = read_bvh(shared_data / file)
+    write_bvh(motion, tmp_path / "a.bvh", unit=unit)
+    again = read_bvh(tmp_path / "a.bvh")
+    assert again.info["unit"] == unit
+    assert again.fps == motion.fps
+    assert again.skeleton.rotation_orders == motion.skeleton.rotation_orders
+    assert set(again.joint_translations) == set(motion.joint_translations)
+    assert set(again.skeleton.end_sites) == set(motion.skeleton.end_sites)
+    same_motion(again, motion)
+
+
+def test_every_motion_here_loads(shared_data):
+    files = sorted([*shared_data.rglob("*.bvh"), *shared_data.rglob("*.npz")])
+    assert len(files) >= 34
+    for path in files:
+        motion = Motion.load(path)
+        assert np.isfinite(motion.positions()[:: max(1, motion.n_frames // 10)]).all()
+        assert motion.info["up"] in ("y", "z")
+
+
+def test_what_is_found_in_real_files(shared_data):
+    zeggs, sample, idle, _, bandai = (read_bvh(shared_data / file) for file in FILES)
+    assert (zeggs.n_frames, zeggs.skeleton.n_joints, zeggs.fps) == (2065, 75, 30.0)
+    assert (sample.fps, idle.fps, bandai.fps) == (40.0, 24.0, 30.0)
+    assert [m.info["unit"] for m in (zeggs, sample, idle, bandai)] == ["cm", "cm", "m", "cm"]
+    for motion in (zeggs, sample, idle, bandai):
+        assert (motion.info["up"], motion.info["forward"]) == ("y", "z")
+    # Six channels on every joint, but only the hips move.
+    assert list(bandai.joint_translations) == ["Hips"]
+    # The rest is what the file says; what the channels say replaces it.
+    bow = read_bvh(shared_data / "motion/bandai/dataset-1_bow_active_001.bvh")
+    assert bow.skeleton.offsets[1, 2] == pytest.approx(-4.52225)
+    assert bow.positions()[0, 1, 2] == pytest.approx(-0.0902016)
+    assert zeggs.skeleton.offsets[0, 1] == pytest.approx(0.87035881)
+
+
+# Files as nobody's exporter writes them, and somebody's does
+
+
+@st.composite
+def bvh_texts(draw):
+    """A file of 1 to 100 joints, whose channels, names, ends and spacing are of all sorts."""
+    n_joints = draw(st.one_of(st.integers(1, 8), st.integers(1, 100)))
+    n_frames = draw(st.integers(1, 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    tidy = draw(st.booleans())  # 3 and 6 channels only
+    chain = draw(st.sampled_from([0, 2, 100]))  # how far back a parent may lie
+    parents = [-1, *(int(rng.integers(max(0, j - 1 - chain), j)) for j in range(1, n_joints))]
+    name = draw(st.sampled_from(["joint{}", "mixamorig7:Bone_{}", "Bip01 L Finger{}", "b", "é.{}"]))
+    number = draw(st.sampled_from(["{:.6f}", "{:.3e}", "{:.8g}", "{:+.4f}", "{:.17g}", "{:E}"]))
+    children = [[j for j in range(n_joints) if parents[j] == i] for i in range(n_joints)]
+    lines, kinds = ["HIERARCHY"], []
+
+    def vector(values):
+        return " ".join(number.format(v) for v in values)
+
+    def block(joint, depth):
+        tab = draw(st.sampled_from(["", "\t" * depth, "  " * depth])) if joint < 3 else ""
+        count = rng.choice([3, 6]) if tidy else rng.integers(0, 7)
+        places = rng.permutation(["Xposition", "Yposition", "Zposition"])
+        turns = rng.permutation(["Xrotation", "Yrotation", "Zrotation"])
+        n_turns = 3 if tidy else int(rng.integers(max(0, count - 3), min(3, count) + 1))
+        if joint == 0 and count == 0:
+            n_turns = count = 1
+        channels = [*places[: count - n_turns], *turns[:n_turns]]
+        if not tidy:
+            channels = list(rng.permutation(channels))  # positions after and between rotations
+        kinds.extend(channels)
+        lines.extend(
+            [
+                f"{tab}{'JOINT' if joint else 'ROOT'} {name.format(joint)}",
+                tab + "{",
+                f"{tab} OFFSET {vector(rng.normal(0, 15, 3))}",
+                f"{tab} CHANNELS {len(channels)} {' '.join(channels)}",
+            ]
+        )
+        for _ in range(int(rng.choice([0, 1, 1, 2]))):
+            lines.extend([f"{tab} End Site", tab + " {", f"OFFSET {vector(rng.normal(0, 5, 3))}"])
+            lines.append(tab + " }")
+        for child in children[joint]:
+            block(child, depth + 1)
+        lines.append(tab + "}")
+
+    block(0, 0)
+    fps = draw(st.sampled_from([1, 12, 24, 25, 29.97002997, 30, 59.94005994, 60, 120, 240]))
+    lines += ["MOTION", f"Frames: {n_frames}", f"Frame Time: {1 / fps:.10f}"]
+    scale = np.where([kind.endswith("position") for kind in kinds], 20.0, 180.0)
+    for _ in range(n_frames):
+        lines.append(vector(rng.normal(0, 1, len(kinds)) * scale))
+    end = draw(st.sampled_from(["\n", "\r\n", "\r", "\n\n", " \n", "\t\r\n\r\n"]))
+    return end.join(lines) + draw(st.sampled_from(["", end])), fps
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(text_fps=bvh_texts())
+def test_files_of_all_sorts_are_read_by_the_book_and_survive(tmp_path, text_fps):
+    text, fps = text_fps
+    path = tmp_path / "a.bvh"
+    path.write_bytes(text.encode())
+    as_it_is = {"unit": "cm", "up": "y", "forward": "z"}
+    motion = read_bvh(path, **as_it_is)
+    assert motion.fps == pytest.approx(fps, rel=1e-7)
+    for frame in range(motion.n_frames):
+        book = places_by_the_book(path, frame)
+        np.testing.assert_allclose(motion.positions()[frame], book / 100, atol=1e-6)
+    write_bvh(motion, path)
+    again = read_bvh(path, **as_it_is)
+    assert again.fps == motion.fps
+    assert again.skeleton.rotation_orders == motion.skeleton.rotation_orders
+    same_motion(again, motion)
