@@ -13,7 +13,7 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint format bench clean
+.PHONY: help setup demo test lint format bench interop clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
@@ -21,6 +21,7 @@ help:
 	@echo "make setup   make $(VENV) with gesturekit and everything it needs"
 	@echo "make lint    check style only          make format  put style right"
 	@echo "make bench   run every benchmark, the quick way"
+	@echo "make interop opens files we wrote in Blender and three.js (installs Blender: 1.6 GB)"
 	@echo "make clean   remove what these commands made, $(VENV) included"
 
 setup: $(READY) $(BUNDLE)
@@ -45,6 +46,18 @@ bench: setup
 	    if [ ! -f "$$script" ]; then echo "There are no benchmarks yet."; break; fi; \
 	    echo "== $$script"; $(BIN)/python "$$script" --quick; \
 	done
+
+# Blender's module wants an environment of its own, and its own versions.
+$(VENV)/interop/ready:
+	@echo "Installing Blender's module into $(VENV)/interop (1.6 GB: some minutes) ..."
+	@$(PYTHON) -m venv $(VENV)/interop
+	@PIP_CONSTRAINT= $(VENV)/interop/bin/python -m pip install -qq "bpy==4.2.0" || { \
+	    echo "It is made for Python 3.11 alone. Name one with: make interop PYTHON=/path/to/python3.11"; \
+	    exit 1; }
+	@touch $@
+
+interop: setup $(VENV)/interop/ready
+	@$(BIN)/python tests/interop/interop.py $(VENV)/interop/bin/python
 
 clean:
 	rm -rf $(VENV) $(BUNDLE) $(PLAYER)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
