@@ -77,6 +77,9 @@ class Motion:
                 f"the rotation of joint {self.skeleton.names[bad[1]]!r} in frame {bad[0]} is "
                 f"{rotations[bad[0], bad[1]].tolist()}, no quaternion"
             )
+        # Unit ones stay as they are, to the last bit: what is read again is what was written.
+        if (off := np.abs(length - 1) > 1e-12).any():
+            rotations = np.where(off, rotations / length, rotations)
         moving = {}
         for name, places in self.joint_translations.items():
             if self.skeleton.index(name) == 0:
@@ -90,8 +93,7 @@ class Motion:
         if expressions is not None:
             expressions = _rows(expressions, n_frames, "expressions")
         for key, value in (
-            # Unit ones stay as they are, to the last bit: what is read again is what was written.
-            ("rotations", np.where(np.abs(length - 1) > 1e-12, rotations / length, rotations)),
+            ("rotations", rotations),
             ("translation", translation),
             ("fps", fps),
             ("joint_translations", moving),
