@@ -26,7 +26,7 @@ STILL = 2.1e-6
 """Position channels that vary by no more than this, in the file's unit, are an OFFSET: what is
 left of a constant that was written with six decimals."""
 
-_FRAMES_AT_ONCE = 1024
+_FRAMES_AT_ONCE = 256
 
 
 def read_bvh(

@@ -13,7 +13,8 @@ from gesturekit.errors import FormatError
 from gesturekit.formats.bvh_rows import LARGEST, Lines, parse_rows
 from gesturekit.formats.frame_rate import frame_rate
 
-_MOST_JOINTS = 4096
+_MOST_JOINTS = 2000
+_LONGEST_NAME = 200
 _NOTHING = -2  # what the next { opens, where nothing does
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
@@ -156,6 +157,8 @@ def _block(
         raise lines.error(f"{keyword} {rest[:40]!r} hangs on no joint")
     if len(blocks) >= _MOST_JOINTS:
         raise lines.error(f"over {_MOST_JOINTS} joints")
+    if len(rest) > _LONGEST_NAME:
+        raise lines.error(f"a joint name of {len(rest)} characters; over {_LONGEST_NAME} is damage")
     if not rest.isprintable():
         raise lines.error(f"joint name {rest[:40]!r} holds characters that cannot be shown")
     if is_end := keyword.startswith("END"):
