@@ -15,7 +15,7 @@ import numpy as np
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion import kinematics
 from gesturekit.motion.rotations import rotate_vectors
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import FARTHEST, Skeleton
 
 # The one step upwards: files are read and written by packages that build on this one.
 _READERS = {
@@ -232,8 +232,7 @@ def _rows(values: np.ndarray, n_frames: int, what: str) -> np.ndarray:
     values = np.asarray(values, dtype=np.float64)
     if values.ndim != 2 or len(values) != n_frames:
         raise MotionError(f"{what} has shape {values.shape}; {n_frames} frames need as many rows")
-    if not np.isfinite(values).all():
-        raise MotionError(
-            f"{what} is not finite in frame {np.argwhere(~np.isfinite(values))[0][0]}"
-        )
+    if not (near := np.abs(values) <= FARTHEST).all():
+        frame = int(np.argwhere(~near)[0, 0])
+        raise MotionError(f"{what} is not finite, or over {FARTHEST:g}, in frame {frame}")
     return values

@@ -14,6 +14,8 @@ from gesturekit.errors import MotionError
 
 SKELETON_FORMAT = 1
 ROTATION_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
+FARTHEST = 1e9
+"""Metres; what lies further off is damage, and sums of it would overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +56,9 @@ class Skeleton:
                 f"skeleton offsets have shape {offsets.shape}; {len(names)} joints need "
                 f"({len(names)}, 3)"
             )
-        if not np.isfinite(offsets).all():
-            bad = names[int(np.argwhere(~np.isfinite(offsets))[0, 0])]
-            raise MotionError(f"the offset of joint {bad!r} is not finite")
+        if not (near := np.abs(offsets) <= FARTHEST).all():
+            bad = names[int(np.argwhere(~near)[0, 0])]
+            raise MotionError(f"the offset of joint {bad!r} is not finite, or over {FARTHEST:g} m")
         if len(orders) != len(names):
             raise MotionError(f"{len(orders)} rotation orders for {len(names)} joints")
         for name, order in zip(names, orders):
@@ -70,7 +72,9 @@ class Skeleton:
             if name not in known:
                 raise MotionError(f"end site on {name!r}, which is no joint of the skeleton")
             ends[name] = tuple(np.array(site, dtype=np.float64) for site in sites)
-            if any(site.shape != (3,) or not np.isfinite(site).all() for site in ends[name]):
+            if any(
+                site.shape != (3,) or not (np.abs(site) <= FARTHEST).all() for site in ends[name]
+            ):
                 raise MotionError(f"an end site of joint {name!r} is not three finite numbers")
         for key, value in (
             ("names", names),
