@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import MotionError
+from gesturekit.motion import Motion
+from gesturekit.motion.joint_selection import keep_joints
+from gesturekit.motion.parts import body_joints
+
+
+def check(motion: Motion, names: list[str]) -> Motion:
+    """What stays lies and turns in the world as before."""
+    kept = keep_joints(motion, names)
+    assert set(kept.skeleton.names) == set(names)
+    before = [motion.skeleton.index(name) for name in kept.skeleton.names]
+    np.testing.assert_allclose(kept.positions(), motion.positions()[:, before], atol=1e-5)
+    same = np.abs((kept.global_rotations() * motion.global_rotations()[:, before]).sum(axis=-1))
+    np.testing.assert_allclose(same, 1, atol=1e-9)
+    return kept
+
+
+def test_leaves_leave_their_place_as_an_end_site(moving_person):
+    kept = check(moving_person, [n for n in moving_person.skeleton.names if "Toe" not in n])
+    toe = moving_person.skeleton.index("LeftToeBase")
+    ends = kept.end_positions()
+    np.testing.assert_allclose(ends["LeftFoot"][:, 0], moving_person.positions()[:, toe])
+    # A hand that has an end site already gets no other one.
+    assert len(kept.skeleton.end_sites["LeftHand"]) == 1
+    assert not kept.joint_translations
+
+
+def test_a_joint_whose_parent_is_cut_hangs_on_the_next_above(moving_person):
+    names = [n for n in moving_person.skeleton.names if n not in ("Chest", "LeftArm")]
+    kept = check(moving_person, names)
+    assert kept.skeleton.names[kept.skeleton.parents[kept.skeleton.index("Neck")]] == "Spine"
+    # The chest turned under them, so they move under the spine.
+    assert {"Neck", "LeftForeArm", "RightArm"} == set(kept.joint_translations)
+
+
+def test_another_root_moves_as_it_did(moving_person):
+    spine = moving_person.skeleton.index("Spine")
+    upper = [
+        moving_person.skeleton.names[j] for j in (spine, *moving_person.skeleton.descendants(spine))
+    ]
+    kept = check(
+        replace(moving_person, joint_translations={"Spine": moving_person.translation}), upper
+    )
+    assert kept.skeleton.names[0] == "Spine" and not kept.joint_translations
+
+
+def test_what_cannot_be_cut_is_told(moving_person):
+    with pytest.raises(MotionError, match="keep 'Chest' too"):
+        keep_joints(moving_person, ["LeftArm", "RightArm"])
+    with pytest.raises(MotionError, match="did you mean LeftArm"):
+        keep_joints(moving_person, ["Leftarm"])
+    with pytest.raises(MotionError, match="at least one"):
+        keep_joints(moving_person, [])
+    assert keep_joints(moving_person, ["Hips"]).skeleton.n_joints == 1
+
+
+@pytest.mark.parametrize(
+    "file",
+    ["paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh", "motion/bandai/dataset-1_bye_old_001.bvh"],
+)
+def test_bodies_of_real_recordings(shared_data, file, tmp_path):
+    motion = Motion.load(shared_data / file).slice(0, 60)
+    kept = check(motion, list(body_joints(motion.skeleton)))
+    kept.save(tmp_path / "a.bvh")
+    again = Motion.load(tmp_path / "a.bvh")
+    np.testing.assert_allclose(again.positions(), kept.positions(), atol=1e-6)
