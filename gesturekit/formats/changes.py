@@ -1,0 +1,146 @@
+"""What a conversion changes in a motion, besides its format."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.errors import ConfigError, FormatError, MotionError
+from gesturekit.formats.smpl import RIGS, as_smpl, is_smpl, smpl_skeleton
+from gesturekit.motion.joint_selection import keep_joints
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import body_joints
+from gesturekit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A rig to put motions on.
+
+    Attributes:
+        name: a file, or smpl, smplh or smplx.
+        skeleton: its joints.
+        pose: (J, 4) local rotations in which it stands; None for its rest pose.
+    """
+
+    name: str
+    skeleton: Skeleton
+    pose: np.ndarray | None = None
+
+    @classmethod
+    def load(cls, name: str, parts: Mapping[str, str] | None = None) -> Rig:
+        """The rig of a motion file, or one of the SMPL family by its name.
+
+        Args:
+            name: the file, or smpl, smplh or smplx.
+            parts: joints of the file named by hand, see `Skeleton.parts`.
+
+        Raises:
+            FormatError: there is no such file, or it cannot be read.
+            MotionError: the file's parts cannot be told, or it never stands.
+        """
+        if name in RIGS:
+            return cls(name, smpl_skeleton(RIGS[name]))
+        if not Path(name).exists():
+            raise FormatError(
+                f"rig {name!r}: no such file; give a motion file that has the rig, or one of "
+                f"{', '.join(RIGS)}"
+            )
+        from gesturekit.motion.standing import standing_pose
+
+        motion = Motion.load(name)
+        try:
+            motion = replace(motion, skeleton=replace(motion.skeleton, parts=parts or {}))
+            return cls(Path(name).name, motion.skeleton, standing_pose(motion))
+        except MotionError as error:
+            raise MotionError(f"{name}: {error}") from None
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Changes to a motion, made in this order; by default none.
+
+    Attributes:
+        trim: (start, end) seconds to keep, at the nearest frames; the end may be infinite.
+        mirror: exchange left and right.
+        rig: what to move instead of the motion's own rig.
+        joints: "all", "body" (no fingers, face and end joints), or names to keep.
+        fps: frames per second of the result.
+        antialias: filter out what a lower frame rate cannot hold.
+    """
+
+    trim: tuple[float, float] | None = None
+    mirror: bool = False
+    rig: Rig | None = None
+    joints: str | tuple[str, ...] = "all"
+    fps: float | None = None
+    antialias: bool = False
+
+    def __call__(self, motion: Motion) -> tuple[Motion, list[str]]:
+        """The changed motion, and in words what was done.
+
+        Warns:
+            UserWarning: joints that are kept without the one that they hang on have to move.
+
+        Raises:
+            MotionError: a joint that is not there, parts of the body that cannot be told, or
+                nothing left of the motion after trimming.
+        """
+        done = []
+        if self.trim is not None:
+            # Clips of a folder may be shorter than what is asked for.
+            start, end = self.trim
+            motion = motion.trim(start, min(end, motion.duration))
+            done.append(f"cut to {motion.duration:.2f} s")
+        if self.mirror:
+            motion = motion.mirror()
+            done.append("mirrored")
+        if self.rig is not None:
+            motion = self._on_rig(motion, self.rig)
+            done.append(f"on {self.rig.name}, {motion.skeleton.n_joints} joints")
+        if self.joints != "all":
+            before = motion
+            motion = keep_joints(motion, self._joints(motion.skeleton))
+            if motion is not before:
+                done.append(f"{motion.skeleton.n_joints} of {before.skeleton.n_joints} joints")
+            if uprooted := sorted(set(motion.joint_translations) - set(before.joint_translations)):
+                warnings.warn(
+                    f"{', '.join(uprooted)}: a joint above was cut that turns, so they move by "
+                    "position channels, which some programs pass over",
+                    stacklevel=2,
+                )
+        if self.fps is not None and self.fps != motion.fps:
+            done.append(f"{motion.fps:.6g} to {self.fps:.6g} fps")
+            motion = motion.resample(self.fps, antialias=self.antialias)
+        return motion, done
+
+    def _on_rig(self, motion: Motion, rig: Rig) -> Motion:
+        if is_smpl(motion.skeleton) and is_smpl(rig.skeleton):
+            return as_smpl(motion, rig.skeleton.n_joints)
+        from gesturekit.motion.retarget import retarget
+
+        return retarget(motion, rig.skeleton, pose=rig.pose)
+
+    def _joints(self, skeleton: Skeleton) -> tuple[str, ...]:
+        return body_joints(skeleton) if self.joints == "body" else tuple(self.joints)
+
+
+def parse_trim(text: str) -> tuple[float, float]:
+    """``"2:10.5"`` as seconds; without a start from the beginning, without an end to the end.
+
+    Raises:
+        ConfigError: not such an interval, or one that ends before it begins.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)?\s*:\s*(\d+(?:\.\d*)?|\.\d+)?\s*", text)
+    if not match or not (match[1] or match[2]):
+        raise ConfigError(f"trim {text!r}; write START:END in seconds, as 2:10.5, 2: or :10.5")
+    start, end = float(match[1] or 0), float(match[2]) if match[2] else math.inf
+    if end <= start:
+        raise ConfigError(f"trim {text!r} ends before it begins")
+    return start, end

@@ -1,0 +1,225 @@
+"""Motion files from one format to another, one or many; a broken one never stops the others."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import ConfigError, FormatError, GestureKitError
+from gesturekit.formats.changes import Changes
+from gesturekit.formats.smpl import RIGS, is_smpl
+from gesturekit.formats.sources import Job, plan
+from gesturekit.motion.motion import Motion
+
+# Which options each format's reader and writer has.
+_SEQUENCE = {"up", "fps", "person", "body_model"}
+_READS = {
+    ".bvh": {"unit", "up", "forward"},
+    ".npz": {"up", "body_model"},
+    ".json": _SEQUENCE,
+    "EasyMocap": _SEQUENCE,
+}
+_WRITES = {
+    ".bvh": {"unit"},
+    ".npz": {"up"},
+    ".obj": {"body_model", "frame"},
+    ".html": {"body_model"},
+}
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What became of one motion.
+
+    Attributes:
+        source: the file, or the folder of a sequence.
+        files: what was written; nothing where all of it was there already and was to be skipped.
+        found: what was read, in words: unit, axes, rate, frames, joints.
+        done: what was changed on the way, in words.
+        warnings: what the files do not hold, or what other programs will make of them.
+        error: why some or all files are missing.
+    """
+
+    source: Path
+    files: tuple[Path, ...] = ()
+    found: str = ""
+    done: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    error: str | None = None
+
+
+def convert(
+    sources: Sequence[str | os.PathLike[str]] | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    formats: Sequence[str] = (),
+    changes: Changes | None = None,
+    read: Mapping[str, Any] | None = None,
+    write: Mapping[str, Any] | None = None,
+    body_model: str | os.PathLike[str] | None = None,
+    parts: Mapping[str, str] | None = None,
+    existing: str = "refuse",
+    dry_run: bool = False,
+    progress: Callable[[list[Job]], Iterable[Job]] = iter,
+) -> Iterator[Converted]:
+    """Read each motion, change it, and write it in other formats.
+
+    Args:
+        sources: motion files, and folders, which stand for all motions below them.
+        out: a file for a single motion, else a folder; see `gesturekit.formats.sources.plan`.
+        formats: what to write into a folder, of bvh, npz, html, png, obj.
+        changes: what to change on the way.
+        read: options for those readers that have them, such as `up`; and `fps`, the rate that a
+            source really has, whatever it says.
+        write: options for those writers that have them, such as `up`.
+        body_model: npz file of an SMPL or SMPL-X model, for readers and writers that have a use.
+        parts: joints of the sources named by hand, see `load`.
+        existing: what to do about files that are there already: refuse, skip or replace.
+        dry_run: read and change, but write nothing.
+        progress: wraps the list of jobs while they are done, as tqdm does.
+
+    Yields:
+        an outcome for each motion, as it is done.
+
+    Raises:
+        ConfigError: nothing can start; see `gesturekit.formats.sources.plan`.
+    """
+    if isinstance(sources, str | os.PathLike):
+        sources = [sources]
+    jobs = plan([Path(source) for source in sources], Path(out), formats, existing=existing)
+    read, write, changes = dict(read or {}), dict(write or {}), changes or Changes()
+    found = {_format(job.source) for job in jobs if not job.error}
+    written = {_format(target) for job in jobs for target in job.targets}
+    _refuse_idle({k: v for k, v in read.items() if k != "fps"}, _READS, found, "read")
+    _refuse_idle(write, _WRITES, written, "written")
+    if body_model is not None:
+        _refuse_idle({"body_model": body_model}, _READS | _WRITES, found | written, "converted")
+        read["body_model"] = write["body_model"] = body_model
+    for job in progress(jobs):
+        if job.targets or job.error:
+            yield _convert(job, changes, read, parts, write, dry_run)
+        else:
+            yield Converted(job.source)
+
+
+def load(
+    source: Path, options: Mapping[str, Any], parts: Mapping[str, str] | None = None
+) -> Motion:
+    """Read a motion whatever its format is.
+
+    Args:
+        source: a file, or the folder of a sequence.
+        options: those that the format's reader has are given to it; and `fps`, the rate that the
+            source really has, whatever it says.
+        parts: joints named by hand, {"left_elbow": "Joint12"}, see `Skeleton.parts`.
+
+    Raises:
+        FormatError: it cannot be read.
+        MotionError: `parts` names a joint that is not there.
+    """
+    if source.exists() and not (source.is_file() or source.is_dir()):
+        raise FormatError(f"{source}: not a regular file")
+    known = _READS.get(_format(source), ())
+    motion = Motion.load(source, **{name: options[name] for name in options if name in known})
+    if parts:
+        motion = replace(motion, skeleton=replace(motion.skeleton, parts=parts))
+    return replace(motion, fps=options["fps"]) if "fps" in options else motion
+
+
+def describe(motion: Motion) -> str:
+    """A motion in a few words: unit, axes, rate, frames, joints; ? marks what is but guessed."""
+    words = axes_in_words(motion.info, "?")
+    words.append(f"{motion.fps:.6g} fps")
+    words.append(f"{motion.n_frames} frame{'s' * (motion.n_frames != 1)}")
+    words.append(f"{motion.skeleton.n_joints} joint{'s' * (motion.skeleton.n_joints != 1)}")
+    return ", ".join(words)
+
+
+def axes_in_words(info: Mapping[str, Any], guessed: str) -> list[str]:
+    """Unit and axes of the file that a motion came from; `guessed` marks those without evidence."""
+    words = []
+    for key, text in (("unit", "{}"), ("up", "{} up"), ("forward", "{} forward")):
+        if key in info:
+            value = info[key] if key == "unit" else info[key].upper()
+            words.append(text.format(value) + (guessed if key in info.get("guessed", ()) else ""))
+    return words
+
+
+def _refuse_idle(
+    options: Mapping[str, Any], table: Mapping[str, set[str]], formats: set[str], verb: str
+) -> None:
+    """An option that none of the formats has would be given in vain."""
+    for name in options:
+        fitting = [form for form, known in table.items() if name in known]
+        if formats and not formats & set(fitting):
+            raise ConfigError(
+                f"{name} is an option of {', '.join(fitting)}; only {', '.join(sorted(formats))} "
+                f"is {verb}"
+            )
+
+
+def _format(path: Path) -> str:
+    return "EasyMocap" if path.is_dir() else path.suffix.lower()
+
+
+def _convert(
+    job: Job,
+    changes: Changes,
+    read: Mapping[str, Any],
+    parts: Mapping[str, str] | None,
+    write: Mapping[str, Any],
+    dry_run: bool,
+) -> Converted:
+    outcome = Converted(job.source, error=job.error)
+    files: list[Path] = []
+    at = job.source
+    try:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", UserWarning)
+            if job.error is None:
+                motion = load(job.source, read, parts)
+                outcome = replace(outcome, found=describe(motion))
+                motion, done = changes(motion)
+                outcome = replace(outcome, done=tuple(done))
+                for at in job.targets:
+                    _write(motion, at, changes, write, dry_run)
+                    files.append(at)
+    except (GestureKitError, OSError, MemoryError, RecursionError) as error:
+        outcome = replace(outcome, error=_reason(error, job.source, at))
+    lines = dict.fromkeys(str(warning.message) for warning in said)
+    return replace(outcome, files=tuple(files), warnings=tuple(lines))
+
+
+def _write(
+    motion: Motion, target: Path, changes: Changes, write: Mapping[str, Any], dry_run: bool
+) -> None:
+    known = _WRITES.get(_format(target), ())
+    options = {name: value for name, value in write.items() if name in known}
+    if target.suffix.lower() == ".npz" and changes.rig is not None and changes.rig.name in RIGS:
+        options["rig"] = changes.rig.name  # the pose vectors then are that rig's, not SMPL-X's
+    if target.suffix.lower() == ".bvh":
+        lost = ["face expressions"] if motion.expressions is not None else []
+        if is_smpl(motion.skeleton) and np.any(motion.info.get("betas", 0)):
+            lost.append("body shape (betas)")
+        if lost:
+            warnings.warn(f"{target}: BVH holds no {' and no '.join(lost)}; npz does", stacklevel=2)
+    if not dry_run:
+        motion.save(target, **options)
+
+
+def _reason(error: Exception, source: Path, at: Path) -> str:
+    """Why a motion was not read from `source`, or not written to `at`, in one line."""
+    if isinstance(error, OSError):  # of a temporary file beside it, where it was written
+        return f"{at}: {error.strerror or error}"
+    reason = str(error) or "not enough memory"
+    # Not every reason names the file: a joint that is not there, parts that cannot be told.
+    reason = reason if str(source) in reason or str(at) in reason else f"{source}: {reason}"
+    # One line, and printable: a file name need not be text.
+    return " ".join(reason.encode("utf-8", "replace").decode().splitlines())

@@ -1,0 +1,255 @@
+"""Which files a conversion reads, and which it writes: settled before the first is read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gesturekit.archive import open_archive
+from gesturekit.errors import ConfigError, FormatError
+
+READABLE = (".bvh", ".npz")
+"""What is looked for in folders, beside EasyMocap's sequences."""
+WRITABLE = ("bvh", "npz", "html", "png", "obj")
+EXISTING = ("refuse", "skip", "replace")
+_SHOWN = 3
+_SEQUENCES = ("smpl", "smplh", "smplx")
+"""EasyMocap's names for the folder that holds a person's frames, within its output."""
+_GLANCE = 1 << 16
+
+
+@dataclass(frozen=True)
+class Job:
+    """One motion to read and the files to write it to.
+
+    Attributes:
+        source: a file, or the folder of a sequence that has one file a frame.
+        targets: what to write; without those that are to be skipped, as they exist.
+        error: why it cannot even begin.
+    """
+
+    source: Path
+    targets: tuple[Path, ...] = ()
+    error: str | None = None
+
+
+def plan(
+    sources: Sequence[Path], out: Path, formats: Sequence[str] = (), *, existing: str = "refuse"
+) -> list[Job]:
+    """Which motion goes to which files.
+
+    `out` is a file where there is one source, no folder of motions, and `out` ends in the suffix
+    of a format. Otherwise it is a folder, filled with the `formats`; what is found in a folder
+    keeps its path within it.
+
+    Raises:
+        ConfigError: nothing to read, an unknown format, two sources for one target, a target that
+            is a source or leaves `out`, one that exists while `existing` is "refuse", or a folder
+            that nothing can be written to.
+    """
+    if existing not in EXISTING:
+        raise ConfigError(f"existing is {existing!r}; expected {', '.join(EXISTING)}")
+    if not sources:
+        raise ConfigError("nothing to convert; name a motion file or a folder of them")
+    unknown = [name for name in formats if name not in WRITABLE]
+    if unknown:
+        raise ConfigError(f"format {', '.join(unknown)}: known: {', '.join(WRITABLE)}")
+    if _is_file_name(out, sources, formats):
+        if formats and list(formats) != [out.suffix.lower()[1:]]:
+            raise ConfigError(
+                f"{out} is written as {out.suffix.lower()[1:]}, not {', '.join(formats)}; "
+                "give a folder to write several formats"
+            )
+        jobs = [Job(sources[0], (out,))]
+    else:
+        jobs = _into_folder(sources, out, formats)
+        _refuse_leaving(jobs, out)
+    _refuse_clashes(jobs)
+    jobs = _without_existing(jobs, existing)
+    _refuse_locked(jobs, out)
+    return jobs
+
+
+def motions_in(folder: Path, *, but: Path | None = None) -> Iterator[Path | OSError]:
+    """Motions below a folder, in order: files, and folders that are a sequence.
+
+    Hidden files and folders are passed over, and npz files of features and body models, and all
+    below `but`. Links to folders are followed once. A folder that cannot be opened gives its
+    OSError.
+    """
+    visited: set[tuple[int, int]] = set()
+    trouble: list[OSError] = []
+    for base, folders, files in os.walk(folder, onerror=trouble.append, followlinks=True):
+        yield from trouble
+        trouble.clear()
+        here = Path(base)
+        status = here.stat()
+        is_seen = (status.st_dev, status.st_ino) in visited
+        if is_seen or (but is not None and os.path.realpath(here) == os.path.realpath(but)):
+            folders.clear()
+            continue
+        visited.add((status.st_dev, status.st_ino))
+        if is_sequence(here):
+            yield here
+            folders[:] = [name for name in folders if name not in _SEQUENCES]
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(files):
+            path = here / name
+            if name.startswith(".") or path.suffix.lower() not in READABLE:
+                continue
+            if path.suffix.lower() != ".npz" or not (is_feature_file(path) or is_body_model(path)):
+                yield path
+    yield from trouble
+
+
+def is_sequence(path: Path) -> bool:
+    """Whether a folder is EasyMocap's: a file a frame with SMPL parameters, in it or in `smpl`."""
+    return any(_has_frames(folder) for folder in (path, *(path / name for name in _SEQUENCES)))
+
+
+def is_feature_file(path: Path) -> bool:
+    """Whether a file is an npz of features of sound, which may lie beside motion."""
+    return _has_keys(path, "values", "times", "spec")
+
+
+def is_body_model(path: Path) -> bool:
+    """Whether a file is an npz of a body's skin, no motion."""
+    return _has_keys(path, "v_template", "kintree_table")
+
+
+def _has_keys(path: Path, *keys: str) -> bool:
+    try:
+        with open_archive(path) as archive:
+            return all(key in archive for key in keys)
+    except FormatError:
+        return False  # whoever reads it says what is wrong with it
+
+
+def _has_frames(folder: Path) -> bool:
+    """Whether it holds 000000.json, ..., and the first of them has the keys of SMPL parameters.
+
+    Keypoints lie beside them, in files of the same names.
+    """
+    try:
+        frames = (path for path in folder.iterdir() if path.stem.isdecimal())
+        first = min((path for path in frames if path.suffix == ".json"), default=None)
+        if first is None or not first.is_file():
+            return False
+        with first.open("rb") as file:
+            start = file.read(_GLANCE)
+    except OSError:
+        return False
+    return b'"Rh"' in start or b'"poses"' in start
+
+
+def _is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> bool:
+    suffix = out.suffix.lower()[1:]
+    if out.is_dir():
+        return False
+    if len(sources) == 1 and (not sources[0].is_dir() or is_sequence(sources[0])):
+        if suffix in WRITABLE:
+            return True
+        if suffix and not formats:
+            raise ConfigError(
+                f"{out}: cannot write motion as .{suffix}; known: {', '.join(WRITABLE)}"
+            )
+    elif suffix in WRITABLE:
+        what = "a folder" if len(sources) == 1 else f"{len(sources)} inputs"
+        raise ConfigError(f"{out} is a file name, but {what} cannot become one file; name a folder")
+    if out.exists():
+        raise ConfigError(f"{out} is a file; give a folder to fill, or a name ending in .{suffix}")
+    return False
+
+
+def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> list[Job]:
+    if not formats:
+        raise ConfigError(
+            f"{out} is a folder: say what to write into it, such as --format npz "
+            f"(of {', '.join(WRITABLE)})"
+        )
+    jobs: dict[str, Job] = {}
+    for source in sources:
+        for path, key in _keyed(source, out):
+            if isinstance(path, OSError):
+                where = Path(path.filename or source)
+                jobs[str(where)] = Job(where, error=f"{where}: {path.strerror}")
+                continue
+            targets = tuple(out / f"{key}.{kind}" for kind in formats)
+            # A file that is named twice is converted once.
+            jobs.setdefault(os.path.realpath(path), Job(path, targets))
+    if not jobs:
+        raise ConfigError(
+            f"{sources[0]}: no motion in it; looked for {', '.join(READABLE)} and EasyMocap folders"
+        )
+    return list(jobs.values())
+
+
+def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
+    """Motions of a source, each with its path below `out`, without suffix."""
+    if not source.is_dir():
+        yield source, source.stem
+        return
+    if is_sequence(source):
+        yield source, source.resolve().name
+        return
+    inside = out if os.path.realpath(out) != os.path.realpath(source) else None
+    for path in motions_in(source, but=inside):
+        if isinstance(path, OSError):
+            yield path, ""
+        elif path.is_dir():
+            yield path, path.relative_to(source).as_posix()
+        else:
+            yield path, path.relative_to(source).with_suffix("").as_posix()
+
+
+def _refuse_clashes(jobs: Sequence[Job]) -> None:
+    sources = {os.path.realpath(job.source) for job in jobs}
+    taken: dict[str, Path] = {}
+    for job in jobs:
+        for target in job.targets:
+            where = os.path.realpath(target)
+            if where in sources:
+                raise ConfigError(f"{target} is one of the inputs; give another name or folder")
+            if where in taken:
+                raise ConfigError(
+                    f"{taken[where]} and {job.source} would both be written as {target}; "
+                    "convert them into different folders"
+                )
+            taken[where] = job.source
+
+
+def _refuse_leaving(jobs: Sequence[Job], out: Path) -> None:
+    """A link inside the folder must not lead writing out of it."""
+    inside = Path(os.path.realpath(out))
+    for job in jobs:
+        for target in job.targets:
+            if not Path(os.path.realpath(target.parent)).is_relative_to(inside):
+                raise ConfigError(f"{target} lies outside {out}: {target.parent} is a link")
+
+
+def _refuse_locked(jobs: Sequence[Job], out: Path) -> None:
+    """Known before hours of reading: the nearest folder that exists must be open for writing."""
+    if not any(job.targets for job in jobs):
+        return
+    folder = next(path for path in (out, *out.absolute().parents) if path.is_dir())
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise ConfigError(f"{out}: {folder} cannot be written to; give another place")
+
+
+def _without_existing(jobs: list[Job], existing: str) -> list[Job]:
+    there = [target for job in jobs for target in job.targets if os.path.lexists(target)]
+    if not there or existing == "replace":
+        return jobs
+    if existing == "refuse":
+        more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
+        verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
+        raise ConfigError(
+            f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already; --existing replace "
+            f"writes over {object_}, --existing skip leaves {object_}"
+        )
+    gone = set(there)
+    return [
+        Job(job.source, tuple(t for t in job.targets if t not in gone), job.error) for job in jobs
+    ]

@@ -1,0 +1,258 @@
+"""Converting motion: what is written where, what is changed, what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.changes import Changes, Rig, parse_trim
+from gesturekit.formats.conversion import Converted, convert
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Motion
+
+
+def outcomes(*arguments, **options) -> list[Converted]:
+    return list(convert(*arguments, **options))
+
+
+def written(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def take(gesture, tmp_path) -> Path:
+    """A BVH of two seconds at 30 fps."""
+    path = tmp_path / "take.bvh"
+    gesture(2.0).save(path)
+    return path
+
+
+@pytest.fixture
+def frames() -> list[dict]:
+    """Twelve frames of somebody who stands, as EasyMocap holds them."""
+    person = {"id": 3, "Rh": [[0.0, 0.0, 0.0]], "poses": [[0.01] * 72], "shapes": [[0.0] * 10]}
+    return [[person | {"Th": [[0.1 * k, 1.2, 0.0]]}] for k in range(12)]
+
+
+def write_frames(folder: Path, frames: list) -> Path:
+    folder.mkdir(parents=True)
+    for k, people in enumerate(frames):
+        (folder / f"{k:06d}.json").write_text(json.dumps(people))
+    return folder
+
+
+def smpl_motion(fps: float = 30.0, n_joints: int = 55, **more) -> Motion:
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (30, n_joints, 1))
+    return Motion(smpl_skeleton(n_joints), rotations, np.tile([0, 0.93, 0], (30, 1)), fps, **more)
+
+
+def test_one_file_to_another_format_and_back(take, tmp_path):
+    (done,) = outcomes(take, tmp_path / "a.npz")
+    assert (done.error, done.warnings, done.done) == (None, (), ())
+    assert done.files == (tmp_path / "a.npz",)
+    assert "cm, Y up" in done.found and "30 fps, 60 frames, 19 joints" in done.found
+    (back,) = outcomes(tmp_path / "a.npz", tmp_path / "b.bvh")
+    assert back.error is None
+    first, last = Motion.load(take), Motion.load(tmp_path / "b.bvh")
+    np.testing.assert_allclose(first.positions(), last.positions(), atol=1e-6)
+
+
+def test_a_folder_keeps_its_shape_and_one_broken_file_stops_nobody(gesture, frames, tmp_path):
+    folder, out = tmp_path / "takes", tmp_path / "out"
+    for name in ("a.bvh", "deep/er/b.b.bvh", "deep/c.npz", ".hidden/d.bvh", ".e.bvh"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        gesture(0.5).save(folder / name)
+    (folder / "broken.bvh").write_text("Dear diary,\n")
+    (folder / "notes.txt").write_text("not motion")
+    np.savez(folder / "smpl.npz", v_template=np.zeros((3, 3)), kintree_table=np.zeros((2, 1)))
+    np.savez(folder / "sound.npz", values=np.zeros((3, 2)), times=np.arange(3.0), spec="{}")
+    write_frames(folder / "capture" / "smpl", frames)
+    write_frames(folder / "capture" / "keypoints3d", [[{"id": 3, "keypoints3d": []}]])
+    done = {str(o.source.relative_to(folder)): o for o in outcomes(folder, out, formats=["bvh"])}
+    assert set(done) == {"a.bvh", "broken.bvh", "capture", "deep/c.npz", "deep/er/b.b.bvh"}
+    assert [name for name, outcome in done.items() if outcome.error] == ["broken.bvh"]
+    assert "broken.bvh:1" in done["broken.bvh"].error
+    assert written(out) == {"a.bvh", "capture.bvh", "deep/c.bvh", "deep/er/b.b.bvh"}
+    assert Motion.load(out / "capture.bvh").n_frames == 12
+
+
+def test_a_sequence_is_one_motion(frames, tmp_path):
+    for folder in (write_frames(tmp_path / "a" / "smpl", frames), tmp_path / "a"):
+        outcomes(folder, tmp_path / f"{folder.name}.bvh", read={"fps": 24})
+        motion = Motion.load(tmp_path / f"{folder.name}.bvh")
+        assert (motion.n_frames, motion.fps, motion.skeleton.n_joints) == (12, 24, 24)
+    (done,) = outcomes(tmp_path / "a", tmp_path / "b.npz", read={"person": 4})
+    assert "no person 4" in done.error and not done.files
+
+
+def test_results_among_the_inputs_are_not_converted_again(gesture, tmp_path):
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    gesture(0.5).save(folder / "a.bvh")
+    for _ in range(2):
+        outcomes(folder, folder / "npz", formats=["npz"], existing="replace")
+    assert written(folder) == {"a.bvh", "npz/a.npz"}
+
+
+def test_what_exists_is_not_written_over_unasked(take, tmp_path):
+    out = tmp_path / "out"
+    outcomes(take, out, formats=["npz"])
+    before = (out / "take.npz").read_bytes()
+    change = {"formats": ["npz", "bvh"], "changes": Changes(mirror=True)}
+    with pytest.raises(ConfigError, match=r"take\.npz exists already; --existing replace"):
+        outcomes(take, out, **change)
+    assert written(out) == {"take.npz"}
+    (done,) = outcomes(take, out, **change, existing="skip")
+    assert done.files == (out / "take.bvh",)
+    assert (out / "take.npz").read_bytes() == before
+    outcomes(take, out, **change, existing="replace")
+    assert (out / "take.npz").read_bytes() != before
+    (done,) = outcomes(take, out, **change, existing="skip")
+    assert (done.files, done.error) == ((), None)
+
+
+def test_a_dry_run_reads_and_writes_nothing(take, tmp_path):
+    (done,) = outcomes(take, tmp_path / "out", formats=["npz"], dry_run=True)
+    assert done.files == (tmp_path / "out" / "take.npz",) and "60 frames" in done.found
+    assert not (tmp_path / "out").exists()
+    (done,) = outcomes(take, tmp_path / "a.npz", dry_run=True, changes=Changes(joints=("Tail",)))
+    assert "no joint 'Tail'" in done.error and str(take) in done.error
+
+
+def test_what_cannot_start_is_refused_before_anything_is_written(take, gesture, tmp_path):
+    other = tmp_path / "other.bvh"
+    gesture(0.5).save(other)
+    (tmp_path / "empty").mkdir()
+    gesture(0.5).save(tmp_path / "take.npz")
+    before = written(tmp_path)
+    for sources, out, options, says in (
+        ([take, other], tmp_path / "x.bvh", {}, "2 inputs cannot become one file"),
+        ([take, other], other, {}, "2 inputs cannot become one file"),
+        ([tmp_path], tmp_path / "x.npz", {}, "a folder cannot become one file"),
+        (take, take, {"existing": "replace"}, "is one of the inputs"),
+        (take, tmp_path / "x.fbx", {}, "cannot write motion as .fbx"),
+        (take, tmp_path / "x", {}, "say what to write into it, such as --format npz"),
+        (take, other, {"formats": ["npz"]}, "is written as bvh, not npz"),
+        (take, tmp_path / "x", {"formats": ["fbx"]}, "format fbx: known: bvh"),
+        (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "no motion in it"),
+        ([], tmp_path / "x", {"formats": ["bvh"]}, "nothing to convert"),
+        (tmp_path, tmp_path / "x", {"formats": ["npz"]}, "would both be written as"),
+        (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "unit is an option of .bvh"),
+        (take, tmp_path / "x.npz", {"read": {"person": 2}}, "person is an option of"),
+        (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "body_model is an option of"),
+        (take, tmp_path / "x.npz", {"existing": "ask"}, "existing is 'ask'"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            outcomes(sources, out, **options)
+    assert written(tmp_path) == before
+
+
+def test_links_do_not_lead_out_of_the_folder(gesture, tmp_path):
+    folder, out, elsewhere = tmp_path / "takes", tmp_path / "out", tmp_path / "elsewhere"
+    for path in (folder / "a", out, elsewhere):
+        path.mkdir(parents=True)
+    gesture(0.5).save(folder / "a" / "b.bvh")
+    (folder / "a" / "loop").symlink_to(folder)
+    (out / "a").symlink_to(elsewhere)
+    with pytest.raises(ConfigError, match="lies outside"):
+        outcomes(folder, out, formats=["npz"])
+    assert not written(elsewhere)
+    (out / "a").unlink()
+    assert len(outcomes(folder, out, formats=["npz"])) == 1
+
+
+def test_pipes_and_missing_files_are_told(tmp_path):
+    os.mkfifo(tmp_path / "pipe.bvh")
+    for name, says in (("pipe.bvh", "not a regular file"), ("none.bvh", "none.bvh")):
+        (done,) = outcomes(tmp_path / name, tmp_path / "x.npz")
+        assert says in done.error and not done.files
+
+
+def test_changes_are_made_in_order(take, tmp_path):
+    changes = Changes(trim=(0.5, 1.25), mirror=True, joints="body", fps=60.0)
+    (done,) = outcomes(take, tmp_path / "a.npz", changes=changes)
+    assert done.error is None
+    assert "; ".join(done.done) == ("cut to 0.77 s; mirrored; 30 to 60 fps"), (
+        "1.25 s lies on frame 37.5, which rounds up"
+    )
+    motion, source = Motion.load(tmp_path / "a.npz"), Motion.load(take)
+    assert (motion.n_frames, motion.fps) == (46, 60.0)
+    left, right = (source.skeleton.index(f"{side}Hand") for side in ("Left", "Right"))
+    expected = source.positions()[15:38, left] * [-1, 1, 1]
+    np.testing.assert_allclose(motion.positions()[::2, right], expected, atol=1e-9)
+
+
+def test_the_rate_can_be_set_right(take, tmp_path):
+    outcomes(take, tmp_path / "a.npz", read={"fps": 60}, changes=Changes(fps=30))
+    motion = Motion.load(tmp_path / "a.npz")
+    assert (motion.n_frames, motion.fps) == (30, 30.0)
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("2:10.5", (2, 10.5)), (":3", (0, 3)), ("1:", None)])
+def test_trim_is_written_in_seconds(text, seconds):
+    assert parse_trim(text) == (seconds or (1.0, float("inf")))
+
+
+@pytest.mark.parametrize("text", ["", ":", "3", "3:2", "2:2", "-1:4", "a:b", "1:2:3", "nan:inf"])
+def test_other_trims_are_refused(text):
+    with pytest.raises(ConfigError, match="trim"):
+        parse_trim(text)
+
+
+def test_trimming_everything_away_is_an_error(take, tmp_path):
+    (done,) = outcomes(take, tmp_path / "a.npz", changes=Changes(trim=(5.0, 6.0)))
+    assert "a motion of 2 s" in done.error and str(take) in done.error
+
+
+def test_another_rig_of_the_smpl_family_and_its_keys(tmp_path):
+    smpl_motion(n_joints=24).save(tmp_path / "a.npz")
+    outcomes(tmp_path / "a.npz", tmp_path / "b.npz", changes=Changes(rig=Rig.load("smplh")))
+    with np.load(tmp_path / "b.npz") as file:
+        assert file["poses"].shape == (30, 156) and len(file["names"]) == 52
+
+
+def test_joints_that_have_to_move_are_told(take, tmp_path):
+    names = ("Hips", "Chest", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm")
+    (done,) = outcomes(take, tmp_path / "a.bvh", changes=Changes(joints=names))
+    assert "Chest, LeftForeArm, RightArm: a joint above was cut" in done.warnings[0]
+    cut, whole = Motion.load(tmp_path / "a.bvh"), Motion.load(take)
+    hand = [m.positions()[:, m.skeleton.index("LeftHand")] for m in (cut, whole)]
+    np.testing.assert_allclose(*hand, atol=1e-6)
+
+
+def test_a_rig_from_a_file(take, shared_data, tmp_path):
+    avatar = shared_data / "motion/bandai/dataset-1_bye_old_001.bvh"
+    (done,) = outcomes(take, tmp_path / "a.bvh", changes=Changes(rig=Rig.load(str(avatar))))
+    assert (done.error, done.done) == (None, (f"on {avatar.name}, 22 joints",))
+    assert Motion.load(tmp_path / "a.bvh").skeleton.names == Motion.load(avatar).skeleton.names
+    with pytest.raises(FormatError, match="one of smpl, smplh, smplx"):
+        Rig.load("smplz")
+
+
+def test_what_a_format_does_not_hold_is_told(tmp_path):
+    motion = smpl_motion(25.0, expressions=np.ones((30, 100)), info={"betas": np.ones(10)})
+    motion.save(tmp_path / "a.npz")
+    (bvh,) = outcomes(tmp_path / "a.npz", tmp_path / "a.bvh")
+    assert [w for w in bvh.warnings if "no face expressions and no body shape (betas)" in w]
+    (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "b.npz")
+    assert [w for w in npz.warnings if "--fps 30" in w] and len(npz.warnings) == 1
+    (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "c.npz", changes=Changes(fps=30))
+    assert npz.warnings == ()
+
+
+def test_a_mesh_needs_its_model(capsule_body, tmp_path):
+    smpl_motion(n_joints=24).save(tmp_path / "a.npz")
+    (done,) = outcomes(tmp_path / "a.npz", tmp_path / "a.obj")
+    assert "--body-model" in done.error
+    np.savez(tmp_path / "model.npz", **capsule_body(24))
+    (done,) = outcomes(tmp_path / "a.npz", tmp_path / "a.obj", body_model=tmp_path / "model.npz")
+    assert done.error is None and (tmp_path / "a.obj").read_text().startswith("v ")
+    outcomes(tmp_path / "a.npz", tmp_path / "limbs.html")
+    outcomes(tmp_path / "a.npz", tmp_path / "skin.html", body_model=tmp_path / "model.npz")
+    sizes = [(tmp_path / f"{name}.html").stat().st_size for name in ("limbs", "skin")]
+    assert sizes[1] > sizes[0] + 10_000
