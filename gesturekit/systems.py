@@ -44,6 +44,14 @@ def bundled_speech() -> Path:
     return _BUNDLED / "demo" / "speech.wav"
 
 
+def model_folder(model: str | Path) -> Path:
+    """The folder that a bundled name or a path stands for.
+
+    A bundled name wins over a folder that happens to be called so; ./demo means the folder.
+    """
+    return _BUNDLED / str(model) if str(model) in bundled_models() else Path(model)
+
+
 def load(model: str | Path, *, weights: str | Path | None = None) -> Any:
     """Load a model.
 
@@ -58,16 +66,12 @@ def load(model: str | Path, *, weights: str | Path | None = None) -> Any:
         ModelError: there is no such model, or it cannot be read.
         WeightsError: the model needs weights, or other weights.
     """
-    # A bundled name wins over a folder that happens to be called so; ./demo means the folder.
-    if str(model) in bundled_models():
-        folder = _BUNDLED / str(model)
-    else:
-        folder = Path(model)
-        if not folder.is_dir():
-            raise ModelError(
-                f"{model}: neither a model folder nor a bundled model "
-                f"({', '.join(bundled_models()) or 'none is bundled'})"
-            )
+    folder = model_folder(model)
+    if not folder.is_dir():
+        raise ModelError(
+            f"{model}: neither a model folder nor a bundled model "
+            f"({', '.join(bundled_models()) or 'none is bundled'})"
+        )
     try:
         kind = read_yaml(folder / "config.yaml").get("kind")
     except ConfigError as error:

@@ -108,7 +108,9 @@ def _find(
     problems += pairing.problems
     # A folder may be given both ways: what it has left after pairing is then used alone.
     seen -= {absolute(file.path) for file in [*pairing.speech, *pairing.motion]}
-    speech = [file for folder in unpaired for file in new_files(folder) if file.is_speech]
+    speech = [file for folder in unpaired for file in new_files(folder)]
+    seen -= {absolute(file.path) for file in speech if not file.is_speech}
+    speech = [file for file in speech if file.is_speech]
     motion = [file for folder in unpaired_motion for file in new_files(folder)]
     motion = [file for file in motion if not file.is_speech]
 

@@ -1,0 +1,167 @@
+"""What a corpus holds: a manifest, or a folder of recordings that has none yet."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from gesturekit.corpus.manifest import SPLITS, Item, Manifest
+from gesturekit.corpus.preparation import prepare
+from gesturekit.corpus.problem import printed
+from gesturekit.errors import CorpusError, GestureKitError
+from gesturekit.inspection.sheet import Sheet, counted, listed, span
+from gesturekit.motion.motion import Motion
+
+_SHOWN = 5
+
+
+def inspect_manifest(path: Path) -> Sheet:
+    """A manifest, by what it says and by whether its files are there; none but the first motion
+    is read.
+
+    Raises:
+        CorpusError: it cannot be read.
+    """
+    manifest = Manifest.load(path)
+    groups = {
+        "paired": manifest.paired(),
+        "speech_alone": manifest.unpaired(),
+        "motion_alone": manifest.motion_alone(),
+    }
+    facts: dict[str, Any] = {
+        "path": str(path),
+        "items": len(manifest),
+        "seconds": sum(item.duration for item in manifest),
+        "splits": {name: _by_split(items) for name, items in groups.items()},
+        "speakers": _counts(item.speaker for item in manifest),
+        "styles": _counts(item.style for item in manifest),
+        "mirrored": sum(item.mirror for item in manifest),
+        "conditions": _counts(name for item in manifest for name in item.conditions),
+    }
+    rows = [
+        (name.replace("_", " "), _amount(items)) for name, items in groups.items() if len(items)
+    ]
+    for name in ("speakers", "styles", "conditions"):
+        if facts[name]:
+            shown = [f"{value} ({count})" for value, count in facts[name].items()]
+            rows.append((name, listed(shown, 12)))
+        elif name != "conditions":
+            rows.append((name, "none named"))
+    if facts["mirrored"]:
+        rows.append(("mirrored", counted(facts["mirrored"], "item")))
+    rig, trouble = _rig(manifest)
+    if rig:
+        facts["rig"] = rig
+        rows.append(("rig", f"{rig['joints']} joints, {rig['fps']:.6g} fps (of {rig['of']})"))
+    return Sheet(
+        kind="corpus",
+        title=f"{path}: corpus, {counted(len(manifest), 'item')}, {span(facts['seconds'])}",
+        facts=facts,
+        rows=tuple(rows),
+        problems=(*_missing(manifest), *_leaks(manifest), *trouble),
+    )
+
+
+def inspect_recordings(
+    folder: Path, *, progress: Callable[[list[Any]], Iterable[Any]] = iter
+) -> Sheet:
+    """A folder of recordings: what `gesturekit prepare` would find in it. All are read.
+
+    Raises:
+        CorpusError: there is no recording in it.
+    """
+    report = prepare(
+        [folder], unpaired=[folder], unpaired_motion=[folder], holdout=0.0, progress=progress
+    )
+    if not report.manifest.items and not report.problems:
+        raise CorpusError(f"{folder}: no recordings in it, neither motion nor sound")
+    manifest = report.manifest
+    seconds = sum(item.duration for item in manifest)
+    facts = {
+        "path": str(folder),
+        "items": len(manifest),
+        "seconds": seconds,
+        "paired": len(manifest.paired()),
+        "speech_alone": len(manifest.unpaired()),
+        "motion_alone": len(manifest.motion_alone()),
+        "frame_rates": _counts(r.fps for r in report.recordings),
+        "joints": _counts(r.skeleton and r.skeleton.n_joints for r in report.recordings),
+        "sample_rates": _counts(r.sample_rate for r in report.recordings),
+    }
+    # A line of the table is a label of 13 columns and a text; no split is made before `prepare`
+    # makes it, and labels are given there.
+    rows = [(line[:13].strip(), line[13:].strip()) for line in report.table()]
+    rows = [(name, text.split(": train")[0]) for name, text in rows]
+    rows = [row for row in rows if row[0] not in ("speakers", "styles")]
+    return Sheet(
+        kind="corpus",
+        title=f"{folder}: recordings, {counted(len(manifest), 'item')}, {span(seconds)}",
+        facts=facts,
+        rows=tuple(rows),
+        problems=tuple(printed(dict.fromkeys(report.problems))),
+    )
+
+
+def _by_split(items: Sequence[Item]) -> dict[str, dict[str, float]]:
+    return {
+        split: {
+            "items": len(chosen),
+            "seconds": sum(item.duration for item in chosen),
+        }
+        for split in SPLITS
+        if (chosen := [item for item in items if item.split == split])
+    }
+
+
+def _amount(items: Sequence[Item]) -> str:
+    parts = [
+        f"{split} {int(part['items'])} ({span(part['seconds'])})"
+        for split, part in _by_split(items).items()
+    ]
+    total = span(sum(item.duration for item in items))
+    return f"{counted(len(items), 'item')}, {total}: {', '.join(parts)}"
+
+
+def _counts(values: Iterable[Any]) -> dict[str, int]:
+    known = Counter(str(value) for value in values if value is not None)
+    return dict(sorted(known.items(), key=lambda entry: (-entry[1], entry[0])))
+
+
+def _rig(manifest: Manifest) -> tuple[dict[str, Any], list[str]]:
+    """The skeleton that the first motion has; and why that cannot be read."""
+    item = next((item for item in manifest if item.motion and item.motion.is_file()), None)
+    if item is None:
+        return {}, []
+    try:
+        motion = Motion.load(item.motion)
+    except GestureKitError as error:
+        return {}, [str(error)]
+    names = list(motion.skeleton.names)
+    return {"joints": len(names), "names": names, "fps": motion.fps, "of": item.id}, []
+
+
+def _files(item: Item) -> Iterator[Path]:
+    yield from (path for path in (item.audio, item.motion) if path is not None)
+    yield from item.conditions.values()
+
+
+def _missing(manifest: Manifest) -> Iterator[str]:
+    gone = sorted({str(path) for item in manifest for path in _files(item) if not path.is_file()})
+    if gone:
+        yield f"{counted(len(gone), 'file')} missing: {listed(gone, _SHOWN)}"
+
+
+def _leaks(manifest: Manifest) -> Iterator[str]:
+    """Stretches of one file that stand in two splits: what is held out would be trained on."""
+    stretches: dict[Path, list[tuple[float, float, str, str]]] = defaultdict(list)
+    for item in manifest:
+        for path, start in ((item.audio, item.audio_start), (item.motion, item.motion_start)):
+            if path is not None:
+                stretches[path].append((start, start + item.duration, item.split, item.id))
+    for path, pieces in stretches.items():
+        pieces.sort()
+        for (_, end, split, name), (start, _, other, second) in zip(pieces, pieces[1:]):
+            if start < end - 1e-3 and split != other:
+                yield f"{path} is in {split} ({name}) and in {other} ({second}) at {start:.2f} s"

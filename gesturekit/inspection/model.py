@@ -1,0 +1,121 @@
+"""What a model is: read from its folder, without its networks and without WavLM."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+
+from gesturekit.errors import ConfigError, GestureKitError, ModelError
+from gesturekit.inspection.sheet import Sheet, counted, listed, size
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.training.config import read_yaml
+
+_NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
+_TOLD = {"Kind", "Motion", "Hears"}
+
+
+def inspect_model(folder: Path) -> Sheet:
+    """A model folder.
+
+    Raises:
+        ModelError: a part of it is missing or damaged.
+    """
+    try:
+        config = read_yaml(folder / "config.yaml")
+        rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
+        skeleton = Skeleton.from_json(rig["skeleton"])
+        shapes = _tensors(folder / "model.safetensors")
+        fps, joints, features = float(config["fps"]), list(config["joints"]), config["features"]
+    except FileNotFoundError as error:
+        # safetensors does not say which file it missed.
+        missing = Path(error.filename or "model.safetensors").name
+        raise ModelError(f"{folder}: the model lacks {missing}") from None
+    except (ConfigError, GestureKitError) as error:
+        raise ModelError(f"{folder}: {error}") from None
+    except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
+        raise ModelError(f"{folder}: the model is damaged ({error!r})") from None
+    if not isinstance(features, dict):
+        raise ModelError(f"{folder / 'config.yaml'}: features is {features!r}, expected a mapping")
+    weights = {name: shape for name, shape in shapes.items() if name.startswith("network.")}
+    facts: dict[str, Any] = {
+        "path": str(folder),
+        "format": config.get("format"),
+        "model_kind": config.get("kind"),
+        "fps": fps,
+        "joints": joints,
+        "skeleton": list(skeleton.names),
+        "features": features,
+        "network": config.get("network", {}),
+        "parameters": sum(math.prod(shape) for shape in weights.values()),
+        "bytes": sum(file.stat().st_size for file in folder.iterdir() if file.is_file()),
+        "speakers": sorted(rig.get("speakers", {})),
+        "notes": _notes(folder / "README.md"),
+    }
+    return Sheet(
+        kind="model",
+        title=f"{folder}: model, {facts['model_kind']}, format {facts['format']}, "
+        f"{size(facts['bytes'])}",
+        facts=facts,
+        rows=tuple(_rows(facts, skeleton)),
+    )
+
+
+def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
+    still = [name for name in skeleton.names if name not in set(facts["joints"])]
+    rows = [
+        (
+            "moves",
+            f"{len(facts['joints'])} of {counted(skeleton.n_joints, 'joint')} at "
+            f"{facts['fps']:.6g} fps" + (f"; not {listed(still, 4)}" if still else ""),
+        ),
+        ("hears", _hears(facts["features"].get("spec"))),
+        ("network", _settings(facts["network"])),
+        ("parameters", f"{facts['parameters']:,}"),
+    ]
+    if facts["speakers"]:
+        rows.append(("speakers", listed(facts["speakers"], 12)))
+    rows += [(k.lower(), v) for k, v in facts["notes"].items() if k not in _TOLD]
+    return rows
+
+
+def _hears(spec: Any) -> str:
+    """The features in words: "logmel (n_mels 24), prosody"."""
+    if not isinstance(spec, dict):
+        return "nothing" if spec is None else str(spec)
+    if spec.get("kind") == "stack":
+        return ", ".join(map(_hears, spec.get("parts", ())))
+    settings = ", ".join(f"{key} {value}" for key, value in spec.items() if key != "kind")
+    return f"{spec.get('kind')}" + (f" ({settings})" if settings else "")
+
+
+def _settings(values: Any) -> str:
+    if not isinstance(values, dict):
+        return str(values)
+    return ", ".join(f"{key} {_value(value)}" for key, value in values.items())
+
+
+def _value(value: Any) -> str:
+    return "-".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _tensors(path: Path) -> dict[str, list[int]]:
+    """Names and shapes, from the header alone."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return {name: file.get_slice(name).get_shape() for name in file.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise ModelError(f"{path.name} is damaged: {error}") from None
+
+
+def _notes(readme: Path) -> dict[str, str]:
+    """What the README says of the training; nothing where there is none."""
+    try:
+        text = readme.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return {}
+    return {match[1]: match[2] for match in map(_NOTE.fullmatch, text.splitlines()) if match}

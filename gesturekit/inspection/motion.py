@@ -1,0 +1,244 @@
+"""What a motion is: its rig with the parts of the body marked, its axes, rate, and how it moves."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
+from gesturekit.errors import MotionError
+from gesturekit.formats.conversion import axes_in_words, load
+from gesturekit.inspection.sheet import Sheet, counted, listed, size, span
+from gesturekit.inspection.tree import tree
+from gesturekit.motion.contacts import contact_labels, foot_points
+from gesturekit.motion.defects import find_jumps, find_pops, frozen_runs, jitter_share
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import SIDES, part_labels
+from gesturekit.motion.rotations import rotation_angles
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.viewer.figure import Figure
+
+_STILL = np.deg2rad(0.5)
+"""A joint that never turns further from where it is at first does not move."""
+
+
+def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **options: Any) -> Sheet:
+    """A motion file, or a folder with one file a frame.
+
+    Args:
+        path: what `Motion.load` reads.
+        parts: joints named by hand, {"left_elbow": "Joint12"}.
+        options: of the reader, such as `up`.
+
+    Raises:
+        FormatError: it cannot be read.
+        MotionError: `parts` names a joint that is not there.
+    """
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        motion = load(path, options, parts)
+    skeleton = motion.skeleton
+    labels, riddle = _labels(skeleton)
+    figure = Figure.of(motion)
+    facts = {
+        "path": str(path),
+        "format": "EasyMocap" if path.is_dir() else path.suffix.lower()[1:],
+        "bytes": _bytes(path),
+        "frames": motion.n_frames,
+        "fps": motion.fps,
+        "seconds": motion.duration,
+        **{
+            key: motion.info[key]
+            for key in ("unit", "up", "forward", "guessed")
+            if key in motion.info
+        },
+        "facing_degrees": np.rad2deg(figure.front),
+        "height": figure.height,
+        "joints": list(skeleton.names),
+        "parts": labels,
+        **_movement(motion, figure, labels),
+        **_feet(motion, labels),
+    }
+    problems = [str(warning.message) for warning in said]
+    problems += [*([riddle] if riddle else []), *_defects(motion)]
+    return Sheet(
+        kind="motion",
+        title=f"{path}: motion, {facts['format']}, {size(facts['bytes'])}",
+        facts=facts,
+        rows=tuple(_rows(motion, facts, labels)),
+        drawing=partial(tree, skeleton, labels),
+        problems=tuple(problems),
+    )
+
+
+def _labels(skeleton: Skeleton) -> tuple[dict[str, str], str | None]:
+    """What each joint is, and why that cannot be told where it cannot."""
+    try:
+        return part_labels(skeleton), None
+    except MotionError as error:
+        if skeleton.parts:
+            raise
+        return {}, f"{error}; here: --part left_elbow=JOINT"
+
+
+def _movement(motion: Motion, figure: Figure, labels: Mapping[str, str]) -> dict[str, Any]:
+    skeleton = motion.skeleton
+    turned = rotation_angles(motion.rotations[:1], motion.rotations).max(axis=0) > _STILL
+    travelling = [skeleton.names[0]] if np.ptp(motion.translation, axis=0).max() > 1e-4 else []
+    travelling += motion.joint_translations
+    body = next((name for name in skeleton.names if labels.get(name) == "pelvis"), None)
+    body = body or (travelling or skeleton.names)[0]
+    ground = motion.positions()[:, skeleton.index(body)][:, [0, 2]]
+    return {
+        "turning_joints": [name for name, moves in zip(skeleton.names, turned) if moves],
+        "travelling_joints": travelling,
+        "path_length": float(np.linalg.norm(np.diff(ground, axis=0), axis=1).sum()),
+        "displacement": float(np.linalg.norm(ground[-1] - ground[0])),
+        "hand_speed_mean": float(figure.hand_speed.mean()),
+        "hand_speed_max": float(figure.hand_speed.max()),
+    }
+
+
+def _feet(motion: Motion, labels: Mapping[str, str]) -> dict[str, Any]:
+    """Share of the frames in which a foot of each side stands; nothing where feet are unknown."""
+    try:
+        points = foot_points(motion.skeleton)
+    except MotionError:
+        return {}
+    contacts = contact_labels(motion)
+    sides = np.array([labels.get(point.joint, "").partition(" ")[0] for point in points])
+    shares = {
+        side: float(contacts[:, sides == side].any(axis=1).mean())
+        for side in SIDES
+        if side in sides
+    }
+    return {"contact_share": shares}
+
+
+def _defects(motion: Motion) -> list[str]:
+    found = []
+    if jumps := find_jumps(motion):
+        found.append(
+            f"{counted(len(jumps.frames), 'jump')}, the fastest {jumps.speed:.0f} m/s of "
+            f"{jumps.joint}: {_at(jumps.frames, motion.fps)}"
+        )
+    if pops := find_pops(motion):
+        far = f", the largest {np.rad2deg(pops.angle):.0f}° of" if pops.angle else " of"
+        found.append(
+            f"{counted(len(pops.frames), 'pop')} away and back{far} {pops.joint}: "
+            f"{_at(pops.frames, motion.fps)}"
+        )
+    if (share := jitter_share(motion)) > MAX_JITTER_SHARE:
+        found.append(f"joints tremble from frame to frame in {100 * share:.0f} % of the time")
+    for first, stop in frozen_runs(motion):
+        found.append(
+            f"nothing moves from {first / motion.fps:.2f} to {stop / motion.fps:.2f} s "
+            f"(frames {first} to {stop - 1})"
+        )
+    start, end = reference_pose(motion)
+    if start == motion.n_frames > 1:
+        found.append("it is in its rest pose or a T-pose all the time")
+    elif start or end:
+        where = [f"the first {counted(start, 'frame')}"] if start else []
+        where += [f"the last {counted(end, 'frame')}"] if end else []
+        found.append(f"rest pose or T-pose: {' and '.join(where)}")
+    return found
+
+
+def _at(frames: Sequence[int], fps: float, most: int = 4) -> str:
+    more = f" and {len(frames) - most} more" if len(frames) > most else ""
+    shown = ", ".join(f"{frame} ({frame / fps:.2f} s)" for frame in frames[:most])
+    return f"frame{'s' * (len(frames) > 1)} {shown}{more}"
+
+
+def _rows(
+    motion: Motion, facts: Mapping[str, Any], labels: Mapping[str, str]
+) -> list[tuple[str, str]]:
+    skeleton, info = motion.skeleton, motion.info
+    rows = [
+        (
+            "time",
+            f"{span(motion.duration)}: {counted(motion.n_frames, 'frame')} at {motion.fps:.6g} fps"
+            + (f" (Frame Time: {info['frame_time']})" if "frame_time" in info else ""),
+        ),
+        ("axes", _axes(facts)),
+        ("body", f"{facts['height']:.2f} m from sole to crown, {_counted(skeleton, labels)}"),
+        ("moves", _moves(motion, facts)),
+    ]
+    if facts["format"] == "bvh":
+        rows.insert(3, ("channels", _channels(motion)))
+    if motion.n_frames > 1:
+        who = "both together, relative to the root" if labels else "mean of all joints"
+        rows.append(
+            (
+                "hands" if labels else "speed",
+                f"{facts['hand_speed_mean']:.2f} m/s on average, {facts['hand_speed_max']:.2f} "
+                f"at most ({who})",
+            )
+        )
+    if facts.get("contact_share"):
+        shares = ", ".join(f"{k} {100 * v:.0f} %" for k, v in facts["contact_share"].items())
+        rows.append(("feet", f"stand still (heel or toe below 0.2 m/s): {shares} of the frames"))
+    if info.get("renamed"):
+        pairs = [f"{new} (was {old})" for new, old in info["renamed"].items()]
+        rows.append(("renamed", f"names that repeat: {listed(pairs)}"))
+    return rows
+
+
+def _axes(facts: Mapping[str, Any]) -> str:
+    """Of the file, and where the body faces once it is read."""
+    words = axes_in_words(facts, " (guessed)")
+    turn = facts["facing_degrees"]
+    side = ("+Z", "+X", "-Z", "-X")[round(turn / 90) % 4]
+    words.append(f"the body faces {side} ({turn:.0f}° about Y) on average")
+    return ", ".join(words)
+
+
+def _counted(skeleton: Skeleton, labels: Mapping[str, str]) -> str:
+    kinds = Counter(labels.get(name, "") for name in skeleton.names)
+    n_ends = sum(map(len, skeleton.end_sites.values()))
+    words = [counted(skeleton.n_joints, "joint")]
+    words += [
+        f"{kinds[kind]} {plural}"
+        for kind, plural in (("finger", "of fingers"), ("face", "of the face"), ("end", "ends"))
+        if kinds[kind]
+    ]
+    return ", ".join([*words, *([counted(n_ends, "end site")] if n_ends else [])])
+
+
+def _channels(motion: Motion) -> str:
+    orders = Counter(motion.skeleton.rotation_orders).most_common()
+    others = "".join(f", {order} on {counted(n, 'joint')}" for order, n in orders[1:])
+    moving = [motion.skeleton.names[0], *motion.joint_translations]
+    return f"angles {orders[0][0]}{others}; positions of {listed(moving, 4)}"
+
+
+def _moves(motion: Motion, facts: Mapping[str, Any]) -> str:
+    names, turning = motion.skeleton.names, set(facts["turning_joints"])
+    still = [name for name in names if name not in turning]
+    words = [f"{len(turning)} of {len(names)} joints turn"]
+    if still and turning:
+        words[0] += f" (not {listed(still, 4)})"
+    travelling = facts["travelling_joints"]
+    if travelling:
+        words.append(
+            f"{listed(travelling, 4)} change{'s' if len(travelling) == 1 else ''} place; the body "
+            f"goes {facts['path_length']:.1f} m and ends {facts['displacement']:.1f} m from where "
+            "it began"
+        )
+    else:
+        words.append("nothing changes place")
+    return "; ".join(words)
+
+
+def _bytes(path: Path) -> int:
+    if path.is_dir():
+        return sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+    return path.stat().st_size

@@ -1,0 +1,138 @@
+"""Telling what a path is, and having it inspected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gesturekit.corpus.pairing import MOTION_SUFFIXES, SPEECH_SUFFIXES, scan
+from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.sources import is_body_model, is_feature_file, is_sequence
+from gesturekit.inspection.sheet import Sheet
+from gesturekit.systems import bundled_models, model_folder
+from gesturekit.training.config import read_yaml
+
+SOUND_SUFFIXES = (*SPEECH_SUFFIXES, ".aiff", ".aif", ".opus", ".m4a", ".w64", ".au")
+_BEGINNINGS = {
+    b"HIERARCHY": "a BVH file",
+    b"RIFF": "a wav file",
+    b"fLaC": "a flac file",
+    b"OggS": "an ogg file",
+    b"PK\x03\x04": "a zip or npz file",
+}
+_KNOWN = (
+    "motion (.bvh, .npz, EasyMocap folders), sound (.wav, .flac, ...), feature files (.npz), "
+    "manifests (.jsonl), model, run and corpus folders"
+)
+
+
+def inspect(
+    path: str | Path,
+    *,
+    parts: Mapping[str, str] | None = None,
+    read: Mapping[str, Any] | None = None,
+    progress: Callable[[list[Any]], Iterable[Any]] = iter,
+) -> Sheet:
+    """What a file, a folder, or a bundled model is.
+
+    Args:
+        path: motion, sound, features, model (folder or bundled name), corpus (manifest or folder
+            of recordings), or run.
+        parts: for motion: joints named by hand, {"left_elbow": "Joint12"}.
+        read: for motion: options of its reader, such as `up`.
+        progress: wraps the list of a folder's recordings while they are read, as tqdm does.
+
+    Raises:
+        GestureKitError: it is none of these, or broken.
+        AudioFeaturesError: a sound or feature file that is broken.
+    """
+    kind = kind_of(path)
+    if kind == "motion":
+        from gesturekit.inspection.motion import inspect_motion
+
+        return inspect_motion(Path(path), parts=parts, **dict(read or {}))
+    if parts or read:
+        raise ConfigError(f"{path}: a {kind}; only motion has parts, axes and units")
+    if kind == "model":
+        from gesturekit.inspection.model import inspect_model
+
+        return inspect_model(model_folder(path))
+    if kind == "run":
+        from gesturekit.inspection.run import inspect_run
+
+        return inspect_run(Path(path))
+    if kind == "audio":
+        from gesturekit.inspection.audio import inspect_audio
+
+        return inspect_audio(Path(path))
+    if kind == "features":
+        from gesturekit.inspection.features import inspect_features
+
+        return inspect_features(Path(path))
+    from gesturekit.inspection.corpus import inspect_manifest, inspect_recordings
+
+    if Path(path).is_dir():
+        return inspect_recordings(Path(path), progress=progress)
+    return inspect_manifest(Path(path))
+
+
+def kind_of(path: str | Path) -> str:
+    """motion, audio, features, model, corpus or run.
+
+    Raises:
+        FormatError: none of these.
+    """
+    if str(path) in bundled_models():
+        return "model"
+    path = Path(path)
+    if path.is_dir():
+        return _kind_of_folder(path)
+    if not path.exists():
+        raise FormatError(
+            f"{path}: no such file or folder, and no bundled model ({', '.join(bundled_models())})"
+        )
+    if not path.is_file():
+        raise FormatError(f"{path}: not a regular file")
+    suffix = path.suffix.lower()
+    if suffix == ".npz" and is_feature_file(path):
+        return "features"
+    if suffix == ".npz" and is_body_model(path):
+        raise FormatError(
+            f"{path}: a body model of the SMPL family; give it as --body-model with a motion"
+        )
+    if suffix in (*MOTION_SUFFIXES, ".json"):
+        if suffix == ".bvh" and (like := _beginning(path)) and "BVH" not in like:
+            raise FormatError(f"{path}: {like}")
+        return "motion"
+    if suffix in SOUND_SUFFIXES:
+        return "audio"
+    if suffix == ".jsonl":
+        return "corpus"
+    if (path.parent / "config.yaml").is_file() and suffix in (".yaml", ".safetensors", ".jsonl"):
+        raise FormatError(f"{path}: part of a model or a run; inspect its folder, {path.parent}")
+    raise FormatError(f"{path}: {_beginning(path) or 'not known'}; gesturekit knows {_KNOWN}")
+
+
+def _kind_of_folder(folder: Path) -> str:
+    if (folder / "config.yaml").is_file():
+        return "model" if "kind" in read_yaml(folder / "config.yaml") else "run"
+    if is_sequence(folder):
+        return "motion"
+    found, _ = scan(folder)
+    if found:
+        return "corpus"
+    raise FormatError(f"{folder}: a folder with nothing of gesturekit in it; it knows {_KNOWN}")
+
+
+def _beginning(path: Path) -> str:
+    """What a file of another suffix looks like inside."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(16)
+    except OSError as error:
+        return str(error.strerror)
+    for mark, what in _BEGINNINGS.items():
+        if start.startswith(mark):
+            return f"looks like {what} inside; give it the suffix of one"
+    return ""

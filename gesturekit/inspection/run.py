@@ -1,0 +1,115 @@
+"""What has become of a training run."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.inspection.sheet import Sheet, listed, size, span
+from gesturekit.training.checkpoint import Checkpoints
+from gesturekit.training.config import read_yaml
+
+_ALIVE = 120.0
+"""Seconds: a run that has written later than that may still be at it."""
+_SETTINGS = ("system", "corpus", "fps", "joints", "seed", "device", "precision")
+
+
+def inspect_run(folder: Path) -> Sheet:
+    """A run folder.
+
+    Raises:
+        ModelError: its configuration cannot be read.
+    """
+    try:
+        config = read_yaml(folder / "config.yaml")
+    except ConfigError as error:
+        raise ModelError(f"not a run folder: {error}") from None
+    checkpoints = Checkpoints(folder / "checkpoints")
+    steps = checkpoints.steps()
+    logged = _metrics(folder / "metrics.jsonl")
+    last = logged[-1] if logged else {}
+    written = [folder / "config.yaml", folder / "metrics.jsonl"]
+    written += [checkpoints.path(step) for step in steps]
+    silent = max(0.0, time.time() - max(p.stat().st_mtime for p in written if p.exists()))
+    is_done = (folder / "model" / "config.yaml").is_file()
+    facts: dict[str, Any] = {
+        "path": str(folder),
+        "state": "finished" if is_done else "running" if silent < _ALIVE else "stopped",
+        "silent_seconds": silent,
+        "step": last.get("step"),
+        "metrics": last,
+        "checkpoints": steps,
+        "config": config,
+        "command": _text(folder / "command.txt"),
+        "versions": _versions(folder / "versions.json"),
+        "bytes": sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()),
+    }
+    return Sheet(
+        kind="run",
+        title=f"{folder}: training run, {facts['state']}, {size(facts['bytes'])}",
+        facts=facts,
+        rows=tuple(_rows(folder, facts)),
+    )
+
+
+def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
+    ago = f"its last word came {span(facts['silent_seconds'])} ago"
+    state = {
+        "finished": f"finished; its model is {folder / 'model'}",
+        "running": f"running, as it seems: {ago}",
+        "stopped": f"stopped: {ago}; the same command with --resume goes on",
+    }[facts["state"]]
+    numbers = {
+        key: value
+        for key, value in facts["metrics"].items()
+        if key != "step" and isinstance(value, int | float)
+    }
+    settings = [
+        f"{key} {facts['config'][key]}" for key in _SETTINGS if facts["config"].get(key) is not None
+    ]
+    shown = [
+        ("state", state),
+        ("step", "none logged yet" if facts["step"] is None else str(facts["step"])),
+        ("metrics", ", ".join(f"{key} {value:.3g}" for key, value in numbers.items())),
+        (
+            "checkpoints",
+            f"{len(facts['checkpoints'])}: steps {listed(list(map(str, facts['checkpoints'])))}"
+            if facts["checkpoints"]
+            else "none",
+        ),
+        ("settings", ", ".join(settings)),
+        ("command", facts["command"]),
+        ("made with", ", ".join(f"{key} {value}" for key, value in facts["versions"].items())),
+    ]
+    return [(label, text) for label, text in shown if text]
+
+
+def _metrics(path: Path) -> list[dict[str, Any]]:
+    lines = []
+    for line in _text(path).splitlines():
+        try:
+            values = json.loads(line)
+        except ValueError:
+            continue  # the line that was being written when the run was killed
+        if isinstance(values, dict):
+            lines.append(values)
+    return lines
+
+
+def _versions(path: Path) -> dict[str, str]:
+    try:
+        values = json.loads(_text(path) or "{}")
+    except ValueError:
+        return {}
+    wanted = ("gesturekit", "python", "torch")
+    return {key: values[key] for key in wanted if key in values}
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError):
+        return ""

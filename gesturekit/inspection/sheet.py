@@ -1,0 +1,96 @@
+"""What is known of a thing, for people and for programs."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+_LABEL = 15  # columns that labels take at most
+_PROBLEMS = 8
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One thing, told.
+
+    Attributes:
+        kind: motion, audio, features, model, corpus or run.
+        title: what it is, in a line.
+        facts: for programs: plain values that JSON can hold.
+        rows: (label, text) for people.
+        drawing: further lines for people, at a width in columns.
+        problems: what is wrong with it, one a line.
+    """
+
+    kind: str
+    title: str
+    facts: dict[str, Any]
+    rows: tuple[tuple[str, str], ...] = ()
+    drawing: Callable[[int], Sequence[str]] | None = None
+    problems: tuple[str, ...] = ()
+
+    def lines(self, width: int = 100) -> list[str]:
+        """The sheet as text, long lines broken at `width` columns."""
+        shown = [("problem", problem) for problem in self.problems[:_PROBLEMS]]
+        if len(self.problems) > _PROBLEMS:
+            shown.append(("problem", f"and {len(self.problems) - _PROBLEMS} more; --json has all"))
+        rows = [*self.rows, *shown]
+        column = 4 + min(_LABEL, max((len(label) for label, _ in rows), default=0))
+        lines = textwrap.wrap(self.title, width) or [""]
+        for label, text in rows:
+            lines += textwrap.wrap(
+                text,
+                width,
+                initial_indent=f"  {label}".ljust(column),
+                subsequent_indent=" " * column,
+                break_on_hyphens=False,
+            )
+        return [*lines, "", *self.drawing(width)] if self.drawing else lines
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; numbers that JSON does not know (no sound at all is -inf dB) are null."""
+        return _plain({"kind": self.kind, **self.facts, "problems": list(self.problems)})
+
+
+def size(n_bytes: int) -> str:
+    """ "3.7 MB"."""
+    for unit in ("bytes", "kB", "MB"):
+        if n_bytes < 1000:
+            return f"{n_bytes:.0f} {unit}" if unit == "bytes" else f"{n_bytes:.1f} {unit}"
+        n_bytes /= 1000
+    return f"{n_bytes:.1f} GB"
+
+
+def span(seconds: float) -> str:
+    """ "68.83 s", "12.5 min", "3.2 h"."""
+    if seconds < 120:
+        return f"{seconds:.2f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def counted(number: int, noun: str) -> str:
+    """ "1 joint", "2 joints"."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def listed(names: list[str] | tuple[str, ...], most: int = 6) -> str:
+    """Names, the first few of many."""
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return round(value, 6) if math.isfinite(value) else None
+    return value if isinstance(value, bool | int | str | None) else str(value)

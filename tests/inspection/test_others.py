@@ -1,0 +1,212 @@
+"""Inspecting sounds, features, models, corpora and runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+import soundfile
+
+import audio_features as af
+from gesturekit.corpus import Manifest
+from gesturekit.errors import ConfigError, CorpusError, FormatError, GestureKitError, ModelError
+from gesturekit.inspection import Sheet, inspect
+from gesturekit.systems import model_folder
+
+
+def row(sheet: Sheet, label: str) -> str:
+    return dict(sheet.rows)[label]
+
+
+def plain(sheet: Sheet) -> dict:
+    return json.loads(json.dumps(sheet.to_json(), allow_nan=False))
+
+
+# Sounds
+
+
+def test_speech(write_speech, tmp_path):
+    sheet = inspect(write_speech(tmp_path / "a.wav", 3.0, 22_050))
+    assert row(sheet, "time") == "3.00 s: 66150 samples at 22050 Hz, all of them decoded"
+    assert row(sheet, "channels") == "mono" and not sheet.problems
+    facts = plain(sheet)
+    assert facts["sample_rate"] == 22_050
+    # Noise in bursts of a fifth of a second.
+    assert 0.4 < facts["active_share"] < 0.7 and 0.1 < facts["longest_pause"] < 0.25
+
+
+def test_sounds_with_something_wrong(tmp_path):
+    rng = np.random.default_rng(0)
+    noise = 0.1 * rng.standard_normal((16_000, 2))
+    for name, samples, says in (
+        ("loud", np.clip(30 * noise, -1, 1), "at full scale"),
+        ("shifted", noise + 0.2, "DC offset of 0.2"),
+        ("half", noise * [1, 0], "channel 2 is silent"),
+        ("zeros", 0 * noise, "silence"),
+        ("quiet", 0.01 * noise, "quiet: speech is at -6"),
+        ("nan", np.where(rng.random((16_000, 2)) < 0.001, np.nan, noise), "nan"),
+    ):
+        path = tmp_path / f"{name}.wav"
+        soundfile.write(path, samples, 16_000, subtype="FLOAT")
+        sheet = inspect(path)
+        assert any(says in problem for problem in sheet.problems), (name, sheet.problems)
+        assert plain(sheet)["channels"] == 2 and "\n".join(sheet.lines())
+
+
+def test_a_truncated_sound_is_told_with_what_is_left_of_it(write_speech, tmp_path):
+    path = write_speech(tmp_path / "a.wav", 2.0)
+    path.write_bytes(path.read_bytes()[:30_000])
+    sheet = inspect(path)
+    assert any("truncated" in problem for problem in sheet.problems)
+    assert sheet.facts["frames"] == 14_978
+    path.write_text("Dear diary,\n")
+    with pytest.raises(af.AudioError, match="cannot be read as sound"):
+        inspect(path)
+
+
+def test_features(write_speech, tmp_path):
+    wave = af.Wave.load(write_speech(tmp_path / "a.wav", 2.0))
+    af.LogMel(n_mels=24).extract(wave).save(tmp_path / "a.npz")
+    sheet = inspect(tmp_path / "a.npz")
+    assert sheet.kind == "features" and row(sheet, "columns").startswith("24: mel_0, mel_1")
+    assert plain(sheet)["spec"] == {"kind": "logmel", "n_mels": 24}
+
+
+# Models
+
+
+def test_the_bundled_model_and_its_folder():
+    sheet = inspect("demo")
+    assert sheet.kind == "model" and row(sheet, "moves").startswith("22 of 22 joints at 30 fps")
+    assert "logmel (n_mels 24), prosody" in row(sheet, "hears")
+    assert row(sheet, "licence") == "Apache-2.0" and plain(sheet)["parameters"] > 100_000
+    assert inspect(model_folder("demo")).rows == sheet.rows
+
+
+def test_a_damaged_model_names_what_is_wrong(tmp_path):
+    copy = tmp_path / "model"
+    shutil.copytree(model_folder("demo"), copy)
+    weights = (copy / "model.safetensors").read_bytes()
+    (copy / "model.safetensors").write_bytes(weights[:5000])
+    with pytest.raises(ModelError, match=r"model\.safetensors is damaged"):
+        inspect(copy)
+    (copy / "model.safetensors").unlink()
+    with pytest.raises(ModelError, match=r"lacks model\.safetensors"):
+        inspect(copy)
+    (copy / "model.safetensors").write_bytes(weights)
+    for text, says in (("{", "JSON|damaged"), ('{"skeleton": 3}', "mapping"), ("{}", "damaged")):
+        (copy / "skeleton.json").write_text(text)
+        with pytest.raises(ModelError, match=says):
+            inspect(copy)
+    (copy / "README.md").unlink()
+
+
+# Corpora
+
+
+def test_a_manifest(corpus):
+    sheet = inspect(corpus)
+    assert row(sheet, "paired").startswith("2 items, 8.50 s: train 2")
+    assert row(sheet, "speech alone").startswith("1 item, 5.00 s")
+    assert row(sheet, "rig").startswith("19 joints, 30 fps") and not sheet.problems
+
+
+def test_missing_files_and_leaks_between_splits_are_told(write_pair, tmp_path):
+    audio, motion = write_pair(tmp_path, "a")
+    item = {
+        "audio_start": 0.0,
+        "motion_start": 0.0,
+        "speaker": None,
+        "style": None,
+        "text": None,
+        "mirror": False,
+        "conditions": {},
+        "audio": audio.name,
+        "motion": motion.name,
+    }
+    lines = [
+        {"schema": 1},
+        item | {"id": "a", "split": "train", "duration": 3.0},
+        item | {"id": "b", "split": "test", "duration": 1.0, "audio_start": 2.5, "audio": "a.wav"},
+        item | {"id": "c", "split": "train", "duration": 1.0, "motion": "gone.bvh", "audio": None},
+    ]
+    lines[2]["motion"] = None
+    path = tmp_path / "corpus.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert len(Manifest.load(path)) == 3
+    problems = inspect(path).problems
+    assert any("1 file missing" in p and "gone.bvh" in p for p in problems)
+    assert any("is in train (a) and in test (b) at 2.50 s" in p for p in problems)
+
+
+def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
+    write_pair(tmp_path, "a")
+    write_speech(tmp_path / "more" / "b.wav", 3.0)
+    gesture(2.0).save(tmp_path / "more" / "c.bvh")
+    (tmp_path / "broken.bvh").write_text("Dear diary,\n")
+    sheet = inspect(tmp_path)
+    assert row(sheet, "paired") == "1 items, 4.0 s"
+    assert row(sheet, "speech alone") == "1 items, 3.0 s"
+    assert row(sheet, "motion alone") == "1 items, 2.0 s"
+    assert any("broken.bvh:1" in problem for problem in sheet.problems)
+    assert plain(sheet)["paired"] == 1
+
+
+# Runs
+
+
+def make_run(folder):
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / "config.yaml").write_text("system: multires\nfps: 25.0\nseed: 3\n")
+    (folder / "command.txt").write_text("gesturekit train light.yaml\n")
+    (folder / "versions.json").write_text('{"torch": "2.1", "platform": "x"}')
+    (folder / "metrics.jsonl").write_text(
+        '{"step": 10, "rec": 0.5}\n{"step": 20, "rec": 0.25}\n{"st'
+    )
+    (folder / "checkpoints" / "step_00000020.pt").touch()
+    return folder
+
+
+def test_a_run_that_goes_on_and_one_that_is_done(tmp_path):
+    run = make_run(tmp_path / "run")
+    sheet = inspect(run)
+    assert row(sheet, "state").startswith("running") and row(sheet, "step") == "20"
+    assert row(sheet, "metrics") == "rec 0.25" and row(sheet, "checkpoints") == "1: steps 20"
+    for path in run.rglob("*"):
+        os.utime(path, (1e9, 1e9))
+    assert "--resume" in row(inspect(run), "state")
+    (run / "model").mkdir()
+    (run / "model" / "config.yaml").write_text("kind: multires\n")
+    assert plain(inspect(run))["state"] == "finished"
+
+
+# Everything else
+
+
+def test_what_is_not_known_is_told_in_one_line(gesture, tmp_path):
+    (tmp_path / "empty").mkdir()
+    gesture(0.5).save(tmp_path / "a.bvh")
+    shutil.copy(tmp_path / "a.bvh", tmp_path / "a.txt")
+    (tmp_path / "b.xyz").write_bytes(b"\x00\x01")
+    for name, says in (
+        ("empty", "nothing of gesturekit in it"),
+        ("none", "no such file or folder, and no bundled model"),
+        ("a.txt", "looks like a BVH file"),
+        ("b.xyz", "not known"),
+    ):
+        with pytest.raises(FormatError, match=says) as told:
+            inspect(tmp_path / name)
+        assert "\n" not in str(told.value)
+    with pytest.raises(ConfigError, match="only motion has parts"):
+        inspect("demo", parts={"head": "Head"})
+    run = make_run(tmp_path / "run")
+    with pytest.raises(GestureKitError, match="inspect its folder"):
+        inspect(run / "config.yaml")
+    (run / "config.yaml").write_text("- a\n")
+    with pytest.raises(GestureKitError, match="expected key: value"):
+        inspect(run)
+    with pytest.raises(CorpusError):
+        inspect(run / "metrics.jsonl")
