@@ -11,7 +11,17 @@ import sys
 
 import click
 
-VERBS = ("demo", "features", "prepare", "train", "render", "fit-features")
+VERBS = (
+    "demo",
+    "features",
+    "prepare",
+    "train",
+    "render",
+    "convert",
+    "inspect",
+    "view",
+    "fit-features",
+)
 
 
 class VerbGroup(click.Group):

@@ -1,0 +1,154 @@
+"""gesturekit convert: motion files in, motion files of other formats, rigs and rates out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from gesturekit.cli.options import (
+    RATE,
+    UNITS,
+    comma_separated,
+    given,
+    part_option,
+    read_from,
+    reading_options,
+)
+
+if TYPE_CHECKING:
+    from gesturekit.formats.conversion import Converted
+
+WIDTH = 100
+"""Columns that a line may take."""
+
+
+@click.command(
+    "convert",
+    epilog="Example: gesturekit convert take.bvh take.npz --rig smplx --fps 30\n\n"
+    "Example: gesturekit convert takes/ converted/ --format npz,html",
+)
+@click.argument(
+    "sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IN..."
+)
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option("--format", "formats", metavar="LIST", help="For a folder: of bvh,npz,html,png,obj.")
+@click.option("--rig", metavar="RIG", help="Move this body: a motion file, smpl, smplh or smplx.")
+@click.option("--fps", type=RATE, metavar="RATE", help="Frames per second to write.")
+@click.option("--antialias", is_flag=True, help="With a lower --fps: filter, do not just drop.")
+@click.option("--trim", metavar="START:END", help="Keep these seconds; either may be left out.")
+@click.option("--mirror", is_flag=True, help="Exchange left and right.")
+@click.option(
+    "--joints",
+    default="all",
+    metavar="LIST",
+    help="Keep these joints, or body: all but fingers, face and end joints.",
+)
+@click.option("--up", type=click.Choice(["y", "z"]), help="Up in SMPL npz; z for AMASS readers.")
+@click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH to write.  [default: cm]")
+@click.option("--frame", type=int, metavar="N", help="Which frame to write as obj.  [default: 0]")
+@click.option(
+    "--existing",
+    type=click.Choice(["refuse", "skip", "replace"]),
+    default="refuse",
+    show_default=True,
+    help="What to do where an output exists.",
+)
+@click.option("--dry-run", is_flag=True, help="Read and report, write nothing.")
+@reading_options
+@part_option
+@click.option(
+    "--rig-part",
+    "rig_parts",
+    multiple=True,
+    metavar="PART=JOINT",
+    help="The same for the file of --rig.",
+)
+@click.pass_context
+def command(
+    ctx: click.Context,
+    sources: tuple[Path, ...],
+    out: Path,
+    formats: str | None,
+    rig: str | None,
+    fps: float | None,
+    antialias: bool,
+    trim: str | None,
+    mirror: bool,
+    joints: str,
+    up: str | None,
+    unit: str | None,
+    frame: int | None,
+    existing: str,
+    dry_run: bool,
+    body_model: Path | None,
+    parts: tuple[str, ...],
+    rig_parts: tuple[str, ...],
+    **reading: object,
+) -> None:
+    """Convert motion: a file to a file, or files and folders into the folder OUT.
+
+    Folders are searched to the bottom and keep their shape. Unit, axes and frame rate of each
+    file are detected and printed, with a ? where they are a guess. A broken file never stops the
+    others: it is listed with its reason, and the exit code is 1.
+    """
+    import sys
+
+    from tqdm import tqdm
+
+    from gesturekit.formats.changes import Changes, Rig, parse_trim
+    from gesturekit.formats.conversion import convert
+    from gesturekit.motion.parts import parse_parts
+
+    if rig_parts and rig is None:
+        raise click.UsageError("--rig-part names parts of the body that --rig gives.")
+    changes = Changes(
+        trim=parse_trim(trim) if trim is not None else None,
+        mirror=mirror,
+        rig=Rig.load(rig, parse_parts(rig_parts)) if rig is not None else None,
+        joints=joints if joints in ("all", "body") else tuple(comma_separated(joints)),
+        fps=fps,
+        antialias=antialias,
+    )
+    outcomes = convert(
+        sources,
+        out,
+        formats=comma_separated(formats),
+        changes=changes,
+        read=read_from(reading),
+        write=given(up=up, unit=unit, frame=frame),
+        body_model=body_model,
+        parts=parse_parts(parts),
+        existing=existing,
+        dry_run=dry_run,
+        # On a terminal only: a bar in a log file is noise.
+        progress=lambda jobs: tqdm(jobs, unit="file", disable=None, leave=False),
+    )
+    done = failed = 0
+    for outcome in outcomes:
+        done += 1
+        if outcome.error is None or outcome.files:
+            tqdm.write(_line(outcome))
+        for warning in outcome.warnings:
+            tqdm.write(f"Warning: {warning}", file=sys.stderr)
+        if outcome.error is not None:
+            failed += 1
+            tqdm.write(f"Failed: {outcome.error}", file=sys.stderr)
+    if failed and done > 1:
+        click.echo(f"{failed} of {done} failed.", err=True)
+    if dry_run:
+        click.echo("Dry run: nothing was written.", err=True)
+    ctx.exit(1 if failed else 0)
+
+
+def _line(outcome: Converted) -> str:
+    """What was found, what was written, what was changed: a line, or two where it is long."""
+    source = click.format_filename(outcome.source)
+    if not outcome.files:
+        return f"{source}: left as it is, the outputs exist"
+    first, *others = outcome.files
+    written = ", ".join([click.format_filename(first), *(path.suffix for path in others)])
+    found = f"{source} ({outcome.found})"
+    made = f"-> {written}" + (f" ({', '.join(outcome.done)})" if outcome.done else "")
+    return f"{found} {made}" if len(found) + len(made) < WIDTH else f"{found}\n    {made}"

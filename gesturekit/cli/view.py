@@ -1,0 +1,81 @@
+"""gesturekit view: motion in the browser, with its sound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from gesturekit.cli.options import read_from, reading_options
+
+
+@click.command(
+    "view",
+    epilog="Example: gesturekit view take.bvh --audio take.wav\n\n"
+    "Example: gesturekit view recorded.bvh rendered.bvh --out compare.html",
+)
+@click.argument(
+    "clips", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="MOTION..."
+)
+@click.option("--audio", type=click.Path(path_type=Path), metavar="WAV", help="Sound to play.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="HTML",
+    help="Write the page here, and open nothing.",
+)
+@reading_options
+@click.pass_context
+def command(
+    ctx: click.Context,
+    clips: tuple[Path, ...],
+    audio: Path | None,
+    out: Path | None,
+    **reading: object,
+) -> None:
+    """Play MOTION (bvh, npz, EasyMocap) in the browser; several stand side by side.
+
+    The page is one file that needs no network: send it by mail, put it on a server.
+    """
+    import tempfile
+    import warnings
+
+    from gesturekit.errors import ConfigError
+    from gesturekit.formats.conversion import load
+    from gesturekit.viewer import write_html
+
+    options = read_from(reading)
+    motions = {}
+    for clip in clips:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", UserWarning)
+            motion = load(clip, options)
+        for warning in said:
+            click.echo(f"Warning: {warning.message}", err=True)
+        # Clips of one name come from different folders.
+        label = clip.stem if clip.stem not in motions else str(clip)
+        motions[label] = motion
+    if out is None:
+        page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{clips[0].stem or 'motion'}.html"
+    elif out.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"{out}: the page is HTML; give a name ending in .html")
+    else:
+        page = out
+    shown = motions if len(motions) > 1 else next(iter(motions.values()))
+    write_html(shown, page, audio=audio, body_model=options.get("body_model"))
+    click.echo(click.format_filename(page))
+    if out is None and not _opened(page):
+        click.echo("No browser found here: open this file in one.", err=True)
+
+
+def _opened(page: Path) -> bool:
+    """Show a page in a browser with windows; a text browser would take the terminal over."""
+    import os
+    import sys
+    import webbrowser
+
+    has_windows = sys.platform in ("darwin", "win32") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+    return has_windows and webbrowser.open(page.resolve().as_uri())

@@ -1,0 +1,196 @@
+"""gesturekit convert and view: what is printed, exit codes, and never a traceback."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gesturekit import Motion
+from gesturekit.cli.options import AXES, UNITS
+from gesturekit.formats import axes, units
+
+TRIES = int(os.environ.get("GESTUREKIT_FUZZ", "120"))
+
+
+@pytest.fixture
+def takes(gesture, tmp_path) -> Path:
+    """A folder with two good motions, and one that is broken."""
+    folder = tmp_path / "takes"
+    (folder / "sub").mkdir(parents=True)
+    gesture(1.0).save(folder / "a.bvh")
+    gesture(0.5, seed=1).save(folder / "sub" / "für später.npz")
+    (folder / "broken.bvh").write_text("Dear diary,\n")
+    return folder
+
+
+def test_the_choices_are_those_of_the_readers():
+    assert set(UNITS) == set(units.METRES) and set(AXES) == set(axes.AXES)
+
+
+def test_one_file_is_one_line_of_what_was_found_and_done(gesturekit, takes, monkeypatch):
+    monkeypatch.chdir(takes)
+    done = gesturekit("convert", "a.bvh", "out.npz", "--fps", 25, "--mirror")
+    assert (done.status, done.err) == (0, "")
+    assert done.out.splitlines() == [
+        "a.bvh (cm, Y up, Z forward, 30 fps, 30 frames, 19 joints)",
+        "    -> out.npz (mirrored, 30 to 25 fps)",
+    ] or done.out == (
+        "a.bvh (cm, Y up, Z forward, 30 fps, 30 frames, 19 joints) "
+        "-> out.npz (mirrored, 30 to 25 fps)\n"
+    )
+    assert Motion.load("out.npz").fps == 25
+
+
+def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_path):
+    out = tmp_path / "out"
+    done = gesturekit("convert", takes, out, "--format", "npz, html")
+    assert done.status == 1
+    failed, count = done.err.splitlines()
+    assert failed.startswith("Failed: ") and "broken.bvh:1" in failed and count == "1 of 3 failed."
+    assert {path.name for path in out.rglob("*.html")} == {"a.html", "für später.html"}
+    again = gesturekit("convert", takes, out, "--format", "npz,html")
+    assert again.status == 2 and "--existing" in again.err and again.out == ""
+    skipped = gesturekit("convert", takes, out, "--format", "npz,html", "--existing", "skip")
+    assert skipped.status == 1 and skipped.out.count("left as it is") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["a.bvh"], "Missing argument"),
+        (["a.bvh", "x.npz", "--trim", "5"], "START:END"),
+        (["a.bvh", "x.npz", "--rig", "avatar.bvh"], "no such file"),
+        (["a.bvh", "x.npz", "--fps", "0"], "--fps"),
+        (["a.bvh", "x.npz", "--in-unit", "yard"], "--in-unit"),
+        (["a.bvh", "x.npz", "--part", "elbow"], "PART=JOINT"),
+        (["a.bvh", "x.npz", "--part", "tail=Hips"], "PART=JOINT"),
+        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "that --rig gives"),
+        (["a.bvh", "sub", "--format", "bhv"], "format bhv"),
+        (["a.bvh", "sub"], "--format npz"),
+        (["a.bvh", "sub/für später.npz", "x.npz"], "2 inputs cannot become one file"),
+    ],
+)
+def test_wrong_usage_starts_nothing(gesturekit, takes, monkeypatch, arguments, says):
+    monkeypatch.chdir(takes)
+    done = gesturekit("convert", *arguments)
+    assert done.status == 2 and says in done.err and not Path("x.npz").exists()
+
+
+def test_joints_and_parts_that_are_not_there(gesturekit, takes, tmp_path):
+    for options, says in (
+        (("--joints", "Tail"), "no joint 'Tail'"),
+        (("--joints", ","), "at least one"),
+        (("--joints", "LeftArm,RightArm"), "keep 'Chest' too"),
+        (("--rig", "smplx", "--part", "head=Tail"), "no joint 'Tail'"),
+    ):
+        done = gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz", *options)
+        assert done.status == 1 and says in done.err and "a.bvh" in done.err
+
+
+def test_folders_without_permission(gesturekit, takes, tmp_path):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o500)
+    if os.access(locked, os.W_OK):
+        pytest.skip("this user may write everywhere")
+    done = gesturekit("convert", takes / "a.bvh", locked / "sub" / "x.npz")
+    assert done.status == 2 and f"{locked} cannot be written to" in done.err
+    (takes / "sub").chmod(0)
+    done = gesturekit("convert", takes, tmp_path / "out", "--format", "npz")
+    seen = gesturekit("inspect", takes / "sub")
+    (takes / "sub").chmod(0o700)
+    assert done.status == 1 and f"Failed: {takes / 'sub'}: Permission denied" in done.err
+    assert (tmp_path / "out" / "a.npz").is_file()
+    assert seen.status == 1 and "Permission denied" in seen.err
+
+
+def test_view_writes_one_page(gesturekit, takes, tmp_path, write_speech, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    wav = write_speech(tmp_path / "a.wav", 1.0)
+    page = tmp_path / "page.html"
+    done = gesturekit("view", takes / "a.bvh", takes / "a.bvh", "--audio", wav, "--out", page)
+    assert (done.status, done.out.strip(), done.err) == (0, str(page), "")
+    done = gesturekit("view", takes / "a.bvh")
+    opened = Path(done.out.strip())
+    assert done.status == 0 and "No browser found" in done.err
+    assert opened.name == "a.html" and opened.read_text().rstrip().endswith("</html>")
+    shutil.rmtree(opened.parent)
+    for arguments in (
+        [takes / "broken.bvh", "--out", page],
+        [takes / "a.bvh", "--out", tmp_path / "page.bvh"],
+        [takes / "a.bvh", "--audio", tmp_path / "none.wav", "--out", page],
+        [tmp_path / "none.bvh", "--out", page],
+    ):
+        done = gesturekit("view", *arguments)
+        assert done.status == 2 and done.err.startswith("Error: ")
+
+
+def test_odd_combinations_of_options_end_in_words(gesturekit, takes, tmp_path, write_speech):
+    """Random command lines of convert, inspect and view on files good and bad."""
+    rng = random.Random(0)
+    write_speech(takes / "speech.wav", 0.5)
+    shutil.copy(takes / "speech.wav", takes / "wav.bvh")
+    whole = (takes / "a.bvh").read_bytes()
+    (takes / "cut.bvh").write_bytes(whole[: len(whole) // 2])
+    (takes / "cut.npz").write_bytes((takes / "sub" / "für später.npz").read_bytes()[:3000])
+    np.savez(takes / "odd.npz", poses=np.zeros((3, 7)), trans=np.zeros((3, 3)))
+    (takes / "000000.json").write_text('[{"id": 0, "Rh": 1, "poses": {}}]')
+    (takes / "empty").mkdir()
+    (takes / "line\nbreak.bvh").write_bytes(whole)
+    files = [*takes.rglob("*"), takes, Path("none.bvh"), Path("/dev/null"), Path("demo")]
+    values = {
+        "--format": ["npz", "bvh,html", "obj", "png", ",", "bvh,bvh", "exe"],
+        "--rig": ["smplx", "smpl", str(takes / "a.bvh"), str(takes / "cut.npz"), "", "x"],
+        "--fps": ["25", "0.001", "1000", "nan", "-1"],
+        "--trim": ["0.1:", ":0.1", "9:", "0.1:0.1", "x", "-1:"],
+        "--joints": ["body", "Hips", "LeftArm,RightArm", "", "Hips,Spine,Chest,LeftHand"],
+        "--up": ["z"],
+        "--unit": ["m", "cmu"],
+        "--frame": ["3", "-1", "99999"],
+        "--existing": ["skip", "replace", "refuse"],
+        "--in-unit": ["inch", "m"],
+        "--in-up": ["-z", "y", "x"],
+        "--in-forward": ["x", "-y"],
+        "--in-fps": ["7.5", "1e3"],
+        "--person": ["0", "5"],
+        "--body-model": [str(takes / "odd.npz"), "x"],
+        "--part": ["left_elbow=LeftForeArm", "head=Tail", "x", "=", "left_elbow=Hips"],
+        "--rig-part": ["head=Head"],
+        "--mirror": [None],
+        "--antialias": [None],
+        "--dry-run": [None],
+        "--json": [None],
+        "--audio": [str(takes / "speech.wav"), str(takes / "a.bvh")],
+    }
+    ours = {
+        "inspect": ("--in-unit", "--in-up", "--in-forward", "--in-fps", "--part", "--json"),
+        "view": ("--in-unit", "--in-up", "--in-fps", "--audio", "--person"),
+    }
+    ends = []
+    for trial in range(TRIES):
+        verb = rng.choice(["convert", "convert", "convert", "inspect", "view"])
+        known = ours.get(verb, tuple(set(values) - {"--json", "--audio"}))
+        arguments = [verb, *rng.sample(files, rng.choice([1, 1, 1, 2]))]
+        if verb == "convert":
+            out = rng.choice(["x.npz", "x.bvh", "x.html", "x.fbx", "folder", "folder/sub"])
+            arguments.append(tmp_path / f"out{trial % 7}" / out)
+        if verb == "view":
+            arguments += ["--out", tmp_path / "page.html"]
+        for option in rng.sample(sorted(known), rng.choice([0, 1, 2, 4])):
+            value = rng.choice(values[option])
+            arguments += [option] if value is None else [option, value]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            done = gesturekit(*arguments)
+        assert done.status in (0, 1, 2), arguments
+        assert done.err or done.status == 0, arguments
+        assert "Traceback" not in done.err, arguments
+        ends.append(done.status)
+    assert all(ends.count(status) > TRIES / 20 for status in (0, 1, 2))
+    assert not list(tmp_path.glob("out*/**/.*")), "nothing temporary is left"
