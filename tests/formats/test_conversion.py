@@ -236,7 +236,8 @@ def test_a_rig_from_a_file(take, shared_data, tmp_path):
 
 def test_what_a_format_does_not_hold_is_told(tmp_path):
     motion = smpl_motion(25.0, expressions=np.ones((30, 100)), info={"betas": np.ones(10)})
-    motion.save(tmp_path / "a.npz")
+    with pytest.warns(UserWarning, match="25 fps"):
+        motion.save(tmp_path / "a.npz")
     (bvh,) = outcomes(tmp_path / "a.npz", tmp_path / "a.bvh")
     assert [w for w in bvh.warnings if "no face expressions and no body shape (betas)" in w]
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "b.npz")
