@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.evaluation.derivatives import derivative
 from gesturekit.motion import Motion
-from gesturekit.motion.parts import arm_joints, body_joints
+from gesturekit.motion.parts import SIDES, arm_joints, body_joints, find_parts
 
 
 def arm_speed(motion: Motion) -> np.ndarray:
@@ -35,19 +38,70 @@ def arm_speed(motion: Motion) -> np.ndarray:
     return 0.5 * (padded[:-1] + padded[1:])
 
 
-def jerk(motion: Motion) -> float:
-    """Mean jerk of the body joints (no fingers, no end joints) in world space, m/s³.
+def wrist_speed(motion: Motion) -> np.ndarray:
+    """Speed of the two wrists in the world, averaged, from each frame to the next.
 
-    |Δ³p|·fps³, averaged over frames and joints: the average jerk of the GENEA challenges
-    (genea_numerical_evaluations), in metres. It grows with the frame rate on captured motion,
-    whose noise it measures too: compare at one frame rate.
+    What Alexanderson et al. 2023 (section 5) draw as violins.
+
+    Returns:
+        (T - 1,) metres per second.
 
     Raises:
-        MotionError: fewer than 4 frames, or a skeleton whose parts cannot be told.
+        MotionError: fewer than 2 frames, or a rig without wrists that can be told.
     """
-    _require_frames(motion, 4)
-    steps = np.diff(_body_positions(motion), n=3, axis=0)
-    return float(np.linalg.norm(steps, axis=-1).mean() * motion.fps**3)
+    arms = find_parts(motion.skeleton).arms
+    wrists = [arms[side].wrist for side in SIDES]
+    if None in wrists:
+        raise MotionError("the rig has no wrist joints whose speed could be taken")
+    return joint_speed(motion, wrists).mean(axis=1)
+
+
+def joint_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
+    """Speed of joints in the world from each frame to the next.
+
+    Args:
+        motion: any frame rate.
+        joints: names; None for the body joints (no fingers, no end joints).
+
+    Returns:
+        (T - 1, J) metres per second.
+
+    Raises:
+        MotionError: fewer than 2 frames, or joints that cannot be told.
+    """
+    steps = derivative(joint_paths(motion, joints), motion.fps, 1, None)
+    return np.linalg.norm(steps, axis=-1)
+
+
+def acceleration(
+    motion: Motion, *, cutoff: float | None = None, joints: Sequence[str] | None = None
+) -> float:
+    """Mean acceleration of the body joints (no fingers, no end joints) in world space, m/s².
+
+    Without a cutoff |Δ²p|·fps², averaged over frames and joints: the average acceleration of
+    the GENEA challenges (genea_numerical_evaluations), in metres, bound to its frame rate. With
+    one, that of the low-passed motion (`derivatives`), which can be compared across frame rates.
+
+    Raises:
+        MotionError: fewer than 3 frames (6 with a cutoff), or joints that cannot be told.
+    """
+    return _mean_derivative(motion, 2, cutoff, joints)
+
+
+def jerk(
+    motion: Motion, *, cutoff: float | None = None, joints: Sequence[str] | None = None
+) -> float:
+    """Mean jerk of the body joints (no fingers, no end joints) in world space, m/s³.
+
+    Without a cutoff |Δ³p|·fps³, averaged over frames and joints: the average jerk of the GENEA
+    challenges (genea_numerical_evaluations), in metres. It grows with the frame rate on captured
+    motion, whose noise it measures too: compare at one frame rate, or give a cutoff (Hz) to take
+    the jerk of the low-passed motion (`derivatives`).
+
+    Raises:
+        MotionError: fewer than 4 frames (6 with a cutoff), or joints that cannot be told.
+    """
+    return _mean_derivative(motion, 3, cutoff, joints)
 
 
 def max_speed(motion: Motion) -> float:
@@ -58,9 +112,7 @@ def max_speed(motion: Motion) -> float:
     Raises:
         MotionError: fewer than 2 frames, or a skeleton whose parts cannot be told.
     """
-    _require_frames(motion, 2)
-    steps = np.diff(_body_positions(motion), axis=0)
-    return float(np.linalg.norm(steps, axis=-1).max() * motion.fps)
+    return float(joint_speed(motion).max())
 
 
 def arm_speed_ratio(motion: Motion, recording: Motion) -> float:
@@ -92,9 +144,21 @@ def _ratio(value: float, reference: float, what: str) -> float:
     return value / reference
 
 
-def _body_positions(motion: Motion) -> np.ndarray:
-    joints = [motion.skeleton.index(name) for name in body_joints(motion.skeleton)]
-    return motion.positions()[:, joints]
+def joint_paths(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
+    """(T, J, 3) world positions of named joints, metres; None takes the body joints.
+
+    Raises:
+        MotionError: a joint that is not there, or a skeleton whose parts cannot be told.
+    """
+    names = body_joints(motion.skeleton) if joints is None else joints
+    return motion.positions()[:, [motion.skeleton.index(name) for name in names]]
+
+
+def _mean_derivative(
+    motion: Motion, order: int, cutoff: float | None, joints: Sequence[str] | None
+) -> float:
+    values = derivative(joint_paths(motion, joints), motion.fps, order, cutoff)
+    return float(np.linalg.norm(values, axis=-1).mean())
 
 
 def _require_frames(motion: Motion, n: int) -> None:

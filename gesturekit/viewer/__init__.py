@@ -8,6 +8,8 @@ from typing import Any
 # Public name -> module. Imported on first use: matplotlib is slow to load.
 _EXPORTS = {
     "contact_sheet": "pictures",
+    "player_data": "html",
+    "player_shell": "html",
     "speech_and_motion": "pictures",
     "write_html": "html",
     "write_picture": "pictures",

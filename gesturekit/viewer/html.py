@@ -62,23 +62,45 @@ def write_html(
     sound, FormatError where `body_model` is none.
     """
     path = Path(path)
+    shell = player_shell()
+    places = {
+        "title": html.escape(title if title is not None else path.stem),
+        "motion": player_data(motion, audio, body_model),
+    }
+    text = _fill(shell, places)
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def player_shell() -> str:
+    """The page without its motion: `{{title}}` and `{{motion}}` are still to be filled in.
+
+    For pages that show several motions in one player.
+
+    Raises GestureKitError where the player has not been bundled.
+    """
+    template = (_HERE / "player" / "template.html").read_text(encoding="utf-8")
+    style = (_HERE / "player" / "style.css").read_text(encoding="utf-8")
+    return _fill(template, {"player": _player(), "style": style})
+
+
+def player_data(
+    motion: Motion | Mapping[str, Motion],
+    audio: str | os.PathLike[str] | Wave | None = None,
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+) -> str:
+    """What goes into the place `{{motion}}` of `player_shell`; arguments as for `write_html`.
+
+    Raises AudioError where `audio` is no sound, FormatError where `body_model` is none.
+    """
     motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
     if not motions:
-        raise MotionError("no motion to show: write_html was given an empty mapping")
-    player = _player()
+        raise MotionError("no motion to show: the mapping of motions is empty")
     body = None
     if body_model is not None:
         body = BodyModel.of(body_model)
         motions = {label: fit_body(motion, body) for label, motion in motions.items()}
-    page = _page(motions, audio, body)
-    text = _fill(
-        title=html.escape(title if title is not None else path.stem),
-        motion=_json(page),
-        player=player,
-        style=(_HERE / "player" / "style.css").read_text(encoding="utf-8"),
-    )
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    return _json(_page(motions, audio, body))
 
 
 @cache
@@ -92,10 +114,9 @@ def _player() -> str:
     return re.sub(r"</(?=script)", r"<\\/", _BUNDLE.read_text(encoding="utf-8"), flags=re.I)
 
 
-def _fill(**values: str) -> str:
-    """Put values into the template in one pass, so that none is searched for places itself."""
-    template = (_HERE / "player" / "template.html").read_text(encoding="utf-8")
-    return re.sub(r"\{\{(\w+)\}\}", lambda place: values[place[1]], template)
+def _fill(text: str, values: Mapping[str, str]) -> str:
+    """Put values into their places in one pass, so that none is searched for places itself."""
+    return re.sub(r"\{\{(\w+)\}\}", lambda place: values.get(place[1], place[0]), text)
 
 
 def _json(page: dict[str, Any]) -> str:

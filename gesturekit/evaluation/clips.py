@@ -1,0 +1,178 @@
+"""Clips in memory: a generated motion and its recording on one frame rate and one set of joints."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from audio_features import FeatureTrack
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair
+from gesturekit.evaluation.semantic import read_semantic
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
+from gesturekit.motion.skeleton import Skeleton
+
+MATCHED = 0.5
+"""Rigs match where at least this share of the recording's body joints is found by name."""
+
+_CACHED = 8  # files of each kind kept in memory: samples of one recording come one after another
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A pair in memory.
+
+    Attributes:
+        pair: names and files.
+        generated: the motion, with the recording's joint names.
+        recording: the recorded motion at the generated one's frame rate.
+        joints: names of the body joints that both have, in the recording's order.
+        semantic: the recording's semantic track, or None.
+        notes: what is odd about the pair without making it useless.
+    """
+
+    pair: Pair
+    generated: Motion
+    recording: Motion
+    joints: tuple[str, ...]
+    semantic: FeatureTrack | None
+    notes: tuple[str, ...]
+
+    @property
+    def n_frames(self) -> int:
+        """Frames that both have."""
+        return min(self.generated.n_frames, self.recording.n_frames)
+
+    @functools.cached_property
+    def same_body(self) -> bool:
+        """Whether the bones of both bodies are equally long, to a hundredth."""
+        bones = [
+            np.linalg.norm(
+                [m.skeleton.offsets[m.skeleton.index(name)] for name in self.joints[1:]], axis=-1
+            )
+            for m in (self.generated, self.recording)
+        ]
+        return bool(np.allclose(*bones, rtol=0.01, atol=1e-3))
+
+
+def load_clip(pair: Pair, fps: float | None = None) -> Clip:
+    """Read a pair.
+
+    Args:
+        pair: from `find_pairs`.
+        fps: frame rate to bring both to; None keeps the generated motion's.
+
+    Raises:
+        FormatError, MotionError: a file that cannot be read (numbers that are not finite, one
+            frame), or rigs that do not match.
+        FeatureError: the semantic track cannot be read.
+    """
+    generated = _read(pair.generated)
+    rate = fps or generated.fps
+    recording = _resampled(pair.reference, rate)
+    notes = []
+    if generated.n_frames < 2:
+        raise FormatError(f"{pair.generated}: one frame; a motion to be measured has at least 2")
+    if abs(generated.fps - rate) > 1e-3 * rate:
+        notes.append(f"resampled from {generated.fps:g} to {rate:g} fps")
+        generated = generated.resample(rate)
+    semantic = None if pair.semantic is None else _semantic(pair.semantic)
+    if pair.window is not None:
+        start = pair.window * WINDOW_SECONDS
+        recording = _window(recording, start, pair)
+        semantic = None if semantic is None else _later(semantic, start)
+    joints, generated = _match(generated, recording.skeleton, pair)
+    known = len(body_names(recording.skeleton))
+    if len(joints) < known:
+        notes.append(f"{known - len(joints)} of {known} body joints are not in the generated rig")
+    return Clip(pair, generated, recording, joints, semantic, tuple(notes))
+
+
+def load_recording(path: Path, fps: float) -> Motion:
+    """Read a recording and bring it to a frame rate.
+
+    Raises:
+        FormatError, MotionError: the file cannot be read.
+    """
+    return _resampled(path, fps)
+
+
+def body_names(skeleton: Skeleton) -> tuple[str, ...]:
+    """Names of the body joints, or of all joints where parts cannot be told."""
+    try:
+        return body_joints(skeleton)
+    except MotionError:
+        return skeleton.names
+
+
+def bare_name(name: str) -> str:
+    """A joint's name without name space and capitals: `mixamorig:LeftArm` is `leftarm`."""
+    return name.rsplit(":", 1)[-1].lower()
+
+
+def _match(motion: Motion, rig: Skeleton, pair: Pair) -> tuple[tuple[str, ...], Motion]:
+    """The rig's body joints that the motion has too, and the motion with the rig's names."""
+    names = body_names(rig)
+    own = {bare_name(name): name for name in reversed(motion.skeleton.names)}
+    renamed = {own[bare_name(name)]: name for name in names if bare_name(name) in own}
+    if len(renamed) < max(2, MATCHED * len(names)):
+        missing = [name for name in names if bare_name(name) not in own]
+        raise MotionError(
+            f"{pair.generated}: rigs do not match: {len(renamed)} of {len(names)} body joints of "
+            f"{pair.reference.name} are found by name (missing: {', '.join(missing[:5])} ...); "
+            "retarget one of them, or rename its joints"
+        )
+    joints = tuple(name for name in names if name in set(renamed.values()))
+    if all(old == new for old, new in renamed.items()):
+        return joints, motion
+    skeleton = motion.skeleton
+    rename = {name: renamed.get(name, name) for name in skeleton.names}
+    rig = replace(
+        skeleton,
+        names=tuple(rename.values()),
+        end_sites={rename[name]: sites for name, sites in skeleton.end_sites.items()},
+    )
+    moved = {rename[name]: places for name, places in motion.joint_translations.items()}
+    return joints, replace(motion, skeleton=rig, joint_translations=moved)
+
+
+def _window(recording: Motion, start: float, pair: Pair) -> Motion:
+    first = round(start * recording.fps)
+    stop = min(recording.n_frames, first + round(WINDOW_SECONDS * recording.fps))
+    if stop - first < 2:
+        raise MotionError(
+            f"{pair.generated}: {pair.reference.name} ends before its window {pair.window} "
+            f"({start:g} s) begins"
+        )
+    return recording.slice(first, stop)
+
+
+def _later(track: FeatureTrack, start: float) -> FeatureTrack:
+    keep = track.times >= start
+    if not keep.any():
+        keep[-1] = True
+    return FeatureTrack(track.values[keep], track.times[keep] - start, track.spec, track.names)
+
+
+@functools.lru_cache(maxsize=_CACHED)
+def _resampled(path: Path, fps: float) -> Motion:
+    motion = _read(path)
+    if motion.n_frames < 2:
+        raise FormatError(f"{path}: one frame; a motion to be measured has at least 2")
+    return motion if abs(motion.fps - fps) <= 1e-3 * fps else motion.resample(fps)
+
+
+def _read(path: Path) -> Motion:
+    try:
+        return Motion.load(path)
+    except (FormatError, MotionError) as error:
+        # A motion that cannot be does not know its file.
+        text = str(error)
+        raise type(error)(text if path.name in text else f"{path}: {text}") from error
+
+
+_semantic = functools.lru_cache(maxsize=_CACHED)(read_semantic)

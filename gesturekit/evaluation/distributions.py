@@ -1,0 +1,76 @@
+"""Distributions of speed: the histogram distance of the GENEA challenges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+
+BIN = 0.01
+"""m/s, 1 cm/s: the width of GENEA's histogram bins."""
+TOP = 0.49
+"""m/s; GENEA's last bin ends at 49 cm/s, and what is faster is not counted."""
+
+
+@dataclass
+class SpeedHistogram:
+    """Counts of joint speeds, added to clip by clip.
+
+    Attributes:
+        width: m/s of a bin.
+        top: m/s where the last bin ends.
+        counts: (top / width,) values in each bin.
+        beyond: how many values lay above `top`; they are not in the distribution.
+    """
+
+    width: float = BIN
+    top: float = TOP
+    counts: np.ndarray = field(init=False)
+    beyond: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.width <= self.top:
+            raise MotionError(
+                f"bins of {self.width:g} m/s up to {self.top:g} m/s hold nothing; give a width "
+                "above 0 and below the top"
+            )
+        self.counts = np.zeros(round(self.top / self.width), dtype=np.int64)
+
+    def add(self, speeds: np.ndarray) -> None:
+        """Count speeds (any shape), m/s."""
+        edges = np.linspace(0.0, self.top, len(self.counts) + 1)
+        counts, _ = np.histogram(speeds, edges)
+        self.counts += counts
+        self.beyond += int(np.size(speeds) - counts.sum())
+
+    @classmethod
+    def of(
+        cls, speeds: Iterable[np.ndarray], *, width: float = BIN, top: float = TOP
+    ) -> SpeedHistogram:
+        """The histogram of the speeds of several clips."""
+        made = cls(width, top)
+        for part in speeds:
+            made.add(part)
+        return made
+
+
+def hellinger(one: SpeedHistogram, other: SpeedHistogram) -> float:
+    """Hellinger distance of two speed distributions: sqrt(1 - Σ sqrt(h₁ h₂)), 0 equal, 1 disjoint.
+
+    Speeds of all joints are pooled, as in genea_numerical_evaluations.
+
+    Raises:
+        MotionError: different bins, or a histogram with nothing in it.
+    """
+    if (one.width, one.top) != (other.width, other.top):
+        raise MotionError(
+            f"histograms of {one.width:g} and {other.width:g} m/s bins (up to {one.top:g} and "
+            f"{other.top:g} m/s) cannot be compared; take the same bins"
+        )
+    if not one.counts.sum() or not other.counts.sum():
+        raise MotionError(f"no speed up to {one.top:g} m/s was counted; take a higher top")
+    shares = [h.counts / h.counts.sum() for h in (one, other)]
+    return float(np.sqrt(max(0.0, 1.0 - np.sqrt(shares[0] * shares[1]).sum())))

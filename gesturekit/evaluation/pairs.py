@@ -1,0 +1,206 @@
+"""Which generated clip is measured against which recording, and with which sound.
+
+By path without extension below the folder, then by stem. `STEM_s2` (a sample, as `gesturekit
+render --samples` writes it) and `STEM_w003` (the fourth 10 s window of STEM) belong to STEM.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gesturekit.errors import CorpusError
+
+MOTION_SUFFIXES = (".npz", ".bvh")
+"""Of a clip that is there as both, the first is read: it holds every digit."""
+SOUND_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
+SEMANTIC_SUFFIXES = (".npz", ".txt")
+WINDOW_SECONDS = 10.0
+"""Length of the windows that names ending in _w000, _w001 ... stand for."""
+
+_SAMPLE = re.compile(r"_s\d+$")
+_WINDOW = re.compile(r"_w(\d{3,})$")
+
+
+@dataclass(frozen=True, order=True)
+class Pair:
+    """A generated clip and what belongs to it.
+
+    Attributes:
+        name: the generated clip's key: its path within the folder, without extension.
+        stem: the key of its recording.
+        window: which 10 s window of the recording it stands for; None for the whole.
+        generated: its file.
+        reference: the recording's motion file.
+        audio: the recording's sound, or None.
+        semantic: the recording's semantic track, or None.
+    """
+
+    name: str
+    stem: str
+    window: int | None
+    generated: Path
+    reference: Path
+    audio: Path | None = None
+    semantic: Path | None = None
+
+
+@dataclass(frozen=True)
+class Excluded:
+    """A clip that is left out, and why; `what` names a measure where only that is left out."""
+
+    name: str
+    reason: str
+    what: str = "clip"
+
+
+@dataclass
+class Pairs:
+    """What was found: pairs in order of stem and name, and clips that have no recording."""
+
+    pairs: list[Pair] = field(default_factory=list)
+    excluded: list[Excluded] = field(default_factory=list)
+
+
+def find_pairs(
+    generated: Path,
+    reference: Path,
+    *,
+    audio: Path | None = None,
+    semantic: Path | None = None,
+) -> Pairs:
+    """Pair the clips of two folders (or files), and their sounds.
+
+    Args:
+        generated: folder or file of motion (npz, BVH).
+        reference: the recordings. A single file is the reference of every generated clip.
+        audio: folder or file of the recordings' sound.
+        semantic: folder or file of semantic tracks: feature files (npz) or BEAT's (txt).
+
+    Raises:
+        CorpusError: a folder that is missing or empty, or no clip that has a recording.
+    """
+    made = motion_files(generated)
+    recorded = motion_files(reference)
+    sounds = files_by_key(audio, SOUND_SUFFIXES, "sound") if audio else {}
+    tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
+    lookup = _Lookup(recorded)
+    found = Pairs()
+    for name, path in made.items():
+        if len(recorded) == 1 and reference.is_file():
+            (stem,), window = recorded, None
+        else:
+            stem, window, reason = lookup(name)
+            if stem is None:
+                found.excluded.append(Excluded(name, reason))
+                continue
+        found.pairs.append(
+            Pair(
+                name,
+                stem,
+                window,
+                path,
+                recorded[stem],
+                _beside(stem, sounds, audio),
+                _beside(stem, tracks, semantic),
+            )
+        )
+    if not found.pairs:
+        raise CorpusError(
+            f"{generated}: none of its {len(made)} clips ({_some(made)}) has a recording of its "
+            f"name in {reference} ({_some(recorded)}); give them the same names, with _s1, _s2 "
+            "... for samples"
+        )
+    if sounds and not any(pair.audio for pair in found.pairs):
+        raise CorpusError(
+            f"{audio}: none of its sounds ({_some(sounds)}) bears the name of a recording "
+            f"({_some(recorded)})"
+        )
+    found.pairs.sort(key=lambda pair: (pair.stem, pair.name))
+    return found
+
+
+def motion_files(path: Path) -> dict[str, Path]:
+    """Key to file of all motion below a folder, or of one file.
+
+    Raises:
+        CorpusError: there is none.
+    """
+    return files_by_key(path, MOTION_SUFFIXES, "motion")
+
+
+def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, Path]:
+    """Relative path without extension to file, sorted; earlier suffixes win over later ones.
+
+    Hidden files and folders are passed over.
+
+    Raises:
+        CorpusError: no such folder or file, one of another kind, or none inside.
+    """
+    path = Path(path)
+    if path.is_file():
+        if path.suffix.lower() not in suffixes:
+            raise CorpusError(f"{path}: no {what} file; expected {', '.join(suffixes)}")
+        return {path.stem: path}
+    if not path.is_dir():
+        raise CorpusError(f"{path}: no such file or folder; give a folder of {what} files")
+    found: dict[str, Path] = {}
+    for suffix in reversed(suffixes):
+        for file in path.rglob("*"):
+            inside = file.relative_to(path)
+            hidden = any(part.startswith(".") for part in inside.parts)
+            if file.suffix.lower() == suffix and not hidden and file.is_file():
+                found[inside.with_suffix("").as_posix()] = file
+    if not found:
+        raise CorpusError(
+            f"{path}: no {what} files ({', '.join(suffixes)}) in this folder; is it the right one?"
+        )
+    return dict(sorted(found.items()))
+
+
+class _Lookup:
+    """From a generated clip's name to the recording it belongs to."""
+
+    def __init__(self, recorded: Mapping[str, Path]) -> None:
+        self.recorded = recorded
+        self.by_stem: dict[str, list[str]] = defaultdict(list)
+        for key in recorded:
+            self.by_stem[key.rsplit("/", 1)[-1]].append(key)
+
+    def __call__(self, name: str) -> tuple[str | None, int | None, str]:
+        """(key of the recording or None, window, why there is none)."""
+        sample = _SAMPLE.sub("", name)
+        window = _WINDOW.search(sample)
+        names = [(name, None), (sample, None)]
+        if window:
+            names.append((sample[: window.start()], int(window[1])))
+        for key, index in names:
+            if key in self.recorded:
+                return key, index, ""
+            fitting = self.by_stem.get(key.rsplit("/", 1)[-1], [])
+            if len(fitting) == 1:
+                return fitting[0], index, ""
+            if fitting:
+                return None, None, f"several recordings fit it: {', '.join(fitting)}"
+        near = difflib.get_close_matches(sample, self.recorded, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        return None, None, f"no recording of its name{hint}"
+
+
+def _beside(stem: str, files: Mapping[str, Path], given: Path | None) -> Path | None:
+    if given is not None and given.is_file():
+        return given
+    if stem in files:
+        return files[stem]
+    last = stem.rsplit("/", 1)[-1]
+    fitting = [path for key, path in files.items() if key.rsplit("/", 1)[-1] == last]
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def _some(names: Mapping[str, Path], most: int = 3) -> str:
+    shown = ", ".join(list(names)[:most])
+    return shown if len(names) <= most else f"{shown}, ..."

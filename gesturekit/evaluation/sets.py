@@ -1,0 +1,206 @@
+"""Figures of a whole set of clips: distributions, one fit for all, distances between sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gesturekit.errors import GestureKitError
+from gesturekit.evaluation import likeness, physical
+from gesturekit.evaluation.clips import Clip
+from gesturekit.evaluation.definitions import FRECHET, LIKENESS, PATCHES
+from gesturekit.evaluation.distributions import SpeedHistogram, hellinger
+from gesturekit.evaluation.feature_model import FeatureModel
+from gesturekit.evaluation.frechet import FrechetResult, div_g, div_k, fgd, fid_g, fid_k, raw_fgd
+from gesturekit.evaluation.intervals import Interval, interval_of, interval_of_statistic
+from gesturekit.evaluation.measures import Measurer
+from gesturekit.evaluation.patches import inter_diversity, patch_features
+from gesturekit.evaluation.results import Figure
+from gesturekit.motion import Motion
+
+INTER_SAMPLES = 20
+"""Samples of one recording that are compared with each other, as SinMDM does."""
+_WRISTS = 20_000
+_COLUMNS = 50_000  # frames that the one CCA of a whole set is fitted on, at most
+
+
+class Gathered:
+    """What the clips of one model leave behind for the figures of the set.
+
+    Args:
+        measurer: how clips are measured.
+        seed: of the intervals.
+    """
+
+    def __init__(self, measurer: Measurer, seed: int) -> None:
+        self.measurer = measurer
+        self.seed = seed
+        self.motions: list[Motion] = []
+        self.histograms: list[SpeedHistogram] = []
+        self.beside: list[SpeedHistogram] = []
+        self.wrists: list[np.ndarray] = []
+        self.problems: list[tuple[str, str]] = []
+        self._stems: list[str] = []
+        self._poses: list[tuple[np.ndarray, np.ndarray]] = []
+        self._joints: tuple[str, ...] = ()
+        self._inter: dict[str, float] = {}
+        self._samples: list[np.ndarray] = []
+
+    def add(self, clip: Clip, recorded: SpeedHistogram) -> None:
+        """Take what is needed of a clip; clips come in order of their recordings.
+
+        Args:
+            clip: a clip that was measured.
+            recorded: speeds of its recording.
+        """
+        groups = self.measurer.groups
+        same = bool(self._stems) and self._stems[-1] == clip.pair.stem
+        self._stems.append(clip.pair.stem)
+        self.histograms.append(SpeedHistogram.of([speeds_of(clip.generated, clip.joints)]))
+        self.beside.append(recorded)
+        self.wrists.append(wrists_of(clip.generated))
+        if FRECHET in groups:
+            self.motions.append(clip.generated)
+        if LIKENESS in groups:
+            self._joints = self._joints or clip.joints
+            if clip.joints == self._joints:
+                self._poses.append(self.measurer.both(clip))
+        if PATCHES in groups:
+            self._samples = self._samples if same else []
+            self._compare_samples(clip)
+
+    def figures(self) -> dict[str, Figure]:
+        """Figures of the set, but for Fréchet distances."""
+        figures: dict[str, Figure] = {}
+        self._try(figures, "hellinger", self._hellinger)
+        if self._poses:
+            self._try(figures, "cca_global", self._cca)
+        if self._inter:
+            interval = interval_of(list(self._inter.values()), list(self._inter), self.seed)
+            figures["inter_diversity"] = Figure("inter_diversity", interval)
+        return figures
+
+    def frechet_figures(
+        self,
+        full: Sequence[Motion],
+        compared: Sequence[Motion] | None,
+        model: FeatureModel | None,
+    ) -> dict[str, Figure]:
+        """Fréchet distances to the full set of recordings, and diversity of clips.
+
+        Args:
+            full: all recordings.
+            compared: the recordings (or windows) that generated clips stand for; their own
+                distance to the full set is the top line. None where they are the full set.
+            model: the feature extractor of `gesturekit fit-features`; without it no FGD.
+        """
+        figures: dict[str, Figure] = {}
+        distances: dict[str, Callable[[Sequence[Motion]], FrechetResult]] = {
+            "raw_fgd": lambda set_: raw_fgd(set_, full, model.windows if model else None),
+            "fid_k": lambda set_: fid_k(set_, full, seed=self.seed),
+            "fid_g": lambda set_: fid_g(set_, full, seed=self.seed),
+        }
+        if model is not None:
+            distances["fgd"] = lambda set_: fgd(set_, full, model, seed=self.seed)
+        for key, distance in distances.items():
+            self._try(
+                figures,
+                key,
+                lambda distance=distance, key=key: _frechet(
+                    key, distance(self.motions), None if compared is None else distance(compared)
+                ),
+            )
+        for key, diversity in (("div_k", div_k), ("div_g", div_g)):
+            self._try(
+                figures,
+                key,
+                lambda diversity=diversity, key=key: Figure(
+                    key,
+                    _plain(diversity(self.motions, full), len(self.motions)),
+                    recording=diversity(full if compared is None else compared, full),
+                ),
+            )
+        return figures
+
+    def _try(self, figures: dict[str, Figure], key: str, make: Callable[[], Figure]) -> None:
+        try:
+            figures[key] = make()
+        except GestureKitError as error:
+            self.problems.append((key, str(error)))
+
+    def _hellinger(self) -> Figure:
+        def distance(drawn: np.ndarray) -> float:
+            return hellinger(_pooled(self.histograms, drawn), _pooled(self.beside, drawn))
+
+        interval = interval_of_statistic(distance, self._stems, self.seed)
+        total = sum(int(h.counts.sum()) + h.beyond for h in self.histograms)
+        beyond = 100.0 * sum(h.beyond for h in self.histograms) / max(total, 1)
+        return Figure("hellinger", interval, note=f"{beyond:.1f} % beyond the last bin")
+
+    def _cca(self) -> Figure:
+        ours, theirs = (np.concatenate(side) for side in zip(*self._poses, strict=True))
+        stride = -(-len(ours) // _COLUMNS)
+        r = likeness.cca(ours[::stride], theirs[::stride])
+        return Figure("cca_global", _plain(r, len(self._poses)))
+
+    def _compare_samples(self, clip: Clip) -> None:
+        if len(self._samples) >= INTER_SAMPLES:
+            return
+        try:
+            variant = self.measurer.patches.variant
+            self._samples.append(patch_features(clip.generated, variant, joints=clip.joints))
+            if len(self._samples) > 1:
+                self._inter[clip.pair.stem] = inter_diversity(self._samples)
+        except GestureKitError:
+            return  # local diversity has told the reason
+
+
+def speeds_of(motion: Motion, joints: Sequence[str]) -> np.ndarray:
+    """(N,) speeds of all joints in all frames, m/s."""
+    return physical.joint_speed(motion, joints).ravel()
+
+
+def wrists_of(motion: Motion) -> np.ndarray:
+    """(T - 1,) wrist speeds, m/s; none of a rig without wrists."""
+    try:
+        return physical.wrist_speed(motion)
+    except GestureKitError:
+        return np.zeros(0)
+
+
+def thinned(parts: Sequence[np.ndarray], most: int = _WRISTS) -> np.ndarray:
+    """All values in one array, every k-th one where there are more than `most`."""
+    whole = np.concatenate(parts) if parts else np.zeros(0)
+    return whole[:: max(1, -(-len(whole) // most))]
+
+
+def pooled(histograms: Sequence[SpeedHistogram]) -> SpeedHistogram:
+    """One histogram of all."""
+    return _pooled(histograms, range(len(histograms)))
+
+
+def _pooled(histograms: Sequence[SpeedHistogram], drawn: Sequence[int]) -> SpeedHistogram:
+    whole = SpeedHistogram()
+    for i in drawn:
+        whole.counts += histograms[i].counts
+        whole.beyond += histograms[i].beyond
+    return whole
+
+
+def _plain(value: float, n: int) -> Interval:
+    """A figure of a whole set that is given without an interval."""
+    return Interval(value, None, None, n, 1, "the whole set")
+
+
+def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None) -> Figure:
+    known = not np.isnan(ours.low)
+    interval = Interval(
+        ours.value,
+        ours.low if known else None,
+        ours.high if known else None,
+        ours.n_generated,
+        ours.n_generated,
+        f"windows, against {ours.n_reference} of the recordings",
+    )
+    return Figure(key, interval, recording=None if top is None else top.value, note=ours.note)
