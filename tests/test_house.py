@@ -17,6 +17,7 @@ MAY_IMPORT: dict[str, set[str]] = {"motion": set()}
 MAY_IMPORT["formats"] = {"motion"}
 for _room in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_room] = {"formats", "motion"}
+MAY_IMPORT["evaluation"].add("viewer")  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
 MAY_IMPORT["multires"] = {"training", *MAY_IMPORT["training"]}
 MAY_IMPORT["inspection"] = {"systems", *MAY_IMPORT["multires"]}

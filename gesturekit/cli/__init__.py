@@ -20,6 +20,7 @@ VERBS = (
     "convert",
     "inspect",
     "view",
+    "evaluate",
     "fit-features",
 )
 

@@ -6,7 +6,7 @@ import importlib.metadata
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from gesturekit.evaluation.definitions import (
     SPEECH,
 )
 from gesturekit.evaluation.distributions import SpeedHistogram
-from gesturekit.evaluation.feature_model import FeatureModel
 from gesturekit.evaluation.intervals import Interval, interval_of
 from gesturekit.evaluation.measures import Known, Measurer, PatchOptions, load_sound
 from gesturekit.evaluation.pairs import (
@@ -37,6 +36,9 @@ from gesturekit.evaluation.physical import joint_speed
 from gesturekit.evaluation.results import ClipResult, Evaluation, Figure, ModelResult
 from gesturekit.evaluation.sets import Gathered, pooled, speeds_of, thinned, wrists_of
 from gesturekit.motion import Motion
+
+if TYPE_CHECKING:
+    from gesturekit.evaluation.feature_model import FeatureModel
 
 PROTOCOLS = {
     "": GROUPS,

@@ -72,5 +72,6 @@ def hellinger(one: SpeedHistogram, other: SpeedHistogram) -> float:
         )
     if not one.counts.sum() or not other.counts.sum():
         raise MotionError(f"no speed up to {one.top:g} m/s was counted; take a higher top")
-    shares = [h.counts / h.counts.sum() for h in (one, other)]
-    return float(np.sqrt(max(0.0, 1.0 - np.sqrt(shares[0] * shares[1]).sum())))
+    roots = [np.sqrt(h.counts / h.counts.sum()) for h in (one, other)]
+    # 1 - Σ sqrt(h1 h2) = Σ (sqrt h1 - sqrt h2)² / 2, which is exactly 0 for equal ones.
+    return float(np.linalg.norm(roots[0] - roots[1]) / np.sqrt(2.0))

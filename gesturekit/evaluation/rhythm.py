@@ -185,10 +185,16 @@ def upper_body_joints(motion: Motion) -> tuple[str, ...]:
 
 
 def _minima(curve: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of strict local minima within ±order, and where between the samples they lie."""
-    from scipy.signal import argrelmin
+    """Indices of local minima within ±order, and where between the samples they lie.
 
-    (at,) = argrelmin(curve, order=order)
+    Two equal lowest samples are one minimum between them; a longer flat is rest, and none.
+    """
+    from scipy.signal import argrelextrema
+
+    (low,) = argrelextrema(curve, np.less_equal, order=order)
+    runs = np.split(low, np.flatnonzero(np.diff(low) > 1) + 1)
+    at = np.array([run[0] for run in runs if 0 < len(run) <= 2], dtype=np.int64)
+    at = at[(at > 0) & (at < len(curve) - 1)]
     before, here, after = curve[at - 1], curve[at], curve[at + 1]
     bend = before - 2 * here + after
     return at, at + 0.5 * (before - after) / np.maximum(bend, 1e-30)

@@ -68,9 +68,7 @@ def figures(evaluation: Evaluation) -> str:
             rows.append(f'<tr><th class="group" colspan="{span}">{group}</th></tr>')
         for definition in definitions:
             key = definition.key
-            cells = [
-                _figure_cell(m.figures.get(key), definition, models) for m in models
-            ]
+            cells = [_figure_cell(m.figures.get(key), definition, models) for m in models]
             cells += [_extra_cell(models, key, name) for name, _ in extra]
             rows.append(f"<tr>{_measure_cells(definition)}{''.join(cells)}</tr>")
     lead = (

@@ -152,6 +152,9 @@ class MultiresConfig:
     checkpoint_every: int = 250
     """Iterations between checkpoints."""
     log_every: int = 10
+    eval_every: int = 0
+    """Iterations between cheap evaluations (`quick_figures`) on the training speech, written to
+    metrics.jsonl with `kind: evaluation`; 0 for none. They change nothing in the training."""
     threads: int | None = None
     """CPU threads; null leaves the choice to torch."""
     device: str = "auto"
@@ -161,6 +164,7 @@ class MultiresConfig:
 
     def __post_init__(self) -> None:
         _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)
+        _not_negative(eval_every=self.eval_every)
         for part, joint in self.parts.items():
             if part not in KNOWN_PARTS:
                 raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")

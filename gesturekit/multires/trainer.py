@@ -24,6 +24,7 @@ from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.listening import ArmSpeedTarget
 from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.monitor import Monitor
 from gesturekit.multires.networks import (
     LevelDiscriminator,
     MultiresGenerator,
@@ -97,6 +98,7 @@ class _Trainer:
         self.kinematics = VectorKinematics(self.data.representation, config.fps).to(self.device)
         self.normaliser = self.data.normaliser.to(self.device)
         self.bank = Bank(self.data, config, self.network)
+        self.monitor = Monitor(self.data, config) if config.eval_every else None
         self.groups = self.data.window_lengths()
         # How often a step takes windows of each length: as often as there are frames of it.
         self.group_frames = torch.tensor(
@@ -243,6 +245,10 @@ class _Pair:
                 shown = ", ".join(f"{name} {value:.3g}" for name, value in means.items())
                 progress.set_postfix_str(f"level {self.first + 1}-{self.indices[-1] + 1}: {shown}")
                 totals, since, clock = {}, 0, time.monotonic()
+            monitor = self.trainer.monitor
+            if monitor is not None and (step % self.config.eval_every == 0 or last):
+                figures = monitor.figures(self.trainer.network, self.indices[-1] + 1)
+                self.trainer.folder.log(step, figures, level=self.first + 1, kind="evaluation")
             if step % self.config.checkpoint_every == 0 or last:
                 networks = nn.ModuleList([self.generators, self.discriminators])
                 norms = [weight.detach().norm() for weight in networks.parameters()]

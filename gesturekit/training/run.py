@@ -17,6 +17,9 @@ from gesturekit.training.config import dump_yaml, read_yaml
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
+# Where a run lies and how it reports do not change what it computes.
+_REPORTING = ("out", "checkpoint_every", "log_every", "eval_every")
+
 
 class Run:
     """A run folder: `config.yaml`, `command.txt`, `versions.json`, `metrics.jsonl`,
@@ -45,10 +48,7 @@ class Run:
             before = read_yaml(config_file)
             before, config = _dotted(before), _dotted(config)
             for key in sorted(set(before) | set(config)):
-                # Where the run lies and how it reports do not change what it computes.
-                if key not in ("out", "checkpoint_every", "log_every") and before.get(
-                    key
-                ) != config.get(key):
+                if key not in _REPORTING and before.get(key) != config.get(key):
                     raise ConfigError(
                         f"{config_file}: the run was started with {key}: {before.get(key)!r}, now "
                         f"it is {config.get(key)!r}; resume with the same settings or start anew"
@@ -97,9 +97,10 @@ class Run:
             self._events.add_scalar(name, value, step)
 
     def last_metrics(self) -> dict[str, float]:
-        """The numbers logged last, without step, labels and timing."""
-        lines = self._metrics.read_text(encoding="utf-8").splitlines()
-        logged = json.loads(lines[-1]) if lines else {}
+        """The losses logged last, without step, labels and timing."""
+        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
+        losses = [logged for logged in lines if logged.get("kind") != "evaluation"]
+        logged = losses[-1] if losses else {}
         return {
             name: value
             for name, value in logged.items()

@@ -1,0 +1,111 @@
+"""Motion as the papers' evaluations ask for it: sampled from a model into a folder.
+
+`gesturekit.evaluation` never sees a model; it measures such folders. Clips are named after their
+recordings, so that they are found again: `STEM_s1` ..., `STEM_w000_s1` ... for windows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import audio_features as af
+from gesturekit.errors import ConfigError
+from gesturekit.evaluation.comparison import LDA_SAMPLES, MULTIRES_LENGTH, MULTIRES_SAMPLES
+from gesturekit.evaluation.pairs import (
+    SOUND_SUFFIXES,
+    WINDOW_SECONDS,
+    files_by_key,
+    motion_files,
+)
+from gesturekit.motion.motion import Motion
+
+
+def sample_multires(
+    model: Any,
+    reference: Path,
+    out: Path,
+    *,
+    audio: Path | None = None,
+    samples: int = MULTIRES_SAMPLES,
+    seed: int = 0,
+) -> Iterator[Path]:
+    """Samples for Table 1 of Moreno-Villamarín et al. 2024, twice as long as training sequences.
+
+    Noise enters at level 1 only and feet are not locked, which is how `generate` samples.
+
+    Args:
+        model: as `gesturekit.load` gives it.
+        reference: folder of the training sequences.
+        out: folder to fill with `STEM_s1.npz` ...
+        audio: folder of their sound; a model that hears gets a sequence's sound twice, end to end.
+            Without it the model moves without speech.
+        samples: for each sequence.
+        seed: of the first sample of each; the others count up from it.
+
+    Yields:
+        each file, as it is written.
+
+    Raises:
+        CorpusError: an empty folder.
+        ConfigError: a sequence without sound, where a folder of sounds was given.
+    """
+    sequences = motion_files(reference)
+    sounds = {} if audio is None else files_by_key(audio, SOUND_SUFFIXES, "sound")
+    missing = [stem for stem in sequences if audio is not None and stem not in sounds]
+    if missing:
+        raise ConfigError(f"{audio}: no sound of the name of {', '.join(missing[:3])}")
+    for stem, path in sequences.items():
+        if stem in sounds:
+            wave = af.Wave.load(sounds[stem])
+            whole = np.tile(wave.samples, round(MULTIRES_LENGTH))
+            asked = {"speech": af.Wave(whole, wave.sample_rate, wave.source)}
+        else:
+            asked = {"seconds": MULTIRES_LENGTH * Motion.load(path).duration}
+        yield from _samples(model, asked, out, stem, samples, seed)
+
+
+def sample_lda(
+    model: Any, audio: Path, out: Path, *, samples: int = LDA_SAMPLES, seed: int = 0
+) -> Iterator[Path]:
+    """Samples for Table 4 of Alexanderson et al. 2023: for 10 s windows of speech, end to end.
+
+    What is left of a recording after its last whole window is left out.
+
+    Args:
+        model: as `gesturekit.load` gives it.
+        audio: folder of the test recordings' sound.
+        out: folder to fill with `STEM_w000_s1.npz` ...
+        samples: for each window.
+        seed: of the first sample of each window; the others count up from it.
+
+    Yields:
+        each file, as it is written.
+
+    Raises:
+        CorpusError: an empty folder.
+        ConfigError: no recording is as long as a window.
+    """
+    made = 0
+    for stem, path in files_by_key(audio, SOUND_SUFFIXES, "sound").items():
+        wave = af.Wave.load(path)
+        for window in range(int(wave.duration / WINDOW_SECONDS + 1e-6)):
+            asked = {"speech": wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)}
+            yield from _samples(model, asked, out, f"{stem}_w{window:03d}", samples, seed)
+            made += 1
+    if not made:
+        raise ConfigError(f"{audio}: no recording is as long as a window of {WINDOW_SECONDS:g} s")
+
+
+def _samples(
+    model: Any, asked: dict[str, Any], out: Path, stem: str, samples: int, seed: int
+) -> Iterator[Path]:
+    # One at a time: 200 motions of some minutes do not fit into memory together.
+    for number in range(samples):
+        path = out / f"{stem}_s{number + 1}.npz"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        model.generate(**asked, seed=seed + number).save(path)
+        yield path

@@ -1,0 +1,187 @@
+"""Folders against folders, from end to end."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import EvaluationError, GestureKitError
+from gesturekit.evaluation import PatchOptions, evaluate
+from gesturekit.motion import Motion
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory, gesture, write_speech) -> Path:
+    """Four recordings with sound, two samples of another motion for each, and the recordings."""
+    root = tmp_path_factory.mktemp("folders")
+    for i in range(4):
+        stem = f"clip{i}"
+        gesture(4.0, 25.0, seed=i).save(_made(root / "recordings" / f"{stem}.bvh"))
+        write_speech(root / "sound" / f"{stem}.wav", 4.0)
+        for sample in (1, 2):
+            motion = gesture(4.0, 25.0, seed=10 * i + sample)
+            motion.save(_made(root / "samples" / f"{stem}_s{sample}.npz"))
+    return root
+
+
+def _made(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def test_recordings_against_themselves_are_perfect(folders):
+    found = evaluate(folders / "recordings", folders / "recordings")
+    (model,) = found.models
+    assert found.is_complete and len(model.clips) == 4
+    for key, figure in model.figures.items():
+        if figure.recording is not None and key not in ("div_k", "div_g"):
+            assert figure.interval.value == pytest.approx(figure.recording), key
+    values = {key: figure.interval.value for key, figure in model.figures.items()}
+    assert values["coverage"] == 100.0
+    assert values["hellinger"] == values["joint_limits"] == 0.0
+    assert values["local_diversity"] == pytest.approx(0.0, abs=1e-5)  # distances are rounded
+    assert values["cca"] == pytest.approx(1.0) and values["cca_global"] == pytest.approx(1.0)
+    assert values["raw_fgd"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_samples_of_one_recording_count_as_one_draw(folders):
+    found = evaluate(folders / "samples", folders / "recordings", audio=folders / "sound")
+    (model,) = found.models
+    interval = model.figures["arm_speed"].interval
+    assert (interval.n, interval.units, interval.over) == (8, 4, "recordings")
+    clips = {clip.pair.name: clip.figures["arm_speed"] for clip in model.clips}
+    means = [np.mean([clips[f"clip{i}_s{k}"] for k in (1, 2)]) for i in range(4)]
+    assert interval.value == pytest.approx(np.mean(means))
+    assert min(means) <= interval.low < interval.value < interval.high <= max(means)
+    one = model.by_recording["clip2"]["coverage"]
+    assert (one.n, one.over) == (2, "samples")
+    assert "inter_diversity" in model.figures
+    sync = model.figures["sync"]
+    assert None not in (sync.recording, sync.chance, sync.mismatched)
+
+
+def test_the_same_seed_gives_the_same_json_whatever_lies_beside(folders, tmp_path):
+    def written(name: str, models) -> dict:
+        found = evaluate(models, folders / "recordings", audio=folders / "sound", seed=3)
+        found.write_json(tmp_path / name)
+        return json.loads((tmp_path / name).read_text())
+
+    one = written("one.json", {"samples": folders / "samples"})
+    again = written("again.json", {"samples": folders / "samples"})
+    assert one == again
+    both = written("both.json", {"samples": folders / "samples", "x": folders / "recordings"})
+    assert both["models"][0] == one["models"][0]
+    assert one["format"] == 1 and one["settings"]["seed"] == 3
+    assert set(one["models"][0]["figures"]) <= set(one["definitions"])
+    coverage = one["definitions"]["coverage"]
+    assert "30 frames (1.20 s)" in coverage["variant"]
+    assert {"gesturekit", "numpy", "scipy"} <= set(one["versions"])
+
+
+def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture, write_speech):
+    whole = gesture(25.0, 25.0, seed=0)
+    whole.save(_made(tmp_path / "recordings" / "a.npz"))
+    write_speech(tmp_path / "sound" / "a.wav", 25.0)
+    for window in (0, 1):
+        part = whole.slice(250 * window, 250 * window + 250)
+        for sample in (1, 2, 3):
+            part.save(_made(tmp_path / "made" / f"a_w{window:03d}_s{sample}.npz"))
+    found = evaluate(
+        tmp_path / "made", tmp_path / "recordings", audio=tmp_path / "sound", protocol="lda"
+    )
+    (model,) = found.models
+    assert model.figures["arm_speed"].interval.value == pytest.approx(
+        model.figures["arm_speed"].recording
+    )
+    assert "coverage" not in model.figures and "fid_k" in model.figures
+    assert model.notes == []  # three samples of each 10 s window, as the protocol says
+    # The windows' own distance to the whole set is the top line.
+    assert model.figures["fid_k"].recording is not None
+
+
+def test_the_multires_protocol_asks_for_its_samples(folders):
+    found = evaluate(folders / "samples", folders / "recordings", protocol="multires")
+    (model,) = found.models
+    assert "takes 200 samples of each recording; clip0: 2" in model.notes[0]
+    assert "shorter than 2 times its recording" in model.clips[0].notes[0]
+    assert set(model.by_recording) == {f"clip{i}" for i in range(4)}
+    assert "sync" not in model.figures and "fid_k" not in model.figures
+    with pytest.raises(EvaluationError, match="expected one of multires, lda"):
+        evaluate(folders / "samples", folders / "recordings", protocol="genea")
+
+
+def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
+    for threshold, has in ((None, False), (40.0, True)):
+        found = evaluate(
+            folders / "samples",
+            folders / "recordings",
+            patches=PatchOptions("paper", threshold),
+            protocol="multires",
+        )
+        assert ("coverage" in found.models[0].figures) is has
+        assert found.settings["patches"] == {"variant": "paper", "threshold": threshold}
+
+
+def test_rigs_are_matched_by_name_whatever_their_name_space_and_order(folders, tmp_path):
+    for path in sorted((folders / "recordings").glob("*.bvh")):
+        motion = Motion.load(path)
+        rig = motion.skeleton
+        names = {name: f"mixamorig:{name}" for name in rig.names}
+        ends = {names[name]: sites for name, sites in rig.end_sites.items()}
+        renamed = replace(rig, names=tuple(names.values()), end_sites=ends)
+        replace(motion, skeleton=renamed).save(_made(tmp_path / "made" / f"{path.stem}.npz"))
+    found = evaluate(tmp_path / "made", folders / "recordings")
+    assert found.models[0].figures["hellinger"].interval.value == pytest.approx(0.0, abs=1e-6)
+    assert found.models[0].figures["joint_limits"].interval.value == 0.0
+
+
+def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(folders, tmp_path):
+    made = tmp_path / "made"
+    good = Motion.load(folders / "samples" / "clip0_s1.npz")
+    good.save(_made(made / "clip0.npz"))
+    good.slice(0, 1).save(made / "clip1.npz")
+    good.save(made / "clip2.bvh")
+    text = (made / "clip2.bvh").read_text().splitlines()
+    text[-5] = text[-5].replace(text[-5].split()[3], "nan", 1)
+    (made / "clip2.bvh").write_text("\n".join(text))
+    rig = good.skeleton
+    other = replace(rig, names=tuple(f"bone{j}" for j in range(rig.n_joints)), end_sites={})
+    replace(good, skeleton=other).save(made / "clip3.npz")
+    found = evaluate(made, folders / "recordings")
+    (model,) = found.models
+    assert not found.is_complete and [clip.pair.name for clip in model.clips] == ["clip0"]
+    reasons = {item.name: item.reason for item in model.excluded if item.what == "clip"}
+    assert "clip1.npz: one frame" in reasons["clip1"]
+    assert "clip2.bvh" in reasons["clip2"] and "nan" in reasons["clip2"]
+    assert "rigs do not match: 0 of" in reasons["clip3"]
+    (made / "clip0.npz").unlink()
+    with pytest.raises(GestureKitError, match="no clip could be measured: .*one frame"):
+        evaluate(made, folders / "recordings")
+
+
+def test_oddities_of_a_clip_are_told(folders, tmp_path):
+    motion = Motion.load(folders / "samples" / "clip0_s1.npz")
+    rotations = motion.rotations.copy()
+    rotations[50:80] = rotations[50]
+    translation = motion.translation.copy()
+    translation[80:] += [3.0, 0.0, 0.0]
+    odd = replace(motion, rotations=rotations, translation=translation).slice(0, 90)
+    odd.save(_made(tmp_path / "made" / "clip0.npz"))
+    (model,) = evaluate(tmp_path / "made", folders / "recordings").models
+    notes = "; ".join(model.clips[0].notes)
+    assert "0.40 s shorter than its recording" in notes
+    assert "stands still in 3" in notes and "jumps at 3.16 s (7" in notes
+
+
+def test_frame_rates_may_differ_and_the_first_model_says_at_which_it_is_measured(folders, tmp_path):
+    for path in sorted((folders / "samples").glob("*_s1.npz")):
+        slow = Motion.load(path).resample(15.0)
+        slow.save(_made(tmp_path / "made" / path.name))
+    models = {"slow": tmp_path / "made", "samples": folders / "samples"}
+    found = evaluate(models, folders / "recordings")
+    assert found.fps == 15.0
+    assert "resampled from 25 to 15 fps" in found.models[1].clips[0].notes

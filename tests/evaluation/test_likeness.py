@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.evaluation import SpeedHistogram, cca, hellinger, l1_diversity, srgr
+from gesturekit.evaluation.semantic import read_semantic
+
+
+def test_hellinger_by_hand():
+    # Bins of 1 cm/s. Shares (3/4, 1/4) and (1/4, 3/4): Σ sqrt(h1 h2) = 2 sqrt(3/16) = 0.866025,
+    # sqrt(1 - 0.866025) = 0.366025.
+    one = SpeedHistogram.of([np.array([0.005, 0.005, 0.005]), np.array([0.015])])
+    other = SpeedHistogram.of([np.array([0.005, 0.015, 0.015, 0.015])])
+    assert hellinger(one, other) == pytest.approx(0.366025, abs=1e-6)
+    assert hellinger(one, one) == 0.0
+    apart = SpeedHistogram.of([np.array([0.305, 0.9])])
+    assert hellinger(one, apart) == 1.0
+    assert apart.beyond == 1  # 90 cm/s lies beyond the last bin
+
+
+def test_histograms_that_cannot_be_compared_are_errors():
+    one = SpeedHistogram.of([np.array([0.005])])
+    with pytest.raises(MotionError, match="same bins"):
+        hellinger(one, SpeedHistogram.of([np.array([0.005])], width=0.05))
+    with pytest.raises(MotionError, match="higher top"):
+        hellinger(one, SpeedHistogram.of([np.array([2.0])]))
+    with pytest.raises(MotionError, match="hold nothing"):
+        SpeedHistogram(width=1.0)
+
+
+def test_cca_by_hand():
+    # With one column a side the canonical pair is those columns, and r is Pearson's:
+    # x - 2.5 = (-1.5, -.5, .5, 1.5), y - 2.5 = (-1.5, .5, -.5, 1.5): 4 / 5 = 0.8.
+    x, y = np.array([[1.0], [2], [3], [4]]), np.array([[1.0], [3], [2], [4]])
+    assert cca(x, y) == pytest.approx(0.8)
+    # A column that stands still, and the sign and unit of one that moves, are no matter.
+    assert cca(np.hstack([x, np.full((4, 1), 7.0)]), -100.0 * y) == pytest.approx(0.8)
+
+
+def test_cca_finds_what_two_sequences_share():
+    rng = np.random.default_rng(0)
+    shared = rng.normal(size=(400, 1))
+    ours = rng.normal(size=(400, 5)) + shared * [3.0, 0, 0, -2.0, 0]
+    theirs = rng.normal(size=(400, 4)) + shared * [0, 2.0, 0, 0]
+    # The exact first canonical correlation: largest singular value of the whitened bases' product.
+    bases = [np.linalg.qr(side - side.mean(axis=0))[0] for side in (ours, theirs)]
+    exact = np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0]
+    assert cca(ours, theirs) == pytest.approx(exact, abs=1e-4)
+    assert cca(ours, rng.normal(size=(400, 4))) < 0.3
+
+
+def test_what_cca_cannot_compare_is_an_error():
+    moving = np.random.default_rng(0).normal(size=(9, 2))
+    with pytest.raises(MotionError, match="9 and 8 frames"):
+        cca(moving, moving[:8])
+    with pytest.raises(MotionError, match="the generated motion does not move"):
+        cca(np.ones((9, 2)), moving)
+
+
+def test_srgr_by_hand():
+    # Two frames of two joints, semantic 0.5 and 1. Distances: 0.05, 0.2 | 0, 0.099: hits 1, 0 | 1,
+    # 1. Mean of (0.5, 0, 1, 1) = 0.625, over 0.165.
+    reference = np.zeros((2, 2, 3))
+    generated = reference.copy()
+    generated[0, 0, 0], generated[0, 1, 1] = 0.05, 0.2
+    generated[1, 1] = (0.07, 0.07, 0.0)
+    semantic = np.array([0.5, 1.0])
+    assert srgr(generated, reference, semantic) == pytest.approx(0.625 / 0.165)
+    # By the L1 distance of 2022 the last one, 0.14, is a miss: mean of (0.5, 0, 1, 0).
+    assert srgr(generated, reference, semantic, variant="beat") == pytest.approx(0.375 / 0.165)
+    with pytest.raises(MotionError, match="same frames and joints"):
+        srgr(generated[:1], reference, semantic)
+    with pytest.raises(MotionError, match="expected beat or emage"):
+        srgr(generated, reference, semantic, variant="pck")
+
+
+def test_l1_diversity_by_hand(turning):
+    # Half a turn about z between two frames: the hand, 0.25 m from the elbow, goes from +0.25 to
+    # -0.25 along x and the fore arm's other end stays: Σ|x - mean| / 2 = (0.25 + 0.25) / 2.
+    motion = turning({"LeftForeArm": np.array([np.pi, 0.0])}, 1.0)
+    joints = ("Hips", "LeftForeArm", "LeftHand")
+    assert l1_diversity(motion, joints) == pytest.approx(0.25)
+    assert l1_diversity(turning({"LeftArm": np.zeros(5)})) == 0.0
+
+
+def test_semantic_tracks_are_read_from_beats_tables(tmp_path):
+    table = tmp_path / "a.txt"
+    table.write_text("01_beat_align\t0.5\t1.0\t0.5\t0.1\t\n04_deictic\t1.5\t2.0\t0.5\t0.9\tthere\n")
+    values = read_semantic(table).to_rate(10.0, 25).values[:, 0]
+    assert values[[0, 5, 7, 12, 15, 17, 24]] == pytest.approx([0, 0.1, 0.1, 0, 0.9, 0.9, 0])
+    table.write_text("01_beat_align\t0.5\t1.0\n")
+    with pytest.raises(FormatError, match=r"a\.txt: line 1: .*expected name, start, end"):
+        read_semantic(table)
+    table.write_text("")
+    with pytest.raises(FormatError, match="no line"):
+        read_semantic(table)

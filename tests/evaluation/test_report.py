@@ -1,0 +1,120 @@
+"""The report, as a person who opens the file meets it."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import gesturekit.viewer.html as player
+from gesturekit.evaluation import evaluate, write_report
+from gesturekit.evaluation.tables import number
+
+pytestmark = pytest.mark.skipif(
+    not player._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
+)
+
+HOSTILE = '<script>alert(1)</script>"&'
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory, gesture, write_speech):
+    """Two models, two samples each of three recordings with sound; one name is hostile."""
+    root = tmp_path_factory.mktemp("set")
+    for folder in ("recordings", "model", HOSTILE.replace("/", "")):
+        (root / folder).mkdir()
+    for i in range(3):
+        gesture(3.0, 25.0, seed=i).save(root / "recordings" / f"clip{i}.npz")
+        write_speech(root / "sound" / f"clip{i}.wav", 3.0)
+        for k in (1, 2):
+            for folder in ("model", HOSTILE.replace("/", "")):
+                gesture(3.0, 25.0, seed=7 * i + k).save(root / folder / f"clip{i}_s{k}.npz")
+    gesture(3.0, 25.0).save(root / "model" / "stranger.npz")
+    models = {"model": root / "model", HOSTILE: root / HOSTILE.replace("/", "")}
+    return evaluate(models, root / "recordings", audio=root / "sound")
+
+
+@pytest.fixture(scope="module")
+def page(evaluation, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    write_report(evaluation, path, command="gesturekit evaluate model recordings")
+    return path
+
+
+def markup(page: Path) -> str:
+    return re.sub(r"<script.*?</script>", "", page.read_text(encoding="utf-8"), flags=re.S)
+
+
+def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
+    text = html.unescape(re.sub(r"<[^>]+>", " ", markup(page)))
+    for definition in evaluation.definitions():
+        assert definition.name in text and definition.variant in text
+        assert definition.text in text and definition.source in text
+    interval = evaluation.models[0].figures["arm_speed"].interval
+    shown = f"{number(interval.low)} … {number(interval.high)}, n = 6"
+    assert shown in re.sub(r"\s+", " ", text)
+    assert "30 frames (1.20 s)" in text
+    assert "Bound to its frame rate" in text
+    assert "stranger" in text and "no recording of its name" in text
+    assert "model: 1 clips are left out" in text
+    assert "rough" in text  # three recordings are few
+    assert "gesturekit evaluate model recordings" in text
+
+
+def test_it_needs_nothing_from_outside(page):
+    text = markup(page)
+    assert "default-src 'none'" in text
+    sources = re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,30})""", text)
+    assert sources and all(source.startswith("data:image/svg+xml;base64") for source in sources)
+    assert "@import" not in text and "{{" not in text
+
+
+def test_names_cannot_become_code(page):
+    text = page.read_text(encoding="utf-8")
+    assert "alert(1)</script>" not in text and "<script>alert" not in text
+    assert html.escape(HOSTILE) in text
+
+
+def test_it_plays_the_best_and_the_worst_beside_their_recordings(page):
+    text = page.read_text(encoding="utf-8")
+    clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
+    assert [clip["title"].split(":")[0] for clip in clips] == [
+        "Best",
+        "Best, 2",
+        "Worst",
+        "Worst, 2",
+    ]
+    labels = [figure["label"] for figure in json.loads(clips[0]["motion"])["figures"]]
+    assert labels == ["model", HOSTILE, "recording"]
+    assert "audio" in json.loads(clips[0]["motion"])
+
+
+def test_the_same_evaluation_gives_the_same_page(page, evaluation, tmp_path):
+    write_report(evaluation, tmp_path / "r.html", command="gesturekit evaluate model recordings")
+    assert (tmp_path / "r.html").read_bytes() == page.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(0.0, "0"), (1e-9, "0"), (0.01234, "0.012"), (0.5, "0.50"), (12.34, "12.3"), (-345.6, "-346")],
+)
+def test_numbers_are_short(value, shown):
+    assert number(value) == shown
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="Chromium is not installed")
+def test_it_opens_in_a_browser_without_a_word_in_the_console(page, tmp_path):
+    command = ["chromium", "--headless", "--no-sandbox", "--use-angle=swiftshader"]
+    command += ["--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"]
+    command += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
+    command += ["--window-size=800,600", "--virtual-time-budget=1500", "--dump-dom", page.as_uri()]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert re.search(r'<button type="button" aria-pressed="true">Best<', shown.stdout)
+    # The frame's player was filled in; what went wrong in it would stand in the console.
+    assert "CONSOLE" not in shown.stderr, shown.stderr
