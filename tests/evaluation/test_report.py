@@ -116,5 +116,5 @@ def test_it_opens_in_a_browser_without_a_word_in_the_console(page, tmp_path):
     command += ["--window-size=800,600", "--virtual-time-budget=1500", "--dump-dom", page.as_uri()]
     shown = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert re.search(r'<button type="button" aria-pressed="true">Best<', shown.stdout)
-    # The frame's player was filled in; what went wrong in it would stand in the console.
+    assert 'data-player="ready"' in shown.stdout
     assert "CONSOLE" not in shown.stderr, shown.stderr
