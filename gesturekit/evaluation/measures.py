@@ -204,7 +204,7 @@ class Measurer:
         taken("floor_penetration", lambda: 1000.0 * feet.floor_penetration(motion, heights()))
         taken("l1_diversity", lambda: likeness.l1_diversity(motion, joints))
         limits = self.known.limits
-        if limits is not None and set(limits.joints) <= set(joints):
+        if limits is not None:
             taken("joint_limits", lambda: 100.0 * joint_limit_share(motion, limits))
 
     def _heard(self, taken: _Taken, clip: Clip, motion: Motion, sound: Sound) -> None:
