@@ -12,7 +12,7 @@ _HOMES = {
     "FeatureModel": "feature_model",
     "FrechetResult": "frechet",
     "JointLimits": "limits",
-    "PatchOptions": "measures",
+    "PatchOptions": "definitions",
     "PatchScores": "patches",
     "PoseWindows": "poses",
     "SpeedHistogram": "distributions",

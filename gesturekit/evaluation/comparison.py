@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,10 +21,11 @@ from gesturekit.evaluation.definitions import (
     MOVEMENT,
     PATCHES,
     SPEECH,
+    PatchOptions,
 )
 from gesturekit.evaluation.distributions import SpeedHistogram
 from gesturekit.evaluation.intervals import Interval, interval_of
-from gesturekit.evaluation.measures import Known, Measurer, PatchOptions, load_sound
+from gesturekit.evaluation.measures import Known, Measurer, load_sound
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
@@ -121,7 +123,7 @@ def evaluate(
             "seed": seed,
             "audio": None if audio is None else str(audio),
             "semantic": None if semantic is None else str(semantic),
-            "patches": vars(patches),
+            "patches": asdict(patches),
             "features": None if features is None else features.fingerprint,
             "mismatched": MISMATCHED,
         },

@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from gesturekit.evaluation.patches import THRESHOLD
+
 SPEECH, MOVEMENT, LIKENESS, PATCHES, FRECHET = GROUPS = (
     "Speech",
     "Movement",
@@ -19,6 +21,19 @@ SPEECH, MOVEMENT, LIKENESS, PATCHES, FRECHET = GROUPS = (
     "Patches",
     "Fréchet distances and diversity",
 )
+
+
+@dataclass(frozen=True)
+class PatchOptions:
+    """How patches are compared; see `gesturekit.evaluation.patches`."""
+
+    variant: str = "ganimator"
+    threshold: float | None = None
+
+    @property
+    def has_coverage(self) -> bool:
+        """Whether coverage is defined: the variant "paper" asks for a threshold."""
+        return self.variant != "paper" or self.threshold is not None
 
 
 @dataclass(frozen=True)
@@ -36,16 +51,22 @@ class Definition:
     fps_bound: bool = False
     cheap: bool = False
 
-    def at(self, fps: float) -> Definition:
-        """The same with its windows in seconds too: `{30}` becomes "30 frames (1.20 s)"."""
+    def at(self, fps: float, patches: PatchOptions) -> Definition:
+        """The same as it was measured: windows in seconds too, patches as they were compared.
 
-        def frames(place: re.Match[str]) -> str:
-            return f"{place[1]} frames ({int(place[1]) / fps:.2f} s)"
+        `{30}` becomes "30 frames (1.20 s)", `{threshold}` the threshold of coverage.
+        """
+        changed = _PAPER.get(self.key, {}) if patches.variant == "paper" else {}
+        threshold = THRESHOLD if patches.threshold is None else patches.threshold
+
+        def filled(text: str) -> str:
+            text = " ".join(text.split()).replace("{threshold}", f"{threshold:g}")
+            return re.sub(r"\{(\d+)\}", lambda n: f"{n[1]} frames ({int(n[1]) / fps:.2f} s)", text)
 
         return replace(
             self,
-            variant=re.sub(r"\{(\d+)\}", frames, self.variant),
-            text=re.sub(r"\{(\d+)\}", frames, " ".join(self.text.split())),
+            variant=filled(changed.get("variant", self.variant)),
+            text=filled(changed.get("text", self.text)),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -53,9 +74,6 @@ class Definition:
         return asdict(self)
 
 
-def _read() -> dict[str, Definition]:
-    table = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-    return {key: Definition(key, **fields) for key, fields in table.items()}
-
-
-DEFINITIONS = _read()
+_TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_PAPER = {key: fields.pop("paper") for key, fields in _TABLE.items() if "paper" in fields}
+DEFINITIONS = {key: Definition(key, **fields) for key, fields in _TABLE.items()}

@@ -13,7 +13,13 @@ from audio_features import AudioFeaturesError, Wave
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import feet, likeness, physical, rhythm
 from gesturekit.evaluation.clips import Clip, body_names, load_recording
-from gesturekit.evaluation.definitions import LIKENESS, MOVEMENT, PATCHES, SPEECH
+from gesturekit.evaluation.definitions import (
+    LIKENESS,
+    MOVEMENT,
+    PATCHES,
+    SPEECH,
+    PatchOptions,
+)
 from gesturekit.evaluation.derivatives import CUTOFF
 from gesturekit.evaluation.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.limits import JointLimits, joint_limit_share
@@ -22,21 +28,8 @@ from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded
 from gesturekit.evaluation.patches import intra_diversity, patch_features, patch_scores
 from gesturekit.motion import Motion
 
-PATCH_CELLS = 40_000_000
-"""Frames of a clip times frames of its recording beyond which patches are not compared: 2 GB."""
-
-
-@dataclass(frozen=True)
-class PatchOptions:
-    """How patches are compared; see `gesturekit.evaluation.patches`."""
-
-    variant: str = "ganimator"
-    threshold: float | None = None
-
-    @property
-    def has_coverage(self) -> bool:
-        """Whether coverage is defined: the variant "paper" asks for a threshold."""
-        return self.variant != "paper" or self.threshold is not None
+PATCH_PAIRS = 250_000_000
+"""Frames of a clip times frames of its recording that a report compares at most: 2 GB a table."""
 
 
 @dataclass(frozen=True)
@@ -271,7 +264,7 @@ class Measurer:
 
 
 def _check_size(one: Motion, other: Motion) -> None:
-    if one.n_frames * other.n_frames > PATCH_CELLS:
+    if one.n_frames * other.n_frames > PATCH_PAIRS:
         raise EvaluationError(
             f"{one.n_frames} × {other.n_frames} frames are too many to compare patch by patch; "
             "cut the clips"

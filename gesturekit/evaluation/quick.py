@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from gesturekit.evaluation.clips import Clip, body_names
-from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT
-from gesturekit.evaluation.measures import Known, Measurer, PatchOptions
+from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, PatchOptions
+from gesturekit.evaluation.measures import Known, Measurer
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.motion import Motion
 

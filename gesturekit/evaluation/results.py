@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.atomic import atomic_write
-from gesturekit.evaluation.definitions import DEFINITIONS, Definition
+from gesturekit.evaluation.definitions import DEFINITIONS, Definition, PatchOptions
 from gesturekit.evaluation.distributions import SpeedHistogram
 from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.pairs import Excluded, Pair
@@ -106,9 +106,10 @@ class Evaluation:
         return not any(item.what == "clip" for model in self.models for item in model.excluded)
 
     def definitions(self) -> list[Definition]:
-        """Of the measures that came out for at least one model, windows in seconds too."""
+        """Of the measures that came out for at least one model, as they were taken."""
         keys = {key for model in self.models for key in model.figures}
-        return [DEFINITIONS[key].at(self.fps) for key in DEFINITIONS if key in keys]
+        patches = PatchOptions(**self.settings["patches"])
+        return [DEFINITIONS[key].at(self.fps, patches) for key in DEFINITIONS if key in keys]
 
     def to_json(self) -> dict[str, Any]:
         """Plain values: format, versions, settings, definitions, and every figure."""

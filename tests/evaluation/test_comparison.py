@@ -124,6 +124,9 @@ def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
         )
         assert ("coverage" in found.models[0].figures) is has
         assert found.settings["patches"] == {"variant": "paper", "threshold": threshold}
+        said = {d.key: d.variant for d in found.definitions()}
+        assert said["local_diversity"] == "paper: 15 frames (0.60 s)"
+    assert said["coverage"] == "paper: 30 frames (1.20 s), 40"
 
 
 def test_rigs_are_matched_by_name_whatever_their_name_space_and_order(folders, tmp_path):

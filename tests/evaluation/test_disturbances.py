@@ -13,8 +13,8 @@ from audio_features import Wave
 from gesturekit.evaluation import acceleration, arm_speed, foot_skate, jerk, joint_speed, sync
 from gesturekit.evaluation import wrist_speed as wrist_speeds
 from gesturekit.evaluation.clips import Clip, body_names
-from gesturekit.evaluation.definitions import GROUPS
-from gesturekit.evaluation.measures import Known, Measurer, PatchOptions
+from gesturekit.evaluation.definitions import GROUPS, PatchOptions
+from gesturekit.evaluation.measures import Known, Measurer
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.rhythm import (
     beat_alignment,
