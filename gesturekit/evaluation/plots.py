@@ -198,7 +198,8 @@ def _patches(evaluation: Evaluation) -> str | None:
             axes.set_xlim(-4, 104)
             axes.set_xlabel("% of windows")
         else:
-            axes.set_xlim(0, 1.05 * axes.get_xlim()[1])
+            right = 1.05 * axes.get_xlim()[1]
+            axes.set_xlim(-0.03 * right, right)
             axes.set_xlabel("mean distance of frames")
         axes.grid(axis="both", color=_LINE, lw=0.8)
         _title(axes, DEFINITIONS[key].name)

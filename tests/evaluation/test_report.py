@@ -113,7 +113,7 @@ def test_it_opens_in_a_browser_without_a_word_in_the_console(page, tmp_path):
     command += ["--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"]
     command += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
     command += [f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
-    command += ["--window-size=800,600", "--virtual-time-budget=1500", "--dump-dom", page.as_uri()]
+    command += ["--window-size=800,600", "--virtual-time-budget=10000", "--dump-dom", page.as_uri()]
     shown = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert re.search(r'<button type="button" aria-pressed="true">Best<', shown.stdout)
     assert 'data-player="ready"' in shown.stdout
