@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from audio_features.acoustic import MFCC, AcousticExtractor, Liveliness, LogMel, Prosody
-from audio_features.errors import FeatureError, WeightsError
+from audio_features.errors import FeatureError
 from audio_features.spectrum import ShortTimeSpectrum
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
@@ -85,13 +85,17 @@ class Stack:
 
 
 def extractor_from_spec(
-    spec: dict[str, Any], *, weights: str | os.PathLike[str] | None = None
+    spec: dict[str, Any],
+    *,
+    weights: str | os.PathLike[str] | None = None,
+    device: str = "cpu",
 ) -> Extractor:
     """The extractor that a spec describes.
 
     Args:
         spec: as `Extractor.spec` gives it, and as feature files and models store it.
-        weights: folder of the WavLM weights, where the spec asks for WavLM.
+        weights: folder or file of the WavLM weights, where the spec asks for WavLM.
+        device: where WavLM computes, "cpu" or "cuda".
 
     Raises FeatureError for a spec of an unknown kind or with other settings than its kind has,
     and WeightsError where weights are needed and missing, or are not those of the spec.
@@ -99,12 +103,14 @@ def extractor_from_spec(
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)
     if kind == "wavlm":
-        return _wavlm(settings, weights)
+        from audio_features.wavlm import WavLM
+
+        return WavLM.from_spec(settings, weights, device)
     if kind == "stack":
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
-        return Stack([extractor_from_spec(part, weights=weights) for part in parts])
+        return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
     light = {"logmel": LogMel, "mfcc": MFCC, "prosody": Prosody, "liveliness": Liveliness}
     if kind not in light:
         known = ", ".join([*light, "wavlm", "stack"])
@@ -113,24 +119,3 @@ def extractor_from_spec(
         return light[kind](**settings)
     except TypeError as error:
         raise FeatureError(f"feature spec {spec!r}: {error}") from error
-
-
-def _wavlm(settings: dict[str, Any], weights: str | os.PathLike[str] | None) -> Extractor:
-    from audio_features.wavlm import WavLM
-
-    wanted, layer = settings.pop("fingerprint", None), settings.pop("layer", "last")
-    if settings:
-        raise FeatureError(f"feature spec of WavLM: unknown setting {sorted(settings)[0]!r}")
-    if weights is None:
-        which = f" with fingerprint {wanted}" if wanted else ""
-        raise WeightsError(
-            f"WavLM weights{which} are needed: name their folder "
-            "(features.weights=FOLDER to train, else --weights FOLDER)"
-        )
-    extractor = WavLM(weights, layer=layer)
-    if wanted is not None and extractor.fingerprint != wanted:
-        raise WeightsError(
-            f"{os.fspath(weights)}: these weights have fingerprint {extractor.fingerprint}, "
-            f"the features were made with {wanted}: give the weights that the model was trained on"
-        )
-    return extractor

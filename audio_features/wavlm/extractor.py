@@ -9,54 +9,147 @@ from typing import Any
 
 import numpy as np
 
-from audio_features.errors import FeatureError
+from audio_features.errors import FeatureError, WeightsError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
+from audio_features.wavlm.architecture import HOP, WINDOW
 
 SAMPLE_RATE = 16_000
-HOP = 320
-WINDOW = 400
-FULL_CONTEXT_FRAMES = 3_000
-"""Up to this length (60 s) the network sees the whole sound at once."""
-CONTEXT_FRAMES = 100
-"""What a chunk of a longer sound sees on either side of the frames it keeps (2 s)."""
 
-_CHUNK_FRAMES = 1_200
-_NORMALIZE_EPS = 1e-7  # Hugging Face's feature extractor; Microsoft's code has 1e-5
+_DEFAULT_SECONDS = {"full_context": 300.0, "chunk": 30.0, "context": 5.0}
+_SETTINGS = ("layer", "final_norm", "normalize", *_DEFAULT_SECONDS, "dtype", "preset")
+_GPU_BATCH = 8
 
 
 class WavLM:
     """Hidden states of WavLM (Chen et al. 2022), 50 frames per second.
 
     Frame t sees samples [320t, 320t + 400) at 16 kHz and is centred at 0.0125 + 0.02t seconds;
-    a sound of N samples has floor((N - 400)/320) + 1 frames.
+    a sound of N samples has floor((N - 400)/320) + 1 frames. Values are those of transformers'
+    own forward, to a relative 1e-5.
 
-    Sounds of up to 60 s are seen whole, with the values of Hugging Face's own forward. Longer
-    ones are seen in chunks of 24 s that overlap by 4 s, so that memory stays bounded (attention
-    over the whole grows with the square of the length); their values differ a little from those
-    of the whole, since context is cut and Base normalises its first layer over each chunk.
+    Sounds of up to `full_context` seconds are seen whole. In longer ones the convolutions still
+    are exact, with Base's normalisation over the whole sound; the transformer sees chunks of one
+    length, and of each chunk the frames within `context` seconds of its edges are left to its
+    neighbours. Memory stays bounded; values differ a little from those of the whole.
 
-    The sound's level is left as it is: what the weights expect (`do_normalize`) is applied, over
+    The sound's level is left as it is: what the weights expect of the waveform is applied, over
     the whole sound, and nothing else.
 
     Args:
-        weights: a local folder in Hugging Face's layout: config.json, model.safetensors (or
-            pytorch_model.bin, read without unpickling objects), preprocessor_config.json.
-        layer: "last" is the network's output; a number counts as transformers' `hidden_states`
-            (0 is what enters the first layer, k what leaves the k-th, before the final
-            normalisation that Large has). Layers above it are not computed.
+        weights: Hugging Face's folder, Microsoft's WavLM-*.pt or a torchaudio state dict.
+        layer: counts as transformers' `hidden_states` (0 enters the first layer, k leaves the
+            k-th); layers above are not computed. "last" is the network's output; several
+            numbers stand side by side; "mean" is the mean of all states, {6: 1, 9: 3} a
+            weighted one (weights are scaled to sum to 1).
+        final_norm: whether the topmost state is taken after Large's final normalisation (Base
+            has none). None: for "last" it is, as in all three code bases' output; a number
+            names the raw state, as transformers 5 and torchaudio's `extract_features` have it.
+        normalize: None does with the waveform what these weights expect; False leaves it as it
+            is, a number takes it to mean 0 and variance 1, with that number added to the
+            variance (Hugging Face adds 1e-7, Microsoft 1e-5).
+        full_context: longest sound that is seen whole, in seconds.
+        chunk, context: of longer sounds, in seconds.
+        dtype: "fp32", or "bf16" for matrix products in bfloat16: faster where the processor has
+            it, and a little different.
+        preset: "dsg" or "dsg+", see `audio_features.wavlm.presets`; fixes all of the above but
+            the weights and dtype.
+        device: where to compute, "cpu" or "cuda"; no part of the spec.
 
-    Raises WeightsError where the folder cannot be used, FeatureError for a layer it has not.
+    Raises WeightsError where the weights cannot be used, FeatureError for a setting that they
+    or the extractor do not have.
     """
 
-    def __init__(self, weights: str | os.PathLike[str], layer: int | str = "last") -> None:
-        from audio_features.wavlm.weights import normalizes_waveform, read_model
+    def __init__(
+        self,
+        weights: str | os.PathLike[str],
+        layer: Any = "last",
+        *,
+        final_norm: bool | None = None,
+        normalize: bool | float | None = None,
+        full_context: float = 300.0,
+        chunk: float = 30.0,
+        context: float = 5.0,
+        dtype: str = "fp32",
+        preset: str | None = None,
+        device: str = "cpu",
+    ) -> None:
+        import torch
 
-        self.weights = os.fspath(weights)
-        self._model, self.fingerprint = read_model(weights)
-        self._normalize = normalizes_waveform(weights)
-        self.layer = layer
-        self._keep_layers(layer)
+        from audio_features.wavlm.encoder import Encoder
+        from audio_features.wavlm.front_end import FrontEnd
+        from audio_features.wavlm.layers import LayerChoice
+        from audio_features.wavlm.presets import PRESETS
+        from audio_features.wavlm.weights import read_weights
+
+        kinds = {"fp32": torch.float32, "bf16": torch.bfloat16}
+        if dtype not in kinds:
+            raise FeatureError(f"dtype={dtype!r}: 'fp32' or 'bf16'")
+        self.seconds = {"full_context": full_context, "chunk": chunk, "context": context}
+        self._full, self._chunk, self._context = _in_frames(**self.seconds)
+        self._device = _checked_device(device)
+        self.weights, tensors = read_weights(weights)
+        self.dtype, self.preset = dtype, preset
+        shape = self.weights.architecture
+        self._choice = LayerChoice(layer, final_norm, shape.layers)
+        self.normalize = _checked_eps(self.weights.normalize if normalize is None else normalize)
+        if preset is not None:
+            if preset not in PRESETS:
+                raise FeatureError(f"preset={preset!r}: one of {', '.join(PRESETS)}")
+            free = self.seconds == _DEFAULT_SECONDS and final_norm is None and normalize is None
+            if layer != "last" or not free:
+                raise FeatureError(
+                    f"preset={preset!r} fixes layer, normalisation and chunks: leave them out"
+                )
+            self.normalize = PRESETS[preset].normalize(self.weights)
+        tensors = {name: tensor.to(self._device) for name, tensor in tensors.items()}
+        self._front = FrontEnd(shape, tensors, kinds[dtype])
+        self._encoder = Encoder(shape, tensors, max(self._choice.indices), kinds[dtype])
+
+    @classmethod
+    def from_spec(
+        cls,
+        settings: dict[str, Any],
+        weights: str | os.PathLike[str] | None,
+        device: str = "cpu",
+    ) -> WavLM:
+        """What `spec` describes, with the weights that it names by fingerprint.
+
+        Settings that a spec leaves out have their defaults. Raises FeatureError for unknown
+        settings, WeightsError where weights are missing or not those of the spec.
+        """
+        settings = {key: value for key, value in settings.items() if key != "kind"}
+        wanted = settings.pop("fingerprint", None)
+        unknown = sorted(settings.keys() - _SETTINGS)
+        if unknown:
+            raise FeatureError(
+                f"feature spec of WavLM: unknown setting {unknown[0]!r}; "
+                f"there are {', '.join(_SETTINGS)}"
+            )
+        if weights is None:
+            which = f" with fingerprint {wanted}" if wanted else ""
+            raise WeightsError(
+                f"WavLM weights{which} are needed: name their folder or file "
+                "(features.weights=PATH to train, else --weights PATH)"
+            )
+        extractor = cls(weights, **settings, device=device)
+        if wanted is not None and extractor.fingerprint != wanted:
+            raise WeightsError(
+                f"{os.fspath(weights)}: these weights have fingerprint {extractor.fingerprint}, "
+                f"the features were made with {wanted}: give the weights that the model was "
+                "trained on"
+            )
+        return extractor
+
+    @property
+    def fingerprint(self) -> str:
+        """Names the weights, see `Weights`."""
+        return self.weights.fingerprint
+
+    @property
+    def layer(self) -> Any:
+        """The layer or layers, as in the spec."""
+        return self._choice.spec
 
     @property
     def centred(self) -> tuple[bool, ...]:
@@ -65,64 +158,131 @@ class WavLM:
 
     @property
     def spec(self) -> dict[str, Any]:
-        """{"kind": "wavlm", "layer": …, "fingerprint": …}."""
-        return {"kind": "wavlm", "layer": self.layer, "fingerprint": self.fingerprint}
+        """Kind, every setting that makes the values, and the weights' fingerprint."""
+        made_by: dict[str, Any] = {"kind": "wavlm"}
+        if self.preset is not None:
+            made_by["preset"] = self.preset
+        else:
+            made_by |= {
+                "layer": self.layer,
+                "final_norm": self._choice.final_norm,
+                "normalize": False if self.normalize is None else self.normalize,
+                **self.seconds,
+            }
+        return {**made_by, "dtype": self.dtype, "fingerprint": self.fingerprint}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        return tuple(f"wavlm_{i}" for i in range(self.dim))
+        """Names of the columns: wavlm_0 …, with the layer before it where there are several."""
+        width = range(self.weights.architecture.width)
+        if not self._choice.is_list:
+            return tuple(f"wavlm_{i}" for i in width)
+        return tuple(f"wavlm_{layer}_{i}" for layer in self._choice.indices for i in width)
 
     @property
     def dim(self) -> int:
-        """Number of columns D: 768 for Base and Base+, 1024 for Large."""
-        return self._model.config.hidden_size
+        """Number of columns D: 768 a layer for Base and Base+, 1024 for Large."""
+        return len(self.names)
 
     def extract(self, wave: Wave) -> FeatureTrack:
-        """The hidden states of a sound of any rate: values (T, D)."""
+        """The hidden states of a sound of any rate: values (T, D).
+
+        With a preset, the frames are those of its motion (20 or 30 per second).
+        """
+        from audio_features.wavlm.presets import PRESETS
+
         samples = wave.resample(SAMPLE_RATE).samples
-        if self._normalize:
-            # In float32, as Hugging Face's feature extractor: frames of near silence, which Large
-            # normalises one by one, would show the rounding of anything else.
-            samples = (samples - samples.mean()) / np.sqrt(samples.var() + _NORMALIZE_EPS)
-        n_frames = (len(samples) - WINDOW) // HOP + 1
-        if n_frames <= FULL_CONTEXT_FRAMES:
-            values = self._forward(samples)
+        if self.preset is not None:
+            values, times = PRESETS[self.preset].extract(self, samples)
         else:
-            values = np.empty((n_frames, self.dim), dtype=np.float32)
-            for keep, chunk in _chunks(n_frames):
-                part = self._forward(samples[chunk.start * HOP : (chunk.stop - 1) * HOP + WINDOW])
-                values[keep] = part[keep.start - chunk.start : keep.stop - chunk.start]
-        times = (np.arange(n_frames) * HOP + WINDOW / 2) / SAMPLE_RATE
+            values = self.hidden_states(self.normalized(samples))
+            times = (np.arange(len(values)) * HOP + WINDOW / 2) / SAMPLE_RATE
         return FeatureTrack(values, times, self.spec, self.names)
 
-    def _forward(self, samples: np.ndarray) -> np.ndarray:
+    def normalized(self, samples: np.ndarray) -> np.ndarray:
+        """The waveform (N,) float32 as the network is to see it."""
+        if self.normalize is None:
+            return samples
+        # In float32, as all three code bases: frames of near silence, which Large normalises
+        # one by one, would show the rounding of anything else.
+        scale = np.sqrt(samples.var() + np.float32(self.normalize))
+        return (samples - samples.mean()) / scale
+
+    def hidden_states(self, samples: np.ndarray) -> np.ndarray:
+        """(T, D) float32 from (N,) samples at 16 kHz, taken as they are."""
         import torch
 
-        with torch.inference_mode():
-            return self._model(torch.from_numpy(samples)[None]).last_hidden_state[0].numpy()
+        from audio_features.wavlm.front_end import SoundFrames
 
-    def _keep_layers(self, layer: int | str) -> None:
-        """Cut the network so that its output is the hidden state asked for."""
-        import torch
-
-        if layer == "last":
-            return
-        encoder = self._model.encoder
-        highest = len(encoder.layers)
-        if isinstance(layer, bool) or not isinstance(layer, int) or not 0 <= layer <= highest:
-            raise FeatureError(f"layer={layer!r}: 'last' or a whole number from 0 to {highest}")
-        encoder.layers = encoder.layers[:layer]
-        if self._model.config.do_stable_layer_norm:
-            encoder.layer_norm = torch.nn.Identity()
+        n_frames = (len(samples) - WINDOW) // HOP + 1
+        values = np.empty((n_frames, self.dim), dtype=np.float32)
+        length = n_frames if n_frames <= self._full else min(self._chunk, n_frames)
+        chunks = list(_chunks(n_frames, length, self._context))
+        size = 1 if self._device.type == "cpu" else _GPU_BATCH
+        before, after = self._encoder.reach
+        # Convolutions on a GPU would by default be rounded to TF32.
+        with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
+            sound = torch.from_numpy(np.ascontiguousarray(samples)).to(self._device)
+            frames = SoundFrames(self._front, sound)
+            for at in range(0, len(chunks), size):
+                batch = chunks[at : at + size]
+                seen = [frames.window(c.start - before, c.stop + after) for c, _ in batch]
+                states = self._encoder.states(torch.stack(seen))
+                for (chunk, keep), picked in zip(batch, self._choice.pick(self._encoder, states)):
+                    part = picked[keep.start - chunk.start : keep.stop - chunk.start]
+                    values[keep] = part.cpu().numpy()
+        return values
 
     def __repr__(self) -> str:
-        return f"WavLM({self.weights!r}, layer={self.layer!r})"
+        return f"WavLM({self.weights.path!r}, {self.spec})"
 
 
-def _chunks(n_frames: int) -> Iterator[tuple[slice, slice]]:
-    """Yield (frames kept, frames seen): chunks of one length, with context where there is any."""
-    core = _CHUNK_FRAMES - 2 * CONTEXT_FRAMES
-    for first in range(0, n_frames, core):
-        start = min(max(0, first - CONTEXT_FRAMES), n_frames - _CHUNK_FRAMES)
-        yield slice(first, min(first + core, n_frames)), slice(start, start + _CHUNK_FRAMES)
+def _chunks(n_frames: int, length: int, context: int) -> Iterator[tuple[slice, slice]]:
+    """Yield (frames seen, frames kept): chunks of one length; the kept frames follow each other.
+
+    A chunk keeps its context only where the sound begins or ends.
+    """
+    done = 0
+    while done < n_frames:
+        start = min(max(0, done - context), n_frames - length)
+        stop = start + length
+        keep = slice(done, n_frames if stop == n_frames else stop - context)
+        yield slice(start, stop), keep
+        done = keep.stop
+
+
+def _in_frames(full_context: float, chunk: float, context: float) -> tuple[int, int, int]:
+    """The three lengths in frames."""
+    given = f"full_context={full_context!r}, chunk={chunk!r}, context={context!r}"
+    try:
+        full, length, around = (
+            round(seconds * SAMPLE_RATE / HOP) for seconds in (full_context, chunk, context)
+        )
+    except (TypeError, ValueError, OverflowError) as error:
+        raise FeatureError(f"{given}: give three numbers of seconds") from error
+    if full < 0 or around < 0 or length <= 2 * around:
+        raise FeatureError(
+            f"{given}: give seconds, none below 0, and chunks longer than twice their context"
+        )
+    return full, length, around
+
+
+def _checked_eps(normalize: bool | float | None) -> float | None:
+    """What is added to the variance, None for a waveform taken as it is."""
+    if normalize is None or normalize is False:
+        return None
+    if not isinstance(normalize, float) or not 0 < normalize < 1:
+        raise FeatureError(f"normalize={normalize!r}: False, or a number between 0 and 1")
+    return normalize
+
+
+def _checked_device(name: str) -> Any:
+    import torch
+
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise FeatureError(f"device={name!r} cannot be used: {reason}: give 'cpu'") from error
+    return device

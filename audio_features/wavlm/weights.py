@@ -1,8 +1,8 @@
-"""Reading a WavLM folder in Hugging Face's layout: config.json and the tensors beside it.
+"""Reading WavLM weights in the three layouts people have them in.
 
-The files are read here rather than by `from_pretrained`, which fills missing tensors with
-random numbers, may contact the hub about a local folder, and follows settings of config.json
-that name code to fetch. Only numbers are taken from the folder.
+The files are read here rather than by their own loaders, which fill missing tensors with random
+numbers, contact a hub about a local folder, evaluate settings as code, or unpickle objects. Only
+numbers are taken from a file, and neither transformers nor torchaudio is needed.
 """
 
 from __future__ import annotations
@@ -11,81 +11,108 @@ import hashlib
 import json
 import os
 import pickle
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from audio_features.errors import WeightsError
+from audio_features.wavlm.architecture import Architecture
+from audio_features.wavlm.layouts import (
+    from_huggingface,
+    from_microsoft,
+    from_torchaudio,
+    is_torchaudio,
+)
 
 if TYPE_CHECKING:
     import torch
-    from transformers import WavLMModel
 
-# What shapes the network. Everything else in config.json is about training, or about heads.
-_ARCHITECTURE = (
-    "hidden_size",
-    "num_hidden_layers",
-    "num_attention_heads",
-    "intermediate_size",
-    "hidden_act",
-    "layer_norm_eps",
-    "feat_extract_norm",
-    "feat_extract_activation",
-    "conv_dim",
-    "conv_stride",
-    "conv_kernel",
-    "conv_bias",
-    "num_conv_pos_embeddings",
-    "num_conv_pos_embedding_groups",
-    "num_buckets",
-    "max_bucket_distance",
-    "do_stable_layer_norm",
-)
-# transformers builds these even where they are unused; without them all weights are read.
-_NO_EXTRAS = {"mask_time_prob": 0.0, "mask_feature_prob": 0.0, "add_adapter": False}
+HUGGINGFACE_EPS = 1e-7
+"""Added to the waveform's variance by Hugging Face's feature extractor."""
+MICROSOFT_EPS = 1e-5
+"""The same in Microsoft's and torchaudio's code."""
 
-_NETWORK_PREFIXES = ("feature_extractor.", "feature_projection.", "encoder.")
 _MAX_CONFIG_BYTES = 1 << 20
+_MOST_LISTED = 8
 
 
-def read_model(folder: str | os.PathLike[str]) -> tuple[WavLMModel, str]:
-    """The network in evaluation mode (float32, CPU) and its fingerprint.
+@dataclass(frozen=True)
+class Weights:
+    """What was found where the weights are said to be.
 
-    The fingerprint is sha256 over the sorted names, shapes and float32 bytes of the tensors:
-    the same weights have the same one in model.safetensors and in pytorch_model.bin.
-
-    Raises WeightsError where the folder, a file or a tensor is missing, or does not fit.
+    Attributes:
+        path: as given.
+        layout: "Hugging Face folder", "Microsoft checkpoint" or "torchaudio state dict".
+        architecture: what shapes the network.
+        normalize: what these weights expect of the waveform: None as it is, else mean 0 and
+            variance 1 with this number added to the variance.
+        fingerprint: sha256 over the sorted names (as transformers has them), shapes and float32
+            bytes of the tensors, and over settings unlike the published ones: the same weights
+            have the same one in every layout.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        what = "is a file" if folder.exists() else "no such folder"
-        raise WeightsError(
-            f"{folder}: {what}: give a local WavLM folder with config.json and model.safetensors "
-            "(from huggingface.co/microsoft/wavlm-base-plus or wavlm-large, downloaded beforehand)"
+
+    path: str
+    layout: str
+    architecture: Architecture
+    normalize: float | None
+    fingerprint: str
+
+    def describe(self) -> str:
+        """One line for people: layout, size, layers, width, normalisation, fingerprint."""
+        shape = self.architecture
+        eps = self.normalize
+        rule = "as it is" if eps is None else f"to mean 0 and variance 1 (eps {eps:g})"
+        return (
+            f"{self.path}: WavLM {shape.size}, {self.layout}: {shape.layers} layers of "
+            f"{shape.width}, {shape.heads} heads, relative positions up to {shape.max_distance}; "
+            f"waveform taken {rule}; fingerprint {self.fingerprint}"
         )
-    config = read_json(folder / "config.json")
-    model = _empty_model(folder, config)
-    tensors = _fitting(folder, _read_tensors(folder), model.state_dict())
-    model.load_state_dict(tensors, assign=True)
-    return model.eval().requires_grad_(False), _fingerprint(tensors)
 
 
-def normalizes_waveform(folder: str | os.PathLike[str]) -> bool:
-    """Whether these weights expect sound of mean 0 and variance 1.
+def read_weights(path: str | os.PathLike[str]) -> tuple[Weights, dict[str, torch.Tensor]]:
+    """What lies at `path`, and its tensors: float32, on the CPU, under transformers' names.
 
-    `do_normalize` of preprocessor_config.json; without that file, whether the front end
-    normalises per layer (Large) and not per group (Base), as the published weights do.
+    Args:
+        path: a Hugging Face folder (config.json with model.safetensors or pytorch_model.bin),
+            Microsoft's WavLM-*.pt, or a state dict of torchaudio's models (torch's or
+            safetensors' format). Which it is, is told by looking.
+
+    Raises WeightsError where nothing of the kind is there, where a tensor is missing, left over
+    or of another shape, and where a file could only be read by running code from it.
     """
-    path = Path(folder) / "preprocessor_config.json"
-    if not path.exists():
-        return read_json(Path(folder) / "config.json").get("feat_extract_norm") == "layer"
-    settings = read_json(path)
-    rate, normalize = settings.get("sampling_rate", 16_000), settings.get("do_normalize", True)
-    if rate != 16_000 or not isinstance(normalize, bool):
+    path = Path(path)
+    if path.is_dir():
+        layout = "Hugging Face folder"
+        config = _huggingface_config(path)
+        shape = Architecture.from_huggingface(config, str(path / "config.json"))
+        tensors = from_huggingface(_read_folder(path))
+        normalize = _huggingface_normalize(path, shape)
+    elif path.is_file():
+        content = _read_file(path)
+        if _is_microsoft(content):
+            layout = "Microsoft checkpoint"
+            shape = Architecture.from_microsoft(content["cfg"], str(path))
+            tensors = from_microsoft(_plain_tensors(path, content["model"]))
+            normalize = MICROSOFT_EPS if content["cfg"].get("normalize", False) else None
+        elif isinstance(content, dict) and is_torchaudio({str(key): 0 for key in content}):
+            layout = "torchaudio state dict"
+            tensors = from_torchaudio(_plain_tensors(path, content))
+            shape = Architecture.from_tensors(tensors, str(path))
+            # What torchaudio's pipelines do: Large alone wants a normalised waveform.
+            normalize = MICROSOFT_EPS if shape.front_norm == "layer" else None
+        else:
+            raise _unknown_layout(path, content)
+    else:
+        what = "not a file or folder" if path.exists() else "no such folder or file"
         raise WeightsError(
-            f"{path}: sampling_rate {rate!r} and do_normalize {normalize!r}, "
-            "expected 16000 and true or false: take the file that came with the weights"
+            f"{path}: {what}: give a local WavLM: Hugging Face's folder with config.json and "
+            "model.safetensors, Microsoft's WavLM-*.pt, or a torchaudio state dict"
         )
-    return normalize
+    tensors = _fitting(path, tensors, shape)
+    return Weights(str(path), layout, shape, normalize, _fingerprint(tensors, shape)), tensors
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -103,116 +130,159 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
-def _empty_model(folder: Path, config: dict[str, Any]) -> WavLMModel:
-    import torch
-    from transformers import WavLMConfig, WavLMModel
-
+def _huggingface_config(folder: Path) -> dict[str, Any]:
     path = folder / "config.json"
+    checkpoints = sorted(folder.glob("*.pt")) + sorted(folder.glob("*.pth"))
+    if not path.is_file() and checkpoints:
+        raise WeightsError(
+            f"{folder}: no config.json, so no Hugging Face folder: name the file, {checkpoints[0]}"
+        )
+    config = read_json(path)
     if config.get("model_type") != "wavlm":
         raise WeightsError(
             f"{path}: model_type is {config.get('model_type')!r}, expected 'wavlm': "
             "give the folder of a WavLM model"
         )
-    try:
-        settings = WavLMConfig(
-            **{key: config[key] for key in _ARCHITECTURE if key in config}, **_NO_EXTRAS
-        )
-        _check_frames(path, settings.conv_kernel, settings.conv_stride)
-        # On "meta" no memory is taken and nothing is initialised: every tensor is read below.
-        with torch.device("meta"):
-            return WavLMModel(settings)
-    except WeightsError:
-        raise
-    except Exception as error:
-        # The settings come from a file; what transformers raises on absurd ones is not defined.
-        raise WeightsError(f"{path}: describes no WavLM network: {error}") from error
+    return config
 
 
-def _check_frames(path: Path, kernels: list[int], strides: list[int]) -> None:
-    """A frame must be 400 samples every 320: the time base of the features rests on it."""
-    window, hop = 1, 1
-    for kernel, stride in zip(kernels, strides, strict=True):
-        window += (kernel - 1) * hop
-        hop *= stride
-    if (window, hop) != (400, 320):
-        raise WeightsError(
-            f"{path}: conv_kernel and conv_stride give frames of {window} samples every {hop}, "
-            "expected 400 every 320: this is not WavLM's front end"
-        )
+def _huggingface_normalize(folder: Path, shape: Architecture) -> float | None:
+    """`do_normalize` of preprocessor_config.json; without that file, as the published weights."""
+    path = folder / "preprocessor_config.json"
+    normalize: Any = shape.front_norm == "layer"
+    if path.exists():
+        settings = read_json(path)
+        rate, normalize = settings.get("sampling_rate", 16_000), settings.get("do_normalize", True)
+        if rate != 16_000 or not isinstance(normalize, bool):
+            raise WeightsError(
+                f"{path}: sampling_rate {rate!r} and do_normalize {normalize!r}, "
+                "expected 16000 and true or false: take the file that came with the weights"
+            )
+    return HUGGINGFACE_EPS if normalize else None
 
 
-def _read_tensors(folder: Path) -> dict[str, torch.Tensor]:
+def _read_folder(folder: Path) -> dict[str, torch.Tensor]:
+    for name in ("model.safetensors", "pytorch_model.bin"):
+        if (folder / name).is_file():
+            return _plain_tensors(folder / name, _read_file(folder / name))
+    here = ", ".join(sorted(entry.name for entry in folder.iterdir())[:10]) or "nothing"
+    raise WeightsError(
+        f"{folder}: no model.safetensors and no pytorch_model.bin (found: {here}): "
+        "download the model's weights into the folder"
+    )
+
+
+def _read_file(path: Path) -> Any:
+    """What a file of safetensors or of torch holds; no object is ever unpickled."""
     import torch
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
-    safe, pickled = folder / "model.safetensors", folder / "pytorch_model.bin"
-    path = safe if safe.is_file() else pickled
-    if not path.is_file():
-        here = ", ".join(sorted(entry.name for entry in folder.iterdir())[:10]) or "nothing"
-        raise WeightsError(
-            f"{folder}: no model.safetensors and no pytorch_model.bin (found: {here}): "
-            "download the model's weights into the folder"
-        )
     try:
-        if path == safe:
+        with path.open("rb") as file:
+            start = file.read(16)
+        if start[8:9] == b"{":  # after the length of its header, a safetensors file is JSON
             return load_file(path)
-        tensors = torch.load(path, map_location="cpu", weights_only=True)
-    except (
-        SafetensorError,
-        pickle.UnpicklingError,
-        OSError,
-        RuntimeError,
-        ValueError,
-        EOFError,
-    ) as error:
+        if start[:2] == b"PK":
+            with zipfile.ZipFile(path) as archive:
+                if any(entry.compress_type for entry in archive.infolist()):
+                    raise ValueError("it is compressed, as torch never writes it")
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        kind = re.search(r"GLOBAL (\S+)", str(error))
+        if kind is None:
+            raise _unreadable(path, error) from error
         raise WeightsError(
-            f"{path}: cannot be read as weights: {str(error).splitlines()[0]}: download it again"
+            f"{path}: holds a Python object ({kind[1]}), which could run code and is not read: "
+            "where you trust the file, save it again as plain tensors and a plain dict: "
+            "torch.save({'cfg': dict(vars(c['cfg'])), 'model': c['model']}, 'plain.pt')"
         ) from error
-    if not isinstance(tensors, dict) or not all(map(torch.is_tensor, tensors.values())):
-        raise WeightsError(f"{path}: holds no plain table of tensors: give Hugging Face's file")
-    return tensors
+    # What torch raises on a damaged file is not defined; safetensors has a class of its own.
+    except (SafetensorError, zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
+        raise _unreadable(path, error) from error
+    except (EOFError, KeyError, TypeError, IndexError, AttributeError, MemoryError) as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: BaseException) -> WeightsError:
+    reason = (str(error).splitlines() or [type(error).__name__])[0]
+    return WeightsError(f"{path}: cannot be read as weights: {reason}: download it again")
+
+
+def _is_microsoft(content: Any) -> bool:
+    return (
+        isinstance(content, dict)
+        and isinstance(content.get("cfg"), dict)
+        and isinstance(content.get("model"), Mapping)
+    )
+
+
+def _unknown_layout(path: Path, content: Any) -> WeightsError:
+    names = [str(name) for name in content] if isinstance(content, Mapping) else []
+    if path.name in ("model.safetensors", "pytorch_model.bin"):
+        do = f"for Hugging Face's layout name the folder, {path.parent}, with its config.json"
+    elif any(re.fullmatch(r"encoder\.layers\.\d+\.self_attn\..*", name) for name in names):
+        do = "these are Microsoft's names without their cfg: give the checkpoint as published"
+    else:
+        do = "give Hugging Face's folder, Microsoft's WavLM-*.pt or a torchaudio state dict"
+    found = ", ".join(names[:4]) or type(content).__name__
+    return WeightsError(f"{path}: no WavLM in a known layout (found: {found[:200]}): {do}")
+
+
+def _plain_tensors(path: Path, content: Any) -> dict[str, torch.Tensor]:
+    import torch
+
+    if not isinstance(content, Mapping) or not all(map(torch.is_tensor, content.values())):
+        raise WeightsError(f"{path}: holds no plain table of tensors: give the published file")
+    # A tensor may claim more numbers than the file has, by repeating them.
+    claimed = sum(tensor.numel() * tensor.element_size() for tensor in content.values())
+    if claimed > 2 * path.stat().st_size:
+        raise WeightsError(
+            f"{path}: cannot be read as weights: {path.stat().st_size} bytes that claim to be "
+            f"{claimed}: download it again"
+        )
+    return {str(name): tensor for name, tensor in content.items()}
 
 
 def _fitting(
-    folder: Path, tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]
+    path: Path, tensors: dict[str, torch.Tensor], shape: Architecture
 ) -> dict[str, torch.Tensor]:
-    """The network's tensors in float32, under the names that it has in this transformers."""
-    found = {_network_name(name): tensor for name, tensor in tensors.items()}
+    """Exactly the network's tensors, in float32."""
+    import torch
+
+    expected = shape.shapes()
     problems = {
-        "missing": [name for name in expected if name not in found],
-        "unknown": [
-            name for name in found if name not in expected and name.startswith(_NETWORK_PREFIXES)
-        ],
+        "missing": [name for name in expected if name not in tensors],
+        "unknown": [name for name in tensors if name not in expected],
         "of another shape": [
-            f"{name} {tuple(found[name].shape)}, not {tuple(tensor.shape)}"
-            for name, tensor in expected.items()
-            if name in found and found[name].shape != tensor.shape
+            f"{name} {tuple(tensors[name].shape)}, not {wanted}"
+            for name, wanted in expected.items()
+            if name in tensors and tuple(tensors[name].shape) != wanted
+        ],
+        "not floating point": [
+            name for name in expected if name in tensors and not tensors[name].is_floating_point()
         ],
     }
     for problem, names in problems.items():
         if names:
-            listed = "; ".join(sorted(names)[:3]) + ("; …" if len(names) > 3 else "")
+            more = f"; and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
             raise WeightsError(
-                f"{folder}: {len(names)} tensors are {problem} ({listed}): "
-                "config.json and the weights must come from the same WavLM model"
+                f"{path}: {len(names)} tensors are {problem} "
+                f"({'; '.join(sorted(names)[:_MOST_LISTED])}{more}): "
+                "settings and weights must come from the same WavLM model"
             )
-    return {name: found[name].float().contiguous() for name in expected}
+    fitting = {name: tensors[name].float().contiguous() for name in expected}
+    for name, tensor in fitting.items():
+        if not torch.isfinite(tensor).all():
+            raise WeightsError(f"{path}: tensor {name} is not finite: download it again")
+    return fitting
 
 
-def _network_name(name: str) -> str:
-    """A tensor's name without the prefix of models with heads, and with torch's new weight norm."""
-    name = name.removeprefix("wavlm.")
-    for old, new in (("weight_g", "original0"), ("weight_v", "original1")):
-        name = name.replace(
-            f"pos_conv_embed.conv.{old}", f"pos_conv_embed.conv.parametrizations.weight.{new}"
-        )
-    return name
-
-
-def _fingerprint(tensors: dict[str, torch.Tensor]) -> str:
+def _fingerprint(tensors: dict[str, torch.Tensor], shape: Architecture) -> str:
     digest = hashlib.sha256()
     for name in sorted(tensors):
         digest.update(f"{name} {list(tensors[name].shape)}\n".encode())
         digest.update(tensors[name].numpy())
+    if shape.unpublished:
+        digest.update(json.dumps(shape.unpublished, sort_keys=True).encode())
     return digest.hexdigest()

@@ -1,0 +1,199 @@
+"""WavLM's transformer: the values of transformers' own forward, in memory linear in length."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import torch
+from torch.nn import functional as F
+
+from audio_features.wavlm.architecture import Architecture
+
+_CPU_SCORES = 1 << 20
+_GPU_SCORES = 1 << 28
+"""How many attention scores are held at a time."""
+_FEED_FORWARD_FRAMES = 2048
+
+
+class Encoder:
+    """Positional convolution and transformer layers with gated relative position bias.
+
+    The bias depends on key - query alone, so it is kept as (heads, 2T - 1) and read through a
+    view that slides by one from row to row; scores exist for a block of query rows at a time
+    and never as (heads, T, T).
+
+    Args:
+        shape: the network's numbers.
+        tensors: under transformers' names, float32.
+        depth: how many layers are wanted; those above are not kept.
+        dtype: of the matrix products outside attention. Scores, softmax, normalisations and the
+            residual stream are float32 in any case.
+    """
+
+    def __init__(
+        self,
+        shape: Architecture,
+        tensors: dict[str, torch.Tensor],
+        depth: int,
+        dtype: torch.dtype,
+    ) -> None:
+        self._shape, self._dtype = shape, dtype
+        conv = "encoder.pos_conv_embed.conv."
+        magnitude = tensors[f"{conv}parametrizations.weight.original0"]
+        direction = tensors[f"{conv}parametrizations.weight.original1"]
+        norm = torch.linalg.vector_norm(direction, dim=(0, 1), keepdim=True)
+        self._position = (
+            (direction * (magnitude / norm)).to(dtype),
+            tensors[f"{conv}bias"].to(dtype),
+        )
+        self._norm = tensors["encoder.layer_norm.weight"], tensors["encoder.layer_norm.bias"]
+        self._embedding = tensors["encoder.layers.0.attention.rel_attn_embed.weight"]
+        self._layers = [self._layer(tensors, f"encoder.layers.{i}.") for i in range(depth)]
+
+    @property
+    def reach(self) -> tuple[int, int]:
+        """Frames that the positional convolution sees before and after each frame."""
+        before = self._shape.position_kernel // 2
+        return before, self._shape.position_kernel - 1 - before
+
+    @property
+    def ends_in_norm(self) -> bool:
+        """Whether the network's output is its last state normalised (Large), or that state."""
+        return self._shape.pre_norm
+
+    def states(self, x: torch.Tensor) -> Iterator[torch.Tensor]:
+        """Yield hidden states 0 (which enters the first layer) to `depth`, each (B, T, width).
+
+        Args:
+            x: (B, before + T + after, width) projected frames, with `reach` frames of what lies
+                around, zeros where a sound begins or ends.
+        """
+        before, after = self.reach
+        own = x[:, before : x.shape[1] - after]
+        x = own + self._positions(x)
+        if not self._shape.pre_norm:
+            x = self.final_norm(x)
+        bias = self._bias(x.shape[1])
+        yield x
+        for layer in self._layers:
+            x = self._apply(layer, x, bias)
+            yield x
+
+    def final_norm(self, x: torch.Tensor) -> torch.Tensor:
+        """The encoder's own normalisation: Large's last step, Base's first."""
+        return self._normalised(x, self._norm)
+
+    def _positions(self, x: torch.Tensor) -> torch.Tensor:
+        x = x.to(self._dtype).transpose(1, 2)
+        x = F.conv1d(x, *self._position, groups=self._shape.position_groups)
+        return F.gelu(x).transpose(1, 2)
+
+    def _layer(self, tensors: dict[str, torch.Tensor], name: str) -> dict[str, tuple]:
+        def pair(part: str) -> tuple[torch.Tensor, torch.Tensor]:
+            return tensors[f"{name}{part}.weight"], tensors[f"{name}{part}.bias"]
+
+        def linear(part: str) -> tuple[torch.Tensor, torch.Tensor]:
+            weight, bias = pair(part)
+            return weight.to(self._dtype), bias.to(self._dtype)
+
+        scale = (self._shape.width // self._shape.heads) ** -0.5
+        parts = [pair(f"attention.{part}_proj") for part in "qkv"]
+        parts[0] = parts[0][0] * scale, parts[0][1] * scale
+        weight, bias = (torch.cat([part[i] for part in parts]).to(self._dtype) for i in (0, 1))
+        # The gate's eight outputs are only ever summed in two groups of four.
+        gate = tuple(
+            tensor.view(2, 4, *tensor.shape[1:]).sum(1)
+            for tensor in pair("attention.gru_rel_pos_linear")
+        )
+        return {
+            "qkv": (weight, bias),
+            "out": linear("attention.out_proj"),
+            "gate": (*gate, tensors[f"{name}attention.gru_rel_pos_const"].view(-1)),
+            "attention_norm": pair("layer_norm"),
+            "inner": linear("feed_forward.intermediate_dense"),
+            "outer": linear("feed_forward.output_dense"),
+            "output_norm": pair("final_layer_norm"),
+        }
+
+    def _apply(self, layer: dict[str, tuple], x: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+        if self._shape.pre_norm:
+            x = x + self._attention(layer, self._normalised(x, layer["attention_norm"]), bias)
+            return x + self._feed_forward(layer, self._normalised(x, layer["output_norm"]))
+        x = self._normalised(x + self._attention(layer, x, bias), layer["attention_norm"])
+        return self._normalised(x + self._feed_forward(layer, x), layer["output_norm"])
+
+    def _normalised(self, x: torch.Tensor, norm: tuple) -> torch.Tensor:
+        return F.layer_norm(x, x.shape[-1:], *norm, self._shape.eps)
+
+    def _feed_forward(self, layer: dict[str, tuple], x: torch.Tensor) -> torch.Tensor:
+        parts = [
+            F.linear(F.gelu(F.linear(part.to(self._dtype), *layer["inner"])), *layer["outer"])
+            for part in x.split(_FEED_FORWARD_FRAMES, dim=1)
+        ]
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+    def _attention(
+        self, layer: dict[str, tuple], x: torch.Tensor, bias: torch.Tensor
+    ) -> torch.Tensor:
+        batch, frames, width = x.shape
+        heads = self._shape.heads
+        weight, shift, constant = layer["gate"]
+        gates = torch.sigmoid(F.linear(x.view(batch, frames, heads, -1), weight, shift))
+        gates = gates[..., 0] * (gates[..., 1] * constant - 1.0) + 2.0
+        gates = gates.transpose(1, 2).contiguous()
+        qkv = F.linear(x.to(self._dtype), *layer["qkv"]).float()
+        q, k, v = qkv.view(batch, frames, 3, heads, -1).permute(2, 0, 3, 1, 4)
+        # With the keys reversed in time, rows of the bias slide forwards: no stride is negative.
+        q, k, v = q.contiguous(), k.flip(2).transpose(2, 3), v.flip(2)
+        out = torch.empty(batch, frames, heads, width // heads, device=x.device)
+        for item in range(batch):
+            attended = _attend(q[item], k[item], v[item], gates[item], bias)
+            out[item] = attended.transpose(0, 1)
+        return F.linear(out.view(x.shape).to(self._dtype), *layer["out"])
+
+    def _bias(self, frames: int) -> torch.Tensor:
+        """(heads, 2T - 1): entry i + j is for query i and the j-th key from the end."""
+        distance = torch.arange(frames - 1, -frames, -1, device=self._embedding.device)
+        return self._embedding[self._bucket(distance)].T.contiguous()
+
+    def _bucket(self, distance: torch.Tensor) -> torch.Tensor:
+        """T5's buckets for key - query: exact near zero, then logarithmic, one sign each half."""
+        half = self._shape.buckets // 2
+        exact = half // 2
+        far = distance.abs()
+        # The order of float32 operations is transformers': buckets change at rounding.
+        position = torch.log(far.float() / exact) / math.log(self._shape.max_distance / exact)
+        large = (exact + position * (half - exact)).clamp(max=half - 1)
+        return torch.where(far < exact, far, large.long()) + half * (distance > 0)
+
+
+def _attend(
+    q: torch.Tensor, k: torch.Tensor, v: torch.Tensor, gates: torch.Tensor, bias: torch.Tensor
+) -> torch.Tensor:
+    """Attention with gated relative bias, a block of scores at a time.
+
+    Written out rather than through scaled_dot_product_attention: on a CPU a mask made for each
+    block and read by that kernel costs half as much again.
+
+    Args:
+        q: (H, T, D) scaled queries; k: (H, D, T), v: (H, T, D) reversed in time.
+        gates: (H, T). bias: (H, 2T - 1), see `Encoder._bias`.
+    """
+    heads, frames, _ = q.shape
+    held = _CPU_SCORES if q.device.type == "cpu" else _GPU_SCORES
+    group = max(1, held // frames**2)
+    rows = min(frames, max(1, held // frames))
+    out = torch.empty_like(q)
+    for head in range(0, heads, group):
+        some = slice(head, head + group)
+        for first in range(0, frames, rows):
+            block = slice(first, first + rows)
+            scores = q[some, block] @ k[some]
+            table = bias[some]
+            slide = table.as_strided(
+                scores.shape, (table.stride(0), 1, 1), table.storage_offset() + first
+            )
+            scores.addcmul_(slide, gates[some, block, None])
+            out[some, block] = scores.softmax(-1) @ v[some]
+    return out
