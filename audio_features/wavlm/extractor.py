@@ -49,7 +49,8 @@ class WavLM:
             is, a number takes it to mean 0 and variance 1, with that number added to the
             variance (Hugging Face adds 1e-7, Microsoft 1e-5).
         full_context: longest sound that is seen whole, in seconds.
-        chunk, context: of longer sounds, in seconds.
+        chunk, context: longest chunk of longer sounds, and what of it is context on either
+            side, in seconds. The chunks of one sound are as few as will do and of one length.
         dtype: "fp32", or "bf16" for matrix products in bfloat16: faster where the processor has
             it, and a little different.
         preset: "dsg" or "dsg+", see `audio_features.wavlm.presets`; fixes all of the above but
@@ -216,8 +217,8 @@ class WavLM:
 
         n_frames = (len(samples) - WINDOW) // HOP + 1
         values = np.empty((n_frames, self.dim), dtype=np.float32)
-        length = n_frames if n_frames <= self._full else min(self._chunk, n_frames)
-        chunks = list(_chunks(n_frames, length, self._context))
+        longest = n_frames if n_frames <= self._full else self._chunk
+        chunks = list(_chunks(n_frames, longest, self._context))
         size = 1 if self._device.type == "cpu" else _GPU_BATCH
         before, after = self._encoder.reach
         # Convolutions on a GPU would by default be rounded to TF32.
@@ -237,11 +238,14 @@ class WavLM:
         return f"WavLM({self.weights.path!r}, {self.spec})"
 
 
-def _chunks(n_frames: int, length: int, context: int) -> Iterator[tuple[slice, slice]]:
-    """Yield (frames seen, frames kept): chunks of one length; the kept frames follow each other.
+def _chunks(n_frames: int, longest: int, context: int) -> Iterator[tuple[slice, slice]]:
+    """Yield (frames seen, frames kept): as few chunks as will do, all of one length.
 
-    A chunk keeps its context only where the sound begins or ends.
+    The kept frames follow each other; a chunk keeps its context only where the sound begins or
+    ends.
     """
+    count = max(1, -(-(n_frames - 2 * context) // (longest - 2 * context)))
+    length = min(n_frames, -(-(n_frames + (count - 1) * 2 * context) // count))
     done = 0
     while done < n_frames:
         start = min(max(0, done - context), n_frames - length)

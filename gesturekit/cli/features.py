@@ -29,10 +29,34 @@ KINDS = ("logmel", "mfcc", "prosody", "liveliness", "wavlm")
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
 )
 @click.option(
-    "--weights", type=click.Path(path_type=Path), help="Local folder of the WavLM weights."
+    "--weights",
+    type=click.Path(path_type=Path),
+    help="WavLM weights: Hugging Face's folder, Microsoft's .pt or a torchaudio state dict.",
 )
 @click.option(
-    "--layer", default="last", show_default=True, help="WavLM layer: a number from 0, or last."
+    "--layer",
+    default="last",
+    show_default=True,
+    help="WavLM layer: a number from 0, last, mean, several side by side (6,9,12) or their "
+    "weighted mean (6:1,9:3).",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["dsg", "dsg+"]),
+    help="WavLM as DiffuseStyleGesture makes it, quirks included; leave --layer out.",
+)
+@click.option(
+    "--dtype",
+    type=click.Choice(["fp32", "bf16"]),
+    default="fp32",
+    show_default=True,
+    help="WavLM's arithmetic; bf16 is faster where the processor has it, and less exact.",
+)
+@click.option(
+    "--full-context",
+    type=click.FloatRange(min=0),
+    metavar="SECONDS",
+    help="Longest sound that WavLM sees whole; longer ones go in chunks.  [default: 300]",
 )
 @click.option(
     "--fps",
@@ -45,6 +69,9 @@ def command(
     out: Path,
     weights: Path | None,
     layer: str,
+    preset: str | None,
+    dtype: str,
+    full_context: float | None,
     fps: float | None,
 ) -> int:
     """Turn sound files into feature files.
@@ -58,7 +85,12 @@ def command(
     doubles = [str(wav) for wav in wavs if stems[wav.stem] > 1]
     if doubles:
         raise click.UsageError(f"{', '.join(doubles)} would be written to the same file: rename")
-    extract = _extractor(extractor, weights, layer).extract
+    wavlm = {"layer": _layer(layer), "preset": preset, "dtype": dtype, "full_context": full_context}
+    made = _extractor(extractor, weights, wavlm)
+    for part in getattr(made, "parts", (made,)):
+        if hasattr(part, "weights"):
+            click.echo(part.weights.describe())
+    extract = made.extract
 
     failed = 0
     for wav in wavs:
@@ -82,7 +114,18 @@ def command(
     return 1 if failed else 0
 
 
-def _extractor(kinds: str, weights: Path | None, layer: str) -> Extractor:
+def _layer(text: str) -> int | str | list | dict:
+    """6, last, mean, 6,9,12 or 6:1,9:3; what is none of these is left to the extractor."""
+    parts = [part.strip() for part in text.split(",")]
+    if all(part.isdecimal() for part in parts):
+        numbers = [int(part) for part in parts]
+        return numbers if len(numbers) > 1 else numbers[0]
+    if ":" in text:
+        return {layer: weight for layer, _, weight in (part.partition(":") for part in parts)}
+    return text
+
+
+def _extractor(kinds: str, weights: Path | None, wavlm: dict) -> Extractor:
     """The extractor that the command line names."""
     from audio_features import extractor_from_spec
 
@@ -92,6 +135,6 @@ def _extractor(kinds: str, weights: Path | None, layer: str) -> Extractor:
             raise click.UsageError(f"--extractor {kind!r}: one or more of {', '.join(KINDS)}")
         specs.append({"kind": kind})
         if kind == "wavlm":
-            specs[-1]["layer"] = int(layer) if layer.isdecimal() else layer
+            specs[-1] |= {key: value for key, value in wavlm.items() if value is not None}
     spec = specs[0] if len(specs) == 1 else {"kind": "stack", "parts": specs}
     return extractor_from_spec(spec, weights=weights)
