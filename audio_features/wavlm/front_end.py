@@ -7,7 +7,7 @@ from torch.nn import functional as F
 
 from audio_features.wavlm.architecture import HOP, WINDOW, Architecture
 
-_BLOCK_FRAMES = 64
+_BLOCK_FRAMES = 128
 _MOMENT_FRAMES = 1 << 16
 _NORM_EPS = 1e-5  # of the normalisations in the front end, in all three code bases
 

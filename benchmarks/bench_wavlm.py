@@ -1,0 +1,205 @@
+"""WavLM Base+ against transformers' own forward: time, memory, and what chunks cost in accuracy.
+
+The weights are random (none can be shipped), of the published size: speed and memory are those of
+the real ones, and so is exactness; the differences between chunked and full context are not, so
+they are given for two kinds of random weights: as initialised, whose attention is spread over the
+whole sound, and "peaky" ones with sharp attention that prefers near frames.
+
+Threads are torch's (two where there are two). Peaks are of whole child processes, imports and
+weights included.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+import transformers
+from harness import arguments, report
+from transformers.utils import logging
+
+import audio_features as af
+from gesturekit.systems import bundled_speech
+
+CPU = Path("/proc/cpuinfo")
+CHUNKS = {"full_context": 0.0, "chunk": 20.0, "context": 2.0}
+
+_PEAK = """
+import re, sys
+from pathlib import Path
+import numpy as np
+import torch
+import audio_features as af
+torch.set_num_threads({threads})
+rng = np.random.default_rng(0)
+wave = af.Wave(rng.standard_normal({seconds} * 16_000, dtype=np.float32) / 10, 16_000)
+track = af.WavLM({weights!r}).extract(wave)
+assert len(track.values) == ({seconds} * 16_000 - 400) // 320 + 1
+print(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1])
+"""
+
+
+def main() -> None:
+    options = arguments(__doc__.splitlines()[0])
+    logging.disable_progress_bar()
+    torch.manual_seed(0)
+    torch.set_num_threads(min(2, torch.get_num_threads()))
+    flags = CPU.read_text() if CPU.is_file() else ""
+    has = "has" if "avx512_bf16" in flags or "amx_bf16" in flags else "is not known to have"
+    print(f"This processor {has} bfloat16 arithmetic.")
+    model = transformers.WavLMModel(transformers.WavLMConfig()).eval()
+    with tempfile.TemporaryDirectory() as folder:
+        model.save_pretrained(folder)
+        figures = times(model, folder, quick=options.quick)
+        report(figures, None)
+        figures |= peaks(folder, quick=options.quick)
+        figures |= differences(model, folder, quick=options.quick)
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+
+
+def speech(seconds: float) -> np.ndarray:
+    """The bundled recording at 16 kHz, said again and again at changing loudness."""
+    spoken = af.Wave.load(bundled_speech()).resample(16_000).samples
+    n = round(seconds * 16_000)
+    loudness = 0.7 + 0.3 * np.sin(np.arange(n) / 16_000)
+    return (np.resize(spoken, n) * loudness).astype(np.float32)
+
+
+def times(model, folder: str, *, quick: bool) -> dict[str, dict]:
+    """Seconds of both for sounds of two lengths; all ways in turn, so a busy machine hits all."""
+    ways = {
+        "fp32": af.WavLM(folder),
+        "bf16": af.WavLM(folder, dtype="bf16"),
+        "fp32_chunks": af.WavLM(folder, **CHUNKS),
+        "bf16_chunks": af.WavLM(folder, dtype="bf16", **CHUNKS),
+    }
+    in_chunks = "chunks of 20 s with 2 s context"
+    notes = {
+        "fp32": "exact",
+        "bf16": "bfloat16, full context",
+        "fp32_chunks": in_chunks,
+        "bf16_chunks": f"bfloat16, {in_chunks}",
+    }
+    works: dict[str, Callable[[np.ndarray], np.ndarray]]
+    works = {name: wavlm.hidden_states for name, wavlm in ways.items()}
+    works["transformers"] = lambda samples: forward(model, samples)
+    figures = {}
+    lengths = ((10, 3, 1), (20, 1, 2)) if quick else ((10, 7, 1), (60, 3, 4))
+    for seconds, runs, count in lengths:
+        names = list(ways)[:count]
+        some = {name: works[name] for name in (*names, "transformers")}
+        spent, values = interleaved(some, speech(seconds), runs)
+        for name in names:
+            error = distance(values[name], values["transformers"])
+            figures[f"wavlm_{seconds}s_{name}"] = {
+                "ours": spent[name],
+                "other": spent["transformers"],
+                "ratio": spent["transformers"] / spent[name],
+                "note": f"{seconds} s, Base+, {torch.get_num_threads()} threads, {notes[name]}; "
+                f"relative L2 to transformers {error:.1e}",
+            }
+    return figures
+
+
+def forward(model, samples: np.ndarray) -> np.ndarray:
+    with torch.inference_mode():
+        return model(torch.from_numpy(samples)[None]).last_hidden_state[0].numpy()
+
+
+def interleaved(
+    works: dict[str, Callable[[np.ndarray], np.ndarray]], samples: np.ndarray, runs: int
+) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Median seconds of each, after one run to warm up, and what they gave."""
+    values = {name: work(samples) for name, work in works.items()}
+    spent: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(runs):
+        for name, work in works.items():
+            start = time.perf_counter()
+            work(samples)
+            spent[name].append(time.perf_counter() - start)
+    return {name: statistics.median(seconds) for name, seconds in spent.items()}, values
+
+
+def distance(values: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.linalg.norm(values - truth) / np.linalg.norm(truth))
+
+
+def peaks(folder: str, *, quick: bool) -> dict[str, dict]:
+    """Highest resident memory in GB, with the default settings (full context to 300 s)."""
+    figures = {}
+    lengths = ((20, None),) if quick else ((60, None), (300, 2.0), (3600, 3.0))
+    for seconds, limit in lengths:
+        code = _PEAK.format(seconds=seconds, weights=folder, threads=torch.get_num_threads())
+        start = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-c", code], check=True, capture_output=True, text=True
+        )
+        spent = time.perf_counter() - start
+        peak = int(done.stdout) * 1024 / 1e9
+        # What one of transformers' score buffers alone takes: (12, T, T) of 4 bytes.
+        buffer = 12 * (seconds * 50) ** 2 * 4 / 1e9
+        allowed = "" if limit is None else f", at most {limit:g} GB wanted"
+        print(f"wavlm_peak_{seconds}s: {peak:.2f} GB{allowed}, {spent:.0f} s in all")
+        figures[f"wavlm_peak_{seconds}s"] = {
+            "ours": peak,
+            "other": buffer,
+            "ratio": buffer / peak,
+            "note": "GB; other: one (12, T, T) buffer, of which transformers holds several",
+        }
+    return figures
+
+
+def differences(model, folder: str, *, quick: bool) -> dict[str, dict]:
+    """Relative L2 between chunked and full context, over chunk length and context."""
+    seconds = 15 if quick else 90
+    grid = ((5, 0), (10, 2))
+    if not quick:
+        grid += ((5, 1), (10, 0), (20, 2), (20, 5), (30, 5), (40, 5), (60, 16))
+    samples = speech(seconds)
+    figures = {}
+    for kind in ("peaky",) if quick else ("as initialised", "peaky"):
+        if kind == "peaky":
+            make_peaky(model)
+            model.save_pretrained(folder)
+        whole = af.WavLM(folder).hidden_states(samples)
+        for chunk, context in grid:
+            wavlm = af.WavLM(folder, full_context=0.0, chunk=chunk, context=context)
+            values = wavlm.hidden_states(samples)
+            frames = np.linalg.norm(values - whole, axis=1) / np.linalg.norm(whole, axis=1)
+            total, worst = distance(values, whole), float(np.quantile(frames, 0.95))
+            print(
+                f"chunks of {chunk} s, context {context} s, weights {kind}: "
+                f"relative L2 {total:.3f}, 95 % of frames below {worst:.3f}"
+            )
+            figures[f"wavlm_difference_{chunk}s_{context}s_{kind.replace(' ', '_')}"] = {
+                "ours": total,
+                "other": worst,
+                "ratio": math.nan if total == 0 else worst / total,
+                "note": f"chunked to full context, {seconds} s; other: 95th percentile of frames",
+            }
+    return figures
+
+
+def make_peaky(model) -> None:
+    """Sharp attention, and a relative bias that falls with distance as far as it reaches."""
+    with torch.no_grad():
+        for layer in model.encoder.layers:
+            layer.attention.q_proj.weight.mul_(3.0)
+            layer.attention.k_proj.weight.mul_(3.0)
+        table = model.encoder.layers[0].attention.rel_attn_embed.weight
+        far = torch.arange(len(table)) % (len(table) // 2)
+        table.copy_(-4.0 * far[:, None] / len(table) + 0.3 * torch.randn_like(table))
+
+
+if __name__ == "__main__":
+    main()
