@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,10 +14,13 @@ from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.wavlm.architecture import HOP, WINDOW
 
+if TYPE_CHECKING:
+    from audio_features.wavlm.layers import Layer
+
 SAMPLE_RATE = 16_000
 
 _DEFAULT_SECONDS = {"full_context": 300.0, "chunk": 30.0, "context": 5.0}
-_SETTINGS = ("layer", "final_norm", "normalize", *_DEFAULT_SECONDS, "dtype", "preset")
+_SETTINGS = ("layer", "final_norm", "normalize", *_DEFAULT_SECONDS, "dtype", "preset", "fingerprint")
 _GPU_BATCH = 8
 
 
@@ -55,7 +58,12 @@ class WavLM:
             it, and a little different.
         preset: "dsg" or "dsg+", see `audio_features.wavlm.presets`; fixes all of the above but
             the weights and dtype.
+        fingerprint: of the weights that are asked for, as a spec names them; others are refused.
         device: where to compute, "cpu" or "cuda"; no part of the spec.
+
+    Attributes:
+        weights: what was found; `weights.describe()` says it in a line.
+        normalize: what is added to the waveform's variance, None where it is taken as it is.
 
     Raises WeightsError where the weights cannot be used, FeatureError for a setting that they
     or the extractor do not have.
@@ -64,7 +72,7 @@ class WavLM:
     def __init__(
         self,
         weights: str | os.PathLike[str],
-        layer: Any = "last",
+        layer: Layer = "last",
         *,
         final_norm: bool | None = None,
         normalize: bool | float | None = None,
@@ -73,6 +81,7 @@ class WavLM:
         context: float = 5.0,
         dtype: str = "fp32",
         preset: str | None = None,
+        fingerprint: str | None = None,
         device: str = "cpu",
     ) -> None:
         import torch
@@ -86,10 +95,18 @@ class WavLM:
         kinds = {"fp32": torch.float32, "bf16": torch.bfloat16}
         if dtype not in kinds:
             raise FeatureError(f"dtype={dtype!r}: 'fp32' or 'bf16'")
-        self.seconds = {"full_context": full_context, "chunk": chunk, "context": context}
-        self._full, self._chunk, self._context = _in_frames(**self.seconds)
+        self.seconds = _checked_seconds(full_context, chunk, context)
+        self._full, self._chunk, self._context = (
+            round(seconds * SAMPLE_RATE / HOP) for seconds in self.seconds.values()
+        )
         self._device = _checked_device(device)
         self.weights, tensors = read_weights(weights)
+        if fingerprint not in (None, self.fingerprint):
+            raise WeightsError(
+                f"{os.fspath(weights)}: these weights have fingerprint {self.fingerprint}, "
+                f"the features were made with {fingerprint}: give the weights that the model was "
+                "trained on"
+            )
         self.dtype, self.preset = dtype, preset
         shape = self.weights.architecture
         self._choice = LayerChoice(layer, final_norm, shape.layers)
@@ -120,7 +137,6 @@ class WavLM:
         settings, WeightsError where weights are missing or not those of the spec.
         """
         settings = {key: value for key, value in settings.items() if key != "kind"}
-        wanted = settings.pop("fingerprint", None)
         unknown = sorted(settings.keys() - _SETTINGS)
         if unknown:
             raise FeatureError(
@@ -128,19 +144,13 @@ class WavLM:
                 f"there are {', '.join(_SETTINGS)}"
             )
         if weights is None:
+            wanted = settings.get("fingerprint")
             which = f" with fingerprint {wanted}" if wanted else ""
             raise WeightsError(
                 f"WavLM weights{which} are needed: name their folder or file "
                 "(features.weights=PATH to train, else --weights PATH)"
             )
-        extractor = cls(weights, **settings, device=device)
-        if wanted is not None and extractor.fingerprint != wanted:
-            raise WeightsError(
-                f"{os.fspath(weights)}: these weights have fingerprint {extractor.fingerprint}, "
-                f"the features were made with {wanted}: give the weights that the model was "
-                "trained on"
-            )
-        return extractor
+        return cls(weights, **settings, device=device)
 
     @property
     def fingerprint(self) -> str:
@@ -255,20 +265,19 @@ def _chunks(n_frames: int, longest: int, context: int) -> Iterator[tuple[slice, 
         done = keep.stop
 
 
-def _in_frames(full_context: float, chunk: float, context: float) -> tuple[int, int, int]:
-    """The three lengths in frames."""
+def _checked_seconds(full_context: Any, chunk: Any, context: Any) -> dict[str, float]:
     given = f"full_context={full_context!r}, chunk={chunk!r}, context={context!r}"
     try:
-        full, length, around = (
-            round(seconds * SAMPLE_RATE / HOP) for seconds in (full_context, chunk, context)
-        )
-    except (TypeError, ValueError, OverflowError) as error:
+        full, length, around = float(full_context), float(chunk), float(context)
+    except (TypeError, ValueError) as error:
         raise FeatureError(f"{given}: give three numbers of seconds") from error
-    if full < 0 or around < 0 or length <= 2 * around:
+    if not (
+        0 <= full < 1e6 and 0 <= around < 1e6 and 2 * around + HOP / SAMPLE_RATE <= length < 1e6
+    ):
         raise FeatureError(
-            f"{given}: give seconds, none below 0, and chunks longer than twice their context"
+            f"{given}: give seconds from 0 to 1000000, and chunks longer than twice their context"
         )
-    return full, length, around
+    return {"full_context": full, "chunk": length, "context": around}
 
 
 def _checked_eps(normalize: bool | float | None) -> float | None:
