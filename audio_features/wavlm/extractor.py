@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 SAMPLE_RATE = 16_000
 
 _DEFAULT_SECONDS = {"full_context": 300.0, "chunk": 30.0, "context": 5.0}
-_SETTINGS = ("layer", "final_norm", "normalize", *_DEFAULT_SECONDS, "dtype", "preset", "fingerprint")
+_SETTINGS = ("layer", "final_norm", "normalize", *_DEFAULT_SECONDS)
+_SETTINGS += ("dtype", "preset", "fingerprint")
 _GPU_BATCH = 8
 
 
