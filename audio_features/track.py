@@ -19,6 +19,8 @@ from audio_features.errors import FeatureError
 from audio_features.wave import exact_rate
 
 FORMAT = 1
+ALIGNMENTS = ("linear", "mean", "length_ratio")
+"""How `to_rate` can put features on motion frames."""
 # What zipfile, numpy and json raise on a file that is damaged or something else.
 _UNREADABLE = (
     OSError,
@@ -82,14 +84,14 @@ class FeatureTrack:
             return self._with(np.repeat(self.values, len(times), axis=0), times)
         lo = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         span = self.times[lo + 1] - self.times[lo]
-        w = np.clip((times - self.times[lo]) / span, 0.0, 1.0).astype(np.float32)[:, None]
-        return self._with(self.values[lo] * (1 - w) + self.values[lo + 1] * w, times)
+        w = np.clip((times - self.times[lo]) / span, 0.0, 1.0)
+        return self._with(self._between(lo, w), times)
 
     def to_rate(
         self,
         fps: float,
         n_frames: int | None = None,
-        method: Literal["linear", "mean"] = "linear",
+        method: Literal["linear", "mean", "length_ratio"] = "linear",
     ) -> FeatureTrack:
         """The track on motion frames: frame k is at k/fps.
 
@@ -98,7 +100,10 @@ class FeatureTrack:
             n_frames: how many; give `wave.n_frames(fps)` or the motion's own count. By default
                 the frames that are not later than the last one of this track.
             method: "linear" interpolates by true time; "mean" averages the frames within half
-                a motion frame (and interpolates where there are none), which does not alias.
+                a motion frame (and interpolates where there are none), which does not alias;
+                "length_ratio" ignores time and stretches the first frame to the first and the
+                last to the last (torch's `interpolate(align_corners=True)`), which is up to a
+                frame of this track wrong at the ends: only to reproduce systems that did so.
         """
         rate = exact_rate(fps)
         if n_frames is None:
@@ -106,12 +111,16 @@ class FeatureTrack:
             n_frames = math.floor(self.times[-1] * float(rate) + 1e-6) + 1
         if n_frames < 1:
             raise FeatureError(f"n_frames={n_frames}: at least 1")
+        if method not in ALIGNMENTS:
+            raise FeatureError(f"method={method!r}: one of {', '.join(ALIGNMENTS)}")
         times = np.arange(n_frames) * rate.denominator / rate.numerator
+        if method == "length_ratio":
+            place = np.arange(n_frames) * (len(self.times) - 1) / max(n_frames - 1, 1)
+            lo = place.astype(np.int64)
+            return self._with(self._between(lo, place - lo), times)
         track = self.at(times)
         if method == "linear":
             return track
-        if method != "mean":
-            raise FeatureError(f"method={method!r}: 'linear' or 'mean'")
         # A frame that lies on an edge belongs to the later window, whatever the rounding says.
         edges = np.append(times, n_frames / float(rate)) - 0.5 / float(rate) - 1e-9
         first = np.searchsorted(self.times, edges, side="left")
@@ -178,6 +187,12 @@ class FeatureTrack:
             return cls(values, times, spec, tuple(map(str, names)))
         except (FeatureError, TypeError, ValueError) as error:
             raise FeatureError(f"{name}: {error}") from error
+
+    def _between(self, lo: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """(M, D) values at a share w of the way from frame lo to the one after it."""
+        w = w.astype(np.float32)[:, None]
+        after = np.minimum(lo + 1, len(self.times) - 1)
+        return self.values[lo] * (1 - w) + self.values[after] * w
 
     def _with(self, values: np.ndarray, times: np.ndarray) -> FeatureTrack:
         return FeatureTrack(values, times, self.spec, self.names)

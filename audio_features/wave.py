@@ -7,14 +7,12 @@ import os
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
-import soundfile
 import soxr
 
 from audio_features.errors import AudioError
-from audio_features.riff import check_not_truncated
+from audio_features.sound_file import read_sound
 
 MIN_SECONDS = Fraction(25, 1000)
 """Shortest sound accepted: 400 samples at 16 kHz, what one WavLM frame sees."""
@@ -27,6 +25,8 @@ ACTIVE_RANGE_DB = 20.0
 SPEECH_LEVEL_DBFS = -23.0
 """The active level that `Wave.at_level` gives by default (the target of EBU R128)."""
 
+_FULL_SCALE = 0.999  # 16-bit files clip at 32767/32768, resampled ones a little lower
+_DC_OFFSET = 0.01
 _BLOCK = 1 << 20  # samples worked on at a time, so that memory stays bounded on long files
 
 
@@ -85,41 +85,33 @@ class Wave:
         *,
         start: float = 0.0,
         duration: float | None = None,
+        channel: int | None = None,
         max_seconds: float = 4 * 3600,
     ) -> Wave:
-        """Read a sound file (wav, flac, ogg, mp3, aiff: what libsndfile reads).
+        """Read a sound file: wav, flac, ogg (vorbis, opus), mp3, aiff, au, NIST SPHERE.
 
         Args:
-            path: the file; any sample rate, any number of channels (their mean is taken).
+            path: the file; any sample rate, any number of channels.
             start, duration: the stretch to read, in seconds; None reads to the end, and a
                 stretch that reaches past the end is cut there.
+            channel: which channel to take, counted from 1 as sox and audio editors count (1 is
+                the left one); by default the mean of all. Where two speakers share a stereo
+                file, name the one you want.
             max_seconds: longest stretch that is read into memory.
 
-        Raises AudioError for a missing, unreadable, truncated, empty or too short file, and
-        for samples that are not finite.
+        Memory grows with the stretch alone (4 bytes a sample), not with the channels.
+
+        Raises AudioError for a missing, unreadable, truncated, damaged, empty or too short file,
+        a channel that is not there, and samples that are not finite. Every checksum and every
+        length that the file holds is held against what was decoded, so that nothing is read
+        silently short. (A wav has no checksum of its samples: damage to those alone cannot show.)
         """
         name = os.fspath(path)
-        if not Path(name).is_file():
-            what = "not a regular file" if Path(name).exists() else "no such file"
-            raise AudioError(f"{name}: {what}: give the path of a sound file")
-        try:
-            if Path(name).stat().st_size == 0:
-                raise AudioError(f"{name}: the file is empty (0 bytes): export it again")
-            check_not_truncated(name)
-            with soundfile.SoundFile(name) as file:
-                rate = _checked_rate(file.samplerate, name)
-                first, count = _stretch(name, file.frames, rate, start, duration, max_seconds)
-                samples = _read_mono(file, name, first, count)
-        except (soundfile.LibsndfileError, OSError, TypeError, UnicodeError) as error:
-            # TypeError is what soundfile says to headerless files such as .raw; UnicodeError to
-            # file names that are no text.
-            reason = str(error).removeprefix(f"Error opening {name!r}: ").rstrip(".")
-            raise AudioError(
-                f"{name}: cannot be read as sound ({reason}): "
-                "give a wav, flac, ogg or mp3 file, or convert it with ffmpeg"
-            ) from error
-        except MemoryError as error:
-            raise AudioError(f"{name}: too long for this machine's memory: split it") from error
+
+        def stretch(n: int, rate: int) -> tuple[int, int]:
+            return _stretch(name, n, _checked_rate(rate, name), start, duration, max_seconds)
+
+        samples, rate = read_sound(name, stretch, channel)
         return cls(samples, rate, name)
 
     @property
@@ -204,6 +196,26 @@ class Wave:
         """True where no frame is active: digital silence, or noise below -75 dBFS."""
         return self._level == -math.inf
 
+    def faults(self) -> list[str]:
+        """What a listener would complain about, in phrases; empty for a good recording.
+
+        Silence; clipping (three or more samples in a row at full scale); a DC offset of 1 % of
+        full scale or more. None of them stops anything: light features take level and offset
+        out, and silence gives idle motion.
+        """
+        found = []
+        if self.is_silent:
+            found.append(f"no speech above {SILENCE_DBFS:.0f} dBFS")
+        clipped, first = self._clipping()
+        if clipped:
+            found.append(
+                f"clipped: {clipped} samples at full scale, the first at "
+                f"{first / self.sample_rate:.2f} s: record at a lower level"
+            )
+        if abs(self._mean) >= _DC_OFFSET:
+            found.append(f"DC offset of {100 * self._mean:+.1f} % of full scale: high-pass it")
+        return found
+
     def at_level(self, dbfs: float = SPEECH_LEVEL_DBFS) -> Wave:
         """The same sound with its active level at `dbfs` and no DC offset.
 
@@ -219,6 +231,17 @@ class Wave:
     @cached_property
     def _mean(self) -> float:
         return float(np.mean(self.samples, dtype=np.float64))
+
+    def _clipping(self) -> tuple[int, int]:
+        """How many samples are the third in a row at full scale, and where the first is."""
+        count, first = 0, 0
+        for at in range(0, len(self.samples) - 2, _BLOCK):
+            full = np.abs(self.samples[at : at + _BLOCK + 2]) >= _FULL_SCALE
+            flat = full[2:] & full[1:-1] & full[:-2]
+            if count == 0 and flat.any():
+                first = at + int(np.argmax(flat))
+            count += int(np.count_nonzero(flat))
+        return count, first
 
     @cached_property
     def _level(self) -> float:
@@ -279,26 +302,3 @@ def _stretch(
             "split the file, or give start and duration (or a larger max_seconds)"
         )
     return first, count
-
-
-def _read_mono(file: soundfile.SoundFile, name: str, first: int, count: int) -> np.ndarray:
-    """(count,) float32, the mean of the channels, read block by block."""
-    samples = np.empty(count, dtype=np.float32)
-    if first:
-        file.seek(first)
-    done = 0
-    while done < count:
-        block = file.read(
-            min(count - done, max(1, _BLOCK // file.channels)), dtype="float32", always_2d=True
-        )
-        if len(block) == 0:
-            break
-        np.mean(block, axis=1, out=samples[done : done + len(block)])
-        done += len(block)
-    # Lossy streams only estimate their length; for every other format less is truncation.
-    if done < count and file.format not in ("MP3", "MPEG"):
-        raise AudioError(
-            f"{name}: truncated: the header declares {first + count} samples a channel, "
-            f"only {first + done} can be read: copy or export the file again"
-        )
-    return samples[:done]

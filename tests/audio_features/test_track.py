@@ -1,11 +1,16 @@
 from __future__ import annotations
 
 import json
+import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
-from audio_features import FeatureError, FeatureTrack
+from audio_features import FeatureError, FeatureTrack, Wave
+from audio_features.spectrum import ShortTimeSpectrum
 
 
 @pytest.fixture
@@ -50,6 +55,53 @@ def test_mean_removes_what_point_interpolation_aliases():
     track = FeatureTrack(np.cos(np.pi * np.arange(1000))[:, None], times)
     assert np.abs(track.to_rate(25, 250).values).max() == 1
     assert np.abs(track.to_rate(25, 249, method="mean").values[1:]).max() < 1e-6
+
+
+@pytest.mark.parametrize(("n_in", "n_out"), [(499, 250), (50, 88), (1, 5), (7, 1)])
+def test_length_ratio_is_torchs_interpolation_with_aligned_corners(n_in, n_out):
+    import torch
+
+    values = np.random.default_rng(0).standard_normal((n_in, 3)).astype(np.float32)
+    expected = torch.nn.functional.interpolate(
+        torch.from_numpy(values.T.copy())[None], size=n_out, mode="linear", align_corners=True
+    )[0].numpy()
+    track = FeatureTrack(values, 0.0125 + 0.02 * np.arange(n_in))
+    stretched = track.to_rate(25, n_out, method="length_ratio")
+    np.testing.assert_allclose(stretched.values, expected.T, atol=1e-4)
+    with pytest.raises(FeatureError, match="length_ratio"):
+        track.to_rate(25, n_out, method="nearest")
+
+
+@settings(max_examples=1000, deadline=None)
+@given(
+    n=st.integers(4_800, 100_000),
+    rate=st.sampled_from([8_000, 11_025, 16_000, 22_050, 44_100, 48_000]),
+    fps=st.sampled_from([12.5, 20, 23.976, 24, 25, 29.97, 30, 50, 60, 119.88, 120]),
+    at=st.floats(0.05, 0.95),
+    base=st.sampled_from(["light", "WavLM's"]),
+)
+def test_frame_law(n, rate, fps, at, base):
+    """Rows follow from the sample count alone, and a click is in the row of its time."""
+    samples = np.zeros(n, np.float32)
+    click = round(at * n) / rate
+    samples[round(at * n)] = 1.0
+    wave = Wave(samples, rate)
+    rows = math.floor(Fraction(n, rate) * Fraction(fps).limit_denominator(1001) + Fraction(1, 2))
+    assume(click < (rows - 0.5) / fps - 0.0125)  # what is later belongs to no row
+    if base == "light":  # 25 ms every 10 ms, as all acoustic features see the sound
+        spectrum = ShortTimeSpectrum(wave)
+        energy, times = spectrum.power.sum(axis=1), spectrum.times
+    else:  # 25 ms every 20 ms, as WavLM sees it
+        short = np.lib.stride_tricks.sliding_window_view(wave.resample(16_000).samples, 400)[::320]
+        energy = np.square(short * np.hanning(400)).sum(axis=1)
+        times = 0.0125 + 0.02 * np.arange(len(short))
+    track = FeatureTrack(energy[:, None], times).to_rate(fps, wave.n_frames(fps), method="mean")
+    assert len(track.values) == rows
+    row = int(np.argmax(track.values[:, 0]))
+    # Half a motion frame, and half of what a frame of features sees; WavLM's first frame stands
+    # for all that is before its centre.
+    seen = 0.0125 if base == "light" else 0.025
+    assert abs(row / fps - click) <= 0.5 / fps + seen + 1e-6
 
 
 def test_a_feature_file_gives_back_what_was_saved(ramp, tmp_path):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shlex
 from fractions import Fraction
 
 import numpy as np
@@ -82,22 +83,97 @@ def test_bad_files_are_named_with_what_is_wrong(tmp_path):
     refused("good.wav", "at most 0 s", max_seconds=0.5)
 
 
-@pytest.mark.parametrize("name", ["a.wav", "a.flac", "a.ogg"])
-def test_truncated_files_are_refused(tmp_path, name):
-    soundfile.write(tmp_path / "whole", noise(44_100), 44_100, format=name[2:].upper())
-    whole = (tmp_path / "whole").read_bytes()
-    (tmp_path / name).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(AudioError, match=name):
-        Wave.load(tmp_path / name)
+@pytest.mark.parametrize("kind", ["WAV", "RF64", "FLAC", "OGG", "MP3", "AIFF", "AU", "NIST"])
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
+def test_truncated_files_are_refused(tmp_path, kind, part):
+    path = tmp_path / "sound"
+    soundfile.write(path, noise(44_100), 44_100, format=kind)
+    Wave.load(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(part * len(whole))])
+    with pytest.raises(AudioError, match="sound: "):
+        Wave.load(path)
 
 
-def test_a_wav_streamed_to_a_pipe_has_no_length_and_still_loads(tmp_path):
+def test_an_ogg_cut_between_two_pages_is_refused(tmp_path):
+    soundfile.write(tmp_path / "a.ogg", noise(200_000), 16_000)
+    whole = (tmp_path / "a.ogg").read_bytes()
+    (tmp_path / "a.ogg").write_bytes(whole[: whole.rindex(b"OggS")])
+    with pytest.raises(AudioError, match="truncated"):
+        Wave.load(tmp_path / "a.ogg")
+
+
+@pytest.mark.parametrize("whole", [0, 36, 0xFFFFFFFF])
+@pytest.mark.parametrize("sound", [0, 0xFFFFFFFF, 0x7FFFF000])
+@pytest.mark.parametrize("order", ["little", "big"])
+def test_a_wav_streamed_to_a_pipe_has_no_length_and_still_loads(tmp_path, whole, sound, order):
+    path = tmp_path / "a.wav"
+    soundfile.write(path, noise(16_000), 16_000, endian=order.upper())
+    meant = Wave.load(path).samples
+    content = bytearray(path.read_bytes())
+    at = content.index(b"data") + 4
+    content[4:8] = whole.to_bytes(4, order)
+    content[at : at + 4] = sound.to_bytes(4, order)
+    path.write_bytes(content)
+    np.testing.assert_array_equal(Wave.load(path).samples, meant)
+    np.testing.assert_array_equal(Wave.load(path, start=0.5).samples, meant[8_000:])
+
+
+def test_a_header_that_contradicts_itself_is_refused(tmp_path):
     soundfile.write(tmp_path / "a.wav", noise(16_000), 16_000)
     content = bytearray((tmp_path / "a.wav").read_bytes())
-    at = content.index(b"data") + 4
-    content[at : at + 4] = b"\xff" * 4
+    content[24:28] = (22_050).to_bytes(4, "little")
     (tmp_path / "a.wav").write_bytes(content)
-    assert len(Wave.load(tmp_path / "a.wav").samples) == 16_000
+    with pytest.raises(AudioError, match="22050 Hz.*ffmpeg -i"):
+        Wave.load(tmp_path / "a.wav")
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("a talk.m4a", b"\0\0\0\x20ftypM4A \0\0\0\0"),
+        ("renamed.wav", b"\0\0\0\x18ftypmp42\0\0\0\0"),
+        ("a.webm", b"\x1a\x45\xdf\xa3" + bytes(20)),
+        ("a.wma", b"\x30\x26\xb2\x75" + bytes(20)),
+        ("a.aac", b"\xff\xf1" + bytes(20)),
+    ],
+)
+def test_what_libsndfile_cannot_decode_comes_with_the_ffmpeg_line(tmp_path, name, head):
+    (tmp_path / name).write_bytes(head + bytes(1000))
+    with pytest.raises(AudioError, match="ffmpeg -i ") as caught:
+        Wave.load(tmp_path / name)
+    line = shlex.split(str(caught.value).split("`")[1])
+    assert line[:3] == ["ffmpeg", "-i", str(tmp_path / name)]
+    assert line[3].endswith(".wav") and line[3] != line[2]
+
+
+@pytest.mark.parametrize("channels", [1, 2, 8, 32])
+def test_one_channel_of_many(tmp_path, channels):
+    sound = 0.1 * np.random.default_rng(0).standard_normal((8_000, channels))
+    soundfile.write(tmp_path / "a.wav", sound, 16_000, subtype="FLOAT")
+    for channel in (1, channels):
+        samples = Wave.load(tmp_path / "a.wav", channel=channel).samples
+        np.testing.assert_array_equal(samples, sound[:, channel - 1].astype(np.float32))
+    for channel in (0, channels + 1, -1):
+        with pytest.raises(AudioError, match=f"the file has {channels}"):
+            Wave.load(tmp_path / "a.wav", channel=channel)
+
+
+def test_faults_of_a_recording_are_named(speech):
+    assert speech.faults() == []
+    assert "no speech" in Wave(np.zeros(16_000, np.float32), 16_000).faults()[0]
+    assert "DC offset of +5.0 %" in Wave(speech.samples + np.float32(0.05), 16_000).faults()[0]
+    loud = np.clip(4 * speech.samples / np.abs(speech.samples).max(), -1, 1)
+    clipped = Wave(loud, 16_000).faults()
+    assert len(clipped) == 1 and clipped[0].startswith("clipped: ")
+    first = float(clipped[0].split("first at ")[1].split(" s")[0])
+    assert first == pytest.approx(np.argmax(np.abs(loud) >= 1) / 16_000, abs=0.01)
+
+
+@pytest.mark.parametrize("rate", [8_000, 192_000])
+def test_every_usual_rate_loads(tmp_path, rate):
+    soundfile.write(tmp_path / "a.wav", noise(rate), rate)
+    assert Wave.load(tmp_path / "a.wav").n_frames(25) == 25
 
 
 def test_arrays_are_checked_too():

@@ -1,0 +1,63 @@
+"""AIFF, Sun's au and NIST SPHERE: a header with a length, then plain samples."""
+
+from __future__ import annotations
+
+import struct
+from typing import BinaryIO
+
+from audio_features.containers import Promise, exactly
+from audio_features.errors import AudioError
+
+_MAX_CHUNKS = 10_000
+_UNKNOWN_AU_SIZE = 0xFFFFFFFF
+
+
+def read_aiff(file: BinaryIO, name: str, size: int) -> Promise:
+    """AIFF and AIFF-C: the frames that COMM declares must fit into SSND, and SSND into the file."""
+    if exactly(file, 12, name)[8:] not in (b"AIFF", b"AIFC"):
+        raise AudioError(f"{name}: an IFF file that is no AIFF: give a sound file")
+    frames = None
+    for _ in range(_MAX_CHUNKS):
+        head = file.read(8)
+        if len(head) < 8:
+            break
+        kind, length = struct.unpack(">4sI", head)
+        start = file.tell()
+        if kind == b"COMM" and length >= 18:
+            frames = struct.unpack(">hI", exactly(file, 6, name))[1]
+        elif kind == b"SSND":
+            _check_fits(name, length, size - start)
+        file.seek(start + length + length % 2)
+    if frames is None:
+        raise AudioError(f"{name}: an AIFF file without COMM: export the file again")
+    return Promise(frames=frames)
+
+
+def read_au(file: BinaryIO, name: str, size: int) -> Promise:
+    """Sun's au: 0xFFFFFFFF bytes of sound mean up to the end."""
+    offset, length = struct.unpack(">II", exactly(file, 12, name)[4:])
+    if length != _UNKNOWN_AU_SIZE:
+        _check_fits(name, length, size - offset)
+    return Promise()
+
+
+def read_nist(file: BinaryIO, name: str, size: int) -> Promise:
+    """NIST SPHERE (TIMIT and other corpora): text fields, then the samples."""
+    try:
+        lines = exactly(file, 1024, name).decode("ascii", "replace").splitlines()
+        offset = int(lines[1])
+        fields = dict(line.split(None, 2)[::2] for line in lines[2:] if line.count(" ") >= 2)
+        frames = int(fields["sample_count"])
+        block = int(fields["channel_count"]) * int(fields["sample_n_bytes"])
+    except (ValueError, KeyError, IndexError) as error:
+        raise AudioError(f"{name}: the SPHERE header cannot be read: export it again") from error
+    _check_fits(name, frames * block, size - offset)
+    return Promise(frames=frames)
+
+
+def _check_fits(name: str, declared: int, there: int) -> None:
+    if declared > there:
+        raise AudioError(
+            f"{name}: truncated: the header declares {declared} bytes of sound, "
+            f"{max(there, 0)} are there: copy or export the file again"
+        )

@@ -1,0 +1,153 @@
+"""Wav files: RIFF, its big-endian twin RIFX, and RF64 for more than 4 GB."""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from audio_features.containers import Promise, exactly, ffmpeg_line
+from audio_features.errors import AudioError
+
+# What writers that stream to a pipe put in place of a size they cannot know (ffmpeg, sox).
+_UNKNOWN_SIZES = {0, 0xFFFFFFFF, 0x7FFFFFFF, 0x7FFFF000, 0x7FFFFFFE, 0xFFFFFFFE}
+_LARGEST_PIPE_SIZE = 0x7FFF0000  # from here on the size of a whole file is no promise either
+_MAX_CHUNKS = 10_000
+_MAX_FORMAT_BYTES = 4096
+# Formats whose sample is a fixed number of bytes: linear PCM, float, A-law, mu-law.
+_PLAIN_FORMATS = {1, 3, 6, 7}
+_EXTENSIBLE = 0xFFFE
+
+
+@dataclass(frozen=True)
+class _Format:
+    """The numbers of a `fmt ` chunk."""
+
+    tag: int
+    channels: int
+    rate: int
+    bytes_per_second: int
+    block: int
+    bits: int
+
+
+def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
+    """What a wav declares, held against its size and against itself.
+
+    A length of 0 or 0xFFFFFFFF (and sox's 0x7FFFF000) is unknown: the sound lasts to the end of
+    the file. So do `ffmpeg -i … -f wav -` and others that write to a pipe.
+    """
+    head = exactly(file, 12, name)
+    order = ">" if head[:4] == b"RIFX" else "<"
+    riff_size = struct.unpack(f"{order}I", head[4:8])[0]
+    if head[8:] != b"WAVE":
+        raise AudioError(f"{name}: a RIFF file that is no wav ({head[8:]!r}): give a sound file")
+    settings, long_sizes = None, None
+    for _ in range(_MAX_CHUNKS):
+        kind, length = struct.unpack(f"{order}4sI", _chunk_head(file, name))
+        if kind == b"data":
+            break
+        start = file.tell()
+        if kind == b"ds64" and length >= 16:
+            long_sizes = struct.unpack("<QQ", exactly(file, 16, name))
+        elif kind == b"fmt " and 16 <= length <= _MAX_FORMAT_BYTES:
+            settings = _format(exactly(file, length, name), order)
+        file.seek(start + length + length % 2)
+    else:
+        raise AudioError(f"{name}: more than {_MAX_CHUNKS} chunks before the sound: export again")
+    if settings is None:
+        raise AudioError(f"{name}: no `fmt ` chunk before the sound: export the file again")
+    _check_format(settings, name)
+
+    start, unsized_at = file.tell(), file.tell() - 4
+    if head[:4] == b"RF64" and long_sizes is not None:
+        riff_size = long_sizes[0] if riff_size == 0xFFFFFFFF else riff_size
+        length = long_sizes[1] if length == 0xFFFFFFFF else length
+    there = size - start
+    # A 0 is unknown too, unless the file's own size is known and right.
+    sized = riff_size not in _UNKNOWN_SIZES and riff_size + 8 == size
+    unknown = length in _UNKNOWN_SIZES and not (length == 0 and (sized or there == 0))
+    if unknown:
+        length = there
+        if _LARGEST_PIPE_SIZE > riff_size > size - 8:
+            length = riff_size + 8 - start
+    if length > there:
+        raise AudioError(
+            f"{name}: truncated: the header declares {length} bytes of sound, "
+            f"{there} are there: copy or export the file again"
+        )
+    if not unknown and not _only_chunks_follow(
+        file, start + length, _end(riff_size, start + length, size), order
+    ):
+        raise AudioError(
+            f"{name}: damaged: the header declares {length} bytes of sound, but what follows in "
+            f"the file ({there - length} bytes) is nothing a wav holds: copy or export it again"
+        )
+    plain = settings.tag in _PLAIN_FORMATS
+    return Promise(
+        frames=length // settings.block if plain else None,
+        unsized_at=unsized_at if unknown else None,
+    )
+
+
+def _chunk_head(file: BinaryIO, name: str) -> bytes:
+    head = file.read(8)
+    if len(head) < 8:
+        raise AudioError(f"{name}: truncated: no sound (`data`) in the file: copy or export again")
+    return head
+
+
+def _format(body: bytes, order: str) -> _Format:
+    tag, channels, rate, bytes_per_second, block, bits = struct.unpack(f"{order}HHIIHH", body[:16])
+    if tag == _EXTENSIBLE and len(body) >= 26:
+        tag = struct.unpack(f"{order}H", body[24:26])[0]
+    return _Format(tag, channels, rate, bytes_per_second, block, bits)
+
+
+def _check_format(settings: _Format, name: str) -> None:
+    """Three numbers of the header follow from three others; a damaged one shows."""
+    if settings.tag not in _PLAIN_FORMATS:
+        return
+    block = settings.channels * -(-settings.bits // 8)
+    if settings.channels == 0 or settings.bits == 0:
+        raise AudioError(
+            f"{name}: the header declares {settings.channels} channels of {settings.bits} bits: "
+            "export the file again"
+        )
+    if settings.block != block or settings.bytes_per_second not in (0, settings.rate * block):
+        raise AudioError(
+            f"{name}: the header contradicts itself: {settings.channels} channels of "
+            f"{settings.bits} bits at {settings.rate} Hz are {block} bytes a sample and "
+            f"{settings.rate * block} a second, it says {settings.block} and "
+            f"{settings.bytes_per_second}: export it again, or run {ffmpeg_line(name)}"
+        )
+
+
+def _end(riff_size: int, sound_end: int, size: int) -> int:
+    """Where the wav ends in its file; tags may stand behind it."""
+    end = riff_size + 8
+    return end if riff_size not in _UNKNOWN_SIZES and sound_end <= end <= size else size
+
+
+def _only_chunks_follow(file: BinaryIO, at: int, end: int, order: str) -> bool:
+    """Whether `at` to `end` is a row of chunks; the pad byte after an odd one may be missing."""
+    return any(
+        _chunks_fill(file, start, end, order) for start in ({at, at + 1} if at % 2 else {at})
+    )
+
+
+def _chunks_fill(file: BinaryIO, at: int, end: int, order: str) -> bool:
+    for _ in range(_MAX_CHUNKS):
+        if end - at <= 1:
+            return True
+        file.seek(at, os.SEEK_SET)
+        head = file.read(8)
+        if len(head) < 8 or not all(0x20 <= byte < 0x7F for byte in head[:4]):
+            return False
+        length = struct.unpack(f"{order}I", head[4:])[0]
+        at += 8 + length
+        if at > end:
+            return False
+        at += length % 2
+    return False
