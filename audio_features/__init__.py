@@ -22,6 +22,8 @@ _EXPORTS = {
     "Liveliness": "acoustic",
     "LogMel": "acoustic",
     "MFCC": "acoustic",
+    "Music": "music",
+    "Onset": "acoustic",
     "Prosody": "acoustic",
     "Stack": "extractor",
     "WavLM": "wavlm",

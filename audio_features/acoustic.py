@@ -1,4 +1,4 @@
-"""Light features: log-mel bands, MFCC and prosody, each an extractor."""
+"""Light features: log-mel bands, MFCC, prosody and onsets, each an extractor."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 from audio_features.errors import FeatureError
-from audio_features.spectrum import FRAME_RATE, MAX_MELS, ShortTimeSpectrum
+from audio_features.spectrum import BANDS, FRAME_RATE, MAX_MELS, ShortTimeSpectrum
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
-_BANDS = 40  # mel bands behind MFCC and onset strength
 _OCTAVE_GUARD = 7.0  # semitones
-_ONSET_LAG = 2  # frames: windows 20 ms apart hardly overlap, so a rise shows in full
 
 
 class AcousticExtractor(ABC):
@@ -28,11 +26,14 @@ class AcousticExtractor(ABC):
         names: names of the columns.
         centred: for each column, whether a clip's own mean tells of voice and room alone and
             may be taken out.
+        worth_caching: whether extracting takes so much longer than reading from a cache that
+            a cache should keep the result.
     """
 
     spec: dict[str, Any]
     names: tuple[str, ...]
     centred: tuple[bool, ...]
+    worth_caching = False
 
     @property
     def dim(self) -> int:
@@ -59,7 +60,7 @@ class LogMel(AcousticExtractor):
     """Powers of `n_mels` (1 to 80) mel bands in dB relative to active speech, at least -60."""
 
     def __init__(self, n_mels: int = 24) -> None:
-        self.n_mels = _whole("n_mels", n_mels, MAX_MELS)
+        self.n_mels = whole_number("n_mels", n_mels, MAX_MELS)
         self.spec = {"kind": "logmel", "n_mels": self.n_mels}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
         self.centred = (True,) * self.n_mels
@@ -71,11 +72,13 @@ class LogMel(AcousticExtractor):
 class MFCC(AcousticExtractor):
     """The first `n` (1 to 40) mel-frequency cepstral coefficients, the 0th included.
 
-    Orthonormal DCT-II of 40 log-mel bands in dB, no liftering (librosa's convention).
+    Orthonormal DCT-II of 40 log-mel bands in dB, no liftering (librosa's convention). Listen,
+    Denoise, Action (Alexanderson et al. 2023) takes 20 for Trinity speech and 16 for ZeroEGGS,
+    both by madmom, whose bands and logarithm differ: sizes agree, values do not.
     """
 
     def __init__(self, n: int = 20) -> None:
-        self.n = _whole("n", n, _BANDS)
+        self.n = whole_number("n", n, BANDS)
         self.spec = {"kind": "mfcc", "n": self.n}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
         self.centred = (True,) * self.n
@@ -83,7 +86,7 @@ class MFCC(AcousticExtractor):
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         from scipy.fft import dct
 
-        return dct(spectrum.log_mel(_BANDS), norm="ortho", axis=1)[:, : self.n]
+        return dct(spectrum.log_mel(BANDS), norm="ortho", axis=1)[:, : self.n]
 
 
 class Prosody(AcousticExtractor):
@@ -93,20 +96,57 @@ class Prosody(AcousticExtractor):
     - `voicing`: 0 to 1, periodicity at the fundamental; 0 in frames too quiet to be voiced.
     - `energy`: dB of the RMS over 50 ms, relative to active speech, at least -60.
     - `onset`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
+
+    Args:
+        f0: who tracks the pitch. "yin" needs nothing and is the default; "pyin" is steadier and
+            about thirty times slower; "parselmouth" (Praat) and "pyworld" need their packages.
+
+    Raises FeatureError where the tracker is unknown, or its package is not installed.
     """
 
     names = ("f0", "voicing", "energy", "onset")
     centred = (True,) * 4
 
-    def __init__(self) -> None:
-        self.spec = {"kind": "prosody"}
+    def __init__(self, f0: str = "yin") -> None:
+        from audio_features.pitch import check_tracker
+
+        check_tracker(f0)
+        self.f0 = f0
+        # The default is not written down: models from before there was a choice keep their spec.
+        self.spec = {"kind": "prosody"} if f0 == "yin" else {"kind": "prosody", "f0": f0}
+        self.worth_caching = f0 == "pyin"
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
-        bands = spectrum.log_mel(_BANDS)
-        onset = np.zeros(spectrum.n_frames)
-        onset[_ONSET_LAG:] = np.maximum(bands[_ONSET_LAG:] - bands[:-_ONSET_LAG], 0.0).mean(axis=1)
-        melody = spectrum.melody
-        return np.stack([melody.semitones, melody.voicing, melody.energy, onset], axis=1)
+        melody = spectrum.melody(self.f0)
+        columns = [melody.semitones, melody.voicing, melody.energy, spectrum.onset]
+        return np.stack(columns, axis=1)
+
+
+class Onset(AcousticExtractor):
+    """Where sounds begin: two columns.
+
+    - `onset_strength`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
+    - `onset_peak`: 1 at its peaks, as librosa picks them, else 0. Put it on motion frames with
+      `to_rate(method="mean")`, which loses none.
+    """
+
+    names = ("onset_strength", "onset_peak")
+    centred = (True, False)
+
+    def __init__(self) -> None:
+        self.spec = {"kind": "onset"}
+
+    def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
+        import librosa
+
+        peaks = np.zeros(spectrum.n_frames)
+        if spectrum.onset.any():
+            # librosa's own waits, for frames of 10 ms; a peak stands 1 dB above what is around.
+            picked = librosa.util.peak_pick(
+                spectrum.onset, pre_max=3, post_max=1, pre_avg=10, post_avg=11, delta=1.0, wait=3
+            )
+            peaks[picked] = 1.0
+        return np.stack([spectrum.onset, peaks], axis=1)
 
 
 class Liveliness(AcousticExtractor):
@@ -132,7 +172,7 @@ class Liveliness(AcousticExtractor):
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         from scipy.ndimage import gaussian_filter1d
 
-        melody = spectrum.melody
+        melody = spectrum.melody()
         sigma = self.seconds * FRAME_RATE
         # Some weight that speaks of no range, so that a few voiced frames do not make one.
         weight = gaussian_filter1d(melody.voiced.astype(float), sigma, mode="constant") + 0.02
@@ -145,7 +185,8 @@ class Liveliness(AcousticExtractor):
         return np.stack(columns, axis=1)
 
 
-def _whole(name: str, value: int, highest: int) -> int:
+def whole_number(name: str, value: int, highest: int) -> int:
+    """The value. Raises FeatureError unless it is a whole number from 1 to `highest`."""
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
         raise FeatureError(f"{name}={value!r}: a whole number from 1 to {highest}")
     return value

@@ -8,11 +8,22 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from audio_features.acoustic import MFCC, AcousticExtractor, Liveliness, LogMel, Prosody
+from audio_features.acoustic import MFCC, AcousticExtractor, Liveliness, LogMel, Onset, Prosody
 from audio_features.errors import FeatureError
+from audio_features.music import Music
 from audio_features.spectrum import ShortTimeSpectrum
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
+
+LIGHT = {
+    "logmel": LogMel,
+    "mfcc": MFCC,
+    "prosody": Prosody,
+    "onset": Onset,
+    "liveliness": Liveliness,
+    "music": Music,
+}
+"""Kind to extractor, of those that need no weights."""
 
 
 @runtime_checkable
@@ -111,11 +122,10 @@ def extractor_from_spec(
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
         return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
-    light = {"logmel": LogMel, "mfcc": MFCC, "prosody": Prosody, "liveliness": Liveliness}
-    if kind not in light:
-        known = ", ".join([*light, "wavlm", "stack"])
+    if kind not in LIGHT:
+        known = ", ".join([*LIGHT, "wavlm", "stack"])
         raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
     try:
-        return light[kind](**settings)
+        return LIGHT[kind](**settings)
     except TypeError as error:
         raise FeatureError(f"feature spec {spec!r}: {error}") from error

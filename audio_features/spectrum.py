@@ -20,11 +20,15 @@ FLOOR_DB = -60.0
 MAX_MELS = 80
 """More bands than this would be narrower than the 31 Hz between two frequencies."""
 
+BANDS = 40
+"""Mel bands behind MFCC and onset strength."""
+
 HOP = SAMPLE_RATE // FRAME_RATE
 WINDOW = 400  # 25 ms
 N_FFT = 512
 _VOICED = 0.6  # periodicity from which a frame counts as voiced
 _AUDIBLE_DB = -30.0  # quieter frames than this, relative to active speech, are unvoiced
+_ONSET_LAG = 2  # frames: windows 20 ms apart hardly overlap, so a rise shows in full
 _BLOCK_FRAMES = 3000  # 30 s worked on at a time, so that long files need little memory
 
 
@@ -77,20 +81,25 @@ class ShortTimeSpectrum:
     """
 
     def __init__(self, wave: Wave) -> None:
-        self.wave = wave.resample(SAMPLE_RATE).at_level()
+        self.wave = self._resampled(wave).at_level()
         self.n_frames = wave.n_frames(FRAME_RATE)
         self.times = np.arange(self.n_frames) / FRAME_RATE
         self._log_mels: dict[int, np.ndarray] = {}
+        self._melodies: dict[str, Melody] = {}
 
-    @cached_property
-    def melody(self) -> Melody:
-        """Pitch, voicing and energy, tracked once for all that ask."""
+    def melody(self, tracker: str = "yin") -> Melody:
+        """Pitch, voicing and energy, tracked once for all that ask for the same tracker."""
+        if tracker not in self._melodies:
+            self._melodies[tracker] = self._track(tracker)
+        return self._melodies[tracker]
+
+    def _track(self, tracker: str) -> Melody:
         # Pitch is tracked on the frames of this module.
         from audio_features.pitch import track_pitch
 
         rms = self.wave.rms(self.times, window=0.05)
         energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
-        f0, voicing = track_pitch(self.wave.samples, self.n_frames)
+        f0, voicing = track_pitch(self.wave.samples, self.n_frames, tracker)
         voicing[energy < _AUDIBLE_DB] = 0.0
         voiced = voicing >= _VOICED
         semitones = np.zeros_like(f0)
@@ -115,12 +124,26 @@ class ShortTimeSpectrum:
     def log_mel(self, n_mels: int) -> np.ndarray:
         """(T, n_mels) float32 band powers in dB relative to active speech, at least -60."""
         if n_mels not in self._log_mels:
-            self._log_mels[n_mels] = to_db(self.power @ _mel_filters(n_mels).T)
+            self._log_mels[n_mels] = to_db(self.power @ self._mel_filters(n_mels).T)
         return self._log_mels[n_mels]
+
+    @cached_property
+    def onset(self) -> np.ndarray:
+        """(T,) spectral flux: the mean rise of 40 log-mel bands over 20 ms, in dB."""
+        bands = self.log_mel(BANDS)
+        onset = np.zeros(self.n_frames)
+        onset[_ONSET_LAG:] = np.maximum(bands[_ONSET_LAG:] - bands[:-_ONSET_LAG], 0.0).mean(axis=1)
+        return onset
+
+    def _resampled(self, wave: Wave) -> Wave:
+        return wave.resample(SAMPLE_RATE)
+
+    def _mel_filters(self, n_mels: int) -> np.ndarray:
+        return mel_filters(n_mels)
 
 
 @lru_cache
-def _mel_filters(n_mels: int) -> np.ndarray:
+def mel_filters(n_mels: int) -> np.ndarray:
     """(n_mels, 257) float32 triangles of height 1 on Slaney's mel scale, 50 Hz to 8 kHz."""
     import librosa
 

@@ -1,0 +1,158 @@
+"""Music: harmony, flux and beats, for motion that dances."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from audio_features.acoustic import AcousticExtractor, whole_number
+from audio_features.errors import FeatureError
+from audio_features.spectrum import FRAME_RATE, SAMPLE_RATE, ShortTimeSpectrum, centred_frames
+
+BEATS_PER_MINUTE = (50.0, 200.0)
+"""Slowest and fastest beat looked for."""
+
+BEAT_TRACKERS = ("librosa", "madmom")
+
+_WINDOW = 2048  # 128 ms: tells semitones apart from 500 Hz upwards, and keeps time
+_LOWEST, _HIGHEST = 100.0, 5000.0  # Hz, madmom's range for pitch classes
+_TEMPO_FRAMES = 6 * FRAME_RATE  # a tempo is sought in windows of 6 s
+_BLOCK_FRAMES = 3000  # beats are sought 30 s at a time, so that long files need little memory
+
+
+class Music(AcousticExtractor):
+    """What dances are made to: `n_chroma` + 2 columns, 100 frames per second.
+
+    - `chroma_0` … : share of the energy in each of `n_chroma` pitch classes from A upwards, over
+      128 ms, 100 Hz to 5 kHz; they add up to 1, to 0 in silence. With `n_chroma=1` the one
+      column is the loudness of all of them together, in dB as `Prosody`'s energy.
+    - `spectral_flux`: the mean rise of 40 log-mel bands over 20 ms in dB.
+    - `beat_activation`: 0 to 1, highest on the beats.
+
+    Listen, Denoise, Action (Alexanderson et al. 2023) dances to three columns of the same names,
+    made by madmom: one chroma, an unnormalised spectral flux, and the activation of its
+    RNNDownBeatProcessor (Böck et al. 2016). Their code is not published; `Music(n_chroma=1)` has
+    their size and sense, not their scale.
+
+    Args:
+        n_chroma: pitch classes to the octave, 12 for semitones; 1 to 36.
+        beats: "librosa": the predominant local pulse (Grosche and Müller 2011) of the flux, so
+            that steady beats reach 1 and doubtful ones less; 50 to 200 beats per minute.
+            "madmom": the beat or downbeat probability of its recurrent networks; needs madmom,
+            whose models may not be used commercially, and is cached, being slow.
+
+    Raises FeatureError for other settings, or where madmom is asked for and does not import.
+    """
+
+    def __init__(self, n_chroma: int = 12, beats: str = "librosa") -> None:
+        self.n_chroma = whole_number("n_chroma", n_chroma, 36)
+        if beats not in BEAT_TRACKERS:
+            raise FeatureError(f"beats={beats!r}: one of {', '.join(BEAT_TRACKERS)}")
+        if beats == "madmom":
+            _madmom()
+        self.beats = beats
+        self.spec = {"kind": "music", "n_chroma": self.n_chroma, "beats": beats}
+        chroma = tuple(f"chroma_{i}" for i in range(self.n_chroma))
+        self.names = (*chroma, "spectral_flux", "beat_activation")
+        # Which key a piece is in, and how sure its beat is, are the music and not the room.
+        self.centred = (False,) * self.n_chroma + (True, False)
+        self.worth_caching = beats == "madmom"
+
+    def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
+        if self.beats == "madmom":
+            beats = _madmom_activation(spectrum)
+        else:
+            beats = local_pulse(spectrum.onset)
+        flux = spectrum.onset[:, None]
+        return np.concatenate([self._chroma(spectrum), flux, beats[:, None]], axis=1)
+
+    def _chroma(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
+        if self.n_chroma == 1:
+            return spectrum.melody().energy[:, None]
+        from scipy.fft import rfft
+
+        window = np.hanning(_WINDOW + 1)[:-1].astype(np.float32)
+        classes = _pitch_classes(self.n_chroma)
+        chroma = np.empty((spectrum.n_frames, self.n_chroma), dtype=np.float32)
+        for first, frames in centred_frames(spectrum.wave.samples, _WINDOW, spectrum.n_frames):
+            for at in range(0, len(frames), 500):  # frames are long here: 500 are 4 MB
+                short = rfft(frames[at : at + 500] * window, axis=1, overwrite_x=True)
+                power = (short.real**2 + short.imag**2) @ classes
+                total = power.sum(axis=1, keepdims=True)
+                chroma[first + at : first + at + len(power)] = power / (total + 1e-3)
+        return chroma
+
+
+def local_pulse(flux: np.ndarray) -> np.ndarray:
+    """The predominant local pulse of Grosche and Müller 2011.
+
+    In windows of 6 s around every frame the strongest tempo of the flux is found, with its phase;
+    the sinusoids of all windows are overlapped and added, and what is above zero is kept.
+
+    Args:
+        flux: (T,) at 100 frames per second.
+
+    Returns (T,): 1 on beats that all windows agree on, 0 between beats and where there is no
+    flux. librosa.beat.plp is the same, scaled by each clip's own maximum.
+    """
+    import librosa
+
+    n = len(flux)
+    pulse = np.empty(n)
+    context = _TEMPO_FRAMES
+    tempo = librosa.fourier_tempo_frequencies(sr=FRAME_RATE, win_length=_TEMPO_FRAMES, hop_length=1)
+    wanted = (tempo >= BEATS_PER_MINUTE[0]) & (tempo <= BEATS_PER_MINUTE[1])
+    for first in range(0, n, _BLOCK_FRAMES):
+        start, stop = max(0, first - context), min(n, first + _BLOCK_FRAMES + context)
+        tempogram = librosa.feature.fourier_tempogram(
+            onset_envelope=flux[start:stop], sr=FRAME_RATE, hop_length=1, win_length=_TEMPO_FRAMES
+        )
+        size = np.where(wanted[:, None], np.abs(tempogram), 0.0)
+        best, columns = size.argmax(axis=0), np.arange(tempogram.shape[1])
+        heard = size[best, columns] > 1e-3 * _TEMPO_FRAMES  # no beat in what does not change
+        tempogram[:, :] = np.where(
+            (np.arange(len(tempo))[:, None] == best) & heard,
+            tempogram / np.maximum(np.abs(tempogram), 1e-9),
+            0.0,
+        )
+        sinusoids = librosa.istft(tempogram, hop_length=1, n_fft=_TEMPO_FRAMES, length=stop - start)
+        last = min(first + _BLOCK_FRAMES, n)
+        pulse[first:last] = sinusoids[first - start : last - start]
+    # One bin of size 1 is a sinusoid of 2/n in each window, and the Hann windows that overlap
+    # and add up to n/2 are divided by the sum of their squares, 3n/8.
+    return np.clip(pulse * _TEMPO_FRAMES * 3 / 8, 0.0, 1.0)
+
+
+@lru_cache
+def _pitch_classes(n: int) -> np.ndarray:
+    """(1025, n) float32: which pitch class each frequency belongs to, from A (440 Hz) upwards."""
+    frequencies = np.fft.rfftfreq(_WINDOW, 1 / SAMPLE_RATE)
+    inside = (frequencies >= _LOWEST) & (frequencies <= _HIGHEST)
+    place = n * np.log2(np.maximum(frequencies, 1.0) / 440.0)
+    nearest = np.mod(np.rint(place).astype(int), n)
+    classes = np.zeros((len(frequencies), n), dtype=np.float32)
+    classes[np.arange(len(frequencies))[inside], nearest[inside]] = 1.0
+    return classes
+
+
+def _madmom() -> type:
+    """madmom's processor of beats and downbeats."""
+    try:
+        from madmom.features.downbeats import RNNDownBeatProcessor
+    except (ImportError, AttributeError) as error:  # its last release asks numpy for old names
+        raise FeatureError(
+            f"beats='madmom' needs the package madmom, which does not import here ({error}): "
+            "its last release, 0.16.1, wants Python 3.9 or older; or take beats='librosa'"
+        ) from error
+    return RNNDownBeatProcessor
+
+
+def _madmom_activation(spectrum: ShortTimeSpectrum) -> np.ndarray:
+    """(T,) probability of a beat or a downbeat; madmom has 100 frames per second too."""
+    from madmom.audio.signal import Signal
+
+    wave = spectrum.wave.resample(44_100)
+    found = _madmom()()(Signal(wave.samples, sample_rate=44_100, num_channels=1)).sum(axis=1)
+    n = spectrum.n_frames
+    return np.pad(found[:n], (0, max(0, n - len(found))))
