@@ -12,6 +12,7 @@ from audio_features.spectrum import BANDS, FRAME_RATE, MAX_MELS, ShortTimeSpectr
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
+BACKENDS = ("numpy", "torchaudio")
 _OCTAVE_GUARD = 7.0  # semitones
 
 
@@ -28,12 +29,14 @@ class AcousticExtractor(ABC):
             may be taken out.
         worth_caching: whether extracting takes so much longer than reading from a cache that
             a cache should keep the result.
+        device: where torchaudio computes the spectrum; None where numpy and soxr do.
     """
 
     spec: dict[str, Any]
     names: tuple[str, ...]
     centred: tuple[bool, ...]
     worth_caching = False
+    device: str | None = None
 
     @property
     def dim(self) -> int:
@@ -42,7 +45,15 @@ class AcousticExtractor(ABC):
 
     def extract(self, wave: Wave) -> FeatureTrack:
         """The features of a sound: values (T, D), frame k centred at k·0.01 s."""
-        return self.from_spectrum(ShortTimeSpectrum(wave))
+        return self.from_spectrum(self.spectrum_of(wave))
+
+    def spectrum_of(self, wave: Wave) -> ShortTimeSpectrum:
+        """What `from_spectrum` takes; extractors with the same `device` can share it."""
+        if self.device is None:
+            return ShortTimeSpectrum(wave)
+        from audio_features.torchaudio_backend import TorchaudioSpectrum
+
+        return TorchaudioSpectrum(wave, self.device)
 
     def from_spectrum(self, spectrum: ShortTimeSpectrum) -> FeatureTrack:
         """The same from a spectrum that other extractors share."""
@@ -57,11 +68,18 @@ class AcousticExtractor(ABC):
 
 
 class LogMel(AcousticExtractor):
-    """Powers of `n_mels` (1 to 80) mel bands in dB relative to active speech, at least -60."""
+    """Powers of `n_mels` (1 to 80) mel bands in dB relative to active speech, at least -60.
 
-    def __init__(self, n_mels: int = 24) -> None:
+    Args:
+        n_mels: number of bands.
+        backend: "numpy", or "torchaudio" where it is installed.
+        device: where torchaudio computes, as torch names it. Not part of the spec.
+    """
+
+    def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
         self.n_mels = whole_number("n_mels", n_mels, MAX_MELS)
-        self.spec = {"kind": "logmel", "n_mels": self.n_mels}
+        self.device = _device(backend, device)
+        self.spec = {"kind": "logmel", "n_mels": self.n_mels, **_named(backend)}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
         self.centred = (True,) * self.n_mels
 
@@ -75,11 +93,16 @@ class MFCC(AcousticExtractor):
     Orthonormal DCT-II of 40 log-mel bands in dB, no liftering (librosa's convention). Listen,
     Denoise, Action (Alexanderson et al. 2023) takes 20 for Trinity speech and 16 for ZeroEGGS,
     both by madmom, whose bands and logarithm differ: sizes agree, values do not.
+
+    Args:
+        n: number of coefficients.
+        backend, device: see `LogMel`.
     """
 
-    def __init__(self, n: int = 20) -> None:
+    def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:
         self.n = whole_number("n", n, BANDS)
-        self.spec = {"kind": "mfcc", "n": self.n}
+        self.device = _device(backend, device)
+        self.spec = {"kind": "mfcc", "n": self.n, **_named(backend)}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
         self.centred = (True,) * self.n
 
@@ -183,6 +206,22 @@ class Liveliness(AcousticExtractor):
             distance = np.where(melody.voiced, np.abs(values - mean), 0.0)
             columns.append(gaussian_filter1d(distance, sigma, mode="constant") / weight)
         return np.stack(columns, axis=1)
+
+
+def _device(name: str, device: str) -> str | None:
+    if name not in BACKENDS:
+        raise FeatureError(f"backend={name!r}: one of {', '.join(BACKENDS)}")
+    if name == "numpy":
+        return None
+    from audio_features.torchaudio_backend import check_device
+
+    check_device(device)
+    return device
+
+
+def _named(backend: str) -> dict[str, str]:
+    """The default is not written down: models from before there was a choice keep their spec."""
+    return {} if backend == "numpy" else {"backend": backend}
 
 
 def whole_number(name: str, value: int, highest: int) -> int:

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from audio_features.acoustic import MFCC, AcousticExtractor, Liveliness, LogMel, Onset, Prosody
+from audio_features.acoustic import (
+    MFCC,
+    AcousticExtractor,
+    Liveliness,
+    LogMel,
+    Onset,
+    Prosody,
+)
 from audio_features.errors import FeatureError
 from audio_features.music import Music
 from audio_features.spectrum import ShortTimeSpectrum
@@ -76,15 +83,27 @@ class Stack:
         """Number of columns D, the sum of the parts'."""
         return len(self.names)
 
-    def extract(self, wave: Wave) -> FeatureTrack:
-        """The parts' features side by side: values (T, D)."""
-        spectrum = ShortTimeSpectrum(wave)
-        tracks = [
-            part.from_spectrum(spectrum)
-            if isinstance(part, AcousticExtractor)
-            else part.extract(wave)
-            for part in self.parts
-        ]
+    def extract(
+        self,
+        wave: Wave,
+        extract: Callable[[Extractor, Wave], FeatureTrack] = lambda part, wave: part.extract(wave),
+    ) -> FeatureTrack:
+        """The parts' features side by side: values (T, D).
+
+        Args:
+            wave: the sound.
+            extract: how the parts that share no spectrum are extracted; a cache takes its place
+                here.
+        """
+        spectra: dict[str | None, ShortTimeSpectrum] = {}
+        tracks = []
+        for part in self.parts:
+            if isinstance(part, AcousticExtractor) and not part.worth_caching:
+                if part.device not in spectra:
+                    spectra[part.device] = part.spectrum_of(wave)
+                tracks.append(part.from_spectrum(spectra[part.device]))
+            else:
+                tracks.append(extract(part, wave))
         times = max((track.times for track in tracks), key=len)
         values = [
             track.values if track.times is times else track.at(times).values for track in tracks

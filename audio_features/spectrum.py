@@ -112,9 +112,7 @@ class ShortTimeSpectrum:
         """(T, 257) float32 power; a frame's sum is its mean square relative to active speech."""
         from scipy.fft import rfft
 
-        window = np.hanning(WINDOW + 1)[:-1]
-        active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
-        window = (window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))).astype(np.float32)
+        window = hann_window()
         power = np.empty((self.n_frames, N_FFT // 2 + 1), dtype=np.float32)
         for first, frames in centred_frames(self.wave.samples, WINDOW, self.n_frames):
             spectrum = rfft(frames * window, N_FFT, axis=1, overwrite_x=True)
@@ -140,6 +138,13 @@ class ShortTimeSpectrum:
 
     def _mel_filters(self, n_mels: int) -> np.ndarray:
         return mel_filters(n_mels)
+
+
+def hann_window() -> np.ndarray:
+    """(WINDOW,) float32, scaled so that a frame's power adds up to 1 in active speech."""
+    window = np.hanning(WINDOW + 1)[:-1]
+    active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
+    return (window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))).astype(np.float32)
 
 
 @lru_cache

@@ -1,0 +1,113 @@
+"""torchaudio is optional: equal where it imports, and no harm where it is broken."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import types
+
+import numpy as np
+import pytest
+
+import audio_features as af
+from audio_features import torchaudio_backend
+
+
+@pytest.fixture
+def torchaudio(monkeypatch):
+    """torchaudio, with a stub in place of the extension where that is built for another torch.
+
+    The functions compared here are plain torch; on a CPU-only torch the registry's torchaudio
+    fails in nothing but loading its CUDA extension.
+    """
+    from importlib.util import find_spec
+
+    if find_spec("torchaudio") is None:
+        pytest.skip("torchaudio is not installed")
+    torchaudio_backend.import_torchaudio.cache_clear()
+    if torchaudio_backend.import_torchaudio()[0] is None:
+        stub = types.ModuleType("torchaudio._extension")
+        stub._IS_TORCHAUDIO_EXT_AVAILABLE = stub._IS_ALIGN_AVAILABLE = False
+        stub.fail_if_no_align = lambda function: function
+        for name in [name for name in sys.modules if name.partition(".")[0] == "torchaudio"]:
+            monkeypatch.delitem(sys.modules, name)
+        monkeypatch.setitem(sys.modules, "torchaudio._extension", stub)
+        torchaudio_backend.import_torchaudio.cache_clear()
+    yield torchaudio_backend.import_torchaudio()[0]
+    for name in [name for name in sys.modules if name.partition(".")[0] == "torchaudio"]:
+        monkeypatch.delitem(sys.modules, name)
+    torchaudio_backend.import_torchaudio.cache_clear()
+
+
+def sound(seconds: float, rate: int) -> af.Wave:
+    times = np.arange(round(seconds * rate)) / rate
+    voice = sum(np.sin(2 * np.pi * 130 * k * times) / k for k in range(1, 25))
+    noise = np.random.default_rng(0).standard_normal(len(times))
+    samples = 0.05 * voice * np.clip(np.sin(20 * times), 0, 1) + 1e-3 * noise
+    return af.Wave(samples.astype(np.float32), rate)
+
+
+@pytest.mark.parametrize("seconds", [0.03, 3.017, 61.0])
+@pytest.mark.parametrize("kind", [af.LogMel, af.MFCC])
+def test_parity_with_the_default_backend(torchaudio, kind, seconds):
+    wave = sound(seconds, 16_000)
+    ours, theirs = kind(20).extract(wave), kind(20, backend="torchaudio").extract(wave)
+    assert theirs.names == ours.names and theirs.spec["backend"] == "torchaudio"
+    np.testing.assert_array_equal(theirs.times, ours.times)
+    np.testing.assert_allclose(theirs.values, ours.values, atol=2e-3)  # dB
+
+
+@pytest.mark.parametrize("rate", [8_000, 44_100])
+def test_resampling_agrees_where_both_filters_pass(torchaudio, rate):
+    wave = sound(3.017, rate)
+    ours, theirs = (
+        af.LogMel(32, backend=backend).extract(wave).values for backend in ("numpy", "torchaudio")
+    )
+    assert ours.shape == theirs.shape
+    below_3_khz = slice(0, 20)
+    assert np.abs(ours - theirs)[3:-3, below_3_khz].max() < 0.1  # dB
+
+
+def test_a_stack_of_both_backends_gives_each_its_own(torchaudio, speech):
+    both = af.Stack([af.LogMel(backend="torchaudio"), af.Prosody()])
+    assert af.extractor_from_spec(both.spec).spec == both.spec
+    np.testing.assert_allclose(
+        both.extract(speech).values,
+        af.Stack([af.LogMel(), af.Prosody()]).extract(speech).values,
+        atol=2e-3,
+    )
+
+
+USE_EVERYTHING = """
+import numpy as np, audio_features as af
+for name in af.__all__:
+    getattr(af, name)
+wave = af.Wave(0.1 * np.random.default_rng(0).standard_normal(32000).astype("f4"), 22050)
+kinds = [af.LogMel(), af.MFCC(), af.Prosody(), af.Onset(), af.Liveliness(), af.Music()]
+assert all(len(kind.extract(wave).values) == 145 for kind in kinds)
+try:
+    af.LogMel(backend="torchaudio")
+except af.FeatureError as error:
+    print(error)
+"""
+
+
+def test_a_broken_torchaudio_on_the_path_harms_nothing(tmp_path):
+    package = tmp_path / "site" / "torchaudio"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise OSError('libtorch_cuda.so: cannot open')")
+    # What makes other packages believe that it is installed.
+    about = tmp_path / "site" / "torchaudio-2.11.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: torchaudio\nVersion: 2.11.0\n")
+    path = os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", USE_EVERYTHING],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "backend='torchaudio'" in done.stdout and "libtorch_cuda.so" in done.stdout
