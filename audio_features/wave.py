@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from dataclasses import dataclass
@@ -227,6 +228,13 @@ class Wave:
         samples = self.samples * np.float32(gain)
         samples -= np.float32(gain * self._mean)
         return Wave(samples, self.sample_rate, self.source)
+
+    @cached_property
+    def digest(self) -> str:
+        """What tells this sound from others: sha256 over the rate and the samples, hex."""
+        found = hashlib.sha256(f"{self.sample_rate} ".encode())
+        found.update(self.samples)
+        return found.hexdigest()
 
     @cached_property
     def _mean(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,14 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("real recordings not found at ../shared/data")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory) -> Iterator[None]:
+    """Tests, and the processes they start, keep out of the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GESTUREKIT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 JOINTS = {

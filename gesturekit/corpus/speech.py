@@ -106,7 +106,7 @@ def extract(
 ) -> Heard:
     """Features (T, S) float32 of a wave on motion frames, and where speech is active (T,)."""
     n_frames = wave.n_frames(fps) if n_frames is None else n_frames
-    track = extractor.extract(wave.at_level())
+    track = af.cache_from_environment().extract(extractor, wave.at_level())
     values = track.to_rate(fps, n_frames=n_frames, method=align).values
     activity = wave.active(hop=_ACTIVITY_HOP)
     nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)

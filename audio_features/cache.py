@@ -1,0 +1,297 @@
+"""FeatureCache: what is slow to extract, kept on disk under what it was made from."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import logging
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from audio_features.errors import AudioFeaturesError, FeatureError
+from audio_features.track import FeatureTrack
+
+if TYPE_CHECKING:
+    from audio_features.extractor import Extractor
+    from audio_features.wave import Wave
+
+FORMAT = 1
+MAX_BYTES = 20 << 30
+"""How much the cache may hold unless told otherwise: 36 hours of WavLM Base in float32."""
+
+# Packages whose next version may change the last bits of a feature.
+_NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
+_SUFFIX = ".safetensors"
+_STALE_SECONDS = 3600  # a temporary file older than this was left by a process that was killed
+
+log = logging.getLogger(__name__)
+
+
+def default_folder() -> Path:
+    """$GESTUREKIT_CACHE, else the user's cache folder as the system has it.
+
+    That is $XDG_CACHE_HOME/gesturekit (~/.cache/gesturekit), ~/Library/Caches/gesturekit on
+    macOS, %LOCALAPPDATA%/gesturekit on Windows.
+    """
+    named = os.environ.get("GESTUREKIT_CACHE")
+    if named:
+        return Path(named)
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
+    elif sys.platform == "darwin":
+        base = "~/Library/Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(base).expanduser() / "gesturekit"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a cache holds: entries, bytes, and when the oldest and newest were last used."""
+
+    entries: int
+    size: int
+    oldest: float | None
+    newest: float | None
+
+
+class FeatureCache:
+    """Features on disk, found again by the sound and everything that made them.
+
+    The key is a digest of the samples and their rate, the extractor's spec (which holds settings
+    and the fingerprint of weights), the source code of this package, and the versions of the
+    libraries that compute. A change in any of them is another entry, so nothing has to be
+    cleared by hand. A value read back is bit for bit the one that was extracted, unless
+    `precision` is "fp16"; then the first call rounds too, so that all calls agree.
+
+    Light features (log-mel, MFCC, prosody by YIN, onsets, music by librosa) are not kept: they
+    take less than a hundredth of the sound's length, for twenty kilobytes a second on disk.
+    Kept are WavLM, pitch by pyin and beats by madmom. In a `Stack` each part is looked up alone.
+
+    Several processes may share a folder. An entry gets its name only when it is whole; one that
+    is damaged all the same (its checksum says so) is made again. Where the folder cannot be
+    written to, features are extracted as if there were no cache, with one warning.
+
+    Args:
+        folder: where; `default_folder()` by default.
+        max_bytes: above this, the entries that were not used for longest are removed.
+        precision: "fp16" halves the size, for an error of at most 0.05 %.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str] | None = None,
+        *,
+        max_bytes: int = MAX_BYTES,
+        precision: Literal["fp32", "fp16"] = "fp32",
+    ) -> None:
+        if precision not in ("fp32", "fp16"):
+            raise FeatureError(f"precision={precision!r}: fp32 or fp16")
+        if max_bytes < 0:
+            raise FeatureError(f"max_bytes={max_bytes}: 0 or more")
+        self.folder = default_folder() if folder is None else Path(folder)
+        self.max_bytes = max_bytes
+        self.precision = precision
+        # Bytes written since the folder was last measured; the first write measures.
+        self._unmeasured = max_bytes
+        self._warned = False
+
+    def extract(self, extractor: Extractor, wave: Wave) -> FeatureTrack:
+        """What `extractor.extract(wave)` gives, from the cache where it holds it."""
+        from audio_features.acoustic import AcousticExtractor
+        from audio_features.extractor import Stack
+
+        if isinstance(extractor, Stack):
+            return extractor.extract(wave, self.extract)
+        if isinstance(extractor, AcousticExtractor) and not extractor.worth_caching:
+            return extractor.extract(wave)
+        path = self._path(extractor, wave)
+        track = self._read(path)
+        if track is None:
+            track = self._rounded(extractor.extract(wave))
+            self._write(path, track)
+        return track
+
+    def contents(self) -> Contents:
+        """Count the entries."""
+        found = list(self._entries())
+        used = [entry.st_mtime for _, entry in found]
+        return Contents(
+            len(found),
+            sum(entry.st_size for _, entry in found),
+            min(used, default=None),
+            max(used, default=None),
+        )
+
+    def clear(self) -> Contents:
+        """Remove every entry, and nothing else in the folder; returns what was removed."""
+        contents = self.contents()
+        for path, _ in self._entries():
+            path.unlink(missing_ok=True)
+        self._remove_leftovers(0.0)
+        for folder in (*self._shelves(), self._root):
+            with contextlib.suppress(OSError):  # something of somebody else's is in it
+                folder.rmdir()
+        return contents
+
+    @property
+    def _root(self) -> Path:
+        return self.folder / f"features-{FORMAT}"
+
+    def _path(self, extractor: Extractor, wave: Wave) -> Path:
+        made_of = {
+            "sound": wave.digest,
+            "spec": extractor.spec,
+            "precision": self.precision,
+            "code": _code_digest(),
+            "versions": _versions(),
+        }
+        text = json.dumps(made_of, sort_keys=True, allow_nan=False)
+        key = hashlib.sha256(text.encode()).hexdigest()
+        return self._root / key[:2] / f"{key}{_SUFFIX}"
+
+    def _rounded(self, track: FeatureTrack) -> FeatureTrack:
+        if self.precision == "fp32":
+            return track
+        largest = float(np.abs(track.values).max(initial=0.0))
+        if largest > np.finfo(np.float16).max:
+            raise FeatureError(f"a value of {largest:.3g} does not fit into fp16: cache as fp32")
+        return FeatureTrack(track.values.astype(np.float16), track.times, track.spec, track.names)
+
+    def _read(self, path: Path) -> FeatureTrack | None:
+        """The entry, marked as used; None where there is none, or a damaged one."""
+        from safetensors import SafetensorError, safe_open
+
+        try:
+            with safe_open(path, framework="numpy") as file:
+                about = file.metadata() or {}
+                values, times = file.get_tensor("values"), file.get_tensor("times")
+            if about.get("checksum") != _checksum(values, times, about.get("track", "")):
+                raise FeatureError("its checksum is wrong")
+            names, spec = json.loads(about["track"])
+            track = FeatureTrack(values, times, spec, tuple(names))
+            os.utime(path)
+        except FileNotFoundError:
+            return None
+        except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+            log.warning("%s: damaged (%s); extracting again", path, error)
+            return None
+        return track
+
+    def _write(self, path: Path, track: FeatureTrack) -> None:
+        from safetensors.numpy import save
+
+        values = track.values.astype(np.float16 if self.precision == "fp16" else np.float32)
+        text = json.dumps([track.names, track.spec])
+        about = {"track": text, "checksum": _checksum(values, track.times, text)}
+        data = save({"values": values, "times": track.times}, about)
+        if len(data) > self.max_bytes:
+            return
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, temporary = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    file.write(data)
+                    file.flush()
+                    os.fsync(file.fileno())
+                os.replace(temporary, path)
+            finally:
+                Path(temporary).unlink(missing_ok=True)
+            self._unmeasured += len(data)
+            # Looking at every entry for each new one would be slow with many; other processes
+            # write too, so a look now and then is needed in any case.
+            if self._unmeasured > self.max_bytes // 16:
+                self._make_room()
+        except OSError as error:
+            if not self._warned:
+                log.warning("%s: features are not cached (%s)", self.folder, error.strerror)
+            self._warned = True
+
+    def _make_room(self) -> None:
+        """Remove the entries unused for longest until the rest fits, and what killed runs left."""
+        entries = sorted(self._entries(), key=lambda found: found[1].st_mtime)
+        size = sum(entry.st_size for _, entry in entries)
+        for path, entry in entries:
+            if size <= self.max_bytes:
+                break
+            path.unlink(missing_ok=True)
+            size -= entry.st_size
+        self._remove_leftovers(_STALE_SECONDS)
+        self._unmeasured = 0
+
+    def _shelves(self) -> list[Path]:
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            return [path for path in self._root.iterdir() if path.is_dir()]
+        return []
+
+    def _entries(self) -> Iterator[tuple[Path, os.stat_result]]:
+        for path in self._files():
+            if path.suffix == _SUFFIX:
+                with contextlib.suppress(FileNotFoundError):  # removed by another process
+                    yield path, path.stat()
+
+    def _files(self) -> Iterator[Path]:
+        for shelf in self._shelves():
+            with contextlib.suppress(FileNotFoundError):
+                yield from list(shelf.iterdir())
+
+    def _remove_leftovers(self, age: float) -> None:
+        for path in self._files():
+            with contextlib.suppress(FileNotFoundError):
+                if path.suffix == ".part" and time.time() - path.stat().st_mtime >= age:
+                    path.unlink()
+
+
+def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> FeatureCache:
+    """The cache in `default_folder()`, of $GESTUREKIT_CACHE_GB gigabytes at most (20).
+
+    Raises AudioFeaturesError where that is no number from 0 up; 0 keeps nothing.
+    """
+    size = os.environ.get("GESTUREKIT_CACHE_GB")
+    try:
+        max_bytes = MAX_BYTES if size is None else int(float(size) * (1 << 30))
+        return FeatureCache(max_bytes=max_bytes, precision=precision)
+    except (ValueError, OverflowError) as error:
+        raise AudioFeaturesError(
+            f"GESTUREKIT_CACHE_GB={size!r}: give the gigabytes that the cache may hold, 0 for none"
+        ) from error
+
+
+def _checksum(values: np.ndarray, times: np.ndarray, text: str) -> str:
+    digest = hashlib.sha256(text.encode())
+    for array in (values, times):
+        digest.update(f"{array.dtype} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array))
+    return digest.hexdigest()
+
+
+@lru_cache
+def _code_digest() -> str:
+    """Of this package's source: another version, or an edit, is another extractor."""
+    digest = hashlib.sha256()
+    root = Path(__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@lru_cache
+def _versions() -> dict[str, str]:
+    found = {}
+    for package in _NUMERICAL:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[package] = metadata.version(package)
+    return found

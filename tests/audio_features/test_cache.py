@@ -1,0 +1,244 @@
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import audio_features as af
+
+
+class Slow:
+    """Stands for a network: counts how often it is asked, and gives awkward numbers."""
+
+    names = ("a", "b", "c")
+    centred = (True,) * 3
+    dim = 3
+
+    def __init__(self, **settings: object) -> None:
+        self.spec = {"kind": "slow", **settings}
+        self.asked = 0
+
+    def extract(self, wave: af.Wave) -> af.FeatureTrack:
+        self.asked += 1
+        values = np.random.default_rng(len(wave.samples)).standard_normal((50, 3)) ** 7 * 1e-3
+        values[0] = [-0.0, 1e-42, np.pi]
+        return af.FeatureTrack(values, 0.0125 + 0.02 * np.arange(50), self.spec, self.names)
+
+
+@pytest.fixture
+def wave() -> af.Wave:
+    return af.Wave(np.random.default_rng(0).uniform(-0.5, 0.5, 16_000), 16_000)
+
+
+def test_what_comes_back_is_bit_for_bit_what_was_extracted(tmp_path, wave):
+    slow, cache = Slow(), af.FeatureCache(tmp_path)
+    first = cache.extract(slow, wave)
+    again = af.FeatureCache(tmp_path).extract(slow, wave)
+    assert slow.asked == 1
+    for track in (first, again):
+        assert track.values.tobytes() == Slow().extract(wave).values.tobytes()
+        assert track.times.tobytes() == first.times.tobytes()
+        assert (track.spec, track.names) == (slow.spec, slow.names)
+
+
+def test_another_sound_setting_or_rate_is_another_entry(tmp_path, wave):
+    cache = af.FeatureCache(tmp_path)
+    changed = wave.samples.copy()
+    changed[-1] += 1e-6
+    slow = Slow()
+    for sound in (wave, af.Wave(changed, 16_000), af.Wave(wave.samples, 16_001)):
+        cache.extract(slow, sound)
+        cache.extract(slow, sound)
+    assert slow.asked == 3
+    for other in (Slow(layer=3), Slow(fingerprint="b")):
+        cache.extract(other, wave)
+        assert other.asked == 1
+    assert cache.contents().entries == 5
+
+
+def test_another_version_of_the_package_is_another_entry(tmp_path, wave, monkeypatch):
+    slow, cache = Slow(), af.FeatureCache(tmp_path)
+    cache.extract(slow, wave)
+    monkeypatch.setattr("audio_features.cache._code_digest", lambda: "an edit")
+    cache.extract(slow, wave)
+    assert slow.asked == 2
+
+
+def test_parts_of_a_stack_are_kept_alone_and_light_ones_not_at_all(tmp_path, wave):
+    slow, cache = Slow(), af.FeatureCache(tmp_path)
+    stack = af.Stack([slow, af.Prosody()])
+    first = cache.extract(stack, wave)
+    np.testing.assert_array_equal(first.values, stack.extract(wave).values)
+    cache.extract(af.Stack([af.LogMel(), slow]), wave)
+    cache.extract(af.Prosody(), wave)
+    assert slow.asked == 2  # once by the cache, once by the stack without it
+    assert cache.contents().entries == 1
+
+
+def test_fp16_agrees_with_itself_and_nearly_with_fp32(tmp_path, wave):
+    slow, cache = Slow(), af.FeatureCache(tmp_path, precision="fp16")
+    first, again = cache.extract(slow, wave), cache.extract(slow, wave)
+    np.testing.assert_array_equal(first.values, again.values)
+    exact = af.FeatureCache(tmp_path).extract(slow, wave)
+    assert slow.asked == 2
+    np.testing.assert_allclose(first.values, exact.values, rtol=5e-4, atol=6e-8)
+    with pytest.raises(af.FeatureError, match="fp8"):
+        af.FeatureCache(tmp_path, precision="fp8")
+
+
+@pytest.mark.parametrize("fault", ["flip", "cut", "empty", "text", "folder"])
+def test_a_damaged_entry_is_made_again(tmp_path, wave, fault, caplog):
+    slow, cache = Slow(), af.FeatureCache(tmp_path)
+    whole = cache.extract(slow, wave)
+    (entry,) = tmp_path.rglob("*.safetensors")
+    data = bytearray(entry.read_bytes())
+    if fault == "flip":
+        data[-100] ^= 1
+        entry.write_bytes(data)
+    elif fault == "folder":
+        entry.unlink()
+        entry.mkdir()
+    else:
+        entry.write_bytes({"cut": data[:-8], "empty": b"", "text": b"text" * 100}[fault])
+    again = cache.extract(slow, wave)
+    assert slow.asked == 2 and "damaged" in caplog.text
+    np.testing.assert_array_equal(again.values, whole.values)
+    if fault != "folder":
+        cache.extract(slow, wave)
+        assert slow.asked == 2
+
+
+def test_what_was_not_used_for_longest_makes_room(tmp_path):
+    waves = [af.Wave(np.full(16_000 + i, 0.1), 16_000) for i in range(8)]
+    slow, cache = Slow(), af.FeatureCache(tmp_path)
+    cache.extract(slow, waves[0])
+    size = cache.contents().size
+    for entry in tmp_path.rglob("*.safetensors"):
+        os.utime(entry, (1, 1))
+    cache = af.FeatureCache(tmp_path, max_bytes=4 * size + size // 2)
+    for wave in waves[1:4]:
+        cache.extract(slow, wave)
+    cache.extract(slow, waves[0])  # used again: no longer the oldest
+    time.sleep(0.02)
+    for wave in waves[4:]:
+        cache.extract(slow, wave)
+        time.sleep(0.02)
+        cache.extract(slow, waves[0])
+        assert cache.contents().entries <= 4
+    asked = slow.asked
+    cache.extract(slow, waves[0])
+    cache.extract(slow, waves[-1])
+    assert slow.asked == asked
+    nothing = af.FeatureCache(tmp_path / "none", max_bytes=0)
+    nothing.extract(slow, waves[0])
+    assert nothing.contents().entries == 0
+
+
+def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):
+    cache = af.FeatureCache(tmp_path)
+    cache.extract(Slow(), wave)
+    (tmp_path / "mine.txt").write_text("mine")
+    left = next(tmp_path.rglob("*.safetensors")).with_name(".x.part")
+    left.write_bytes(b"what a killed run left")
+    removed = cache.clear()
+    assert removed.entries == 1 and removed.size > 0
+    assert [path.name for path in tmp_path.rglob("*")] == ["mine.txt"]
+    assert cache.contents().entries == 0 and cache.clear().entries == 0
+
+
+def test_a_folder_that_cannot_be_written_only_warns(tmp_path, wave, caplog):
+    (tmp_path / "file").write_text("in the way")
+    slow, cache = Slow(), af.FeatureCache(tmp_path / "file")
+    for _ in range(2):
+        cache.extract(slow, wave)
+    assert slow.asked == 2 and caplog.text.count("not cached") == 1
+    assert cache.contents().entries == 0
+
+
+def test_the_environment_names_folder_and_size(tmp_path, monkeypatch):
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "here"))
+    monkeypatch.setenv("GESTUREKIT_CACHE_GB", "0.5")
+    cache = af.cache_from_environment()
+    assert cache.folder == tmp_path / "here" and cache.max_bytes == 1 << 29
+    monkeypatch.delenv("GESTUREKIT_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    if sys.platform == "linux":
+        assert af.cache_from_environment().folder == tmp_path / "xdg" / "gesturekit"
+    for wrong in ("much", "-1", "nan"):
+        monkeypatch.setenv("GESTUREKIT_CACHE_GB", wrong)
+        with pytest.raises(af.AudioFeaturesError, match="GESTUREKIT_CACHE_GB"):
+            af.cache_from_environment()
+
+
+WRITER = """
+import sys
+import numpy as np
+import audio_features as af
+
+class Slow:
+    spec, names = {"kind": "slow"}, tuple(map(str, range(256)))
+    def extract(self, wave):
+        values = np.full((wave.sample_rate, 256), float(wave.sample_rate), np.float32)
+        return af.FeatureTrack(values, np.arange(wave.sample_rate) / 50.0, self.spec, self.names)
+
+cache = af.FeatureCache(sys.argv[1])
+samples = np.full(16000, 0.1, np.float32)
+print("ready", flush=True)
+sys.stdin.readline()
+for k in range(int(sys.argv[2])):
+    wave = af.Wave(samples, 4000 + k)
+    assert (cache.extract(Slow(), wave).values == wave.sample_rate).all()
+"""
+
+
+def writer(folder: Path, count: int) -> subprocess.Popen:
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(folder), str(count)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def test_two_processes_make_one_entry_and_both_are_right(tmp_path):
+    processes = [writer(tmp_path, 3) for _ in range(2)]
+    for process in processes:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    assert [process.wait(60) for process in processes] == [0, 0]
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert len(files) == 3 and all(path.suffix == ".safetensors" for path in files)
+
+
+def test_a_killed_writer_leaves_nothing_under_a_final_name(tmp_path, caplog):
+    from safetensors.numpy import load_file
+
+    rng, left = random.Random(0), 0
+    for k in range(6):
+        folder = tmp_path / str(k)
+        process = writer(folder, 10_000)
+        process.stdin.write("go\n")
+        process.stdin.flush()
+        while not any(folder.rglob("*.part")):  # it is writing
+            pass
+        time.sleep(rng.uniform(0, 0.03) if k % 2 else 0.0)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        for path in folder.rglob("*.safetensors"):
+            values = load_file(path)["values"]
+            assert values.shape == (int(values[0, 0]), 256) and (values == values[0, 0]).all()
+        left += sum(1 for _ in folder.rglob("*.part"))
+        cache = af.FeatureCache(folder)
+        assert cache.contents().entries == sum(1 for _ in folder.rglob("*.safetensors"))
+        cache.clear()
+        assert not any(path.is_file() for path in folder.rglob("*"))
+    assert left > 0  # at least one was killed in the middle of a write
