@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from audio_features.wave import Wave
 
 FORMAT = 1
-MAX_BYTES = 20 << 30
-"""How much the cache may hold unless told otherwise: 36 hours of WavLM Base in float32."""
+MAX_BYTES = 20 * 10**9
+"""How much the cache may hold unless told otherwise: 36 hours of WavLM Base."""
 
 # Packages whose next version may change the last bits of a feature.
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
@@ -73,7 +73,8 @@ class FeatureCache:
     and the fingerprint of weights), the source code of this package, and the versions of the
     libraries that compute. A change in any of them is another entry, so nothing has to be
     cleared by hand. A value read back is bit for bit the one that was extracted, unless
-    `precision` is "fp16"; then the first call rounds too, so that all calls agree.
+    `precision` is "fp16"; then the first call rounds too, so that all calls agree. (What a GPU
+    computed is found by a CPU as well: the device is no part of a spec.)
 
     Light features (log-mel, MFCC, prosody by YIN, onsets, music by librosa) are not kept: they
     take less than a hundredth of the sound's length, for twenty kilobytes a second on disk.
@@ -117,7 +118,7 @@ class FeatureCache:
         if isinstance(extractor, AcousticExtractor) and not extractor.worth_caching:
             return extractor.extract(wave)
         path = self._path(extractor, wave)
-        track = self._read(path)
+        track = self._read(path, extractor)
         if track is None:
             track = self._rounded(extractor.extract(wave))
             self._write(path, track)
@@ -169,7 +170,7 @@ class FeatureCache:
             raise FeatureError(f"a value of {largest:.3g} does not fit into fp16: cache as fp32")
         return FeatureTrack(track.values.astype(np.float16), track.times, track.spec, track.names)
 
-    def _read(self, path: Path) -> FeatureTrack | None:
+    def _read(self, path: Path, extractor: Extractor) -> FeatureTrack | None:
         """The entry, marked as used; None where there is none, or a damaged one."""
         from safetensors import SafetensorError, safe_open
 
@@ -177,14 +178,13 @@ class FeatureCache:
             with safe_open(path, framework="numpy") as file:
                 about = file.metadata() or {}
                 values, times = file.get_tensor("values"), file.get_tensor("times")
-            if about.get("checksum") != _checksum(values, times, about.get("track", "")):
+            if about.get("checksum") != _checksum(values, times):
                 raise FeatureError("its checksum is wrong")
-            names, spec = json.loads(about["track"])
-            track = FeatureTrack(values, times, spec, tuple(names))
+            track = FeatureTrack(values, times, extractor.spec, extractor.names)
             os.utime(path)
         except FileNotFoundError:
             return None
-        except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        except (OSError, SafetensorError, TypeError, ValueError) as error:
             log.warning("%s: damaged (%s); extracting again", path, error)
             return None
         return track
@@ -193,8 +193,7 @@ class FeatureCache:
         from safetensors.numpy import save
 
         values = track.values.astype(np.float16 if self.precision == "fp16" else np.float32)
-        text = json.dumps([track.names, track.spec])
-        about = {"track": text, "checksum": _checksum(values, track.times, text)}
+        about = {"spec": json.dumps(track.spec), "checksum": _checksum(values, track.times)}
         data = save({"values": values, "times": track.times}, about)
         if len(data) > self.max_bytes:
             return
@@ -261,7 +260,7 @@ def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> Featu
     """
     size = os.environ.get("GESTUREKIT_CACHE_GB")
     try:
-        max_bytes = MAX_BYTES if size is None else int(float(size) * (1 << 30))
+        max_bytes = MAX_BYTES if size is None else int(float(size) * 1e9)
         return FeatureCache(max_bytes=max_bytes, precision=precision)
     except (ValueError, OverflowError) as error:
         raise AudioFeaturesError(
@@ -269,8 +268,8 @@ def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> Featu
         ) from error
 
 
-def _checksum(values: np.ndarray, times: np.ndarray, text: str) -> str:
-    digest = hashlib.sha256(text.encode())
+def _checksum(values: np.ndarray, times: np.ndarray) -> str:
+    digest = hashlib.sha256()
     for array in (values, times):
         digest.update(f"{array.dtype} {array.shape}".encode())
         digest.update(np.ascontiguousarray(array))

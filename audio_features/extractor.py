@@ -125,7 +125,7 @@ def extractor_from_spec(
     Args:
         spec: as `Extractor.spec` gives it, and as feature files and models store it.
         weights: folder or file of the WavLM weights, where the spec asks for WavLM.
-        device: where WavLM computes, "cpu" or "cuda".
+        device: where WavLM, and torchaudio where a spec names it, compute: "cpu" or "cuda".
 
     Raises FeatureError for a spec of an unknown kind or with other settings than its kind has,
     and WeightsError where weights are needed and missing, or are not those of the spec.
@@ -144,6 +144,8 @@ def extractor_from_spec(
     if kind not in LIGHT:
         known = ", ".join([*LIGHT, "wavlm", "stack"])
         raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
+    if settings.get("backend") == "torchaudio":
+        settings["device"] = device
     try:
         return LIGHT[kind](**settings)
     except TypeError as error:

@@ -22,9 +22,10 @@ MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
 MAY_IMPORT["multires"] = {"training", *MAY_IMPORT["training"]}
 MAY_IMPORT["inspection"] = {"systems", *MAY_IMPORT["multires"]}
 MAY_IMPORT["rendering"] = {"multires", *MAY_IMPORT["multires"]}
-MAY_IMPORT["cli"] = {"inspection", "rendering", "systems", *MAY_IMPORT["rendering"]}
+MAY_IMPORT["cli"] = {"diagnosis", "inspection", "rendering", "systems", *MAY_IMPORT["rendering"]}
 # Modules that belong to no room. `systems` and the package itself lead upwards by name, lazily.
 MAY_IMPORT["systems"] = {"training"}
+MAY_IMPORT["diagnosis"] = {"systems"}
 MAY_IMPORT["errors"] = MAY_IMPORT["atomic"] = MAY_IMPORT["archive"] = set()
 EVERYONE_MAY_IMPORT = {"errors", "atomic", "archive"}
 

@@ -22,6 +22,8 @@ VERBS = (
     "view",
     "evaluate",
     "fit-features",
+    "cache",
+    "doctor",
 )
 
 

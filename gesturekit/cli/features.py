@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
     from audio_features import Extractor
 
-KINDS = ("logmel", "mfcc", "prosody", "liveliness", "wavlm")
+# Kind to the setting that may follow it after a colon, as in mfcc:16.
+KINDS = {
+    "logmel": "n_mels",
+    "mfcc": "n",
+    "prosody": "f0",
+    "onset": None,
+    "liveliness": "seconds",
+    "music": "n_chroma",
+    "wavlm": None,
+}
 
 
 @click.command(
-    epilog="Example: gesturekit features speech/*.wav --extractor logmel,prosody --out features"
+    epilog="Example: gesturekit features speech/*.wav --extractor mfcc:20,prosody --out features"
 )
 @click.argument("wavs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="WAV...")
 @click.option(
@@ -23,10 +32,29 @@ KINDS = ("logmel", "mfcc", "prosody", "liveliness", "wavlm")
     default="logmel,prosody",
     show_default=True,
     metavar="LIST",
-    help=f"One or more of {', '.join(KINDS)}, separated by commas; stacked side by side.",
+    help=f"One or more of {', '.join(KINDS)}, separated by commas and stacked side by side. A "
+    "colon gives a size or method: logmel:64, mfcc:16, prosody:pyin, music:1.",
 )
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
+)
+@click.option(
+    "--fps",
+    type=click.FloatRange(min=0, min_open=True, max=1000),
+    help="Put the features on motion frames at this rate.  [default: the features' own rate]",
+)
+@click.option(
+    "--align",
+    type=click.Choice(["linear", "mean", "length_ratio"]),
+    default="linear",
+    show_default=True,
+    help="How they get there: by true time, interpolated or averaged over the motion frame; "
+    "length_ratio only reproduces systems that ignored time.",
+)
+@click.option(
+    "--channel",
+    type=click.IntRange(min=1),
+    help="Channel to take, from 1 (left), where two speakers share a file.  [default: the mean]",
 )
 @click.option(
     "--weights",
@@ -58,51 +86,68 @@ KINDS = ("logmel", "mfcc", "prosody", "liveliness", "wavlm")
     metavar="SECONDS",
     help="Longest sound that WavLM sees whole; longer ones go in chunks.  [default: 300]",
 )
+@click.option("--device", default="cpu", show_default=True, help="Where WavLM computes.")
 @click.option(
-    "--fps",
-    type=click.FloatRange(min=0, min_open=True, max=1000),
-    help="Put the features on motion frames at this rate.  [default: the features' own rate]",
+    "--cache",
+    type=click.Choice(["fp32", "fp16", "off"]),
+    default="fp32",
+    show_default=True,
+    help="How slow features are kept for next time; see gesturekit cache.",
 )
+@click.option("--picture", is_flag=True, help="Draw STEM.png as well.")
 def command(
     wavs: tuple[Path, ...],
     extractor: str,
     out: Path,
-    weights: Path | None,
-    layer: str,
-    preset: str | None,
-    dtype: str,
-    full_context: float | None,
     fps: float | None,
+    align: str,
+    channel: int | None,
+    weights: Path | None,
+    device: str,
+    cache: str,
+    picture: bool,
+    **wavlm: Any,
 ) -> int:
     """Turn sound files into feature files.
 
     Writes STEM.npz (values, times, spec) to the output folder for every WAV; any format that
     libsndfile reads will do. A file that fails is reported and the others go on.
     """
-    from audio_features import AudioFeaturesError, Wave
+    import logging
 
+    from audio_features import AudioFeaturesError, Wave, cache_from_environment
+
+    logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     stems = Counter(wav.stem for wav in wavs)
     doubles = [str(wav) for wav in wavs if stems[wav.stem] > 1]
     if doubles:
         raise click.UsageError(f"{', '.join(doubles)} would be written to the same file: rename")
-    wavlm = {"layer": _layer(layer), "preset": preset, "dtype": dtype, "full_context": full_context}
-    made = _extractor(extractor, weights, wavlm)
-    for part in getattr(made, "parts", (made,)):
+    wavlm["layer"] = _layer(wavlm["layer"])
+    chosen = _extractor(extractor, weights, device, wavlm)
+    for part in getattr(chosen, "parts", (chosen,)):
         if hasattr(part, "weights"):
             click.echo(part.weights.describe())
-    extract = made.extract
+
+    def extract(wave: Wave) -> Any:
+        if cache == "off":
+            return chosen.extract(wave)
+        return cache_from_environment(cache).extract(chosen, wave)
 
     failed = 0
     for wav in wavs:
         target = out / f"{wav.stem}.npz"
         try:
-            wave = Wave.load(wav)
-            if wave.is_silent:
-                click.echo(f"Warning: {wav}: no speech above -75 dBFS", err=True)
+            wave = Wave.load(wav, channel=channel)
+            for fault in wave.faults():
+                click.echo(f"Warning: {wav}: {fault}", err=True)
             track = extract(wave)
             if fps is not None:
-                track = track.to_rate(fps, n_frames=wave.n_frames(fps))
+                track = track.to_rate(fps, n_frames=wave.n_frames(fps), method=align)
             track.save(target)
+            if picture:
+                from gesturekit.viewer.feature_picture import draw_features
+
+                draw_features(track, target.with_suffix(".png"), wave)
         except (AudioFeaturesError, OSError) as error:
             failed += 1
             reason = f"{target}: {error.strerror}" if isinstance(error, OSError) else error
@@ -114,27 +159,40 @@ def command(
     return 1 if failed else 0
 
 
-def _layer(text: str) -> int | str | list | dict:
-    """6, last, mean, 6,9,12 or 6:1,9:3; what is none of these is left to the extractor."""
-    parts = [part.strip() for part in text.split(",")]
-    if all(part.isdecimal() for part in parts):
-        numbers = [int(part) for part in parts]
-        return numbers if len(numbers) > 1 else numbers[0]
-    if ":" in text:
-        return {layer: weight for layer, _, weight in (part.partition(":") for part in parts)}
-    return text
-
-
-def _extractor(kinds: str, weights: Path | None, wavlm: dict) -> Extractor:
+def _extractor(kinds: str, weights: Path | None, device: str, wavlm: dict[str, Any]) -> Extractor:
     """The extractor that the command line names."""
     from audio_features import extractor_from_spec
 
     specs = []
-    for kind in filter(None, map(str.strip, kinds.split(","))):
-        if kind not in KINDS:
-            raise click.UsageError(f"--extractor {kind!r}: one or more of {', '.join(KINDS)}")
-        specs.append({"kind": kind})
+    for item in filter(None, map(str.strip, kinds.split(","))):
+        kind, _, value = item.partition(":")
+        if kind not in KINDS or (value and KINDS[kind] is None):
+            raise click.UsageError(f"--extractor {item!r}: one or more of {', '.join(KINDS)}")
+        specs.append({"kind": kind} | ({KINDS[kind]: _number(value)} if value else {}))
         if kind == "wavlm":
             specs[-1] |= {key: value for key, value in wavlm.items() if value is not None}
     spec = specs[0] if len(specs) == 1 else {"kind": "stack", "parts": specs}
-    return extractor_from_spec(spec, weights=weights)
+    return extractor_from_spec(spec, weights=weights, device=device)
+
+
+def _layer(text: str) -> Any:
+    """6 to 6, 6,9 to [6, 9], 6:1,9:3 to {6: 1, 9: 3}, last to last."""
+    items = text.split(",")
+    try:
+        if ":" in text:
+            pairs = [item.split(":") for item in items]
+            return {int(layer): float(weight) for layer, weight in pairs}
+        layers = [_number(item) for item in items]
+    except ValueError as error:
+        raise click.UsageError(f"--layer {text!r}: 6, 6,9, last, mean or 6:1,9:3") from error
+    return layers[0] if len(layers) == 1 else layers
+
+
+def _number(text: str) -> Any:
+    """A number where the text is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from audio_features import MFCC, FeatureError, Liveliness, LogMel, Prosody, Stack, Wave
+from audio_features import MFCC, FeatureError, Liveliness, LogMel, Onset, Prosody, Stack, Wave
 from audio_features import spectrum as spectrum_module
 from audio_features.spectrum import FLOOR_DB
 
@@ -161,3 +161,38 @@ def test_liveliness_is_the_range_of_pitch_and_energy():
     assert np.abs(silence).max() == 0.0
     with pytest.raises(FeatureError, match="seconds=0"):
         Liveliness(seconds=0)
+
+
+@pytest.mark.parametrize("tracker", ["pyin", "parselmouth", "pyworld"])
+def test_other_pitch_trackers_hear_the_same_melody(speech, tracker):
+    if tracker != "pyin":
+        pytest.importorskip(tracker)
+    extractor = Prosody(tracker)
+    assert extractor.spec == {"kind": "prosody", "f0": tracker}
+    ours, theirs = Prosody().extract(speech), extractor.extract(speech)
+    assert theirs.names == ours.names and theirs.values.shape == ours.values.shape
+    both = (columns(ours, "voicing") > 0.8) & (columns(theirs, "voicing") > 0.8)
+    assert both.mean() > 0.25
+    assert np.median(np.abs(columns(ours, "f0") - columns(theirs, "f0"))[both]) < 0.5
+    for seconds in (0.025, 0.1):
+        short = Wave(speech.samples[: round(16_000 * seconds)], 16_000)
+        assert len(extractor.extract(short).values) == short.n_frames(100)
+
+
+def test_a_tracker_that_is_not_there_is_named(monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "parselmouth", None)
+    with pytest.raises(FeatureError, match="pip install praat-parselmouth.*f0='yin'"):
+        Prosody("parselmouth")
+    with pytest.raises(FeatureError, match="'crepe': one of yin, pyin"):
+        Prosody("crepe")
+
+
+def test_onsets_are_where_syllables_begin(speech):
+    track = Onset().extract(speech)
+    peaks = track.times[columns(track, "onset_peak") == 1]
+    rise = peaks[peaks > 0.1] % 0.4
+    assert 8 <= len(rise) <= 16 and np.mean(np.minimum(rise, 0.4 - rise) < 0.08) > 0.7
+    prosody = Prosody().extract(speech)
+    np.testing.assert_array_equal(columns(track, "onset_strength"), columns(prosody, "onset"))

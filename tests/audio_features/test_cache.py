@@ -166,7 +166,7 @@ def test_the_environment_names_folder_and_size(tmp_path, monkeypatch):
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "here"))
     monkeypatch.setenv("GESTUREKIT_CACHE_GB", "0.5")
     cache = af.cache_from_environment()
-    assert cache.folder == tmp_path / "here" and cache.max_bytes == 1 << 29
+    assert cache.folder == tmp_path / "here" and cache.max_bytes == 5 * 10**8
     monkeypatch.delenv("GESTUREKIT_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     if sys.platform == "linux":

@@ -53,3 +53,45 @@ def test_what_cannot_start_says_why(folder):
     wavlm = run("a.wav", "--extractor", "wavlm", "--out", "out")
     assert isinstance(wavlm.exception, WeightsError) and "--weights" in str(wavlm.exception)
     assert not (folder / "out").exists()
+
+
+def test_sizes_methods_and_a_channel(folder, speech):
+    two = np.stack([speech.samples, np.roll(speech.samples, 8_000)], axis=1)
+    soundfile.write(folder / "two.wav", two, 16_000)
+    tracks = []
+    for channel in ((), ("--channel", "1"), ("--channel", "2")):
+        result = run("two.wav", "--extractor", "mfcc:16,onset,music:1", "--out", "out", *channel)
+        assert result.return_value == 0, result.output
+        tracks.append(FeatureTrack.load(folder / "out" / "two.npz"))
+    assert tracks[0].values.shape == (400, 16 + 2 + 3)
+    assert not np.allclose(tracks[1].values, tracks[2].values, atol=1)
+    np.testing.assert_allclose(tracks[1].values[100:150, 3], tracks[2].values[150:200, 3], atol=1)
+    assert "the file has 2" in run("two.wav", "--channel", "3", "--out", "out").output
+    for wrong in ("mfcc:many", "mfcc:99", "prosody:praat"):
+        assert wrong.partition(":")[2] in str(
+            run("a.wav", "--extractor", wrong, "--out", "o").exception
+        )
+
+
+def test_alignments_and_faults(folder, speech):
+    soundfile.write(folder / "loud.wav", np.clip(speech.samples * 10, -1, 1), 16_000)
+    rows = []
+    for align in ("linear", "mean", "length_ratio"):
+        result = run("loud.wav", "--fps", "30", "--align", align, "--out", "out")
+        assert result.return_value == 0 and "Warning: loud.wav: clipped" in result.output
+        rows.append(FeatureTrack.load(folder / "out" / "loud.npz").values)
+    assert {values.shape for values in rows} == {(120, 28)}
+    assert not np.array_equal(rows[0], rows[1]) and not np.array_equal(rows[0], rows[2])
+
+
+def test_a_picture_shows_every_feature(folder):
+    from matplotlib.image import imread
+
+    result = run("a.wav", "silent.wav", "--extractor", "logmel,prosody", "--picture", "--out", "o")
+    assert result.return_value == 0, result.output
+    picture = imread(folder / "o" / "a.png")[..., :3]
+    coloured = np.abs(picture - picture.mean(axis=-1, keepdims=True)).max(axis=-1) > 0.1
+    # Two images and four lines, one below the other.
+    drawn = np.convolve(coloured.any(axis=1), np.ones(3), mode="same") > 0
+    assert np.count_nonzero(np.diff(drawn.astype(int)) == 1) >= 6
+    assert (folder / "o" / "silent.png").exists()

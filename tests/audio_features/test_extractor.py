@@ -11,7 +11,16 @@ import audio_features as af
 
 
 @pytest.mark.parametrize(
-    "extractor", [af.LogMel(16), af.MFCC(13), af.Prosody(), af.Stack([af.MFCC(), af.Prosody()])]
+    "extractor",
+    [
+        af.LogMel(16),
+        af.MFCC(13),
+        af.Prosody(),
+        af.Prosody("pyin"),
+        af.Onset(),
+        af.Music(1),
+        af.Stack([af.MFCC(), af.Prosody()]),
+    ],
 )
 def test_a_spec_makes_the_same_extractor_again(extractor, speech):
     spec = json.loads(json.dumps(extractor.spec))

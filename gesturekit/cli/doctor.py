@@ -1,0 +1,30 @@
+"""gesturekit doctor: what works on this machine, what does not, and what to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+MARKS = {"ok": "ok", "note": "note", "broken": "BROKEN"}
+
+
+@click.command(epilog="Example: gesturekit doctor --weights wavlm-base-plus/")
+@click.option(
+    "--weights", type=click.Path(path_type=Path), help="WavLM weights to read: folder or file."
+)
+def command(weights: Path | None) -> int:
+    """Look at torch, GPU, threads, torchaudio, transformers, ffmpeg, disk, cache and weights.
+
+    Exit code 0 where gesturekit is usable, 1 where something that it needs is broken. Send the
+    output along when you report a problem.
+    """
+    from gesturekit.diagnosis import diagnose, is_usable
+
+    findings = []
+    for finding in diagnose(weights):
+        findings.append(finding)
+        click.echo(f"{MARKS[finding.state]:<7}{finding.name:<13} {finding.text}")
+        if finding.advice:
+            click.echo(f"{'':<20} → {finding.advice}")
+    return 0 if is_usable(findings) else 1

@@ -1,0 +1,245 @@
+"""Diagnosis: what of this machine gesturekit can use, what is broken, and what to do about it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata, util
+from pathlib import Path
+from typing import Literal
+
+_LOW_DISK = 2 * 10**9
+_NEEDED = ("numpy", "scipy", "soundfile", "soxr", "librosa", "safetensors", "yaml", "matplotlib")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        name: what it is.
+        state: "ok"; "note" for what is missing or slow and not needed; "broken" for what is
+            needed and does not work.
+        text: what was found.
+        advice: what to do, where there is something.
+    """
+
+    name: str
+    state: Literal["ok", "note", "broken"]
+    text: str
+    advice: str = ""
+
+
+def diagnose(weights: str | os.PathLike[str] | None = None) -> Iterator[Finding]:
+    """Look at everything, one thing after the other; nothing raises.
+
+    Args:
+        weights: WavLM weights to read; by default those in the usual places are named.
+    """
+    checks: dict[str, Callable[[], Finding]] = {
+        "gesturekit": _program,
+        "torch": _torch,
+        "GPU": _gpu,
+        "threads": _threads,
+        "libraries": _libraries,
+        "torchaudio": _torchaudio,
+        "transformers": _transformers,
+        "ffmpeg": _ffmpeg,
+        "HTML player": _player,
+        "demo model": _demo,
+        "disk": _disk,
+        "cache": _cache,
+        "WavLM": lambda: _weights(weights),
+    }
+    for name, check in checks.items():
+        try:
+            yield check()
+        except Exception as error:  # what a broken installation raises is anybody's guess
+            yield Finding(name, "broken", _line(error), "install it again: make setup")
+
+
+def _program() -> Finding:
+    text = f"{metadata.version('gesturekit')}, Python {platform.python_version()}"
+    return Finding("gesturekit", "ok", f"{text}, {platform.platform(terse=True)}")
+
+
+def _torch() -> Finding:
+    import torch
+
+    build = f"built for CUDA {torch.version.cuda}" if torch.version.cuda else "built for the CPU"
+    return Finding("torch", "ok", f"{torch.__version__}, {build}")
+
+
+def _gpu() -> Finding:
+    import torch
+
+    if torch.cuda.is_available():
+        found = [torch.cuda.get_device_properties(k) for k in range(torch.cuda.device_count())]
+        names = ", ".join(f"{gpu.name} ({gpu.total_memory / 1e9:.0f} GB)" for gpu in found)
+        return Finding("GPU", "ok", names)
+    if torch.version.cuda:
+        advice = "if there is one, look at nvidia-smi: the driver must be as new as the CUDA build"
+        return Finding("GPU", "note", "torch is built for CUDA but sees no GPU", advice)
+    if shutil.which("nvidia-smi"):
+        advice = "to use it: pip install torch from pytorch.org's CUDA index"
+        return Finding("GPU", "note", "there may be one, but torch is built for the CPU", advice)
+    return Finding("GPU", "ok", "none; everything runs on the CPU")
+
+
+def _threads() -> Finding:
+    import torch
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    threads = torch.get_num_threads()
+    text = f"torch uses {threads} of {cores} cores"
+    if threads > cores:
+        return Finding("threads", "note", text, f"set OMP_NUM_THREADS={cores}: more is slower")
+    if threads < cores and os.environ.get("OMP_NUM_THREADS"):
+        advice = f"OMP_NUM_THREADS={os.environ['OMP_NUM_THREADS']} says so"
+        return Finding("threads", "note", text, advice)
+    return Finding("threads", "ok", text)
+
+
+def _libraries() -> Finding:
+    broken = []
+    for name in _NEEDED:
+        try:
+            __import__(name)
+        except Exception as error:
+            broken.append(f"{name} ({_line(error)})")
+    if broken:
+        return Finding("libraries", "broken", "; ".join(broken), "pip install -e . again")
+    import soundfile
+
+    text = f"all import; libsndfile {soundfile.__libsndfile_version__} reads the sound"
+    return Finding("libraries", "ok", text)
+
+
+def _torchaudio() -> Finding:
+    from audio_features.torchaudio_backend import import_torchaudio
+
+    module, problem = import_torchaudio()
+    if module is not None:
+        return Finding("torchaudio", "ok", f"{module.__version__}, usable as a backend")
+    if problem == "not installed":
+        return Finding("torchaudio", "ok", "not installed, and not needed")
+    advice = (
+        "nothing of gesturekit needs it, but transformers fails while it is there: "
+        "pip uninstall torchaudio, or install the build that matches torch"
+    )
+    return Finding("torchaudio", "note", problem, advice)
+
+
+def _transformers() -> Finding:
+    if util.find_spec("transformers") is None:
+        return Finding("transformers", "note", "not installed", "pip install transformers")
+    version = metadata.version("transformers")
+    try:
+        from transformers import WavLMModel  # noqa: F401
+    except Exception as error:
+        text = f"{version}, but its WavLM does not import: {_line(error)}"
+        advice = "ours reads WavLM weights without it; see torchaudio above"
+        return Finding("transformers", "note", text, advice)
+    return Finding("transformers", "ok", version)
+
+
+def _ffmpeg() -> Finding:
+    found = shutil.which("ffmpeg")
+    if found:
+        return Finding("ffmpeg", "ok", found)
+    try:
+        import imageio_ffmpeg
+
+        return Finding("ffmpeg", "ok", imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        text = "not found; only videos need it, and sound in m4a"
+        return Finding("ffmpeg", "note", text, "pip install 'gesturekit[video]', or apt, brew")
+
+
+def _player() -> Finding:
+    bundle = Path(__file__).parent / "viewer" / "player.bundle.js"
+    if bundle.is_file():
+        return Finding("HTML player", "ok", f"bundled, {bundle.stat().st_size / 1e6:.1f} MB")
+    return Finding("HTML player", "broken", "its bundle is missing", "make setup")
+
+
+def _demo() -> Finding:
+    from gesturekit.systems import load
+
+    motion = load("demo").generate(seconds=1.0)
+    return Finding("demo model", "ok", f"makes motion: {motion.n_frames} frames for a second")
+
+
+def _disk() -> Finding:
+    free = shutil.disk_usage(Path.cwd()).free
+    text = f"{free / 1e9:.1f} GB free in {Path.cwd()}"
+    if free < _LOW_DISK:
+        return Finding("disk", "note", text, "make room: runs, caches and videos are big")
+    return Finding("disk", "ok", text)
+
+
+def _cache() -> Finding:
+    from audio_features.cache import cache_from_environment
+
+    cache = cache_from_environment()
+    contents = cache.contents()
+    text = f"{cache.folder}: {contents.entries} entries, {contents.size / 1e9:.3f} GB"
+    there = cache.folder
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        advice = "name another folder with GESTUREKIT_CACHE; until then features are made anew"
+        return Finding("cache", "note", f"{text}; cannot be written to", advice)
+    if shutil.disk_usage(there).free < _LOW_DISK:
+        return Finding(
+            "cache", "note", f"{text}; its disk is nearly full", "gesturekit cache clear"
+        )
+    return Finding("cache", "ok", text)
+
+
+def _weights(weights: str | os.PathLike[str] | None) -> Finding:
+    from audio_features.errors import AudioFeaturesError
+
+    if weights is not None:
+        from audio_features.wavlm.weights import read_weights
+
+        try:
+            return Finding("WavLM", "ok", read_weights(weights)[0].describe())
+        except AudioFeaturesError as error:
+            return Finding("WavLM", "broken", str(error))
+    found = list(_usual_places())
+    if not found:
+        return Finding(
+            "WavLM",
+            "note",
+            "no weights in the usual places; light features need none",
+            "download microsoft/wavlm-base-plus or wavlm-large from huggingface.co, and name "
+            "the folder with --weights",
+        )
+    return Finding("WavLM", "ok", f"weights in {', '.join(map(str, found))}")
+
+
+def _usual_places() -> Iterator[Path]:
+    """Where Hugging Face's and torch's tools put what they download."""
+    home = Path.home() / ".cache"
+    hub = os.environ.get("HF_HUB_CACHE") or Path(os.environ.get("HF_HOME", home / "huggingface"))
+    hub = Path(hub) if os.environ.get("HF_HUB_CACHE") else hub / "hub"
+    for folder in sorted(hub.glob("models--*wavlm*/snapshots/*")):
+        if any((folder / name).exists() for name in ("model.safetensors", "pytorch_model.bin")):
+            yield folder
+    torch_home = Path(os.environ.get("TORCH_HOME", home / "torch"))
+    yield from sorted((torch_home / "hub" / "checkpoints").glob("*wavlm*.p*"))
+    yield from sorted(Path.cwd().glob("WavLM-*.pt"))
+
+
+def _line(error: BaseException) -> str:
+    text = str(error) or type(error).__name__
+    return " ".join(text.splitlines()[0].split())[:300]
+
+
+def is_usable(findings: list[Finding]) -> bool:
+    """Whether nothing that is needed is broken."""
+    return all(finding.state != "broken" for finding in findings)

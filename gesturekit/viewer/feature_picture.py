@@ -1,0 +1,104 @@
+"""Feature pictures: a sound's features under one another, on one time axis."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import matplotlib.figure
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from audio_features import FeatureTrack, LogMel, Wave
+from gesturekit.atomic import atomic_write
+
+_INK, _SOFT, _LINE = "#26303b", "#6b7785", "#c8643a"
+_DPI = 110
+_INCHES_PER_SECOND, _WIDEST = 0.7, 40.0
+_UNITS = {
+    "f0": "semitones from the median",
+    "energy": "dB of active speech",
+    "onset": "dB",
+    "onset_strength": "dB",
+    "spectral_flux": "dB",
+    "f0_range": "semitones",
+    "energy_range": "dB",
+}
+
+
+def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave) -> None:
+    """Draw the sound (log-mel) and every feature of a track, as a PNG.
+
+    Columns that belong together (mel_0, mel_1, …) are one image, others a line each; pitch is
+    drawn where there is one.
+
+    Args:
+        track: (T, D) on any time base.
+        path: the .png file to write.
+        wave: the sound that the features are of.
+    """
+    groups = _groups(track.names)
+    heights = [1.2, *(1.0 if len(columns) > 1 else 0.8 for columns in groups.values())]
+    width = float(np.clip(_INCHES_PER_SECOND * wave.duration, 8.0, _WIDEST))
+    canvas = matplotlib.figure.Figure(
+        figsize=(width, 1.15 * sum(heights) + 0.8), dpi=_DPI, layout="constrained"
+    )
+    FigureCanvasAgg(canvas)
+    canvas.suptitle(Path(path).stem, x=0.012, ha="left", fontsize=13, color=_INK, parse_math=False)
+    rows = canvas.subplots(
+        len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
+    )[:, 0]
+    _image(rows[0], LogMel(n_mels=40).extract(wave), list(range(40)), "the sound, log-mel")
+    for axes, (name, columns) in zip(rows[1:], groups.items()):
+        if len(columns) > 1:
+            _image(axes, track, columns, f"{name}, {len(columns)} columns")
+        else:
+            _line(axes, track, columns[0], name)
+    rows[-1].set_xlim(0, wave.duration)
+    rows[-1].set_xlabel("seconds", fontsize=9, color=_SOFT)
+    with atomic_write(path) as temporary:
+        canvas.savefig(temporary, format="png", metadata={"Software": "gesturekit"})
+
+
+def _groups(names: tuple[str, ...]) -> dict[str, list[int]]:
+    """Columns whose names differ in their last number alone, under what they share."""
+    groups: dict[str, list[int]] = {}
+    for column, name in enumerate(names):
+        groups.setdefault(re.sub(r"_\d+$", "", name), []).append(column)
+    return groups
+
+
+def _image(axes: Axes, track: FeatureTrack, columns: list[int], title: str) -> None:
+    values = track.values[:, columns].T
+    half = (track.times[-1] - track.times[0]) / max(len(track.times) - 1, 1) / 2
+    low, high = np.quantile(values, [0.01, 0.995])
+    axes.imshow(
+        values,
+        origin="lower",
+        aspect="auto",
+        extent=(track.times[0] - half, track.times[-1] + half, 0, len(columns)),
+        cmap="Blues",
+        vmin=low,
+        vmax=max(high, low + 1e-6),
+        interpolation="antialiased",
+    )
+    axes.set_yticks([])
+    _style(axes, title)
+
+
+def _line(axes: Axes, track: FeatureTrack, column: int, name: str) -> None:
+    values = track.values[:, column].astype(np.float64)
+    if name == "f0" and "voicing" in track.names:
+        values[track.values[:, track.names.index("voicing")] < 0.5] = np.nan
+    axes.plot(track.times, values, color=_LINE, linewidth=1.0)
+    _style(axes, f"{name}, {_UNITS[name]}" if name in _UNITS else name)
+
+
+def _style(axes: Axes, title: str) -> None:
+    axes.tick_params(labelsize=8, colors=_SOFT, length=2)
+    for name, spine in axes.spines.items():
+        spine.set_visible(name == "bottom")
+        spine.set_color("#d5dae0")
+    axes.set_title(title, loc="left", fontsize=9, color=_SOFT, pad=3)

@@ -1,0 +1,80 @@
+"""gesturekit doctor and cache, through the command line."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from audio_features import FeatureTrack
+from gesturekit.diagnosis import Finding, is_usable
+
+
+def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
+    write_wavlm(tmp_path / "weights")
+    done = gesturekit("doctor", "--weights", tmp_path / "weights")
+    assert done.status == 0, done.out
+    for name in ("torch", "GPU", "threads", "torchaudio", "transformers", "ffmpeg", "disk"):
+        assert f" {name} " in done.out
+    assert "makes motion: 30 frames" in done.out and "3 layers of 32" in done.out
+
+
+def test_what_is_needed_and_broken_ends_in_1(gesturekit, tmp_path):
+    done = gesturekit("doctor", "--weights", tmp_path / "none")
+    assert done.status == 1
+    assert f"BROKEN WavLM         {tmp_path / 'none'}" in done.out
+    assert not is_usable([Finding("a", "ok", ""), Finding("b", "broken", "")])
+    assert is_usable([Finding("a", "note", "")])
+
+
+def test_a_broken_torchaudio_is_explained_and_harms_nothing(tmp_path):
+    (tmp_path / "torchaudio").mkdir()
+    (tmp_path / "torchaudio" / "__init__.py").write_text("raise OSError('libcudart.so.13: no')")
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-m", "gesturekit", "doctor"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    line = next(line for line in done.stdout.splitlines() if " torchaudio " in line)
+    assert line.startswith("note") and "libcudart.so.13" in line
+    assert "pip uninstall torchaudio" in done.stdout
+
+
+@pytest.fixture
+def wav(write_wavlm, write_speech, tmp_path):
+    """A second of speech, beside a folder of weights."""
+    write_wavlm(tmp_path / "weights")
+    return write_speech(tmp_path / "a.wav", 1.0)
+
+
+def test_the_cache_is_shown_and_cleared(gesturekit, wav, tmp_path, monkeypatch):
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
+    assert "entries  0" in gesturekit("cache", "info").out
+    options = ("--extractor", "wavlm,prosody", "--weights", tmp_path / "weights")
+    for out, cache in (("one", "fp32"), ("two", "fp32"), ("three", "off"), ("four", "fp16")):
+        done = gesturekit("features", wav, *options, "--out", tmp_path / out, "--cache", cache)
+        assert done.status == 0 and "3 layers of 32" in done.out, done.err
+    written = [(tmp_path / out / "a.npz").read_bytes() for out in ("one", "two", "three", "four")]
+    assert written[0] == written[1] == written[2] != written[3]
+    info = gesturekit("cache", "info").out
+    assert "entries  2" in info and str(tmp_path / "cache") in info
+    assert gesturekit("cache", "clear").out.startswith("2 entries removed")
+    assert "entries  0" in gesturekit("cache", "info").out
+    assert gesturekit("cache", "forget").status == 2
+
+
+@pytest.mark.parametrize("layer", ["1", "1,2", "mean", "1:1,3:2"])
+def test_layers_are_named_on_the_command_line(gesturekit, wav, tmp_path, layer):
+    options = ("--extractor", "wavlm", "--weights", tmp_path / "weights", "--layer", layer)
+    done = gesturekit("features", wav, *options, "--out", tmp_path)
+    assert done.status == 0, done.err
+    track = FeatureTrack.load(tmp_path / "a.npz")
+    assert track.values.shape == (49, 64 if layer == "1,2" else 32)
+    wrong = gesturekit("features", wav, *options[:-1], "1:x", "--out", tmp_path)
+    assert wrong.status == 2 and "--layer" in wrong.err
