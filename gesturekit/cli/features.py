@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,8 +111,8 @@ def command(
 ) -> int:
     """Turn sound files into feature files.
 
-    Writes STEM.npz (values, times, spec) to the output folder for every WAV; any format that
-    libsndfile reads will do. A file that fails is reported and the others go on.
+    Writes STEM.npz (values, times, spec) to the output folder for every WAV; flac, ogg, mp3,
+    aiff, au and SPHERE will do too. A file that fails is reported and the others go on.
     """
     import logging
 
@@ -127,11 +128,9 @@ def command(
     for part in getattr(chosen, "parts", (chosen,)):
         if hasattr(part, "weights"):
             click.echo(part.weights.describe())
-
-    def extract(wave: Wave) -> Any:
-        if cache == "off":
-            return chosen.extract(wave)
-        return cache_from_environment(cache).extract(chosen, wave)
+    extract = chosen.extract
+    if cache != "off":
+        extract = partial(cache_from_environment(cache).extract, chosen)
 
     failed = 0
     for wav in wavs:

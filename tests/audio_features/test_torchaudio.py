@@ -80,13 +80,12 @@ def test_a_stack_of_both_backends_gives_each_its_own(torchaudio, speech):
 
 
 USE_EVERYTHING = """
-import sys, numpy as np, audio_features as af
+import numpy as np, audio_features as af
 for name in af.__all__:
     getattr(af, name)
 wave = af.Wave(0.1 * np.random.default_rng(0).standard_normal(32000).astype("f4"), 22050)
 kinds = [af.LogMel(), af.MFCC(), af.Prosody(), af.Onset(), af.Liveliness(), af.Music()]
 assert all(len(kind.extract(wave).values) == 145 for kind in kinds)
-assert af.WavLM(sys.argv[1]).extract(wave).values.shape == (72, 32)
 try:
     af.LogMel(backend="torchaudio")
 except af.FeatureError as error:
@@ -94,8 +93,7 @@ except af.FeatureError as error:
 """
 
 
-def test_a_broken_torchaudio_on_the_path_harms_nothing(tmp_path, write_wavlm):
-    write_wavlm(tmp_path / "weights")
+def test_a_broken_torchaudio_on_the_path_harms_nothing(tmp_path):
     package = tmp_path / "site" / "torchaudio"
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("raise OSError('libtorch_cuda.so: cannot open')")
@@ -105,7 +103,7 @@ def test_a_broken_torchaudio_on_the_path_harms_nothing(tmp_path, write_wavlm):
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: torchaudio\nVersion: 2.11.0\n")
     path = os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [sys.executable, "-c", USE_EVERYTHING, str(tmp_path / "weights")],
+        [sys.executable, "-c", USE_EVERYTHING],
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONPATH": path},
