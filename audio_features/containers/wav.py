@@ -115,7 +115,7 @@ def _check_format(settings: _Format, name: str) -> None:
             f"{name}: the header declares {settings.channels} channels of {settings.bits} bits: "
             "export the file again"
         )
-    if settings.block != block or settings.bytes_per_second not in (0, settings.rate * block):
+    if settings.block != block or settings.bytes_per_second != settings.rate * block:
         raise AudioError(
             f"{name}: the header contradicts itself: {settings.channels} channels of "
             f"{settings.bits} bits at {settings.rate} Hz are {block} bytes a sample and "

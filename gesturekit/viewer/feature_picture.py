@@ -91,7 +91,7 @@ def _image(axes: Axes, track: FeatureTrack, columns: list[int], title: str) -> N
 def _line(axes: Axes, track: FeatureTrack, column: int, name: str) -> None:
     values = track.values[:, column].astype(np.float64)
     if name == "f0" and "voicing" in track.names:
-        values[track.values[:, track.names.index("voicing")] < 0.5] = np.nan
+        values[track.values[:, track.names.index("voicing")] < 0.6] = np.nan
     axes.plot(track.times, values, color=_LINE, linewidth=1.0)
     _style(axes, f"{name}, {_UNITS[name]}" if name in _UNITS else name)
 
