@@ -120,6 +120,8 @@ def open_archive(path: str | os.PathLike[str]) -> Iterator[Archive]:
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():  # reading a pipe may never end
+            raise FormatError(f"{path}: not a regular file")
         _check_directory(path)
         members = zipfile.ZipFile(path)
     except FileNotFoundError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -11,6 +10,7 @@ from pathlib import Path
 
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import CorpusError
+from gesturekit.formats.sources import is_feature_file
 
 SPEECH_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
 MOTION_SUFFIXES = (".bvh", ".npz")
@@ -89,7 +89,7 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
                         "the file name is not printable text; rename it",
                     )
                 )
-            elif not _is_feature_file(path):
+            elif path.suffix.lower() != ".npz" or not is_feature_file(path):
                 found.append(Found(key, path, folder))
     return sorted(found), problems
 
@@ -156,13 +156,3 @@ def _match(files: list[Found], name_of: Callable[[Found], str], result: Pairing)
                 )
             )
     return left
-
-
-def _is_feature_file(path: Path) -> bool:
-    if path.suffix.lower() != ".npz":
-        return False
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return {"values.npy", "times.npy", "spec.npy"} <= set(archive.namelist())
-    except (OSError, zipfile.BadZipFile):
-        return False  # whoever reads it as motion says what is wrong with it

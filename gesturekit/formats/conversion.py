@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.errors import ConfigError, FormatError, GestureKitError
+from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.changes import Changes
 from gesturekit.formats.smpl import RIGS, is_smpl
 from gesturekit.formats.sources import Job, plan
@@ -123,8 +123,6 @@ def load(
         FormatError: it cannot be read.
         MotionError: `parts` names a joint that is not there.
     """
-    if source.exists() and not (source.is_file() or source.is_dir()):
-        raise FormatError(f"{source}: not a regular file")
     known = _READS.get(_format(source), ())
     motion = Motion.load(source, **{name: options[name] for name in options if name in known})
     if parts:

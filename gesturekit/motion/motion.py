@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
@@ -197,6 +198,7 @@ class Motion:
         Raises:
             FormatError: the file is missing, of another kind, or broken.
         """
+        _refuse_special(Path(path))
         return _dispatch(_READERS, path, "read")(path, **options)
 
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
@@ -206,6 +208,18 @@ class Motion:
             FormatError: no such format, or one that cannot hold this motion.
         """
         _dispatch(_WRITERS, path, "write")(self, path, **options)
+
+
+def _refuse_special(path: Path) -> None:
+    """Reading a pipe or a device may never end."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise FormatError(f"{path}: no such file") from None
+    except (OSError, ValueError):
+        return  # whoever reads it says what is wrong with it
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise FormatError(f"{path}: not a regular file")
 
 
 def _dispatch(table: Mapping[str, tuple[str, str]], path: str | os.PathLike[str], verb: str) -> Any:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from dataclasses import replace
 
@@ -365,3 +366,15 @@ def test_real_recordings_of_several_rigs_in_one_folder(tmp_path, shared_data):
     assert len(report.manifest.unpaired()) == 25
     first = json.loads(out.read_text().splitlines()[1])
     assert not first["audio"].startswith("/")
+
+
+def test_pipes_are_told_and_never_waited_for(tmp_path, write_pair):
+    write_pair(tmp_path, "fine")
+    write_pair(tmp_path, "pipe")
+    (tmp_path / "pipe.bvh").unlink()
+    os.mkfifo(tmp_path / "pipe.npz")
+    report = prepare(tmp_path, holdout=0.0)
+    assert [item.id for item in report.manifest] == ["fine"]
+    assert [problem.text for problem in errors(report)] == [
+        f"{tmp_path / 'pipe.npz'}: not a regular file"
+    ]
