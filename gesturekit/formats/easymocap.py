@@ -84,7 +84,7 @@ def read_easymocap(
         person = min(seen, key=lambda name: (-seen[name], name))
         if len(seen) > 1:
             warnings.warn(
-                f"{path}: several people, {listing}; {person} is read (person={person})",
+                f"{path}: several people, {listing}; {person} is read (--person chooses)",
                 stacklevel=2,
             )
     if person not in seen:
@@ -98,7 +98,8 @@ def read_easymocap(
         raise FormatError(f"{path}: {error}") from None
     filled = motion.n_frames - len(numbers)
     if filled:
-        warnings.warn(f"{path}: {filled} missing frames are filled in", stacklevel=2)
+        lacking = "1 missing frame is" if filled == 1 else f"{filled} missing frames are"
+        warnings.warn(f"{path}: {lacking} filled in", stacklevel=2)
     motion.info.update(
         source=str(path),
         person=person,

@@ -59,6 +59,11 @@ def read_npz(
         raise FormatError(f"up axis {up!r}; expected auto, y or z")
     with open_archive(path) as archive:
         try:
+            if "v_template" in archive and "poses" not in archive:
+                raise FormatError(
+                    f"{path}: a body model of the SMPL family, no motion; give it as --body-model "
+                    "(body_model= in Python) with a motion"
+                )
             is_native = "gk_version" in archive
             motion = _from_native(archive) if is_native else from_amass(archive, up)
         except (TypeError, ValueError, IndexError, OverflowError) as error:

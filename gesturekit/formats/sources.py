@@ -159,7 +159,10 @@ def _is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) ->
         what = "a folder" if len(sources) == 1 else f"{len(sources)} inputs"
         raise ConfigError(f"{out} is a file name, but {what} cannot become one file; name a folder")
     if out.exists():
-        raise ConfigError(f"{out} is a file; give a folder to fill, or a name ending in .{suffix}")
+        raise ConfigError(
+            f"{out} is a file; give a folder to fill, or a name ending in one of "
+            f"{', '.join(WRITABLE)}"
+        )
     return False
 
 
@@ -169,16 +172,16 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
             f"{out} is a folder: say what to write into it, such as --format npz "
             f"(of {', '.join(WRITABLE)})"
         )
-    jobs: dict[str, Job] = {}
+    jobs: dict[tuple[str, str], Job] = {}
     for source in sources:
         for path, key in _keyed(source, out):
             if isinstance(path, OSError):
                 where = Path(path.filename or source)
-                jobs[str(where)] = Job(where, error=f"{where}: {path.strerror}")
+                jobs[str(where), ""] = Job(where, error=f"{where}: {path.strerror}")
                 continue
             targets = tuple(out / f"{key}.{kind}" for kind in formats)
-            # A file that is named twice is converted once.
-            jobs.setdefault(os.path.realpath(path), Job(path, targets))
+            # A file that is named twice is converted once; a link to it beside it is not it.
+            jobs.setdefault((os.path.realpath(path), key), Job(path, targets))
     if not jobs:
         raise ConfigError(
             f"{sources[0]}: no motion in it; looked for {', '.join(READABLE)} and EasyMocap folders"

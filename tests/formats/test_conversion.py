@@ -13,6 +13,7 @@ from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.changes import Changes, Rig, parse_trim
 from gesturekit.formats.conversion import Converted, convert
 from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.sources import motions_in
 from gesturekit.motion import Motion
 
 
@@ -168,8 +169,15 @@ def test_links_do_not_lead_out_of_the_folder(gesture, tmp_path):
 
 def test_pipes_and_missing_files_are_told(tmp_path):
     os.mkfifo(tmp_path / "pipe.bvh")
-    for name, says in (("pipe.bvh", "not a regular file"), ("none.bvh", "none.bvh")):
-        (done,) = outcomes(tmp_path / name, tmp_path / "x.npz")
+    os.mkfifo(tmp_path / "pipe.npz")
+    assert len(list(motions_in(tmp_path))) == 2, "looking into them would never end"
+    for name, says in (
+        ("pipe.bvh", "not a regular file"),
+        ("pipe.npz", "not a regular file"),
+        ("none.bvh", "no such file"),
+        ("none", "no such file"),
+    ):
+        (done,) = outcomes(tmp_path / name, tmp_path / "x.html")
         assert says in done.error and not done.files
 
 
@@ -257,3 +265,13 @@ def test_a_mesh_needs_its_model(capsule_body, tmp_path):
     outcomes(tmp_path / "a.npz", tmp_path / "skin.html", body_model=tmp_path / "model.npz")
     sizes = [(tmp_path / f"{name}.html").stat().st_size for name in ("limbs", "skin")]
     assert sizes[1] > sizes[0] + 10_000
+
+
+def test_a_link_beside_its_file_is_converted_too(gesture, tmp_path):
+    folder, out = tmp_path / "takes", tmp_path / "out"
+    folder.mkdir()
+    gesture(0.5).save(folder / "take.bvh")
+    (folder / "best.bvh").symlink_to("take.bvh")
+    # What is named twice, as a file and by its folder, still is one job.
+    assert len(outcomes([folder, folder / "take.bvh"], out, formats=["npz"])) == 2
+    assert sorted(path.name for path in out.iterdir()) == ["best.npz", "take.npz"]
