@@ -85,7 +85,7 @@ def _labels(skeleton: Skeleton) -> tuple[dict[str, str], str | None]:
     except MotionError as error:
         if skeleton.parts:
             raise
-        return {}, f"{error}; here: --part left_elbow=JOINT"
+        return {}, str(error)
 
 
 def _movement(motion: Motion, figure: Figure, labels: Mapping[str, str]) -> dict[str, Any]:

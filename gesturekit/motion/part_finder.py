@@ -25,10 +25,10 @@ KNOWN_PARTS = ("head", *(f"{side}_{part}" for side in SIDES for part in (*ARM, *
 _ELBOW = ("forearm", "lowerarm", "lowarm", "elbow", "radius")
 _KNEE = ("knee", "shin", "calf", "tibia", "lowerleg", "lowleg", "leg")
 _NOT_KNEE = ("upleg", "upperleg")
-_WRIST = ("wrist", "hand")
+_WRIST = ("wrist", "hand", "palm")
 _ANKLE = ("ankle", "foot")
 _TOE = ("toe", "toes", "toebase", "ball", "foot")
-_HEAD = ("head", "face")
+_HEAD = ("head", "face", "skull")
 _END = ("end", "nub", "tip", "site", "headtop")
 _TWIST = ("twist", "roll")
 
@@ -160,7 +160,8 @@ class PartFinder:
         shown, more = self.missing[:3], len(self.missing) - 3
         missing = ", ".join(shown) + (f" and {more} more" if more > 0 else "")
         by_hand = (
-            f"name them by hand: `parts: {{{self.missing[0]}: JOINT, ...}}` in the configuration, "
+            f"name them by hand: --part {self.missing[0]}=JOINT (--rig-part where it is --rig's), "
+            f"`parts: {{{self.missing[0]}: JOINT, ...}}` in the configuration, "
             f"overrides={{{self.missing[0]!r}: 'JOINT', ...}} in Python"
         )
         told = f"cannot tell {missing} from the joint names {', '.join(names[:8])}, ..."

@@ -502,3 +502,16 @@ def test_fingers(mixamo, side):
     unreal = rig(UNREAL)
     index = finger_chains(unreal, find_parts(unreal), side)["index"]
     assert [unreal.names[j] for j in index] == [f"index_0{n}_{side[0]}" for n in (1, 2)]
+
+
+def test_what_is_worn_is_not_the_head(mixamo):
+    names = {
+        "mixamorig:Head": "skull",
+        "mixamorig:HeadTop_End": "hat",
+        "mixamorig:LeftHand": "PalmL",
+    }
+    names["mixamorig:RightHand"] = "PalmR"
+    odd = replace(mixamo, names=tuple(names.get(name, name) for name in mixamo.names), end_sites={})
+    found = find_parts(odd)
+    assert found.head == "skull"
+    assert [found.arms[side].wrist for side in ("left", "right")] == ["PalmL", "PalmR"]
