@@ -64,6 +64,7 @@ class Figure:
         head: None where the skeleton has no head that could be recognised.
         hand_speed: (T,) m/s, both hands summed, relative to the root (the mean over all joints
             where there are no hands), smoothed by a Gaussian of SPEED_SMOOTHING.
+        speed_of: what that is, in words: "hand speed" or "mean speed of all joints".
         height: of the body, metres.
         floor: height of the ground, metres.
         front: the yaw the body faces on average, radians, 0 towards +Z and positive towards +X.
@@ -74,6 +75,7 @@ class Figure:
     limbs: tuple[Limb, ...]
     head: Head | None
     hand_speed: np.ndarray
+    speed_of: str
     height: float
     floor: float
     front: float
@@ -108,6 +110,7 @@ class Figure:
             limbs=limbs,
             head=head,
             hand_speed=_hand_speed(points, parts),
+            speed_of="hand speed" if parts else "mean speed of all joints",
             height=height,
             # Feet dip into the ground in most recordings: it is where they are most of the time.
             floor=float(np.quantile(drawn[:, :, 1].min(axis=1), 0.25)),

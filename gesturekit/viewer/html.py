@@ -181,7 +181,11 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
             for limb in figure.limbs
         ],
         "head": vars(figure.head) if figure.head else None,
-        "speed": {"peak": peak, "values": _levels(figure.hand_speed / peak)},
+        "speed": {
+            "of": figure.speed_of,
+            "peak": peak,
+            "values": _levels(figure.hand_speed / peak),
+        },
     }
 
 

@@ -156,10 +156,10 @@ def _speed(axes: Axes, figure: Figure, wave: Wave | None, seconds: float) -> Non
         low, high = np.quantile(loudness, [0.05, 0.995])
         shape = np.clip((loudness - low) / max(high - low, 1e-3), 0, 1)
         axes.fill_between(at, 0, shape * top, color="#c9d3dc", linewidth=0)
-        _label(axes, "hand speed, m/s (orange), over the energy of speech (grey)")
+        _label(axes, f"{figure.speed_of}, m/s (orange), over the energy of speech (grey)")
     else:
         axes.fill_between(times, 0, figure.hand_speed, color=_SPEED, alpha=0.15, linewidth=0)
-        _label(axes, "hand speed, m/s")
+        _label(axes, f"{figure.speed_of}, m/s")
     axes.plot(times, figure.hand_speed, color=_SPEED, linewidth=1.4)
     _style(axes, seconds)
     axes.set_ylim(0, top)

@@ -47,7 +47,7 @@ export class Strip {
     for (const figure of page.figures) this.paintSpeed(c, figure, top, middle + 2, foot);
     c.fillStyle = TEXT;
     if (page.speech) this.label(c, "speech", 11);
-    this.label(c, `hand speed, up to ${top.toFixed(1)} m/s`, middle + 13);
+    this.label(c, `${page.figures[0].speed.of}, up to ${top.toFixed(1)} m/s`, middle + 13);
   }
 
   label(c, text, y) {
