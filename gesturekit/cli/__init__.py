@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import warnings
 
 import click
 
@@ -57,7 +58,12 @@ def main(arguments: list[str] | None = None) -> None:
     from gesturekit.errors import GestureKitError
 
     try:
-        status = cli.main(arguments, prog_name="gesturekit", standalone_mode=False)
+        with warnings.catch_warnings():
+            # In the words of the warning alone: where it stands in our code helps nobody.
+            warnings.showwarning = lambda message, *_, **__: click.echo(
+                f"Warning: {message}", err=True
+            )
+            status = cli.main(arguments, prog_name="gesturekit", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         status = 2

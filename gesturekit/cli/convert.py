@@ -47,7 +47,9 @@ WIDTH = 100
 )
 @click.option("--up", type=click.Choice(["y", "z"]), help="Up in SMPL npz; z for AMASS readers.")
 @click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH to write.  [default: cm]")
-@click.option("--frame", type=int, metavar="N", help="Which frame to write as obj.  [default: 0]")
+@click.option(
+    "--frame", type=int, metavar="N", help="Frame to write as obj; -1 is the last.  [default: 0]"
+)
 @click.option(
     "--existing",
     type=click.Choice(["refuse", "skip", "replace"]),

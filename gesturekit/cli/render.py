@@ -36,9 +36,9 @@ import click
 )
 @click.option(
     "--rig",
-    type=click.Path(path_type=Path),
     metavar="AVATAR.bvh",
-    help="Another body to move: any rig of a person, of any names, size and rest pose.",
+    help="Another body to move: any rig of a person, of any names, size and rest pose; or smpl, "
+    "smplh, smplx.",
 )
 @click.option(
     "--rig-part",
@@ -60,7 +60,7 @@ def command(
     seconds: float | None,
     speaker: str | None,
     weights: Path | None,
-    rig: Path | None,
+    rig: str | None,
     rig_parts: tuple[str, ...],
 ) -> None:
     """Turn each WAV (or folder of audio) into motion, as long as the sound.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import read_from, reading_options
+from gesturekit.cli.options import part_option, read_from, reading_options
 
 
 @click.command(
@@ -25,12 +25,14 @@ from gesturekit.cli.options import read_from, reading_options
     help="Write the page here, and open nothing.",
 )
 @reading_options
+@part_option
 @click.pass_context
 def command(
     ctx: click.Context,
     clips: tuple[Path, ...],
     audio: Path | None,
     out: Path | None,
+    parts: tuple[str, ...],
     **reading: object,
 ) -> None:
     """Play MOTION (bvh, npz, EasyMocap) in the browser; several stand side by side.
@@ -42,20 +44,21 @@ def command(
 
     from gesturekit.errors import ConfigError
     from gesturekit.formats.conversion import load
+    from gesturekit.motion.parts import parse_parts
     from gesturekit.viewer import write_html
 
-    options = read_from(reading)
+    options, named = read_from(reading), parse_parts(parts)
+    # Clips of one name come from different folders.
+    same = len({clip.stem for clip in clips}) < len(clips)
     motions = {}
     for clip in clips:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", UserWarning)
-            motion = load(clip, options)
+            motion = load(clip, options, named)
         for warning in said:
             click.echo(f"Warning: {warning.message}", err=True)
-        # Clips of one name come from different folders.
-        label = clip.stem if clip.stem not in motions else str(clip)
-        motions[label] = motion
+        motions[str(clip) if same else clip.stem] = motion
     if out is None:
         page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{clips[0].stem or 'motion'}.html"
     elif out.suffix.lower() not in (".html", ".htm"):

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import audio_features as af
 from gesturekit.corpus.pairing import SPEECH_SUFFIXES
-from gesturekit.errors import ConfigError, GestureKitError, MotionError
+from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.formats.changes import Rig
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.standing import standing_pose
 
 FORMATS = ("bvh", "npz", "html", "png")
 
@@ -37,7 +37,7 @@ def render(
     samples: int = 1,
     seconds: float | None = None,
     speaker: str | None = None,
-    rig: Path | None = None,
+    rig: str | os.PathLike[str] | None = None,
     rig_parts: Mapping[str, str] | None = None,
 ) -> Iterator[Outcome]:
     """Generate motion for each audio file and write it as STEM.bvh (STEM_s1.bvh ... for samples).
@@ -52,8 +52,8 @@ def render(
         samples: how many motions for each file.
         seconds: without sources, how long an idle motion to make.
         speaker: whose body to move, of those that the model's corpus named.
-        rig: a motion file whose body to move instead, of any names, size and rest pose; see
-            `gesturekit.motion.retarget`.
+        rig: a motion file whose body to move instead, of any names, size and rest pose, or smpl,
+            smplh or smplx; see `gesturekit.motion.retarget`.
         rig_parts: parts of that body named by hand, where its joints' names do not tell them.
 
     Yields:
@@ -129,15 +129,10 @@ def _keep(motion: Motion) -> Motion:
     return motion
 
 
-def _onto(rig: Path, parts: Mapping[str, str]) -> Callable[[Motion], Motion]:
-    """What puts motions on the body of a file; all that can be wrong with it is told at once."""
-    avatar = Motion.load(rig)
-    try:
-        skeleton = replace(avatar.skeleton, parts=parts)
-        pose = standing_pose(replace(avatar, skeleton=skeleton))
-    except MotionError as error:
-        raise MotionError(f"{rig}: {error}") from None
-    return lambda motion: retarget(motion, skeleton, pose=pose)
+def _onto(rig: str | os.PathLike[str], parts: Mapping[str, str]) -> Callable[[Motion], Motion]:
+    """What puts motions on a rig; all that can be wrong with it is told at once."""
+    body = Rig.load(str(rig), parts)
+    return lambda motion: retarget(motion, body.skeleton, pose=body.pose)
 
 
 def _expand(sources: Sequence[Path]) -> list[Path]:

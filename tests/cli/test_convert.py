@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -194,3 +197,20 @@ def test_odd_combinations_of_options_end_in_words(gesturekit, takes, tmp_path, w
         ends.append(done.status)
     assert all(ends.count(status) > TRIES / 20 for status in (0, 1, 2))
     assert not list(tmp_path.glob("out*/**/.*")), "nothing temporary is left"
+
+
+def test_a_warning_about_the_rig_is_one_line(gesture, tmp_path):
+    frames = tmp_path / "people" / "smpl"
+    frames.mkdir(parents=True)
+    body = {"Rh": [[0, 0, 0]], "Th": [[0, 0.9, 0]], "poses": [[0] * 72], "shapes": [[0] * 10]}
+    (frames / "000000.json").write_text(json.dumps([{"id": k, **body} for k in range(2)]))
+    gesture(0.5).save(tmp_path / "take.bvh")
+    done = subprocess.run(
+        [sys.executable, "-m", "gesturekit", "convert", "take.bvh", "on.npz", "--rig", "people"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("Warning: people: several people")

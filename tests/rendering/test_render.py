@@ -143,3 +143,11 @@ def test_a_rig_that_cannot_be_used_is_told_before_anything_is_done(
                 )
             )
     assert not (tmp_path / "out").exists()
+
+
+def test_an_smpl_body_by_its_name(model, sounds, tmp_path):
+    (outcome,) = render(model, sounds[:1], tmp_path, rig="smplx")
+    assert outcome.error is None
+    assert Motion.load(outcome.files[0]).skeleton.n_joints == 55
+    with pytest.raises(FormatError, match="one of smpl, smplh, smplx"):
+        next(render(model, sounds[:1], tmp_path, rig="chair"))
