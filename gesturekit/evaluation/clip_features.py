@@ -4,7 +4,7 @@ After fairmotion (Onuma et al. 2008; Müller et al. 2005), as AIST++, Bailando a
 al. 2023 use it. Those codes disagree in their constants (frame times of 1/60 and 1/120 s whatever
 the data, bone lengths of one dancer), so their figures cannot be met exactly. Ours:
 
-- 30 fps: motions at other rates are resampled, dt = 1/30 s.
+- 30 fps: motions at other rates are resampled (`frame_rate`), dt = 1/30 s.
 - Kinetic: means over the frames around each one, two on either side; what lies outside the clip
   is skipped. The released code divides by dt only one of the two places that an acceleration's
   earlier velocity is made of; this divides both.
@@ -18,6 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.evaluation.poses import described, require_joints
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points, foot_positions
@@ -82,7 +83,7 @@ def kinetic_features(motion: Motion, *, joints: Sequence[str] | None = None) -> 
         EvaluationError: fewer frames.
         MotionError: no such joint, or parts of the body that cannot be told.
     """
-    motion = _at_rate(motion)
+    motion = _long_enough(motion)
     names = body_joints(motion.skeleton) if joints is None else joints
     positions = motion.positions()[:, [motion.skeleton.index(name) for name in names]]
     velocity = _mean_around(np.diff(positions, axis=0) * FPS)
@@ -112,7 +113,7 @@ def geometric_features(motion: Motion) -> np.ndarray:
         EvaluationError: fewer frames, or forearms that end nowhere.
         MotionError: parts of the body that cannot be told.
     """
-    now = _places(_at_rate(motion))
+    now = _places(_long_enough(motion))
     before = {name: places[:-1] for name, places in now.items()}
     now = {name: places[1:] for name, places in now.items()}
     lengths = {
@@ -145,18 +146,22 @@ def geometric_features(motion: Motion) -> np.ndarray:
 
 
 def clip_features(
-    sets: Sequence[Sequence[Motion]], kind: str, seconds: float = CLIP_SECONDS
+    sets: Sequence[Sequence[Motion]],
+    kind: str,
+    seconds: float = CLIP_SECONDS,
+    joints: Sequence[str] | None = None,
 ) -> list[list[np.ndarray]]:
     """Features of the clips of sets of motions: for each set and motion, (clips, D).
 
     Motions are cut into clips one after the other; what is left over, and motions shorter than a
-    clip, are left out. Kinetic features are those of the body joints of the last set's first
-    motion, which every motion must have.
+    clip, are left out.
 
     Args:
         sets: such as generated and reference.
         kind: "kinetic" or "geometric".
         seconds: length of a clip.
+        joints: names, for kinetic features, that every motion has; by default the body joints of
+            the last set's first motion.
 
     Raises:
         EvaluationError: no such kind, an empty set, rigs that differ, or no clip in a set.
@@ -167,7 +172,7 @@ def clip_features(
         raise EvaluationError(f"clips of {seconds!r} s; expected a number of seconds from 0.14")
     if not all(sets):
         raise EvaluationError("a set of motions is empty")
-    joints = body_joints(sets[-1][0].skeleton)
+    joints = body_joints(sets[-1][0].skeleton) if joints is None else joints
     n_frames = round(seconds * FPS)
     result = []
     for motions in sets:
@@ -175,7 +180,7 @@ def clip_features(
         for motion in motions:
             if kind == "kinetic":
                 require_joints(motion, joints)
-            motion = _at_rate(motion)
+            motion = _long_enough(motion)
             clips = [
                 motion.slice(start, start + n_frames)
                 for start in range(0, motion.n_frames - n_frames + 1, n_frames)
@@ -200,8 +205,8 @@ def clip_features(
     return result
 
 
-def _at_rate(motion: Motion) -> Motion:
-    motion = motion if motion.fps == FPS else motion.resample(FPS)
+def _long_enough(motion: Motion) -> Motion:
+    motion = at_rate(motion, FPS)
     if motion.n_frames < 4:
         raise EvaluationError(
             f"the motion has {motion.n_frames} frames at {FPS:g} fps; clip features need 4"

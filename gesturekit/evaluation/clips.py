@@ -10,6 +10,7 @@ import numpy as np
 
 from audio_features import FeatureTrack
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair
 from gesturekit.evaluation.semantic import read_semantic
 from gesturekit.motion import Motion
@@ -77,9 +78,10 @@ def load_clip(pair: Pair, fps: float | None = None) -> Clip:
     notes = []
     if generated.n_frames < 2:
         raise FormatError(f"{pair.generated}: one frame; a motion to be measured has at least 2")
-    if abs(generated.fps - rate) > 1e-3 * rate:
+    resampled = at_rate(generated, rate)
+    if resampled is not generated:
         notes.append(f"resampled from {generated.fps:g} to {rate:g} fps")
-        generated = generated.resample(rate)
+        generated = resampled
     semantic = None if pair.semantic is None else _semantic(pair.semantic)
     if pair.window is not None:
         start = pair.window * WINDOW_SECONDS
@@ -163,7 +165,7 @@ def _resampled(path: Path, fps: float) -> Motion:
     motion = _read(path)
     if motion.n_frames < 2:
         raise FormatError(f"{path}: one frame; a motion to be measured has at least 2")
-    return motion if abs(motion.fps - fps) <= 1e-3 * fps else motion.resample(fps)
+    return at_rate(motion, fps)
 
 
 def _read(path: Path) -> Motion:

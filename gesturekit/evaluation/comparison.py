@@ -24,6 +24,7 @@ from gesturekit.evaluation.definitions import (
     PatchOptions,
 )
 from gesturekit.evaluation.distributions import SpeedHistogram
+from gesturekit.evaluation.frame_rate import RULE
 from gesturekit.evaluation.intervals import Interval, interval_of
 from gesturekit.evaluation.measures import Known, Measurer, load_sound
 from gesturekit.evaluation.pairs import (
@@ -126,6 +127,7 @@ def evaluate(
             "patches": asdict(patches),
             "features": None if features is None else features.fingerprint,
             "mismatched": MISMATCHED,
+            "resampling": RULE,
         },
         versions=_versions(),
         recorded_speeds=run.recorded_speeds(),

@@ -17,7 +17,7 @@ equal size, and read the note.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +33,11 @@ if TYPE_CHECKING:
 SAMPLES_PER_DIMENSION = 10
 _RESAMPLED_DIMENSIONS = 128
 """The bootstrap works on this many principal components at most, to be quick."""
+_EXACT = 1500
+"""`raw_fgd` is exact up to this many numbers a window. Beyond it principal components are taken,
+whatever the number of windows, so that all models of a comparison are measured alike."""
+_COMPONENTS = 256  # sets of fewer windows lie wholly along them, and are exact too
+_AXES_FROM = 4000  # samples that principal components are found from, at most
 _CLIPS = 10
 """Where either set has fewer motions, windows are resampled in place of whole motions."""
 
@@ -165,6 +170,7 @@ def raw_fgd(
     reference: Sequence[Motion],
     windows: PoseWindows | None = None,
     *,
+    joints: Sequence[str] | None = None,
     resamples: int = 0,
     seed: int = 0,
 ) -> FrechetResult:
@@ -175,18 +181,21 @@ def raw_fgd(
         reference: motions of the same rig.
         windows: how poses are made; by default `PoseWindows.fit(reference)`, GENEA's form.
             `model.windows` gives the figure that stands beside a model's `fgd`.
+        joints: names that both sets have, where windows are not given; by default the body's.
         resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
     Raises:
         EvaluationError: see `fgd`.
     """
-    windows = windows or PoseWindows.fit(reference)
+    windows = windows or PoseWindows.fit(reference, joints=joints)
     flat = [
         [clip.reshape(len(clip), -1) for clip in windows.cut(motions)]
         for motions in (generated, reference)
     ]
-    return frechet_result(*flat, resamples=resamples, seed=seed)
+    if flat[0][0].shape[1] <= _EXACT:
+        return frechet_result(*flat, resamples=resamples, seed=seed)
+    return _bounded(flat, resamples, seed)
 
 
 def fid_k(
@@ -194,6 +203,7 @@ def fid_k(
     reference: Sequence[Motion],
     *,
     seconds: float = CLIP_SECONDS,
+    joints: Sequence[str] | None = None,
     resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
@@ -203,13 +213,14 @@ def fid_k(
         generated: motions of one rig, cut into clips one after the other; a rest is left out.
         reference: motions of the same rig.
         seconds: length of a clip.
+        joints: names that both sets have; by default the body joints of the reference.
         resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
     Raises:
         EvaluationError: rigs that differ, fewer than two clips, motions shorter than a clip.
     """
-    return _fid("kinetic", generated, reference, seconds, resamples, seed)
+    return _fid("kinetic", generated, reference, seconds, joints, resamples, seed)
 
 
 def fid_g(
@@ -221,7 +232,7 @@ def fid_g(
     seed: int = 0,
 ) -> FrechetResult:
     """Fréchet distance on geometric features of clips; see `geometric_features` and `fid_k`."""
-    return _fid("geometric", generated, reference, seconds, resamples, seed)
+    return _fid("geometric", generated, reference, seconds, None, resamples, seed)
 
 
 def div_k(
@@ -229,6 +240,7 @@ def div_k(
     reference: Sequence[Motion] | None = None,
     *,
     seconds: float = CLIP_SECONDS,
+    joints: Sequence[str] | None = None,
 ) -> float:
     """Mean distance of two clips of `motions` in the kinetic features of `fid_k`.
 
@@ -236,11 +248,12 @@ def div_k(
         motions: motions of one rig, cut into clips.
         reference: whose standard deviations are the units; by default `motions` themselves.
         seconds: length of a clip.
+        joints: see `fid_k`.
 
     Raises:
         EvaluationError: see `fid_k`.
     """
-    return _diversity("kinetic", motions, reference, seconds)
+    return _diversity("kinetic", motions, reference, seconds, joints)
 
 
 def div_g(
@@ -250,7 +263,7 @@ def div_g(
     seconds: float = CLIP_SECONDS,
 ) -> float:
     """Mean distance of two clips of `motions` in the geometric features; see `div_k`."""
-    return _diversity("geometric", motions, reference, seconds)
+    return _diversity("geometric", motions, reference, seconds, None)
 
 
 def _fid(
@@ -258,10 +271,11 @@ def _fid(
     generated: Sequence[Motion],
     reference: Sequence[Motion],
     seconds: float,
+    joints: Sequence[str] | None,
     resamples: int,
     seed: int,
 ) -> FrechetResult:
-    ours, theirs = clip_features([generated, reference], kind, seconds)
+    ours, theirs = clip_features([generated, reference], kind, seconds, joints)
     spread = _spread(np.concatenate(theirs))
     return frechet_result(
         [clips / spread for clips in ours],
@@ -272,12 +286,16 @@ def _fid(
 
 
 def _diversity(
-    kind: str, motions: Sequence[Motion], reference: Sequence[Motion] | None, seconds: float
+    kind: str,
+    motions: Sequence[Motion],
+    reference: Sequence[Motion] | None,
+    seconds: float,
+    joints: Sequence[str] | None,
 ) -> float:
     from scipy.spatial.distance import pdist
 
     sets = [motions, motions if reference is None else reference]
-    ours, theirs = clip_features(sets, kind, seconds)
+    ours, theirs = clip_features(sets, kind, seconds, joints)
     clips = np.concatenate(ours)
     if len(clips) < 2:
         raise EvaluationError(f"diversity needs two clips of {seconds:g} s; there is one")
@@ -303,11 +321,57 @@ def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
     return float(max(0.0, apart + sum((root**2).sum() for root in roots) - 2 * overlap))
 
 
+def _bounded(sets: list[list[np.ndarray]], resamples: int, seed: int) -> FrechetResult:
+    """Fréchet distance along principal components, and a lower bound of the rest.
+
+    Distances along axes and across them add up to no more than the whole, and across them it is
+    no less than |m1 - m2|² + Σ (s1 - s2)², s the standard deviations of each number.
+    """
+    axes = _principal_axes(sets, _COMPONENTS)
+    along = frechet_result(
+        *([x @ axes for x in one] for one in sets), resamples=resamples, seed=seed
+    )
+    means, spreads = [], []
+    for one in sets:
+        n = sum(map(len, one))
+        mean = sum(x.sum(axis=0) for x in one) / n
+        squares = sum((_across(x - mean, axes) ** 2).sum(axis=0) for x in one)
+        means.append(mean)
+        spreads.append(np.sqrt(squares / (n - 1)))
+    apart = _across((means[0] - means[1])[None], axes)
+    rest = float((apart**2).sum() + ((spreads[0] - spreads[1]) ** 2).sum())
+    width = sets[0][0].shape[1]
+    notes = [f"{_COMPONENTS} principal components of {width}, and a lower bound of the rest"]
+    return replace(
+        along,
+        value=along.value + rest,
+        low=along.low + rest,
+        high=along.high + rest,
+        dimensions=width,
+        note="; ".join(filter(None, [*notes, along.note])),
+    )
+
+
+def _across(values: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """What is left of values (n, D) without what lies along orthonormal axes (D, K)."""
+    return values - (values @ axes) @ axes.T
+
+
+def _principal_axes(sets: list[list[np.ndarray]], count: int) -> np.ndarray:
+    """(D, count) orthonormal axes along which all samples together vary most."""
+    from sklearn.utils.extmath import randomized_svd
+
+    clips = [x for one in sets for x in one]
+    stride = -(-sum(map(len, clips)) // _AXES_FROM)
+    samples = np.concatenate([x[::stride] for x in clips])
+    samples = samples - samples.mean(axis=0)
+    count = min(count, *samples.shape)
+    return randomized_svd(samples, count, n_iter=2, random_state=0)[2].T
+
+
 def _standard_error(sets: list[list[np.ndarray]], resamples: int, seed: int) -> float:
-    stacked = np.concatenate([x for one in sets for x in one])
-    if stacked.shape[1] > _RESAMPLED_DIMENSIONS:
-        centred = stacked - stacked.mean(axis=0)
-        axes = np.linalg.eigh(centred.T @ centred)[1][:, -_RESAMPLED_DIMENSIONS:]
+    if sets[0][0].shape[1] > _RESAMPLED_DIMENSIONS:
+        axes = _principal_axes(sets, _RESAMPLED_DIMENSIONS)
         sets = [[x @ axes for x in one] for one in sets]
     rng = np.random.default_rng(seed)
     figures = []

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints, find_parts, upper_body
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
@@ -98,7 +99,8 @@ class PoseWindows:
             variant: "genea" (60 frames at 30 fps, every 30) or "yoon" (34 at 15 fps, every 10).
             n_frames: another length of a window; GENEA also has 30 and 90.
             joints: "body" (no fingers, face, end joints), "upper" (those of spine, head and arms),
-                or names. By default "body" for "genea", "upper" for "yoon".
+                or names; only those below the pelvis count. By default "body" for "genea",
+                "upper" for "yoon".
 
         Raises:
             EvaluationError: no motions, no such variant, or joints that one of them lacks.
@@ -126,7 +128,7 @@ class PoseWindows:
         """
         skeleton = motion.skeleton
         require_joints(motion, sorted({name for bone in self.bones for name in bone}))
-        motion = motion if motion.fps == self.fps else motion.resample(self.fps)
+        motion = at_rate(motion, self.fps)
         positions = motion.positions()
         ends = np.array([[skeleton.index(name) for name in bone] for bone in self.bones])
         bones = positions[:, ends[:, 1]] - positions[:, ends[:, 0]]
@@ -208,9 +210,11 @@ def _bones(
         chosen = set(body_joints(skeleton))
         if joints == "upper":
             chosen &= set(upper_body(skeleton))
-        chosen &= {skeleton.names[j] for j in skeleton.descendants(skeleton.index(pelvis))}
     else:
-        chosen = {skeleton.names[skeleton.index(name)] for name in joints} - {pelvis}
+        chosen = {skeleton.names[skeleton.index(name)] for name in joints}
+    # A root above the pelvis would tell where the body stands.
+    below = skeleton.descendants(skeleton.index(pelvis))
+    chosen &= {skeleton.names[j] for j in below} - {pelvis}
     bones = []
     for name in skeleton.names:
         if name not in chosen:

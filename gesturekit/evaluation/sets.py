@@ -46,7 +46,8 @@ class Gathered:
         self.problems: list[tuple[str, str]] = []
         self._stems: list[str] = []
         self._poses: list[tuple[np.ndarray, np.ndarray]] = []
-        self._joints: tuple[str, ...] = ()
+        self._joints: tuple[str, ...] = ()  # of the one CCA
+        self._shared: tuple[str, ...] | None = None  # joints that all clips have
         self._inter: dict[str, float] = {}
         self._samples: list[np.ndarray] = []
 
@@ -65,6 +66,8 @@ class Gathered:
         self.wrists.append(wrists_of(clip.generated))
         if FRECHET in groups:
             self.motions.append(clip.generated)
+            known = clip.joints if self._shared is None else self._shared
+            self._shared = tuple(name for name in known if name in clip.joints)
         if LIKENESS in groups:
             self._joints = self._joints or clip.joints
             if clip.joints == self._joints:
@@ -92,6 +95,9 @@ class Gathered:
     ) -> dict[str, Figure]:
         """Fréchet distances to the full set of recordings, and diversity of clips.
 
+        Distances of windows and kinetic features are of the body joints that all clips share with
+        the recordings; geometric features and those of `model` need their own.
+
         Args:
             full: all recordings.
             compared: the recordings (or windows) that generated clips stand for; their own
@@ -99,9 +105,10 @@ class Gathered:
             model: the feature extractor of `gesturekit fit-features`; without it no FGD.
         """
         figures: dict[str, Figure] = {}
+        joints, windows = self._shared, None if model is None else model.windows
         distances: dict[str, Callable[[Sequence[Motion]], FrechetResult]] = {
-            "raw_fgd": lambda set_: raw_fgd(set_, full, model.windows if model else None),
-            "fid_k": lambda set_: fid_k(set_, full, seed=self.seed),
+            "raw_fgd": lambda set_: raw_fgd(set_, full, windows, joints=joints),
+            "fid_k": lambda set_: fid_k(set_, full, joints=joints, seed=self.seed),
             "fid_g": lambda set_: fid_g(set_, full, seed=self.seed),
         }
         if model is not None:
@@ -114,14 +121,18 @@ class Gathered:
                     key, distance(self.motions), None if compared is None else distance(compared)
                 ),
             )
-        for key, diversity in (("div_k", div_k), ("div_g", div_g)):
+        diversities: dict[str, Callable[[Sequence[Motion]], float]] = {
+            "div_k": lambda set_: div_k(set_, full, joints=joints),
+            "div_g": lambda set_: div_g(set_, full),
+        }
+        for key, diversity in diversities.items():
             self._try(
                 figures,
                 key,
                 lambda diversity=diversity, key=key: Figure(
                     key,
-                    _plain(diversity(self.motions, full), len(self.motions)),
-                    recording=diversity(full if compared is None else compared, full),
+                    _plain(diversity(self.motions), len(self.motions)),
+                    recording=diversity(full if compared is None else compared),
                 ),
             )
         return figures

@@ -12,6 +12,7 @@ import pytest
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import PatchOptions, evaluate
 from gesturekit.motion import Motion
+from gesturekit.motion.joint_selection import keep_joints
 
 
 @pytest.fixture(scope="module")
@@ -188,3 +189,29 @@ def test_frame_rates_may_differ_and_the_first_model_says_at_which_it_is_measured
     found = evaluate(models, folders / "recordings")
     assert found.fps == 15.0
     assert "resampled from 25 to 15 fps" in found.models[1].clips[0].notes
+
+
+def test_capture_noise_of_a_faster_recording_is_not_folded_down(gesture, tmp_path):
+    slow, fast = gesture(4.0, 25.0), gesture(4.0, 100.0)
+    slow.save(_made(tmp_path / "made" / "clip.npz"))
+    # A shake of 24 Hz, which every fourth frame would show as one of 1 Hz.
+    shake = 0.2 * np.sin(2 * np.pi * 24.0 * fast.times)[:, None] * [1.0, 1.0, 1.0]
+    noisy = replace(fast, translation=fast.translation + shake)
+    noisy.save(_made(tmp_path / "recordings" / "clip.npz"))
+    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
+    figure = model.figures["wrist_speed"]
+    assert figure.recording == pytest.approx(figure.interval.value, rel=0.2)
+
+
+def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gesture, tmp_path):
+    for i in range(2):
+        motion = gesture(20.0, 30.0, seed=i)
+        motion.save(_made(tmp_path / "recordings" / f"clip{i}.npz"))
+        kept = [name for name in motion.skeleton.names if name not in ("Neck", "LeftToeBase")]
+        assert len(kept) < motion.skeleton.n_joints
+        keep_joints(motion, kept).save(_made(tmp_path / "made" / f"clip{i}.npz"))
+    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
+    for key in ("raw_fgd", "fid_k"):
+        assert model.figures[key].interval.value == pytest.approx(0.0, abs=1e-6), key
+    assert model.figures["div_k"].interval.value == pytest.approx(model.figures["div_k"].recording)
+    assert "are not in the generated rig" in model.clips[0].notes[0]

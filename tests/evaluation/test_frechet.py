@@ -116,3 +116,22 @@ def test_sets_of_motions_that_cannot_be_compared(gesture):
         raw_fgd([motion.slice(0, 59)], [motion])
     with pytest.raises(EvaluationError, match="no motion to learn poses from"):
         raw_fgd([motion], [])
+
+
+def test_wide_windows_are_bounded_from_below_and_close(gesture):
+    from gesturekit.evaluation import PoseWindows
+
+    reference = [gesture(40.0, 30.0, seed=i) for i in range(12)]
+    generated = [gesture(40.0, 30.0, seed=20 + i) for i in range(12)]
+    windows = PoseWindows.fit(reference)
+    assert windows.n_frames * windows.n_features > 1500
+    found = raw_fgd(generated, reference, windows)
+    exact = frechet_distance(
+        *(
+            np.concatenate([clip.reshape(len(clip), -1) for clip in windows.cut(motions)])
+            for motions in (generated, reference)
+        )
+    )
+    assert 0.9 * exact < found.value <= exact * (1 + 1e-9)
+    assert "lower bound" in found.note and found.dimensions > 1500
+    assert raw_fgd(reference, reference, windows).value == pytest.approx(0.0, abs=1e-9 * exact)
