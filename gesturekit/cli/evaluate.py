@@ -109,6 +109,8 @@ def command(
         raise click.UsageError(f"what is {others[0]}? Add --compare to compare with it")
     if compare and not others:
         raise click.UsageError("--compare needs folders to compare with, named last")
+    for path in filter(None, (out, json_out)):
+        _require_writable(path)
     folders = _folders(
         (generated, *others), reference, audio, protocol, samples, samples_dir, weights, seed
     )
@@ -141,6 +143,18 @@ def command(
         write_report(found, out, command=shlex.join(["gesturekit", *sys.argv[1:]]))
         click.echo(f"written  {out}")
     ctx.exit(0 if found.is_complete else 1)
+
+
+def _require_writable(path: Path) -> None:
+    """Refuse a place that cannot be written before hours of measuring, not after."""
+    import tempfile
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise click.UsageError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def _folders(
@@ -183,6 +197,11 @@ def _folders(
 
         count = {} if samples is None else {"samples": samples}
         folders[label] = samples_dir / label.replace("/", "_")
+        if folders[label].is_dir() and any(folders[label].iterdir()):
+            raise click.UsageError(
+                f"{folders[label]} holds samples of an earlier run, which would be measured too: "
+                "name another --samples-dir, or measure that folder in place of the model"
+            )
         model = load(name, weights=weights)
         if protocol == "lda":
             if audio is None:
@@ -199,6 +218,8 @@ def _folders(
 
 def _table(found: Evaluation) -> list[str]:
     """One line a measure: each model's mean and interval, and the recordings' own."""
+    from gesturekit.evaluation.tables import number
+
     rows = [["", *(model.label for model in found.models), "recording"]]
     for definition in found.definitions():
         figures = [model.figures.get(definition.key) for model in found.models]
@@ -209,10 +230,10 @@ def _table(found: Evaluation) -> list[str]:
                 row.append("-")
                 continue
             i = figure.interval
-            spread = "" if i.low is None else f" [{i.low:.3g}, {i.high:.3g}]"
-            row.append(f"{i.value:.3g}{spread}")
+            spread = "" if i.low is None else f" [{number(i.low)}, {number(i.high)}]"
+            row.append(f"{number(i.value)}{spread}")
         own = next((f.recording for f in figures if f and f.recording is not None), None)
-        row.append("" if own is None else f"{own:.3g}")
+        row.append("" if own is None else number(own))
         rows.append(row)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip() for row in rows]

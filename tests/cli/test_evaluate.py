@@ -58,6 +58,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["ours", "recordings", "--audio", "ours"], "no sound files"),
         (["ours", "recordings", "--features", "ours"], "ours"),
         (["demo", "recordings"], "demo is a model"),
+        (["made", "recordings", "--out", "recordings/clip0.bvh/r.html"], "cannot be written"),
         (["demo", "recordings", "--protocol", "lda"], "give --audio"),
     ],
 )
@@ -96,3 +97,8 @@ def test_a_protocol_samples_models(
     seconds = {round(clip["seconds"], 2) for clip in found["clips"]}
     assert seconds == ({10.0} if protocol == "lda" else {6.0})
     assert "the protocol takes" in done.err
+    again = gesturekit(
+        "evaluate", model, recordings, "--protocol", protocol, "--audio", recordings,
+        "--samples", 1, "--samples-dir", tmp_path / "samples",
+    )  # fmt: skip
+    assert again.status == 2 and "samples of an earlier run" in again.err

@@ -47,7 +47,7 @@ export class Strip {
     for (const figure of page.figures) this.paintSpeed(c, figure, top, middle + 2, foot);
     c.fillStyle = TEXT;
     if (page.speech) this.label(c, "speech", 11);
-    this.label(c, `${page.figures[0].speed.of}, up to ${top.toFixed(1)} m/s`, middle + 13);
+    this.label(c, `${page.figures[0].speed.of}, up to ${speed(top)}`, middle + 13);
   }
 
   label(c, text, y) {
@@ -130,4 +130,11 @@ export class Strip {
     c.fillStyle = "#26303b";
     c.fillRect(Math.min(Math.max(x - 0.75, 0), width - 1.5), 0, 1.5, height - 13);
   }
+}
+
+// In words that an idle body has too: "0.0 m/s" would say that it does not move at all.
+function speed(top) {
+  if (top < 5e-4) return "0 m/s";
+  if (top < 0.1) return `${(100 * top).toFixed(top < 0.01 ? 1 : 0)} cm/s`;
+  return `${top.toFixed(1)} m/s`;
 }
