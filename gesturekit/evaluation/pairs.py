@@ -121,6 +121,16 @@ def find_pairs(
             f"({_some(recorded)})"
         )
     found.pairs.sort(key=lambda pair: (pair.stem, pair.name))
+    for files, folder, what, kind in (
+        (sounds, audio, "speech", "sound"),
+        (tracks, semantic, "srgr", "semantic track"),
+    ):
+        beside = {p.stem: p.audio if kind == "sound" else p.semantic for p in found.pairs}
+        found.excluded += [
+            Excluded(stem, f"{folder} has no {kind}, or several, of its name", what)
+            for stem, path in beside.items()
+            if files and path is None
+        ]
     return found
 
 

@@ -46,41 +46,35 @@ def number(value: float) -> str:
 def figures(evaluation: Evaluation) -> str:
     """Every measure of every model, with the recordings' own and chance."""
     models = evaluation.models
-    extra = [
-        (name, title)
-        for name, title in (
-            ("recording", "Recording"),
-            ("chance", "Chance: shifted"),
-            ("mismatched", "Chance: other recordings"),
-        )
-        if any(getattr(f, name) is not None for m in models for f in m.figures.values())
-    ]
     head = "".join(
         f'<th class="number"><span class="dot" style="background:{colour(i)}"></span>'
         f"{html.escape(model.label)}</th>"
         for i, model in enumerate(models)
-    ) + "".join(f'<th class="number">{title}</th>' for _, title in extra)
+    )
     rows = []
     for group in GROUPS:
         definitions = [d for d in evaluation.definitions() if d.group == group]
         if definitions:
-            span = 2 + len(models) + len(extra)
+            span = 3 + len(models)
             rows.append(f'<tr><th class="group" colspan="{span}">{group}</th></tr>')
         for definition in definitions:
             key = definition.key
             cells = [_figure_cell(m.figures.get(key), definition, models) for m in models]
-            cells += [_extra_cell(models, key, name) for name, _ in extra]
+            cells.append(_recording_cell(models, key))
             rows.append(f"<tr>{_measure_cells(definition)}{''.join(cells)}</tr>")
     lead = (
         "Mean over recordings; below it the 95 % bootstrap interval and the number of clips (of "
         "windows or 10 s clips for Fréchet distances). "
-        "↑ higher is better, ↓ lower is better, ≈ as the recording is best."
+        "↑ higher is better, ↓ lower is better, ≈ as the recording is best. Chance is the same "
+        "motion's figure with its sound shifted, or beside other recordings: a figure says "
+        "something only where it lies above it."
     )
     return section(
         "Figures",
         lead,
-        f'<div class="scroll"><table><thead><tr><th>Measure</th><th></th>{head}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div>",
+        f'<div class="scroll"><table><thead><tr><th>Measure</th><th></th>{head}'
+        f'<th class="number">Recording</th></tr></thead><tbody>{"".join(rows)}</tbody></table>'
+        "</div>",
     )
 
 
@@ -109,11 +103,15 @@ def _figure_cell(figure: Figure | None, definition: Definition, models: list[Mod
     if figure is None:
         return '<td class="number">–<small>not measured</small></td>'
     best = " class=best" if len(models) > 1 and _is_best(figure, definition, models) else ""
-    note = f"<small>{html.escape(figure.note)}</small>" if figure.note else ""
-    return (
-        f'<td class="number"><span{best}>{number(figure.interval.value)}</span>'
-        f"<small>{_bounds(figure.interval)}</small>{note}</td>"
-    )
+    below = [_bounds(figure.interval)]
+    if figure.chance is not None:
+        below.append(f"chance {number(figure.chance)}")
+    if figure.mismatched is not None:
+        below.append(f"other recordings {number(figure.mismatched)}")
+    if figure.note:
+        below.append(figure.note)
+    small = "".join(f"<small>{html.escape(line)}</small>" for line in below)
+    return f'<td class="number"><span{best}>{number(figure.interval.value)}</span>{small}</td>'
 
 
 def _bounds(interval: Interval) -> str:
@@ -135,13 +133,12 @@ def _is_best(figure: Figure, definition: Definition, models: list[ModelResult]) 
     return badness(figure) == min(values) and max(values) > min(values)
 
 
-def _extra_cell(models: list[ModelResult], key: str, name: str) -> str:
-    """Recording and chance of the first model that has them; models share their recordings."""
+def _recording_cell(models: list[ModelResult], key: str) -> str:
+    """The recordings' figure beside the first model that has one: models share recordings."""
     for model in models:
         figure = model.figures.get(key)
-        value = None if figure is None else getattr(figure, name)
-        if value is not None:
-            return f'<td class="number">{number(value)}</td>'
+        if figure is not None and figure.recording is not None:
+            return f'<td class="number">{number(figure.recording)}</td>'
     return "<td></td>"
 
 

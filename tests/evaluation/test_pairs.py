@@ -36,6 +36,15 @@ def test_clips_find_their_recordings_by_path_stem_sample_and_window(touch):
     assert found.excluded == []
 
 
+def test_recordings_without_a_sound_of_their_own_are_told_once(touch):
+    recordings = touch("recordings", "a.bvh", "b.bvh")
+    made = touch("made", "a_s1.npz", "a_s2.npz", "b_s1.npz")
+    found = find_pairs(made, recordings, audio=touch("sound", "b.wav"))
+    assert [(item.name, item.what) for item in found.excluded] == [("a", "speech")]
+    assert "no sound" in found.excluded[0].reason
+    assert len(found.pairs) == 3
+
+
 def test_what_has_no_recording_is_excluded_with_a_reason(touch):
     recordings = touch("recordings", "anna/b.bvh", "ben/b.bvh", "speech.bvh")
     found = find_pairs(touch("made", "b.npz", "speach.npz", "speech.npz"), recordings)
