@@ -66,6 +66,14 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
     assert "gesturekit evaluate model recordings" in text
 
 
+def test_chance_stands_with_the_model_it_was_taken_of(page, evaluation):
+    text = html.unescape(re.sub(r"<[^>]+>", " ", markup(page)))
+    for model in evaluation.models:
+        assert f"chance {number(model.figures['bc'].chance)}" in text
+    shown = [number(model.figures["bc"].chance) for model in evaluation.models]
+    assert text.count("chance ") >= len(shown) * 3  # sync, BAS and BC of each model
+
+
 def test_it_needs_nothing_from_outside(page):
     text = markup(page)
     assert "default-src 'none'" in text
