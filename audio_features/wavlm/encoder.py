@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from audio_features.wavlm.architecture import Architecture
 
-_CPU_SCORES = 1 << 19
+_CPU_SCORES = 3 << 19
 _GPU_SCORES = 1 << 28
 """How many attention scores are held at a time."""
 _FEED_FORWARD_FRAMES = 2048
@@ -182,21 +182,23 @@ def _attend(
     """
     heads, frames, _ = q.shape
     held = _CPU_SCORES if q.device.type == "cpu" else _GPU_SCORES
-    group = min(heads, max(1, held // frames**2))
     rows = min(frames, max(1, held // frames))
-    # Two buffers for all blocks: fresh memory of this size costs more than what is done in it.
-    held_scores, held_shares = (q.new_empty(group * rows * frames) for _ in range(2))
+    # A CPU multiplies matrices of one head faster than batches of heads.
+    group = 1 if q.device.type == "cpu" else min(heads, max(1, held // (rows * frames)))
+    # One buffer for all blocks: fresh memory of this size costs more than what is done in it.
+    buffer = q.new_empty(group * rows * frames)
     out = torch.empty_like(q)
     for head in range(0, heads, group):
-        some = slice(head, min(heads, head + group))
+        some = slice(head, min(heads, head + group)) if group > 1 else head
+        table = bias[some]
         for first in range(0, frames, rows):
             block = slice(first, min(frames, first + rows))
-            shape = some.stop - some.start, block.stop - block.start, frames
-            scores, shares = (b[: math.prod(shape)].view(shape) for b in (held_scores, held_shares))
-            torch.bmm(q[some, block], k[some], out=scores)
-            table = bias[some]
-            slide = table.as_strided(shape, (table.stride(0), 1, 1), table.storage_offset() + first)
-            scores.addcmul_(slide, gates[some, block, None])
-            torch.softmax(scores, -1, out=shares)
-            out[some, block] = shares @ v[some]
+            shape = (*table.shape[:-1], block.stop - first, frames)
+            scores = buffer[: math.prod(shape)].view(shape)
+            slide = table.as_strided(shape, (*table.stride(), 1), table.storage_offset() + first)
+            torch.mul(slide, gates[some, block, None], out=scores)
+            multiply_add = scores.addmm_ if scores.dim() == 2 else scores.baddbmm_
+            multiply_add(q[some, block], k[some])
+            torch.softmax(scores, -1, out=scores)
+            torch.matmul(scores, v[some], out=out[some, block])
     return out
