@@ -42,6 +42,10 @@ class Report:
 
     def table(self) -> list[str]:
         """What the corpus holds, one fact a line."""
+        return [f"{name:<13} {value}" for name, value in self.rows()]
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What the corpus holds: (label, text) of each fact."""
         manifest = self.manifest
         rows = [
             ("paired", _amount(manifest.paired())),
@@ -53,7 +57,7 @@ class Report:
             ("speakers", _counted(r.speaker or "not named" for r in self.recordings)),
             ("styles", _counted(r.style or "none" for r in self.recordings)),
         ]
-        return [f"{name:<13} {value}" for name, value in rows if value]
+        return [(name, value) for name, value in rows if value]
 
     def problem_lines(self) -> list[str]:
         """Every problem with its file, then the files left over by folder."""
@@ -89,7 +93,7 @@ def _amount(items: Iterable[Item]) -> str:
         for split in SPLITS
         if split in by_split
     )
-    return f"{len(every)} items, {_length(sum(every))}: {parts}"
+    return f"{len(every)} item{'s' * (len(every) != 1)}, {_length(sum(every))}: {parts}"
 
 
 def _length(seconds: float) -> str:

@@ -90,10 +90,8 @@ def inspect_recordings(
         "joints": _counts(r.skeleton and r.skeleton.n_joints for r in report.recordings),
         "sample_rates": _counts(r.sample_rate for r in report.recordings),
     }
-    # A line of the table is a label of 13 columns and a text; no split is made before `prepare`
-    # makes it, and labels are given there.
-    rows = [(line[:13].strip(), line[13:].strip()) for line in report.table()]
-    rows = [(name, text.split(": train")[0]) for name, text in rows]
+    # No split is made before `prepare` makes it, and labels are given there.
+    rows = [(name, text.split(": train")[0]) for name, text in report.rows()]
     rows = [row for row in rows if row[0] not in ("speakers", "styles")]
     return Sheet(
         kind="corpus",

@@ -148,9 +148,9 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
     gesture(2.0).save(tmp_path / "more" / "c.bvh")
     (tmp_path / "broken.bvh").write_text("Dear diary,\n")
     sheet = inspect(tmp_path)
-    assert row(sheet, "paired") == "1 items, 4.0 s"
-    assert row(sheet, "speech alone") == "1 items, 3.0 s"
-    assert row(sheet, "motion alone") == "1 items, 2.0 s"
+    assert row(sheet, "paired") == "1 item, 4.0 s"
+    assert row(sheet, "speech alone") == "1 item, 3.0 s"
+    assert row(sheet, "motion alone") == "1 item, 2.0 s"
     assert any("broken.bvh:1" in problem for problem in sheet.problems)
     assert plain(sheet)["paired"] == 1
 
