@@ -10,10 +10,9 @@ from pathlib import Path
 
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import CorpusError
-from gesturekit.formats.sources import is_feature_file
+from gesturekit.formats.sources import MOTION_SUFFIXES, is_motion
 
 SPEECH_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
-MOTION_SUFFIXES = (".bvh", ".npz")
 
 
 @dataclass(frozen=True, order=True)
@@ -48,9 +47,8 @@ class Pairing:
 def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
     """All speech (wav, flac, mp3, ogg) and motion (bvh, npz) files below a folder, sorted.
 
-    Hidden files and folders are passed over, and so are feature files (npz with `values`,
-    `times` and `spec`), which may lie beside the speech that they came from. Links to folders
-    are followed once.
+    Hidden files and folders are passed over, and so are npz files of features, which may lie
+    beside the speech that they came from, and of body models. Links to folders are followed once.
 
     Raises:
         CorpusError: there is no such folder.
@@ -77,7 +75,9 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
         subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
         for name in sorted(files):
             path = Path(base, name)
-            if name.startswith(".") or path.suffix.lower() not in SPEECH_SUFFIXES + MOTION_SUFFIXES:
+            suffix = path.suffix.lower()
+            is_speech = suffix in SPEECH_SUFFIXES
+            if name.startswith(".") or not (is_speech or suffix in MOTION_SUFFIXES):
                 continue
             key = path.relative_to(folder).with_suffix("").as_posix()
             if not key.isprintable():
@@ -89,7 +89,7 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
                         "the file name is not printable text; rename it",
                     )
                 )
-            elif path.suffix.lower() != ".npz" or not is_feature_file(path):
+            elif is_speech or is_motion(path):
                 found.append(Found(key, path, folder))
     return sorted(found), problems
 

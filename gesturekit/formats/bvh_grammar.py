@@ -12,6 +12,7 @@ import numpy as np
 from gesturekit.errors import FormatError
 from gesturekit.formats.bvh_rows import LARGEST, Lines, parse_rows
 from gesturekit.formats.frame_rate import frame_rate
+from gesturekit.formats.signatures import kind_by_content
 
 _MOST_JOINTS = 2000
 _LONGEST_NAME = 200
@@ -69,7 +70,9 @@ def parse_bvh(path: Path) -> ParsedBvh:
     """
     try:
         with path.open("rb") as stream:
-            encoding = _BYTE_ORDER_MARKS.get(stream.read(2), "utf-8-sig")
+            start = stream.read(16)
+        _refuse_others(path, start)
+        encoding = _BYTE_ORDER_MARKS.get(start[:2], "utf-8-sig")
         try:
             return _parse(path, encoding)
         except UnicodeError:
@@ -78,12 +81,20 @@ def parse_bvh(path: Path) -> ParsedBvh:
         raise FormatError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
+def _refuse_others(path: Path, start: bytes) -> None:
+    what = kind_by_content(start)
+    if what is not None and not start.startswith(b"HIERARCHY"):
+        raise FormatError(
+            f"{path}:1: the file looks like {what} inside; a BVH file begins with HIERARCHY"
+        )
+
+
 def _parse(path: Path, encoding: str) -> ParsedBvh:
     # newline=None takes all three line ends: \n, \r\n, and the \r of old Macs.
     with path.open(encoding=encoding, newline=None) as stream:
         lines = Lines(stream, path)
         if (first := lines.next()).upper() != "HIERARCHY":
-            what = f"begins with {first[:40]!r}" if first else "is empty"
+            what = f"begins with {ascii(first[:20])}" if first else "is empty"
             raise lines.error(f"the file {what}; a BVH file begins with HIERARCHY")
         joints, renamed = _name_apart(_fold_ends(_parse_hierarchy(lines)))
         n_frames, frame_time, fps = _parse_timing(lines)

@@ -31,6 +31,9 @@ from gesturekit.motion.rotations import (
 
 _MAX_BYTES = 16 << 20
 """Of one frame's file; a person takes two or three thousand."""
+SUBFOLDERS = ("smpl", "smplh", "smplx")
+"""Names of the folder that holds the frames, within EasyMocap's output."""
+_DIGITS = 9  # of a frame's number
 _LAYOUTS = {66: 22, 72: 24, 78: 52, 87: 55, 156: 52, 165: 55}
 """Joints by the length of `poses`. 78 is a body of 22 joints with 6 PCA coefficients a hand, 87
 has jaw and eyes after them; newer versions leave out the root's three numbers."""
@@ -114,9 +117,13 @@ def _files(path: Path) -> dict[int, Path]:
     """Frame number to file."""
     if path.is_file():
         return {0: path}
-    for folder in (path, path / "smpl", path / "smplh", path / "smplx"):
+    for folder in (path, *(path / name for name in SUBFOLDERS)):
         files = {int(f.stem): f for f in folder.glob("*.json") if f.stem.isdecimal()}
         if files:
+            if max(files) >= 10**_DIGITS:
+                raise FormatError(
+                    f"{files[max(files)]}: a frame's number of over {_DIGITS} digits; rename it"
+                )
             return files
     if not path.exists():
         raise FormatError(f"{path}: no such file or folder")

@@ -9,14 +9,13 @@ from pathlib import Path
 
 from gesturekit.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.easymocap import SUBFOLDERS
 
-READABLE = (".bvh", ".npz")
+MOTION_SUFFIXES = (".bvh", ".npz")
 """What is looked for in folders, beside EasyMocap's sequences."""
 WRITABLE = ("bvh", "npz", "html", "png", "obj")
 EXISTING = ("refuse", "skip", "replace")
 _SHOWN = 3
-_SEQUENCES = ("smpl", "smplh", "smplx")
-"""EasyMocap's names for the folder that holds a person's frames, within its output."""
 _GLANCE = 1 << 16
 
 
@@ -93,20 +92,26 @@ def motions_in(folder: Path, *, but: Path | None = None) -> Iterator[Path | OSEr
         visited.add((status.st_dev, status.st_ino))
         if is_sequence(here):
             yield here
-            folders[:] = [name for name in folders if name not in _SEQUENCES]
+            folders[:] = [name for name in folders if name not in SUBFOLDERS]
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted(files):
             path = here / name
-            if name.startswith(".") or path.suffix.lower() not in READABLE:
-                continue
-            if path.suffix.lower() != ".npz" or not (is_feature_file(path) or is_body_model(path)):
+            if not name.startswith(".") and is_motion(path):
                 yield path
     yield from trouble
 
 
 def is_sequence(path: Path) -> bool:
     """Whether a folder is EasyMocap's: a file a frame with SMPL parameters, in it or in `smpl`."""
-    return any(_has_frames(folder) for folder in (path, *(path / name for name in _SEQUENCES)))
+    return any(_has_frames(folder) for folder in (path, *(path / name for name in SUBFOLDERS)))
+
+
+def is_motion(path: Path) -> bool:
+    """Whether a file is taken for motion by its suffix, and is no npz of something else."""
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        return not (is_feature_file(path) or is_body_model(path))
+    return suffix in MOTION_SUFFIXES
 
 
 def is_feature_file(path: Path) -> bool:
@@ -184,7 +189,8 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
             jobs.setdefault((os.path.realpath(path), key), Job(path, targets))
     if not jobs:
         raise ConfigError(
-            f"{sources[0]}: no motion in it; looked for {', '.join(READABLE)} and EasyMocap folders"
+            f"{sources[0]}: no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap "
+            "folders"
         )
     return list(jobs.values())
 

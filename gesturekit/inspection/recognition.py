@@ -6,21 +6,20 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gesturekit.corpus.pairing import MOTION_SUFFIXES, SPEECH_SUFFIXES, scan
+from gesturekit.corpus.pairing import SPEECH_SUFFIXES, scan
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.formats.sources import is_body_model, is_feature_file, is_sequence
+from gesturekit.formats.signatures import kind_by_content
+from gesturekit.formats.sources import (
+    MOTION_SUFFIXES,
+    is_body_model,
+    is_feature_file,
+    is_sequence,
+)
 from gesturekit.inspection.sheet import Sheet
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
 
 SOUND_SUFFIXES = (*SPEECH_SUFFIXES, ".aiff", ".aif", ".opus", ".m4a", ".w64", ".au")
-_BEGINNINGS = {
-    b"HIERARCHY": "a BVH file",
-    b"RIFF": "a wav file",
-    b"fLaC": "a flac file",
-    b"OggS": "an ogg file",
-    b"PK\x03\x04": "a zip or npz file",
-}
 _KNOWN = (
     "motion (.bvh, .npz, EasyMocap folders), sound (.wav, .flac, ...), feature files (.npz), "
     "manifests (.jsonl), model, run and corpus folders"
@@ -102,8 +101,6 @@ def kind_of(path: str | Path) -> str:
             f"{path}: a body model of the SMPL family; give it as --body-model with a motion"
         )
     if suffix in (*MOTION_SUFFIXES, ".json"):
-        if suffix == ".bvh" and (like := _beginning(path)) and "BVH" not in like:
-            raise FormatError(f"{path}: {like}")
         return "motion"
     if suffix in SOUND_SUFFIXES:
         return "audio"
@@ -129,10 +126,7 @@ def _beginning(path: Path) -> str:
     """What a file of another suffix looks like inside."""
     try:
         with path.open("rb") as file:
-            start = file.read(16)
+            what = kind_by_content(file.read(16))
     except OSError as error:
         return str(error.strerror)
-    for mark, what in _BEGINNINGS.items():
-        if start.startswith(mark):
-            return f"looks like {what} inside; give it the suffix of one"
-    return ""
+    return f"looks like {what} inside; give it the suffix of one" if what else ""

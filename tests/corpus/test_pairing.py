@@ -91,3 +91,8 @@ def test_a_folder_that_is_not_there_is_an_error(tmp_path):
         scan(tmp_path / "none")
     with pytest.raises(CorpusError, match="is a file"):
         scan(touch(tmp_path, "a.wav") / "a.wav")
+
+
+def test_a_body_model_beside_the_motion_is_not_taken_for_one(tmp_path, capsule_body):
+    np.savez(tmp_path / "SMPL.npz", **capsule_body(24))
+    assert scan(tmp_path) == ([], [])

@@ -335,3 +335,18 @@ def test_joints_in_any_order_are_written_as_a_tree(tmp_path):
     again = read_bvh(tmp_path / "a.bvh", unit="cm")
     order = [again.skeleton.index(name) for name in names]
     np.testing.assert_allclose(again.positions()[:, order], motion.positions(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("start", "kind"), [(b"RIFF$}\0\0WAVEfmt \x10\0", "a wav"), (b"PK\3\4-\0\0\0", "a zip or npz")]
+)
+def test_another_kind_of_file_is_called_by_its_name(tmp_path, start, kind):
+    path = tmp_path / "a.bvh"
+    path.write_bytes(start * 20)
+    with pytest.raises(FormatError, match=f"a.bvh:1: the file looks like {kind} file") as told:
+        read_bvh(path)
+    assert str(told.value).isprintable()
+    path.write_bytes(bytes(range(128, 160)) * 9)
+    with pytest.raises(FormatError, match="begins with") as told:
+        read_bvh(path)
+    assert str(told.value).isprintable()

@@ -184,3 +184,10 @@ def test_other_folders_and_settings_are_refused(tmp_path):
     )
     with warnings.catch_warnings(), pytest.raises(FormatError, match="in some frames"):
         Motion.load(mixed)
+
+
+def test_a_number_that_is_no_frames_is_refused(tmp_path):
+    folder = write(tmp_path / "smpl", [recorded(n_frames=1)])
+    (folder / "000000.json").rename(folder / f"{10**30}.json")
+    with pytest.raises(FormatError, match="frame's number of over 9 digits"):
+        read_easymocap(folder)
