@@ -31,6 +31,7 @@ of the mesh: SMPL and SMPL-H share one, SMPL-X has another (as in the package sm
 
 Fail = Callable[[str], FormatError]
 _MAX_VERTICES, _MAX_JOINTS = 200_000, 256
+_OFF_ONE = 0.01  # that weights in single precision may sum to
 _CHUNK = 1 << 20  # numbers of one step of skinning
 
 
@@ -250,9 +251,14 @@ def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
     if feet is not None and len(feet) != 6:
         raise fail(f"{len(feet)} foot vertices, not six")
     regressor = _regressor(archive, n_joints, n_vertices, fail)
-    arrays = [template, weights, shapes, regressor]
-    if not all(np.isfinite(array).all() for array in arrays):
-        raise fail("numbers that are not finite")
+    arrays = {"v_template": template, "weights": weights, "shapedirs": shapes}
+    arrays |= {"J_regressor": regressor}
+    arrays |= {} if corrections is None else {"posedirs": corrections}
+    for key, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise fail(f"{key} holds numbers that are not finite")
+    if (weights < 0).any() or (np.abs(weights.sum(axis=1) - 1) > _OFF_ONE).any():
+        raise fail("weights of a vertex are negative, or do not sum to 1")
     return BodyModel(
         template=template,
         faces=faces.astype(np.int64),
@@ -268,8 +274,10 @@ def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
 
 def _parents(archive: Archive, n_joints: int, fail: Fail) -> tuple[int, ...]:
     table = archive.numbers("kintree_table")
-    if table.ndim == 2:
+    if table.ndim == 2 and len(table):
         table = table[0]
+    if not np.isfinite(table).all():
+        raise fail("kintree_table holds numbers that are not finite")
     if table.shape != (n_joints,):
         raise fail(f"kintree_table has shape {table.shape} for {n_joints} joints")
     # The root's parent is -1, or what 2^32 wraps it to.
@@ -290,7 +298,7 @@ def _regressor(archive: Archive, n_joints: int, n_vertices: int, fail: Fail) -> 
         data = archive.numbers("J_regressor_data", np.float32)
         indices = archive["J_regressor_indices"]
         starts = archive["J_regressor_indptr"]
-        kind = csr_array if len(starts) == n_joints + 1 else csc_array
+        kind = csr_array if starts.shape == (n_joints + 1,) else csc_array
         try:
             sparse = kind((data, indices, starts), shape=shape)
             sparse.check_format(full_check=True)

@@ -34,10 +34,7 @@ def bent_backwards(motion: Motion) -> dict[str, np.ndarray]:
     frames = body_frames(motion.skeleton, parts, standing_pose(motion, parts))
     world, positions = frames.world(motion.global_rotations()), motion.positions()
     found = {}
-    for upper, hinge, end, sign in (
-        ("shoulder", "elbow", "wrist", -1),
-        ("hip", "knee", "ankle", 1),
-    ):
+    for upper, hinge, end, sign in _HINGES:
         for side in SIDES:
             if f"{side}_{end}" not in frames.joints:
                 continue

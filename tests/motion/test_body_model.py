@@ -184,6 +184,19 @@ def test_pickled_notes_are_left_alone_and_pickled_arrays_refused(saved):
         ({"shapedirs": np.zeros((3, 3))}, "shapedirs"),
         ({"J_regressor": np.zeros((24, 7))}, "J_regressor"),
         ({"J_regressor": None}, "'J_regressor'"),
+        ({"kintree_table": np.full((2, 24), np.nan)}, "kintree_table"),
+        ({"kintree_table": np.zeros((0, 24))}, "kintree_table"),
+        ({"posedirs": np.full((748, 3, 207), np.nan)}, "posedirs holds"),
+        ({"weights": np.zeros((748, 24))}, "sum to 1"),
+        (
+            {
+                "J_regressor": None,
+                "J_regressor_data": np.ones(2),
+                "J_regressor_indices": np.ones(2),
+                "J_regressor_indptr": np.array(1),
+            },
+            "J_regressor is no sparse matrix",
+        ),
     ],
 )
 def test_files_that_are_no_body_model(saved, change, says):
