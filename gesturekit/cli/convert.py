@@ -15,6 +15,7 @@ from gesturekit.cli.options import (
     part_option,
     read_from,
     reading_options,
+    rig_part_option,
 )
 
 if TYPE_CHECKING:
@@ -60,13 +61,7 @@ WIDTH = 100
 @click.option("--dry-run", is_flag=True, help="Read and report, write nothing.")
 @reading_options
 @part_option
-@click.option(
-    "--rig-part",
-    "rig_parts",
-    multiple=True,
-    metavar="PART=JOINT",
-    help="The same for the file of --rig.",
-)
+@rig_part_option
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -99,8 +94,9 @@ def command(
 
     from tqdm import tqdm
 
-    from gesturekit.formats.changes import Changes, Rig, parse_trim
+    from gesturekit.formats.changes import Changes, parse_trim
     from gesturekit.formats.conversion import convert
+    from gesturekit.formats.rig import Rig
     from gesturekit.motion.parts import parse_parts
 
     if rig_parts and rig is None:

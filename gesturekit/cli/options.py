@@ -38,6 +38,14 @@ part_option = click.option(
     help="Name a joint that is not recognised, as left_elbow=Joint12. May be repeated.",
 )
 
+rig_part_option = click.option(
+    "--rig-part",
+    "rig_parts",
+    multiple=True,
+    metavar="PART=JOINT",
+    help="Name a joint of --rig that is not recognised, as left_elbow=Joint12. May be repeated.",
+)
+
 
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that overrule what is detected in a motion file; see `read_from`."""

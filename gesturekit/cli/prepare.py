@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from gesturekit.cli.options import part_option
+
 
 @click.command(
     epilog="Example: gesturekit prepare recordings/ --unpaired speech/ --out corpus.jsonl"
@@ -57,14 +59,7 @@ import click
     show_default=True,
     help="Seconds by which sound and motion may differ in length; they are cut to the shorter.",
 )
-@click.option(
-    "--part",
-    "parts",
-    multiple=True,
-    metavar="PART=JOINT",
-    help="Names a part of the body, as left_elbow=Joint12, that the rig's names and shape do not "
-    "tell. May be repeated.",
-)
+@part_option
 def command(
     folders: tuple[Path, ...],
     out: Path,

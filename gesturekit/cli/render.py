@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from gesturekit.cli.options import comma_separated, rig_part_option
+
 
 @click.command(
     "render",
@@ -36,18 +38,11 @@ import click
 )
 @click.option(
     "--rig",
-    metavar="AVATAR.bvh",
-    help="Another body to move: any rig of a person, of any names, size and rest pose; or smpl, "
-    "smplh, smplx.",
+    metavar="RIG",
+    help="Another body to move: a motion file, of any names, size and rest pose; or smpl, smplh "
+    "or smplx.",
 )
-@click.option(
-    "--rig-part",
-    "rig_parts",
-    multiple=True,
-    metavar="PART=JOINT",
-    help="With --rig: names a part of its body, as left_elbow=Joint12, that the names and shape "
-    "of the rig do not tell. May be repeated.",
-)
+@rig_part_option
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -82,12 +77,11 @@ def command(
         raise click.UsageError("--rig-part names parts of the body that --rig gives.")
     loaded = load(model, weights=weights)
     failed = 0
-    wanted = [name.strip() for name in formats.split(",") if name.strip()]
     for outcome in render(
         loaded,
         sources,
         out,
-        formats=wanted,
+        formats=comma_separated(formats),
         seed=seed,
         samples=samples,
         seconds=seconds,

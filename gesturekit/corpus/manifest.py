@@ -96,8 +96,10 @@ class Item:
 
         return Wave.load(self.audio, start=self.audio_start, duration=self.duration)
 
-    def load_motion(self) -> Motion:
+    def load_motion(self, parts: Mapping[str, str] | None = None) -> Motion:
         """The item's stretch of its motion file, mirrored where the item says so.
+
+        `parts` are named by hand, see `Skeleton.parts`: they may tell left from right.
 
         Begins at the frame nearest to `motion_start` and holds floor(duration·fps + ½)
         frames; one frame fewer is accepted at the very end of a file.
@@ -105,12 +107,13 @@ class Item:
         Raises:
             CorpusError: the item is speech alone, or reaches past the end of its file.
             FormatError: the file cannot be read.
+            MotionError: `parts` names a joint that is not there, or left and right cannot be told.
         """
         if self.motion is None:
             raise CorpusError(f"item {self.id!r} has no motion: it is speech alone")
         from gesturekit.motion import Motion
 
-        motion = Motion.load(self.motion)
+        motion = Motion.load(self.motion).with_parts(parts or {})
         start = math.floor(self.motion_start * motion.fps + 0.5)
         stop = start + math.floor(self.duration * motion.fps + 0.5)
         if stop > motion.n_frames + 1 or start >= min(stop, motion.n_frames):

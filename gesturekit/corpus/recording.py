@@ -101,8 +101,7 @@ def _loaded(
             problems.append(Problem("error", recording.audio, str(error)))
     if recording.motion is not None:
         try:
-            motion = Motion.load(recording.motion)
-            motion = replace(motion, skeleton=replace(motion.skeleton, parts=parts))
+            motion = Motion.load(recording.motion).with_parts(parts)
         except GestureKitError as error:
             problems.append(Problem("error", recording.motion, str(error)))
     return wave, motion

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.archive import Archive
-from gesturekit.errors import FormatError
+from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import Z_TO_Y
 from gesturekit.formats.smpl import N_JOINTS, model_pelvis, smpl_skeleton
 from gesturekit.motion.motion import Motion
@@ -48,15 +48,18 @@ def from_amass(archive: Archive, up: str) -> Motion:
     n_joints = poses.shape[1] // 3 if poses.ndim == 2 else 0
     if n_joints not in N_JOINTS or poses.shape[1] % 3:
         raise FormatError(
-            f"poses have shape {poses.shape}; expected (frames, 3 x joints) with "
+            f"key 'poses' has shape {poses.shape}; expected (frames, 3 x joints) with "
             f"{', '.join(map(str, N_JOINTS))} joints of an SMPL rig"
         )
     if trans.shape != (len(poses), 3):
-        raise FormatError(f"trans has shape {trans.shape}; expected ({len(poses)}, 3)")
+        raise FormatError(f"key 'trans' has shape {trans.shape}; expected ({len(poses)}, 3)")
     rotations = quaternion_from_rotation_vector(poses.reshape(len(poses), n_joints, 3))
     rest_pelvis = model_pelvis(n_joints)
     rotations, pelvis, up = to_y_up(rotations, trans + rest_pelvis, up)
-    motion = Motion(smpl_skeleton(n_joints), rotations, pelvis, _rate(archive))
+    try:
+        motion = Motion(smpl_skeleton(n_joints), rotations, pelvis, _rate(archive))
+    except MotionError as error:
+        raise FormatError(f"keys 'poses', 'trans', 'mocap_frame_rate': {error}") from None
     motion.info.update(up=up, rest_pelvis=rest_pelvis, **body_info(archive, "betas", n_joints))
     if "expressions" in archive:
         return with_expressions(motion, archive)
@@ -122,7 +125,10 @@ def body_info(archive: Archive, betas_key: str, n_joints: int) -> dict[str, Any]
         if betas.ndim == 2:  # one row for each frame: nobody's body changes
             betas = betas.mean(axis=0) if len(betas) else betas.ravel()
         if betas.ndim != 1 or len(betas) > _MAX_BETAS or not np.isfinite(betas).all():
-            raise FormatError(f"{betas_key} have shape {betas.shape}; expected (coefficients,)")
+            raise FormatError(
+                f"key {betas_key!r} has shape {betas.shape}; expected up to {_MAX_BETAS} finite "
+                "coefficients"
+            )
         if betas.any():
             info["betas"] = betas
     if (gender := _text(archive, "gender").lower()) in ("female", "male", "neutral"):
@@ -142,20 +148,23 @@ def with_expressions(motion: Motion, archive: Archive) -> Motion:
             stacklevel=2,
         )
         return motion
-    return replace(motion, expressions=values) if values.any() else motion
+    try:
+        return replace(motion, expressions=values) if values.any() else motion
+    except MotionError as error:
+        raise FormatError(f"key 'expressions': {error}") from None
 
 
 def _rate(archive: Archive) -> float:
     rates = {key: archive.numbers(key) for key in RATES if key in archive}
     for key, value in rates.items():
         if value.size != 1:
-            raise FormatError(f"{key} has shape {value.shape}; expected one number")
+            raise FormatError(f"key {key!r} has shape {value.shape}; expected one number")
     values = {float(value.item()) for value in rates.values()}
     if not values:
         raise FormatError("no key 'mocap_frame_rate' or 'mocap_framerate' in the archive")
     if len(values) > 1:
-        said = ", ".join(f"{key} {value.item():g}" for key, value in rates.items())
-        raise FormatError(f"the frame rates differ: {said}; leave the right one in the file")
+        said = ", ".join(f"key {key!r} {value.item():g}" for key, value in rates.items())
+        raise FormatError(f"the frame rates differ, {said}; leave the right one in the file")
     return values.pop()
 
 

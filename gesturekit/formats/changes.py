@@ -5,61 +5,14 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
-import numpy as np
-
-from gesturekit.errors import ConfigError, FormatError, MotionError
-from gesturekit.formats.smpl import RIGS, as_smpl, is_smpl, smpl_skeleton
+from gesturekit.errors import ConfigError
+from gesturekit.formats.rig import Rig
 from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.skeleton import Skeleton
-
-
-@dataclass(frozen=True)
-class Rig:
-    """A rig to put motions on.
-
-    Attributes:
-        name: a file, or smpl, smplh or smplx.
-        skeleton: its joints.
-        pose: (J, 4) local rotations in which it stands; None for its rest pose.
-    """
-
-    name: str
-    skeleton: Skeleton
-    pose: np.ndarray | None = None
-
-    @classmethod
-    def load(cls, name: str, parts: Mapping[str, str] | None = None) -> Rig:
-        """The rig of a motion file, or one of the SMPL family by its name.
-
-        Args:
-            name: the file, or smpl, smplh or smplx.
-            parts: joints of the file named by hand, see `Skeleton.parts`.
-
-        Raises:
-            FormatError: there is no such file, or it cannot be read.
-            MotionError: the file's parts cannot be told, or it never stands.
-        """
-        if name in RIGS:
-            return cls(name, smpl_skeleton(RIGS[name]))
-        if not Path(name).exists():
-            raise FormatError(
-                f"rig {name!r}: no such file; give a motion file that has the rig, or one of "
-                f"{', '.join(RIGS)}"
-            )
-        from gesturekit.motion.standing import standing_pose
-
-        motion = Motion.load(name)
-        try:
-            motion = replace(motion, skeleton=replace(motion.skeleton, parts=parts or {}))
-            return cls(Path(name).name, motion.skeleton, standing_pose(motion))
-        except MotionError as error:
-            raise MotionError(f"{name}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -102,7 +55,7 @@ class Changes:
             motion = motion.mirror()
             done.append("mirrored")
         if self.rig is not None:
-            motion = self._on_rig(motion, self.rig)
+            motion = self.rig.put(motion)
             done.append(f"on {self.rig.name}, {motion.skeleton.n_joints} joints")
         if self.joints != "all":
             before = motion
@@ -119,13 +72,6 @@ class Changes:
             done.append(f"{motion.fps:.6g} to {self.fps:.6g} fps")
             motion = motion.resample(self.fps, antialias=self.antialias)
         return motion, done
-
-    def _on_rig(self, motion: Motion, rig: Rig) -> Motion:
-        if is_smpl(motion.skeleton) and is_smpl(rig.skeleton):
-            return as_smpl(motion, rig.skeleton.n_joints)
-        from gesturekit.motion.retarget import retarget
-
-        return retarget(motion, rig.skeleton, pose=rig.pose)
 
     def _joints(self, skeleton: Skeleton) -> tuple[str, ...]:
         return body_joints(skeleton) if self.joints == "body" else tuple(self.joints)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.changes import Changes
-from gesturekit.formats.smpl import RIGS, is_smpl
+from gesturekit.formats.smpl import is_smpl
 from gesturekit.formats.sources import Job, plan
 from gesturekit.motion.motion import Motion
 
@@ -125,8 +125,7 @@ def load(
     """
     known = _READS.get(_format(source), ())
     motion = Motion.load(source, **{name: options[name] for name in options if name in known})
-    if parts:
-        motion = replace(motion, skeleton=replace(motion.skeleton, parts=parts))
+    motion = motion.with_parts(parts or {})
     return replace(motion, fps=options["fps"]) if "fps" in options else motion
 
 
@@ -200,8 +199,8 @@ def _write(
 ) -> None:
     known = _WRITES.get(_format(target), ())
     options = {name: value for name, value in write.items() if name in known}
-    if target.suffix.lower() == ".npz" and changes.rig is not None and changes.rig.name in RIGS:
-        options["rig"] = changes.rig.name  # the pose vectors then are that rig's, not SMPL-X's
+    if changes.rig is not None:
+        options |= changes.rig.options.get(_format(target), {})
     if target.suffix.lower() == ".bvh":
         lost = ["face expressions"] if motion.expressions is not None else []
         if is_smpl(motion.skeleton) and np.any(motion.info.get("betas", 0)):

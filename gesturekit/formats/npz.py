@@ -2,8 +2,8 @@
 
 Native keys (format 1): `gk_version, names, parents, offsets, rotation_orders, end_site_joints,
 end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`, and where they
-are known `body_betas, body_pelvis, body_up, gender, model, expressions`. On a rig of the SMPL
-family the keys of `gesturekit.formats.amass` stand beside them.
+are known `parts_by_hand, part_joints, body_betas, body_pelvis, body_up, gender, model,
+expressions`. On a rig of the SMPL family the keys of `gesturekit.formats.amass` stand beside them.
 
 Who reads what: the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the tools around
 BEAT2 read what is written by default. The add-on's format AMASS wants `up="z"`. aitviewer
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from gesturekit.archive import Archive, open_archive
 from gesturekit.atomic import atomic_write
-from gesturekit.errors import FormatError
+from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import body_info, from_amass, to_amass, with_expressions
 from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model import BodyModel
@@ -140,6 +141,9 @@ def _native(motion: Motion) -> dict[str, Any]:
         "joint_translations": np.array(list(moving.values())).reshape(-1, motion.n_frames, 3),
         "fps": motion.fps,
     }
+    if skeleton.parts:
+        values["parts_by_hand"] = np.array(list(skeleton.parts))
+        values["part_joints"] = np.array([skeleton.index(name) for name in skeleton.parts.values()])
     for key, known in (("body_betas", "betas"), ("body_pelvis", "rest_pelvis")):
         if known in motion.info:
             values[key] = np.asarray(motion.info[known], dtype=np.float64)
@@ -151,45 +155,83 @@ def _native(motion: Motion) -> dict[str, Any]:
 
 def _from_native(archive: Archive) -> Motion:
     version = archive["gk_version"]
-    if version.shape or version != NPZ_FORMAT:
-        raise FormatError(f"motion format {version}; this version of gesturekit reads {NPZ_FORMAT}")
+    if version.shape or version.dtype.kind not in "iu" or version != NPZ_FORMAT:
+        said = version if not version.shape else f"an array of shape {version.shape}"
+        raise FormatError(
+            f"key 'gk_version' is {said}; this version of gesturekit reads motion format "
+            f"{NPZ_FORMAT}"
+        )
     names = tuple(archive.texts("names", _MAX_JOINTS))
-    end_joints, end_offsets = _list(archive, "end_site_joints"), _list(archive, "end_site_offsets")
     ends: dict[str, tuple[np.ndarray, ...]] = {}
-    for j, site in zip(end_joints, end_offsets):
-        ends[names[j]] = (*ends.get(names[j], ()), site)
-    skeleton = Skeleton(
-        names=names,
-        parents=tuple(_list(archive, "parents").tolist()),
-        offsets=archive.numbers("offsets"),
-        end_sites=ends,
-        rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
-    )
-    motion = Motion(
-        skeleton=skeleton,
-        rotations=archive.numbers("rotations"),
-        translation=archive.numbers("translation"),
-        fps=archive.numbers("fps").item(),
-        joint_translations={
-            names[j]: places
-            for j, places in zip(
-                _list(archive, "moving_joints"), archive.numbers("joint_translations")
-            )
-        },
-    )
+    sites = archive.numbers("end_site_offsets")
+    for name, site in _by_joint(archive, "end_site_joints", "end_site_offsets", sites, names):
+        ends[name] = (*ends.get(name, ()), site)
+    parts: dict[str, str] = {}
+    if "parts_by_hand" in archive:
+        by_hand = archive.texts("parts_by_hand", _MAX_JOINTS)
+        found = _by_joint(archive, "part_joints", "parts_by_hand", by_hand, names)
+        parts = {part: name for name, part in found}
+    try:
+        skeleton = Skeleton(
+            names=names,
+            parents=tuple(_indices(archive, "parents", -1, len(names))),
+            offsets=archive.numbers("offsets"),
+            end_sites=ends,
+            rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
+            parts=parts,
+        )
+    except MotionError as error:
+        raise FormatError(
+            f"keys 'names', 'parents', 'offsets', 'rotation_orders', 'end_site_offsets': {error}"
+        ) from None
+    places = archive.numbers("joint_translations")
+    moving = dict(_by_joint(archive, "moving_joints", "joint_translations", places, names))
+    fps = archive.numbers("fps")
+    if fps.size != 1:
+        raise FormatError(f"key 'fps' has shape {fps.shape}; expected one number")
+    try:
+        motion = Motion(
+            skeleton=skeleton,
+            rotations=archive.numbers("rotations"),
+            translation=archive.numbers("translation"),
+            fps=fps.item(),
+            joint_translations=moving,
+        )
+    except MotionError as error:
+        raise FormatError(
+            f"keys 'rotations', 'translation', 'joint_translations', 'fps': {error}"
+        ) from None
     motion.info.update(body_info(archive, "body_betas", skeleton.n_joints))
     if "body_pelvis" in archive:
         place = archive.numbers("body_pelvis")
         if place.shape != (3,) or not np.isfinite(place).all():
-            raise FormatError(f"body_pelvis is {place.tolist()}; expected three numbers")
+            raise FormatError(f"key 'body_pelvis' has shape {place.shape}; expected three numbers")
         motion.info["rest_pelvis"] = place
         motion.info["up"] = "z" if archive.texts("body_up") == ["z"] else "y"
     return with_expressions(motion, archive) if "expressions" in archive else motion
 
 
-def _list(archive: Archive, key: str) -> np.ndarray:
-    """An array of one entry for each joint, or so."""
+def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
+    """The joints in the array called `key`, each at least `lowest` and below `stop`."""
     values = archive[key]
-    if values.ndim < 1 or len(values) > _MAX_JOINTS:
-        raise FormatError(f"{key} have shape {values.shape}; that is no body's rig")
-    return values
+    if values.dtype.kind not in "iu" or values.ndim != 1 or len(values) > _MAX_JOINTS:
+        raise FormatError(
+            f"key {key!r} has shape {values.shape} of {values.dtype}; expected a list of joints' "
+            f"indices, up to {_MAX_JOINTS}"
+        )
+    if len(values) and not lowest <= int(values.min()) <= int(values.max()) < stop:
+        raise FormatError(f"key {key!r} names a joint that is not among {stop}")
+    return values.tolist()
+
+
+def _by_joint(
+    archive: Archive, joints_key: str, key: str, values: Any, names: tuple[str, ...]
+) -> Iterator[tuple[str, Any]]:
+    """(joint, value) for the `values` of `key`, whose joints `joints_key` lists."""
+    joints = _indices(archive, joints_key, 0, len(names))
+    n_values = len(values) if np.ndim(values) else None
+    if n_values != len(joints):
+        said = "one number" if n_values is None else f"{n_values} entries"
+        raise FormatError(f"key {key!r} has {said} for {len(joints)} {joints_key!r}")
+    for joint, value in zip(joints, values):
+        yield names[joint], value

@@ -144,9 +144,9 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
         if name in old.names:
             rotations[:, j] = motion.rotations[:, old.index(name)]
     info = dict(motion.info)
-    expressions = motion.expressions
+    # A face is SMPL-X's wherever it is carried along: it fits again on the way back.
+    expressions = None if old.n_joints == 55 else motion.expressions
     if (old.n_joints == 55) != (n_joints == 55):
-        expressions = None
         for key in ("betas", "model", "rest_pelvis"):
             info.pop(key, None)
     return replace(motion, skeleton=rig, rotations=rotations, info=info, expressions=expressions)

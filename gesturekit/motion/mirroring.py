@@ -23,6 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gesturekit.errors import MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import left_right_pairs
 from gesturekit.motion.rotations import (
@@ -52,11 +53,22 @@ def mirror_motion(motion: Motion) -> Motion:
     """Exchange left and right, and reflect x.
 
     The skeleton is mirrored with it (a longer left arm becomes a longer right arm), so that the
-    joints lie exactly where the mirror shows their counterparts. Counterparts are told by name,
-    see `gesturekit.motion.parts.left_right_pairs`; joints without one are their own.
+    joints lie exactly where the mirror shows their counterparts. Counterparts are told as
+    `gesturekit.motion.parts.left_right_pairs` tells them; joints without one are their own. Face
+    expressions stay as they are: their coefficients do not say what is left.
+
+    Raises:
+        MotionError: a rig with limbs of which none can be told to be left and right.
     """
     skeleton = motion.skeleton
     other = _counterparts(skeleton)
+    forks = any(len(skeleton.children(j)) > 1 for j in range(skeleton.n_joints))
+    if forks and (other == np.arange(skeleton.n_joints)).all():
+        raise MotionError(
+            f"cannot tell left from right by the joint names {', '.join(skeleton.names[:6])}, ..., "
+            "nor by the rig's shape, so that it cannot be mirrored; name limbs by hand "
+            "(parts: left_elbow: JOINT, right_elbow: JOINT, ...)"
+        )
     kind = _reflections(motion, other)
     above = np.array([kind[p] if p >= 0 else _WORLD for p in skeleton.parents])
     rotations = np.empty_like(motion.rotations)

@@ -18,6 +18,9 @@ from gesturekit.motion import kinematics
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import FARTHEST, Skeleton
 
+LOWEST_FPS, HIGHEST_FPS = 1e-5, 1e5
+"""Frame rates beyond these are damage."""
+
 # The one step upwards: files are read and written by packages that build on this one.
 _READERS = {
     ".bvh": ("gesturekit.formats.bvh", "read_bvh"),
@@ -42,7 +45,7 @@ class Motion:
         skeleton: the rig, J joints.
         rotations: (T, J, 4) float64 local unit quaternions, x y z w.
         translation: (T, 3) float64 of the root joint, metres, Y up; replaces the root's offset.
-        fps: frames per second.
+        fps: frames per second, from `LOWEST_FPS` to `HIGHEST_FPS`.
         joint_translations: joint name to (T, 3), metres, in the parent's frame: replaces that
             joint's offset, for files that move joints other than the root.
         info: what is known of its origin (source file, unit found, ...).
@@ -86,9 +89,7 @@ class Motion:
             if self.skeleton.index(name) == 0:
                 raise MotionError(f"{name!r} is the root: its place is the motion's translation")
             moving[name] = _places(places, n_frames, f"translation of joint {name!r}")
-        fps = float(self.fps)
-        if not (np.isfinite(fps) and fps > 0):
-            raise MotionError(f"fps is {self.fps!r}; expected a positive number")
+        fps = checked_fps(self.fps)
         translation = _places(self.translation, n_frames, "translation")
         expressions = self.expressions
         if expressions is not None:
@@ -153,6 +154,19 @@ class Motion:
         from gesturekit.motion.mirroring import mirror_motion
 
         return mirror_motion(self)
+
+    def with_parts(self, parts: Mapping[str, str]) -> Motion:
+        """With parts of the rig named by hand, beside those that already are.
+
+        Args:
+            parts: such as {"left_elbow": "Joint12"}, see `Skeleton.parts`.
+
+        Raises:
+            MotionError: no such joint.
+        """
+        if not parts:
+            return self
+        return replace(self, skeleton=self.skeleton.with_parts(parts))
 
     def slice(self, start_frame: int, stop_frame: int) -> Motion:
         """Frames start_frame (included) to stop_frame (not included).
@@ -220,6 +234,17 @@ def _refuse_special(path: Path) -> None:
         return  # whoever reads it says what is wrong with it
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise FormatError(f"{path}: not a regular file")
+
+
+def checked_fps(fps: float) -> float:
+    """The frame rate as a float.
+
+    Raises:
+        MotionError: it is no rate that a motion can have.
+    """
+    if not LOWEST_FPS <= float(fps) <= HIGHEST_FPS:
+        raise MotionError(f"fps is {fps!r}; expected {LOWEST_FPS:g} to {HIGHEST_FPS:g}")
+    return float(fps)
 
 
 def _dispatch(table: Mapping[str, tuple[str, str]], path: str | os.PathLike[str], verb: str) -> Any:

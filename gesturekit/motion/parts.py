@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,17 +80,35 @@ class BodyParts:
 def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     """(left, right) names of the joints that are each other's mirror image, left joints in order.
 
-    By name; where no name tells sides, by the shape of the rig. A joint without a counterpart lies
-    in the middle of the body.
+    By name; where no name tells sides, by the shape of the rig. Limbs named by hand
+    (`Skeleton.parts`) come first, with the joints above them on either side. A joint without a
+    counterpart lies in the middle of the body.
     """
+    by_hand = dict(_pairs_by_hand(skeleton))
+    told = {*by_hand, *by_hand.values()}
     pairs = named_pairs(skeleton)
     if not pairs:
         try:
             shape = find_limbs(skeleton)
         except MotionError:
-            return ()
-        pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
-    return pairs
+            shape = None
+        if shape is not None:
+            pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
+    pairs = [*by_hand.items(), *(pair for pair in pairs if told.isdisjoint(pair))]
+    return tuple(sorted(pairs, key=lambda pair: skeleton.index(pair[0])))
+
+
+def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
+    """(left, right) of the limbs named by hand, and of what they hang on below where they meet."""
+    for part, name in skeleton.parts.items():
+        side, _, kind = part.partition("_")
+        if side != "left" or f"right_{kind}" not in skeleton.parts:
+            continue
+        left, right = skeleton.index(name), skeleton.index(skeleton.parts[f"right_{kind}"])
+        chains = [[j, *skeleton.ancestors(j)] for j in (left, right)]
+        sides = [[j for j in a if j not in b] for a, b in (chains, chains[::-1])]
+        if len(sides[0]) == len(sides[1]):
+            yield from ((skeleton.names[a], skeleton.names[b]) for a, b in zip(*sides))
 
 
 def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> BodyParts:

@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.motion import Motion
+from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -17,6 +17,8 @@ from gesturekit.motion.rotations import (
     rotation_vector_from_quaternion,
     slerp,
 )
+
+_MOST_ROTATIONS = 250_000_000  # 8 GB of them; ten hours of 75 joints at 60 fps are 162 million
 
 
 def resample_motion(
@@ -34,15 +36,19 @@ def resample_motion(
             folding it down. Does nothing where the rate rises.
 
     Raises:
-        MotionError: fps is not positive, or no frame is asked for.
+        MotionError: a rate that no motion can have, no frame asked for, or more than 8 GB of them.
     """
-    if not (math.isfinite(fps) and fps > 0):
-        raise MotionError(f"fps is {fps!r}; expected a positive number")
+    fps = checked_fps(fps)
     if n_frames is None:
         exact = motion.n_frames * Fraction(fps) / Fraction(motion.fps)
         n_frames = max(1, math.floor(exact + Fraction(1, 2)))
     if n_frames < 1:
         raise MotionError(f"n_frames is {n_frames}; a motion needs at least one frame")
+    if n_frames * motion.skeleton.n_joints > _MOST_ROTATIONS:
+        raise MotionError(
+            f"{motion.duration:.6g} s at {fps:g} fps are {n_frames} frames, too many to hold; is "
+            f"the motion's own rate, {motion.fps:g} fps, right?"
+        )
     last = motion.n_frames - 1
     if fps == motion.fps:
         low = high = np.minimum(np.arange(n_frames), last)
@@ -74,7 +80,8 @@ def resample_motion(
 
 
 class _LowPass:
-    """A Lanczos filter of three lobes at any times between frames; the end frames are held.
+    """A Lanczos filter of three lobes at any times between frames; the end frames are held, up to
+    the length of the motion.
 
     Rotations are averaged as rotation vectors about the unfiltered result (Lee and Shin 2002,
     "General construction of time-domain filters for orientation data"): no bias by the sign of a
@@ -87,7 +94,7 @@ class _LowPass:
     """
 
     def __init__(self, times: np.ndarray, ratio: float, n_frames: int) -> None:
-        reach = math.ceil(3 * ratio)
+        reach = min(math.ceil(3 * ratio), n_frames)
         taps = np.floor(times).astype(np.int64)[:, None] + np.arange(-reach, reach + 2)
         away = (taps - times[:, None]) / ratio
         weights = np.sinc(away) * np.sinc(away / 3) * (np.abs(away) < 3)
@@ -96,7 +103,8 @@ class _LowPass:
 
     def places(self, values: np.ndarray) -> np.ndarray:
         """(T, D) of (T', D)."""
-        return (self._weights[..., None] * values[self._taps]).sum(axis=1)
+        # Tap by tap: all at once they would be six times the frames of the source.
+        return sum(w[:, None] * values[tap] for tap, w in zip(self._taps.T, self._weights.T))
 
     def rotations(self, source: np.ndarray, unfiltered: np.ndarray) -> np.ndarray:
         """(T, J, 4) of (T', J, 4) and the result without a filter (T, J, 4)."""

@@ -157,6 +157,14 @@ class Skeleton:
         ends = {name: tuple(s * factor for s in sites) for name, sites in self.end_sites.items()}
         return replace(self, offsets=self.offsets * factor, end_sites=ends)
 
+    def with_parts(self, parts: Mapping[str, str]) -> Skeleton:
+        """The same rig with parts named by hand, beside those that already are; see `parts`.
+
+        Raises:
+            MotionError: no such joint.
+        """
+        return replace(self, parts={**self.parts, **parts})
+
     def to_json(self) -> dict[str, Any]:
         """Plain values, for `skeleton.json` of a model folder."""
         values = {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -329,9 +329,8 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
 
 
 def _load_motion(item: Item, config: MultiresConfig) -> Motion:
-    motion = item.load_motion().resample(config.fps)
     try:
-        return replace(motion, skeleton=replace(motion.skeleton, parts=config.parts))
+        return item.load_motion(config.parts).resample(config.fps)
     except MotionError as error:
         raise ConfigError(f"parts: item {item.id}: {error}") from None
 

@@ -11,9 +11,8 @@ from typing import Any
 import audio_features as af
 from gesturekit.corpus.pairing import SPEECH_SUFFIXES
 from gesturekit.errors import ConfigError, GestureKitError
-from gesturekit.formats.changes import Rig
+from gesturekit.formats.rig import Rig
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.retarget import retarget
 
 FORMATS = ("bvh", "npz", "html", "png")
 
@@ -52,8 +51,8 @@ def render(
         samples: how many motions for each file.
         seconds: without sources, how long an idle motion to make.
         speaker: whose body to move, of those that the model's corpus named.
-        rig: a motion file whose body to move instead, of any names, size and rest pose, or smpl,
-            smplh or smplx; see `gesturekit.motion.retarget`.
+        rig: whose body to move instead: a motion file, of any names, size and rest pose, or smpl,
+            smplh or smplx; see `gesturekit.formats.rig`.
         rig_parts: parts of that body named by hand, where its joints' names do not tell them.
 
     Yields:
@@ -69,7 +68,7 @@ def render(
         raise ConfigError(f"format {', '.join(unknown) or '(none)'}: known: {', '.join(FORMATS)}")
     files = _expand(sources)
     _refuse_clashes(files, out)
-    put_on = _keep if rig is None else _onto(rig, rig_parts or {})
+    body = None if rig is None else Rig.load(rig, rig_parts)
     _make_folder(out)
     if not sources:
         yield _render_one(
@@ -78,7 +77,7 @@ def render(
             out,
             "motion",
             formats,
-            put_on,
+            body,
             lambda: model.generate(seconds=seconds, samples=samples, seed=seed, speaker=speaker),
         )
         return
@@ -89,7 +88,7 @@ def render(
             out,
             path.stem,
             formats,
-            put_on,
+            body,
             lambda path=path: model.generate(path, samples=samples, seed=seed, speaker=speaker),
         )
 
@@ -100,19 +99,22 @@ def _render_one(
     out: Path,
     stem: str,
     formats: Sequence[str],
-    put_on: Callable[[Motion], Motion],
+    body: Rig | None,
     generate: Callable[[], Motion | list[Motion]],
 ) -> Outcome:
     files: list[Path] = []
     try:
         made = generate()
         motions = made if isinstance(made, list) else [made]
-        for number, motion in enumerate(map(put_on, motions), start=1):
+        for number, motion in enumerate(motions, start=1):
+            motion = motion if body is None else body.put(motion)
             name = stem if len(motions) == 1 else f"{stem}_s{number}"
             for kind in formats:
                 path = out / f"{name}.{kind}"
-                sound = {"audio": audio} if kind in ("html", "png") and audio else {}
-                motion.save(path, **sound)
+                options = {} if body is None else body.options.get(path.suffix, {})
+                if kind in ("html", "png") and audio:
+                    options = {"audio": audio}
+                motion.save(path, **options)
                 files.append(path)
     # torch says RuntimeError where memory runs out.
     except (GestureKitError, af.AudioFeaturesError, OSError, MemoryError, RuntimeError) as error:
@@ -123,16 +125,6 @@ def _render_one(
         reason = " ".join(reason.encode("utf-8", "replace").decode().splitlines())
         return Outcome(source, tuple(files), reason)
     return Outcome(source, tuple(files))
-
-
-def _keep(motion: Motion) -> Motion:
-    return motion
-
-
-def _onto(rig: str | os.PathLike[str], parts: Mapping[str, str]) -> Callable[[Motion], Motion]:
-    """What puts motions on a rig; all that can be wrong with it is told at once."""
-    body = Rig.load(str(rig), parts)
-    return lambda motion: retarget(motion, body.skeleton, pose=body.pose)
 
 
 def _expand(sources: Sequence[Path]) -> list[Path]:

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.errors import CorpusError
+from gesturekit.errors import CorpusError, MotionError
+from gesturekit.motion import Motion, Skeleton
 
 RECORD = {
     "id": "a",
@@ -178,4 +181,24 @@ def test_an_item_longer_than_its_motion_says_what_is_there(tmp_path, write_pair)
 def test_what_an_item_does_not_have_cannot_be_loaded(tmp_path):
     item = Item(id="a", audio=tmp_path / "a.wav", motion=None, duration=1.0)
     with pytest.raises(CorpusError, match="speech alone"):
+        item.load_motion()
+
+
+def test_an_item_is_mirrored_by_the_sides_named_by_hand(tmp_path, gesture):
+    """No joint name tells a side; arms of unequal build leave the shape without one."""
+    motion = gesture(1.0)
+    rig = motion.skeleton
+    offsets = rig.offsets.copy()
+    offsets[rig.index("LeftForeArm")] *= 1.4
+    names = tuple(f"Joint{j}" for j in range(rig.n_joints))
+    Motion(Skeleton(names, rig.parents, offsets), motion.rotations, motion.translation, 30).save(
+        tmp_path / "a.bvh"
+    )
+    item = Item(id="a", audio=None, motion=tmp_path / "a.bvh", duration=1.0, mirror=True)
+    left, right = rig.index("LeftHand"), rig.index("RightHand")
+    parts = {"left_wrist": names[left], "right_wrist": names[right]}
+    plain = replace(item, mirror=False).load_motion().positions()
+    mirrored = item.load_motion(parts).positions()
+    np.testing.assert_allclose(mirrored[:, left], plain[:, right] * [-1, 1, 1], atol=1e-9)
+    with pytest.raises(MotionError, match="cannot tell left from right"):
         item.load_motion()

@@ -37,6 +37,8 @@ NUMBERS = (
     *(b"nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e-400", b"-0", b"0x10", b"1_0", b"1,5"),
     *(b"", b"9" * 30, b"9" * 400, b"-1", b"1e5", b"0", b".", b"-", b"1e", b"\xd9\xa3", b"1.2.3"),
 )
+NAMED = r"\bkeys? '\w*'|: not a readable npz file|list of members|rates differ, '|more than 4 GiB"
+"""A message names a key of the archive, unless it is no archive at all."""
 WORDS = (
     *(b"ROOT", b"JOINT", b"End Site", b"OFFSET", b"CHANNELS", b"MOTION", b"Frames:", b"{", b"}"),
     *(b"Frame Time:", b"HIERARCHY", b"Xposition", b"Zrotation", b"\0", b"\r", b"\x1a", b"\xff\xfe"),
@@ -64,7 +66,7 @@ def base_motions() -> list[Motion]:
 
 
 def base_files(folder: Path) -> dict[str, list[bytes]]:
-    """Sound files of each format, as bytes."""
+    """Files of each format that are as they should be, as bytes."""
     files: dict[str, list[bytes]] = {"bvh": [], "npz": []}
     for number, motion in enumerate(base_motions()):
         write_bvh(motion, folder / "base.bvh", decimals=2 + number)
@@ -313,6 +315,8 @@ def what_went_wrong(path: Path) -> tuple[str, str]:
             return "broken", f"no file named, or too much said: {message[:500]}"
         if path.suffix == ".bvh" and not re.search(rf"{re.escape(str(path))}:\d+: ", message):
             return "broken", f"no line named: {message}"
+        if path.suffix == ".npz" and not re.search(NAMED, message):
+            return "broken", f"no key named: {message}"
         return "refused", message.split(str(path))[-1]
     except BaseException:
         return "broken", traceback.format_exc(limit=-4)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gesturekit.errors import ConfigError, FormatError
-from gesturekit.formats.changes import Changes, Rig, parse_trim
+from gesturekit.errors import ConfigError, FormatError, MotionError
+from gesturekit.formats.changes import Changes, parse_trim
 from gesturekit.formats.conversion import Converted, convert
+from gesturekit.formats.rig import Rig
 from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.formats.sources import motions_in
 from gesturekit.motion import Motion
@@ -275,3 +277,21 @@ def test_a_link_beside_its_file_is_converted_too(gesture, tmp_path):
     # What is named twice, as a file and by its folder, still is one job.
     assert len(outcomes([folder, folder / "take.bvh"], out, formats=["npz"])) == 2
     assert sorted(path.name for path in out.iterdir()) == ["best.npz", "take.npz"]
+
+
+def test_a_file_with_the_joints_of_smpl_gives_its_own_size(tmp_path):
+    motion = smpl_motion(n_joints=24)
+    tall = replace(motion, skeleton=motion.skeleton.scaled(1.3))
+    motion.save(tmp_path / "a.npz")
+    tall.save(tmp_path / "tall.bvh")
+    rig = Rig.load(tmp_path / "tall.bvh")
+    outcomes(tmp_path / "a.npz", tmp_path / "b.npz", changes=Changes(rig=rig))
+    made = Motion.load(tmp_path / "b.npz").skeleton
+    assert set(made.names) == set(tall.skeleton.names)
+    order = [made.index(name) for name in tall.skeleton.names[1:]]
+    np.testing.assert_allclose(made.offsets[order], tall.skeleton.offsets[1:], atol=1e-6)
+
+
+def test_parts_of_a_rig_that_is_known_are_refused():
+    with pytest.raises(MotionError, match="parts of smplx are known; left_elbow"):
+        Rig.load("smplx", {"left_elbow": "left_elbow"})

@@ -269,7 +269,6 @@ def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
 
 
 def test_a_rig_of_another_kind_is_retargeted(tmp_path, gesture):
-    pytest.importorskip("gesturekit.motion.retarget")
     write_npz(gesture(1.0), tmp_path / "a.npz", rig="smplx")
     assert add_on_accepts(tmp_path / "a.npz")
     motion = read_npz(tmp_path / "a.npz")
@@ -342,7 +341,7 @@ def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
         ({"poses": np.full((20, 165), np.nan)}, "frame 0"),
         ({"mocap_framerate": -30.0}, "fps"),
         ({"mocap_framerate": "thirty"}, "thirty"),
-        ({"mocap_frame_rate": 60}, "differ: mocap_frame_rate 60, mocap_framerate 30"),
+        ({"mocap_frame_rate": 60}, "differ, key 'mocap_frame_rate' 60, key 'mocap_framerate' 30"),
         ({"betas": np.zeros((2, 3, 4))}, "betas"),
         ({"poses": np.array([{}])}, "'poses' is a pickled"),
         ({"poses": np.full((20, 165), 1j)}, "'poses' holds complex128"),
@@ -411,3 +410,16 @@ def test_nothing_pickled_is_ever_loaded(tmp_path):
     assert not Trap.sprung
     pickle.loads(pickle.dumps(Trap()))
     assert Trap.sprung  # the trap works
+
+
+def test_parts_named_by_hand_are_kept(tmp_path, gesture):
+    motion = gesture(0.5).with_parts({"head": "Neck", "left_elbow": "LeftForeArm"})
+    motion.save(tmp_path / "a.npz")
+    assert read_npz(tmp_path / "a.npz").skeleton.parts == motion.skeleton.parts
+
+
+@pytest.mark.parametrize("n_joints", [22, 55])
+def test_the_face_is_kept_on_the_body_alone(tmp_path, n_joints):
+    face = np.random.default_rng(0).normal(size=(20, 100))
+    write_npz(replace(smpl_motion(n_joints), expressions=face), tmp_path / "a.npz")
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz").expressions, face)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import left_right_pairs
 from gesturekit.motion.rotations import rotation_angles
@@ -92,3 +93,33 @@ def test_bandai_clips_agree_on_how_left_and_right_relate(shared_data):
         )
         signs.add(tuple(np.sign(np.round(rest.skeleton.offsets[3:], 3)).ravel()))
     assert len(signs) == 1
+
+
+def nameless(motion: Motion) -> Motion:
+    """No name tells a side, and feet that point nowhere leave the shape without one."""
+    person = motion.skeleton
+    offsets = person.offsets.copy()
+    for side in ("Left", "Right"):
+        offsets[person.index(f"{side}ToeBase")] = [0.0, -0.1, 0.0]
+    names = tuple(f"Joint{j}" for j in range(person.n_joints))
+    skeleton = Skeleton(names, person.parents, offsets)
+    return replace(motion, skeleton=skeleton)
+
+
+def test_sides_named_by_hand(moving_person):
+    person, motion = moving_person.skeleton, nameless(moving_person)
+    by_hand = {
+        f"{side.lower()}_{part}": f"Joint{person.index(side + name)}"
+        for side in ("Left", "Right")
+        for part, name in (("wrist", "Hand"), ("toe", "ToeBase"))
+    }
+    motion = motion.with_parts(by_hand)
+    left, right = person.index("LeftForeArm"), person.index("RightForeArm")
+    assert (f"Joint{left}", f"Joint{right}") in left_right_pairs(motion.skeleton)
+    check(motion)
+    assert motion.mirror().skeleton.parts == by_hand
+
+
+def test_a_rig_without_sides_is_refused(moving_person):
+    with pytest.raises(MotionError, match="cannot tell left from right .* left_elbow: JOINT"):
+        nameless(moving_person).mirror()

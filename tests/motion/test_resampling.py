@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 
@@ -62,3 +63,23 @@ def test_there_and_back_again(shared_data, antialias):
     motion = motion.slice(0, 600)
     back = motion.resample(25.0, antialias=antialias).resample(30.0, n_frames=600)
     assert np.degrees(rotation_angles(motion.rotations, back.rotations).mean()) < 0.5
+
+
+@pytest.mark.parametrize("fps", [0.0, 1e-6, 1e9, float("nan"), float("inf")])
+def test_rates_that_no_motion_has(moving_person, fps):
+    for change in (moving_person.resample, lambda fps: replace(moving_person, fps=fps)):
+        with pytest.raises(MotionError, match="fps is .*; expected 1e-05 to 100000"):
+            change(fps)
+
+
+def test_more_frames_than_memory_holds_are_refused(moving_person):
+    slow = replace(moving_person, fps=1e-5)
+    with pytest.raises(MotionError, match="motion's own rate, 1e-05 fps, right"):
+        slow.resample(30.0)
+
+
+def test_a_filter_longer_than_the_motion_gives_its_mean(moving_person):
+    """One frame for 1e9 of the source's would be a filter of as many numbers."""
+    quick = replace(moving_person, fps=1e5)
+    (place,) = quick.resample(1e-4, antialias=True).translation
+    np.testing.assert_allclose(place, moving_person.translation.mean(axis=0), atol=0.05)

@@ -151,3 +151,12 @@ def test_an_smpl_body_by_its_name(model, sounds, tmp_path):
     assert Motion.load(outcome.files[0]).skeleton.n_joints == 55
     with pytest.raises(FormatError, match="one of smpl, smplh, smplx"):
         next(render(model, sounds[:1], tmp_path, rig="chair"))
+
+
+def test_a_body_of_the_smpl_family_by_its_name(model, sounds, tmp_path):
+    done = render(model, sounds[:1], tmp_path, formats=("bvh", "npz"), rig="smplh")
+    (outcome,) = done
+    assert outcome.error is None
+    assert Motion.load(outcome.files[0]).skeleton.n_joints == 52
+    with np.load(outcome.files[1]) as file:
+        assert file["poses"].shape[1] == 156 and str(file["surface_model_type"]) == "smplh"

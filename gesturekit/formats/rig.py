@@ -1,0 +1,80 @@
+"""A rig to put motions on: that of a file, or one of the SMPL family by its name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.smpl import RIGS, as_smpl, is_smpl, smpl_skeleton
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """A rig to put motions on.
+
+    Attributes:
+        name: a file, or smpl, smplh or smplx.
+        skeleton: its joints.
+        pose: (J, 4) local rotations in which it stands; None for a rig by its name.
+    """
+
+    name: str
+    skeleton: Skeleton
+    pose: np.ndarray | None = None
+
+    @classmethod
+    def load(cls, name: str | os.PathLike[str], parts: Mapping[str, str] | None = None) -> Rig:
+        """The rig of a motion file, or one of the SMPL family by its name.
+
+        Args:
+            name: the file, or smpl, smplh or smplx.
+            parts: joints of the file named by hand, see `Skeleton.parts`.
+
+        Raises:
+            FormatError: there is no such file, or it cannot be read.
+            MotionError: the file's parts cannot be told, or it never stands; or parts of an SMPL
+                rig, which are known.
+        """
+        name, parts = os.fspath(name), parts or {}
+        if name in RIGS:
+            if parts:
+                raise MotionError(f"the parts of {name} are known; {', '.join(parts)} is in vain")
+            return cls(name, smpl_skeleton(RIGS[name]))
+        if not Path(name).exists():
+            raise FormatError(
+                f"rig {name!r}: no such file; give a motion file that has the rig, or one of "
+                f"{', '.join(RIGS)}"
+            )
+        from gesturekit.motion.standing import standing_pose
+
+        motion = Motion.load(name)
+        try:
+            motion = motion.with_parts(parts)
+            return cls(Path(name).name, motion.skeleton, standing_pose(motion))
+        except MotionError as error:
+            raise MotionError(f"{name}: {error}") from None
+
+    @property
+    def options(self) -> dict[str, dict[str, str]]:
+        """Suffix of a file to what its writer has to know: the pose vectors in an npz file are
+        those of the SMPL rig that was named, not of SMPL-X."""
+        return {".npz": {"rig": self.name}} if self.pose is None else {}
+
+    def put(self, motion: Motion) -> Motion:
+        """The motion on this rig; from one of the SMPL family to another's name joint by joint.
+
+        Raises:
+            MotionError: parts of the motion's rig that cannot be told, or it never stands.
+        """
+        if self.pose is None and is_smpl(motion.skeleton):
+            return as_smpl(motion, self.skeleton.n_joints)
+        from gesturekit.motion.retarget import retarget
+
+        return retarget(motion, self.skeleton, pose=self.pose)
