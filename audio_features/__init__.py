@@ -37,6 +37,7 @@ _EXPORTS = {
     "interpolation_weights": "pyramid",
     "level_lengths": "pyramid",
     "resample_frames": "pyramid",
+    "residual_level": "pyramid",
     "residual_pyramid": "pyramid",
 }
 __all__ = sorted(_EXPORTS)

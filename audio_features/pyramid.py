@@ -29,32 +29,44 @@ def level_lengths(n_frames: int, levels: int, factor: float = 4 / 3) -> list[int
     return [max(1, round(n_frames * ratio ** (levels - i))) for i in range(1, levels + 1)]
 
 
-def interpolation_weights(n_in: int, n_out: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def interpolation_weights(
+    n_in: int, n_out: int, start: int = 0, stop: int | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Linear interpolation from n_in to n_out frames, as indices and weights.
 
     out[k] = (1 - w[k])·in[lo[k]] + w[k]·in[hi[k]], the convention of
     `torch.nn.functional.interpolate(mode="linear", align_corners=False)`: frame k lies at
     (k + ½)·n_in/n_out - ½, held at the ends.
 
-    Returns lo (n_out,) int64, hi (n_out,) int64, w (n_out,) float64 in [0, 1).
+    Args:
+        n_in, n_out: numbers of frames.
+        start, stop: the frames out that are wanted; all M = n_out of them by default.
+
+    Returns lo (M,) int64, hi (M,) int64, w (M,) float64 in [0, 1).
     """
     if n_in < 1 or n_out < 1:
         raise FeatureError(f"cannot interpolate from {n_in} to {n_out} frames: at least 1 each")
     # Whole numbers as far as possible: the position is `numerator` / (2·n_out).
-    numerator = np.maximum((2 * np.arange(n_out, dtype=np.int64) + 1) * n_in - n_out, 0)
+    out = np.arange(start, n_out if stop is None else stop, dtype=np.int64)
+    numerator = np.maximum((2 * out + 1) * n_in - n_out, 0)
     lo, remainder = np.divmod(numerator, 2 * n_out)
     hi = np.minimum(lo + 1, n_in - 1)
     return lo, hi, remainder / (2 * n_out)
 
 
-def resample_frames(values: np.ndarray, n: int) -> np.ndarray:
-    """(T, …) to (n, …) by `interpolation_weights`; floats keep their dtype."""
+def resample_frames(
+    values: np.ndarray, n: int, start: int = 0, stop: int | None = None
+) -> np.ndarray:
+    """(T, …) to (n, …) by `interpolation_weights`; floats keep their dtype.
+
+    With start and stop, only those of the n frames.
+    """
     values = np.asarray(values)
     if values.dtype.kind != "f":
         raise FeatureError(f"values have dtype {values.dtype}: give floats")
     if len(values) == n:
-        return values.copy()
-    lo, hi, w = interpolation_weights(len(values), n)
+        return values[start:stop].copy()
+    lo, hi, w = interpolation_weights(len(values), n, start, stop)
     w = w.reshape(-1, *([1] * (values.ndim - 1))).astype(values.dtype)
     return values[lo] * (1 - w) + values[hi] * w
 
@@ -79,6 +91,22 @@ def residual_pyramid(values: np.ndarray, lengths: Sequence[int]) -> list[np.ndar
         for coarse, fine in zip(levels[:-1], levels[1:], strict=True)
     ]
     return [levels[0], *residuals]
+
+
+def residual_level(
+    values: np.ndarray, lengths: Sequence[int], level: int, start: int, stop: int
+) -> np.ndarray:
+    """Frames `start` to `stop` of `residual_pyramid(values, lengths)[level]`, without the rest.
+
+    Only the frames of `values` (T, D) around them are read.
+    """
+    fine = resample_frames(values, lengths[level], start, stop)
+    if level == 0:
+        return fine
+    lo, hi, w = interpolation_weights(lengths[level - 1], lengths[level], start, stop)
+    w = w[:, None].astype(fine.dtype)
+    coarse = resample_frames(values, lengths[level - 1], lo[0], hi[-1] + 1)
+    return coarse[lo - lo[0]] * (1 - w) + coarse[hi - lo[0]] * w - fine
 
 
 def from_residual_pyramid(levels: Sequence[np.ndarray]) -> np.ndarray:

@@ -31,6 +31,16 @@ def resample(x: Tensor, n_frames: int) -> Tensor:
     return below + weight.to(x.dtype) * (x.index_select(-1, high) - below)
 
 
+def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:
+    """Frames `start` to `stop` of `resample(x, n_frames)`, to the bit, without the others."""
+    if x.shape[-1] == n_frames:
+        return x[..., start:stop]
+    low, high, weight = interpolation_weights(x.shape[-1], n_frames, start, stop)
+    below = x.index_select(-1, torch.from_numpy(low).to(x.device))
+    above = x.index_select(-1, torch.from_numpy(high).to(x.device))
+    return below + torch.from_numpy(weight).float().to(x.device, x.dtype) * (above - below)
+
+
 @lru_cache(maxsize=4096)
 def _reflection(n_frames: int, padding: int) -> Tensor:
     period = max(1, 2 * (n_frames - 1))

@@ -20,7 +20,7 @@ from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.bank import condition_levels
+from gesturekit.multires.chunks import Condition, SpeechCondition, sample
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.data import Normaliser
 from gesturekit.multires.networks import MultiresGenerator
@@ -137,13 +137,12 @@ class MultiresModel:
         if made > n_frames:
             features = np.concatenate([features, self.conditioner.silence(made - n_frames)])
         lengths = af.level_lengths(made, self.network_config.levels)
-        hears = torch.from_numpy(np.ascontiguousarray(features.T))[None]
-        conditions = condition_levels(hears, lengths, self.residual)
+        condition = SpeechCondition(features, lengths, self.residual)
         # One motion at a time: in a batch, sums would be made in another order, and a motion
         # would depend on how many were asked for.
         motions = [
             self.representation.decode(
-                self._sample(conditions, lengths, n_frames, seed, number),
+                self._sample(condition, lengths, n_frames, seed, number),
                 self.fps,
                 skeleton=None if speaker is None else self.speakers[speaker],
             )
@@ -173,17 +172,21 @@ class MultiresModel:
             raise ModelError(f"seconds={seconds}: must be at least one frame ({1 / self.fps:g} s)")
         return self.conditioner.silence(n_frames)
 
-    @torch.no_grad()
     def _sample(
-        self, conditions: list[Tensor], lengths: list[int], n_frames: int, seed: int, number: int
+        self,
+        condition: Condition | None,
+        lengths: list[int],
+        n_frames: int,
+        seed: int,
+        number: int,
     ) -> np.ndarray:
         """(T, 6 K + C + 3) motion vectors of sample `number`."""
         rng = generator(seed, "sample", number, "level", 1)
         spread = self.sigma[:, 0].mean()
         noises: list[Tensor | None] = [torch.randn(1, 1, lengths[0], generator=rng) * spread]
         noises += [None] * (len(lengths) - 1)
-        vectors = self.network(noises, conditions, lengths=lengths)[-1]
-        values = self.normaliser.inverse(vectors)[0].T[:n_frames].double().numpy()
+        vectors = sample(self.network, noises, lengths, condition)[..., :n_frames]
+        values = self.normaliser.inverse(vectors)[0].T.double().numpy()
         if not np.isfinite(values).all():
             raise ModelError("the model gave NaN; its weights are damaged or it was trained badly")
         return values

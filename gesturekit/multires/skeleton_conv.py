@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -16,6 +17,10 @@ from torch import Tensor, nn
 
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.interpolation import reflect
+
+_BLOCKS_A_PART = 5
+"""On average, where a convolution is split. Fewer multiply more zeros, more spend their time on
+calls (benchmarks/bench_multires_sample.py)."""
 
 
 def block_neighbours(representation: MultiresRepresentation, distance: int) -> np.ndarray:
@@ -47,8 +52,10 @@ class SkeletonConv1d(nn.Module):
     """Convolution over time whose output blocks see only the input blocks near them.
 
     Only live weights are parameters: some 80 % of the dense kernel is zero and costs neither
-    memory, nor optimiser state, nor room in the model file. The arithmetic is a dense convolution,
-    which on a CPU beats grouped and gathered ones at these sizes (benchmarks/RESULTS.md).
+    memory, nor optimiser state, nor room in the model file. In training the arithmetic is a dense
+    convolution, which with its backward pass beats grouped and gathered ones at these sizes
+    (benchmarks/RESULTS.md). In evaluation without gradients it is a few dense convolutions, one for
+    each part of the body, whose weights are laid out once; sums then run in another order.
 
     Args:
         neighbours: (B, B) bool, from `block_neighbours`.
@@ -64,6 +71,8 @@ class SkeletonConv1d(nn.Module):
     ) -> None:
         super().__init__()
         self.padding = kernel // 2
+        self.neighbours = neighbours
+        self.sizes = (tuple(sizes_in), tuple(sizes_out))
         self.shape = (sum(sizes_out), sum(sizes_in), kernel)
         mask = np.repeat(np.repeat(neighbours, sizes_out, axis=0), sizes_in, axis=1)
         live = np.flatnonzero(np.repeat(mask[..., None], kernel, axis=2))
@@ -76,6 +85,7 @@ class SkeletonConv1d(nn.Module):
         with torch.no_grad():
             self.weight.mul_(torch.from_numpy(per_weight.astype(np.float32)))
             self.bias.mul_(torch.from_numpy(bound.astype(np.float32)))
+        self._laid_out: tuple[tuple, _PartConvs] | None = None
 
     def dense_weight(self) -> Tensor:
         """(channels out, channels in, kernel), zero where blocks do not see one another."""
@@ -84,4 +94,74 @@ class SkeletonConv1d(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, channels in, T) to (B, channels out, T)."""
-        return F.conv1d(reflect(x, self.padding), self.dense_weight(), self.bias)
+        x = reflect(x, self.padding)
+        if self.training or torch.is_grad_enabled() or x.device.type != "cpu":
+            return F.conv1d(x, self.dense_weight(), self.bias)
+        return self._split()(x)
+
+    def _split(self) -> _PartConvs:
+        """The layer as it is now, split; made anew where its weights have changed."""
+        state = tuple((_version(p), p.data_ptr()) for p in (self.weight, self.bias))
+        if self._laid_out is None or self._laid_out[0] != state:
+            self._laid_out = state, _PartConvs(self)
+        return self._laid_out[1]
+
+
+class _PartConvs:
+    """A skeleton-aware convolution as one dense convolution for each part of the body.
+
+    The blocks of a part see much the same blocks, so that few of its weights are zero.
+    """
+
+    def __init__(self, conv: SkeletonConv1d) -> None:
+        sizes_in, sizes_out = conv.sizes
+        dense = conv.dense_weight().detach()
+        reads, writes, self.layers = [], [], []
+        for part in _parts(conv.neighbours.tobytes(), len(conv.neighbours)):
+            seen = _channels(sizes_in, np.flatnonzero(conv.neighbours[list(part)].any(axis=0)))
+            own = _channels(sizes_out, part)
+            reads.append(seen)
+            writes.append(own)
+            weight = dense[own][:, seen].contiguous()
+            self.layers.append((len(seen), weight, conv.bias.detach()[own]))
+        self.reads = torch.cat(reads)
+        self.back = torch.argsort(torch.cat(writes))
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """(B, channels in, T + kernel - 1) to (B, channels out, T)."""
+        seen, made, start = x.index_select(1, self.reads), [], 0
+        for width, weight, bias in self.layers:
+            made.append(F.conv1d(seen[:, start : start + width], weight, bias))
+            start += width
+        return torch.cat(made, dim=1).index_select(1, self.back)
+
+
+@lru_cache(maxsize=64)
+def _parts(neighbours: bytes, n_blocks: int) -> tuple[tuple[int, ...], ...]:
+    """Blocks (B, B) of whom each sees whom, joined into parts that see much the same.
+
+    Two at a time, those whose union multiplies the fewest zeros.
+    """
+    near = np.frombuffer(neighbours, dtype=bool).reshape(n_blocks, n_blocks)
+    parts, seen = [(block,) for block in range(n_blocks)], near.astype(np.int64)
+    while len(parts) > max(1, round(n_blocks / _BLOCKS_A_PART)):
+        own, width = np.array([len(part) for part in parts]), seen.sum(axis=1)
+        union = width[:, None] + width - seen @ seen.T
+        more = (own[:, None] + own) * union - (own * width)[:, None] - own * width
+        np.fill_diagonal(more, np.iinfo(more.dtype).max)
+        one, other = sorted(np.unravel_index(more.argmin(), more.shape))
+        parts[one] += parts.pop(other)
+        seen[one] |= seen[other]
+        seen = np.delete(seen, other, axis=0)
+    return tuple(tuple(sorted(part)) for part in parts)
+
+
+def _channels(sizes: Sequence[int], blocks: Sequence[int]) -> Tensor:
+    """Where the channels of these blocks stand."""
+    starts = np.cumsum((0, *sizes))
+    return torch.from_numpy(np.concatenate([np.arange(starts[b], starts[b + 1]) for b in blocks]))
+
+
+def _version(parameter: Tensor) -> int:
+    """Grows with each change in place; a tensor made in inference mode does not count them."""
+    return 0 if parameter.is_inference() else parameter._version
