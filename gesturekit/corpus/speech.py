@@ -22,6 +22,8 @@ Heard = tuple[np.ndarray, np.ndarray]
 _ACTIVITY_HOP = 0.01
 """Seconds between two frames of speech activity."""
 
+_FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in memory once
+
 
 @dataclass(frozen=True, eq=False)
 class SpeechConditioner:
@@ -85,13 +87,15 @@ class SpeechConditioner:
 
     def normalise(self, values: np.ndarray, active: np.ndarray) -> np.ndarray:
         """(T, S) float32 from what `extract` gives for a clip."""
-        values = values.astype(np.float64)
         prior = _PRIOR_SECONDS * self.fps
-        own = values[active].sum(axis=0)
+        own = values[active].sum(axis=0, dtype=np.float64)
         centre = (own + prior * self.centre) / (active.sum() + prior)
         centre = np.where(self.extractor.centred, centre, self.centre)
-        normalised = (values - centre) / self.scale
-        return np.clip(normalised, -LIMIT, LIMIT).astype(np.float32)
+        normalised = np.empty(values.shape, np.float32)
+        for start in range(0, len(values), _FRAMES_AT_ONCE):
+            part = slice(start, start + _FRAMES_AT_ONCE)
+            normalised[part] = np.clip((values[part] - centre) / self.scale, -LIMIT, LIMIT)
+        return normalised
 
     def silence(self, n_frames: int) -> np.ndarray:
         """(T, S) float32: what the model hears when nobody speaks."""

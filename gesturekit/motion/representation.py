@@ -35,6 +35,8 @@ from gesturekit.motion.skeleton import Skeleton
 CONTACT_SPEED = 0.2
 """Below this speed (m/s) a foot point counts as standing on the floor."""
 
+_FRAMES_AT_ONCE = 1024  # decoded, so that what a rotation passes through on its way stays small
+
 
 @dataclass(frozen=True, eq=False)
 class MultiresRepresentation:
@@ -201,11 +203,12 @@ class MultiresRepresentation:
         size = 1.0 if skeleton is None else leg_length(skeleton) / leg_length(self.skeleton)
         skeleton = skeleton or self.skeleton
         n_frames = len(values)
-        modelled = quaternion_from_sixd(
-            values[:, : 6 * len(self.joints)].reshape(n_frames, len(self.joints), 6)
-        )
         rotations = np.tile(self.fixed_rotations, (n_frames, 1, 1))
-        rotations[:, [self.skeleton.index(name) for name in self.joints]] = modelled
+        index = [self.skeleton.index(name) for name in self.joints]
+        for start in range(0, n_frames, _FRAMES_AT_ONCE):
+            part = values[start : start + _FRAMES_AT_ONCE, : 6 * len(index)]
+            modelled = quaternion_from_sixd(part.reshape(len(part), len(index), 6))
+            rotations[start : start + len(part), index] = modelled
         dx, height, dz = values[:, self.root_columns].T
         position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1) * size
         moving = {
