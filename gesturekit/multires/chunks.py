@@ -24,7 +24,7 @@ Condition = Callable[[int, int, int], Tensor]
 """condition(level, start, stop): (B, S, stop - start) what these frames of a level are told."""
 
 
-@torch.inference_mode()
+@torch.no_grad()
 def sample(
     network: MultiresGenerator,
     noises: Sequence[Tensor | None],

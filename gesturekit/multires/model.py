@@ -30,8 +30,8 @@ from gesturekit.training.seeds import generator
 log = logging.getLogger(__name__)
 
 FORMAT = 1
-_SHORTEST_COARSE = 3
-"""Frames the first level needs for its convolutions to see both ends of a gesture."""
+_MARGIN_COARSE = 2
+"""Frames of the first level that are made before a motion and after it, and cut off."""
 
 
 class MultiresModel:
@@ -83,13 +83,14 @@ class MultiresModel:
         return self.representation.skeleton
 
     @property
-    def min_frames(self) -> int:
-        """The shortest motion the pyramid can make; a shorter request is cropped from it."""
-        levels = self.network_config.levels
-        n_frames = 1
-        while af.level_lengths(n_frames, levels)[0] < _SHORTEST_COARSE:
-            n_frames += 1
-        return n_frames
+    def margin(self) -> int:
+        """Frames made before a motion and after it, and cut off.
+
+        At its ends a pyramid moves less: levels hold their end frames when they are upsampled,
+        and convolutions see the motion mirrored. With a margin that happens outside of what is
+        kept, and a motion of a single frame is no special case.
+        """
+        return round(_MARGIN_COARSE * (4 / 3) ** (self.network_config.levels - 1))
 
     def generate(
         self,
@@ -132,17 +133,15 @@ class MultiresModel:
         if samples < 1:
             raise ModelError(f"samples={samples}: ask for at least 1")
         features = self._features(speech, seconds)
-        n_frames = len(features)
-        made = max(n_frames, self.min_frames)
-        if made > n_frames:
-            features = np.concatenate([features, self.conditioner.silence(made - n_frames)])
-        lengths = af.level_lengths(made, self.network_config.levels)
+        # Mirrored, the speech goes on as it is at its ends: talking or silent.
+        features = np.pad(features, ((self.margin, self.margin), (0, 0)), mode="reflect")
+        lengths = af.level_lengths(len(features), self.network_config.levels)
         condition = SpeechCondition(features, lengths, self.residual)
         # One motion at a time: in a batch, sums would be made in another order, and a motion
         # would depend on how many were asked for.
         motions = [
             self.representation.decode(
-                self._sample(condition, lengths, n_frames, seed, number),
+                self._sample(condition, lengths, seed, number),
                 self.fps,
                 skeleton=None if speaker is None else self.speakers[speaker],
             )
@@ -173,20 +172,16 @@ class MultiresModel:
         return self.conditioner.silence(n_frames)
 
     def _sample(
-        self,
-        condition: Condition | None,
-        lengths: list[int],
-        n_frames: int,
-        seed: int,
-        number: int,
+        self, condition: Condition | None, lengths: list[int], seed: int, number: int
     ) -> np.ndarray:
-        """(T, 6 K + C + 3) motion vectors of sample `number`."""
+        """(T, 6 K + C + 3) motion vectors of sample `number`, without the margins."""
         rng = generator(seed, "sample", number, "level", 1)
         spread = self.sigma[:, 0].mean()
         noises: list[Tensor | None] = [torch.randn(1, 1, lengths[0], generator=rng) * spread]
         noises += [None] * (len(lengths) - 1)
-        vectors = sample(self.network, noises, lengths, condition)[..., :n_frames]
-        values = self.normaliser.inverse(vectors)[0].T.double().numpy()
+        vectors = sample(self.network, noises, lengths, condition)
+        kept = vectors[..., self.margin : lengths[-1] - self.margin]
+        values = self.normaliser.inverse(kept)[0].T.double().numpy()
         if not np.isfinite(values).all():
             raise ModelError("the model gave NaN; its weights are damaged or it was trained badly")
         return values

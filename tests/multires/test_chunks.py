@@ -1,0 +1,137 @@
+"""Sampling in pieces: no seam, any length, bounded memory."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.evaluation import arm_speed
+from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.multires.bank import condition_levels
+from gesturekit.multires.chunks import SpeechCondition, sample
+from gesturekit.multires.config import NetworkConfig
+from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.systems import bundled_speech
+
+LEVELS, FEATURES = 4, 3
+
+
+@pytest.fixture(scope="module")
+def network(gesture) -> MultiresGenerator:
+    """A pyramid that listens."""
+    torch.manual_seed(0)
+    config = NetworkConfig(levels=LEVELS, channels=(3, 2), embedding=4)
+    network = MultiresGenerator(MultiresRepresentation.fit([gesture(1.0)]), FEATURES, config)
+    for level in network.levels:
+        for film in level.films:
+            torch.nn.init.normal_(film.gain.weight, std=0.3)
+            torch.nn.init.normal_(film.shift.weight, std=0.3)
+    return network.eval()
+
+
+@pytest.fixture(scope="module")
+def model():
+    return gk.load("demo")
+
+
+@pytest.fixture(scope="module")
+def speech() -> af.Wave:
+    return af.Wave.load(bundled_speech())
+
+
+def draw(n_frames: int, seed: int) -> tuple[np.ndarray, list[int], list[torch.Tensor | None]]:
+    """Speech (T, S), lengths, and noise at the first and the last level."""
+    rng = np.random.default_rng(seed)
+    lengths = af.level_lengths(n_frames, LEVELS)
+    noises: list[torch.Tensor | None] = [None] * LEVELS
+    for level in (0, LEVELS - 1):
+        noises[level] = torch.from_numpy(rng.normal(size=(1, 1, lengths[level]))).float()
+    return rng.normal(size=(n_frames, FEATURES)).astype(np.float32), lengths, noises
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    n_frames=st.integers(1, 200),
+    chunk=st.integers(1, 120),
+    residual=st.booleans(),
+    listening=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_pieces_are_the_whole(network, n_frames, chunk, residual, listening, seed):
+    speech, lengths, noises = draw(n_frames, seed)
+    conditions = condition_levels(torch.from_numpy(speech.T.copy())[None], lengths, residual)
+    # With gradients the layers run as in training: one dense convolution each.
+    whole = network(noises, conditions if listening else None, lengths=lengths)[-1].detach()
+    condition = SpeechCondition(speech, lengths, residual) if listening else None
+    pieces = sample(network, noises, lengths, condition, chunk=chunk)
+    assert pieces.shape == whole.shape
+    torch.testing.assert_close(pieces, whole, rtol=0, atol=1e-5)
+
+
+def test_changed_weights_are_heeded(network):
+    """Layers keep their weights as they are multiplied; new ones take their place."""
+    _, lengths, noises = draw(50, 0)
+    before = sample(network, noises, lengths, None)
+    weight = network.levels[-1].layers[0].weight
+    with torch.no_grad():
+        weight.mul_(2)
+    changed = sample(network, noises, lengths, None)
+    with torch.no_grad():
+        weight.div_(2)
+    assert (changed - before).abs().max() > 1e-3
+    assert torch.equal(sample(network, noises, lengths, None), before)
+
+
+def test_a_long_motion_takes_little_more_memory_than_itself():
+    """In a process of its own, as the high-water mark of memory never falls."""
+    code = """
+import json, resource, sys
+import torch
+from audio_features import level_lengths
+from gesturekit.systems import load
+from gesturekit.multires.chunks import sample
+
+torch.set_num_threads(1)
+network = load("demo").network
+def make(n_frames, chunk):
+    lengths = level_lengths(n_frames, len(network.levels))
+    noises = [torch.randn(1, 1, lengths[0]), *[None] * (len(lengths) - 1)]
+    return sample(network, noises, lengths, None, chunk=chunk)
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+make(1024, 1024)
+marks = [peak()]
+for chunk in (1024, 20_000):
+    motion = make(20_000, chunk)
+    marks.append(peak())
+print(json.dumps([motion.nbytes, *marks]))
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    motion, idle, pieces, whole = json.loads(run.stdout)
+    assert pieces - idle < 3 * motion, "two levels, and some frames"
+    assert whole - idle > 4 * motion, "else the figure above says nothing"
+
+
+@pytest.mark.parametrize("seconds", [0.03, 0.04, 0.5, 1.7])
+def test_a_short_wav_gives_as_many_frames(model, speech, seconds):
+    motion = model.generate(speech.slice(2.0, seconds))
+    assert motion.n_frames == round(seconds * model.fps + 1e-6)
+    assert np.isfinite(motion.positions()).all()
+
+
+def test_the_ends_move_as_the_middle_does(model, speech):
+    """Idle, where no speech makes one second differ from another."""
+    ten = round(0.1 * model.fps)
+    speeds = np.array([arm_speed(model.generate(seconds=4.0, seed=seed)) for seed in range(40)])
+    middle = speeds[:, 10 * ten : -10 * ten].mean()
+    for end in (speeds[:, 1 : 1 + 2 * ten], speeds[:, -2 * ten :]):
+        assert 0.8 * middle < end.mean() < 1.25 * middle
