@@ -17,8 +17,8 @@ import audio_features as af
 from gesturekit.multires.interpolation import resample_part
 from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
 
-CHUNK = 1024
-"""Frames of a level made at a time: 16 of halo are little beside it, and it stays in the cache."""
+CHUNK = 2048
+"""Frames of a level made at a time: 16 of halo are little beside it, and they need some 50 MB."""
 
 Condition = Callable[[int, int, int], Tensor]
 """condition(level, start, stop): (B, S, stop - start) what these frames of a level are told."""
