@@ -1,4 +1,4 @@
-"""gesturekit render: wavs in, motion files out."""
+"""gesturekit render: wavs in (or a style, or nothing), motion files out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import comma_separated, rig_part_option
+from gesturekit.cli.options import comma_separated, given, rig_part_option
 
 
 @click.command(
@@ -43,6 +43,40 @@ from gesturekit.cli.options import comma_separated, rig_part_option
     "or smplx.",
 )
 @rig_part_option
+@click.option(
+    "--style",
+    metavar="NAME",
+    help="A style that the model knows, or several over time: old@0-10,angry@10-20 (seconds).",
+)
+@click.option(
+    "--level-style",
+    metavar="LEVELS=NAME,...",
+    help="Styles of single levels, 1 the coarsest: 1-4=describe,5-8=angry.",
+)
+@click.option(
+    "--levels",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Stop after N levels: a coarse motion to edit and give back by --keyframes.",
+)
+@click.option(
+    "--keyframes",
+    type=click.Path(path_type=Path),
+    metavar="EDIT.bvh",
+    help="A motion that takes the place of a coarse level; finer levels add their detail.",
+)
+@click.option(
+    "--keyframe-level",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Which level that is, 1 the coarsest.  [default: 1]",
+)
+@click.option(
+    "--like",
+    type=click.Path(path_type=Path),
+    metavar="OTHER.bvh",
+    help="A motion, of any rig of a person, to be done in the manner of the model.",
+)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -57,8 +91,16 @@ def command(
     weights: Path | None,
     rig: str | None,
     rig_parts: tuple[str, ...],
+    style: str | None,
+    level_style: str | None,
+    levels: int | None,
+    keyframes: Path | None,
+    keyframe_level: int | None,
+    like: Path | None,
 ) -> None:
     """Turn each WAV (or folder of audio) into motion, as long as the sound.
+
+    Models that do not hear take --seconds, --keyframes or --like instead of any WAV.
 
     One broken file never stops the others: it is listed with its reason, and the exit code is 1.
     """
@@ -69,7 +111,12 @@ def command(
     from gesturekit.systems import load
 
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
-    if not sources and seconds is None:
+    if keyframes is not None and like is not None:
+        raise click.UsageError("--keyframes and --like are both a motion to start from: give one.")
+    start_from = keyframes or like
+    if keyframe_level is not None and start_from is None:
+        raise click.UsageError("--keyframe-level goes with --keyframes or --like.")
+    if not sources and seconds is None and start_from is None:
         raise click.UsageError("Give audio files, or --seconds for an idle motion.")
     if sources and seconds is not None:
         raise click.UsageError("--seconds goes without audio: a motion is as long as its speech.")
@@ -88,6 +135,13 @@ def command(
         speaker=speaker,
         rig=rig,
         rig_parts=parse_parts(rig_parts),
+        controls=given(
+            style=style,
+            level_style=level_style,
+            levels=levels,
+            keyframes=start_from,
+            keyframe_level=keyframe_level,
+        ),
     ):
         for path in outcome.files:
             click.echo(click.format_filename(path))

@@ -16,7 +16,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
-_TOLD = {"Kind", "Motion", "Hears"}
+_TOLD = {"Kind", "Motion", "Hears", "Styles"}
 
 
 def inspect_model(folder: Path) -> Sheet:
@@ -39,6 +39,8 @@ def inspect_model(folder: Path) -> Sheet:
         raise ModelError(f"{folder}: {error}") from None
     except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise ModelError(f"{folder}: the model is damaged ({error!r})") from None
+    if features is None:  # a model that does not hear
+        features = {}
     if not isinstance(features, dict):
         raise ModelError(f"{folder / 'config.yaml'}: features is {features!r}, expected a mapping")
     weights = {name: shape for name, shape in shapes.items() if name.startswith("network.")}
@@ -50,6 +52,7 @@ def inspect_model(folder: Path) -> Sheet:
         "joints": joints,
         "skeleton": list(skeleton.names),
         "features": features,
+        "styles": [str(name) for name in config.get("styles") or ()],
         "network": config.get("network", {}),
         "parameters": sum(math.prod(shape) for shape in weights.values()),
         "bytes": sum(file.stat().st_size for file in folder.iterdir() if file.is_file()),
@@ -77,6 +80,8 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
         ("network", _settings(facts["network"])),
         ("parameters", f"{facts['parameters']:,}"),
     ]
+    if facts["styles"]:
+        rows.append(("styles", listed(facts["styles"], 12)))
     if facts["speakers"]:
         rows.append(("speakers", listed(facts["speakers"], 12)))
     rows += [(k.lower(), v) for k, v in facts["notes"].items() if k not in _TOLD]

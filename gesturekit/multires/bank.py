@@ -19,6 +19,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.data import PairedSequence, TrainingData
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.styles import mixed_styles, style_levels
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ class Windows:
     Attributes:
         coarser: (N, D, T) what the level below the pair generated; None at the first level.
         noise: noise for each level of the pair, (N, 1, T_i) or None for none at all.
-        conditions: (N, S, T_i) residual speech features for each level of the pair.
+        conditions: (N, S + K, T_i) residual speech features and one-hot styles for each level of
+            the pair; no channels at all where there is no condition.
         speech: (N, S, T_i) the same speech, not residual, for the arm-speed loss of random steps;
             None where nothing asks for it.
         targets: (N, D, T_i) recorded motion; None on random steps, which have none.
@@ -55,11 +57,20 @@ class Windows:
         )
 
 
-def condition_levels(speech: Tensor, lengths: Sequence[int], residual: bool) -> list[Tensor]:
-    """(B, S, T) speech to the (B, S, T_i) that each level hears."""
-    if not residual:
-        return [resample(speech, n) for n in lengths]
+def condition_levels(
+    speech: Tensor, lengths: Sequence[int], residual: bool, styles: Sequence[Tensor] = ()
+) -> list[Tensor]:
+    """(B, S, T) speech and (B, K, T_i) styles to the (B, S + K, T_i) that each level is told."""
+    heard = _speech_levels(speech, lengths, residual)
+    if not styles:
+        return heard
+    return [torch.cat(parts, dim=1) for parts in zip(heard, styles, strict=True)]
+
+
+def _speech_levels(speech: Tensor, lengths: Sequence[int], residual: bool) -> list[Tensor]:
     batch, width, n_frames = speech.shape
+    if not residual or not width:
+        return [resample(speech, n) for n in lengths]
     flat = speech.permute(2, 0, 1).reshape(n_frames, batch * width).numpy()
     return [
         torch.from_numpy(level).float().reshape(-1, batch, width).permute(1, 2, 0)
@@ -90,7 +101,11 @@ class Bank:
             torch.randn(count, 1, n, generator=rng) * sigma
             for n, sigma in zip(lengths, self.sigma, strict=True)
         ]
-        return self._windows(n_frames, first, speech, noises, None)
+        styles = None
+        if self.config.styles is not None:
+            levels, mixing = self.config.network.levels, self.config.styles.mixing
+            styles = mixed_styles(self.data.style_shares, count, levels, mixing, rng)
+        return self._windows(n_frames, first, speech, styles, noises, None)
 
     def paired(
         self,
@@ -105,7 +120,7 @@ class Bank:
         `count` of them, or every one there is where that is fewer: a whole sequence has one.
         """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
-        speech, motion, z_star = [], [], []
+        speech, motion, z_star, styles = [], [], [], []
         starts = sum(sequence.n_frames - n_frames + 1 for sequence in sequences)
         if starts > count:
             windows = random_windows(sequences, n_frames, count, rng)
@@ -115,8 +130,15 @@ class Bank:
             speech.append(sequence.speech[:, start : start + n_frames])
             motion.append(sequence.motion[:, start : start + n_frames])
             z_star.append(sequence.z_star_window(start, lengths[0]))
-        noises = [torch.stack(z_star)[:, None], *([None] * (len(lengths) - 1))]
-        return self._windows(n_frames, first, torch.stack(speech), noises, torch.stack(motion))
+            styles.append([sequence.style] * len(lengths))
+        return self._windows(
+            n_frames,
+            first,
+            torch.stack(speech),
+            torch.tensor(styles),
+            [torch.stack(z_star), *([None] * (len(lengths) - 1))],
+            torch.stack(motion),
+        )
 
     def reals(
         self,
@@ -142,11 +164,15 @@ class Bank:
         n_frames: int,
         first: int,
         speech: Tensor,
+        styles: Tensor | None,
         noises: list[Tensor | None],
         motion: Tensor | None,
     ) -> Windows:
         lengths = af.level_lengths(n_frames, self.config.network.levels)
-        conditions = condition_levels(speech, lengths, self.config.features.residual)
+        told = []
+        if styles is not None and self.data.styles:
+            told = style_levels(styles, len(self.data.styles), lengths)
+        conditions = condition_levels(speech, lengths, self.config.residual, told)
         to = self.device
         conditions = [level.to(to) for level in conditions]
         noises = [None if noise is None else noise.to(to) for noise in noises]

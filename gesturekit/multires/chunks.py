@@ -31,32 +31,41 @@ def sample(
     lengths: Sequence[int],
     condition: Condition | None,
     *,
+    first: int = 0,
+    coarser: Tensor | None = None,
     chunk: int = CHUNK,
 ) -> Tensor:
-    """The finest of `network(noises, conditions, lengths=lengths)`, in bounded memory beside it.
+    """The finest of `network(noises, conditions, ...)`, in bounded memory beside it.
 
     Args:
         network: the pyramid, in evaluation mode.
-        noises: (B, 1, T_i) for each level; None, but for the first, stands for no noise at all.
-        lengths: T_i, frames of each level.
+        noises: (B, 1, T_i) for each level; None, but for the first of all, stands for no noise.
+        lengths: T_i, frames of each of these levels.
+        first: index of the first of these levels.
+        coarser: (B, D, T) the level before `first`; None at the first level of all. Without any
+            level above it, it is what comes back.
         condition: asked for each piece of each level; None leaves out the modulation.
         chunk: frames made at a time.
 
     Returns:
         (B, D, T), whatever `chunk` up to the rounding of sums.
     """
-    batch, width = len(noises[0]), network.levels[0].layers[0].shape[1]
-    coarser = noises[0].new_zeros(batch, width, lengths[0])
-    for i, (level, noise, n_frames) in enumerate(zip(network.levels, noises, lengths, strict=True)):
+    if coarser is None:
+        coarser = noises[0].new_zeros(
+            len(noises[0]), network.levels[0].layers[0].shape[1], lengths[0]
+        )
+    batch, width, _ = coarser.shape
+    levels = network.levels[first : first + len(lengths)]
+    for i, (level, noise, n_frames) in enumerate(zip(levels, noises, lengths, strict=True), first):
         made = coarser.new_empty(batch, width, n_frames)
         reach = halo(level)
         for start, stop in pieces(n_frames, chunk):
-            first, last = max(0, start - reach), min(n_frames, stop + reach)
-            up = resample_part(coarser, n_frames, first, last)
-            shaken = up.new_zeros(batch, 1, 1) if noise is None else noise[..., first:last]
-            told = None if condition is None else condition(i, first, last)
+            begin, end = max(0, start - reach), min(n_frames, stop + reach)
+            up = resample_part(coarser, n_frames, begin, end)
+            shaken = up.new_zeros(batch, 1, 1) if noise is None else noise[..., begin:end]
+            told = None if condition is None else condition(i, begin, end)
             piece = level(up, shaken, told)
-            made[..., start:stop] = piece[..., start - first : stop - first]
+            made[..., start:stop] = piece[..., start - begin : stop - begin]
         coarser = made
     return coarser
 
@@ -73,24 +82,37 @@ def pieces(n_frames: int, chunk: int) -> Iterator[tuple[int, int]]:
     return zip(edges[:-1], edges[1:], strict=True)
 
 
-class SpeechCondition:
-    """What each level hears, without a pyramid of the whole speech in memory.
+class LevelConditions:
+    """What each level is told, without a pyramid of the whole speech in memory.
 
     Args:
-        speech: (T, S) float32 features at the finest level.
+        speech: (T, S) float32 features at the finest level; no columns where nothing is heard.
         lengths: T_i, frames of each level.
         residual: whether finer levels hear only what the coarser ones lack.
+        styles: (1, K, T_i) for each level, or none.
     """
 
-    def __init__(self, speech: np.ndarray, lengths: Sequence[int], residual: bool) -> None:
+    def __init__(
+        self,
+        speech: np.ndarray,
+        lengths: Sequence[int],
+        residual: bool,
+        styles: Sequence[Tensor] = (),
+    ) -> None:
         self.speech = speech
         self.lengths = lengths
         self.residual = residual
+        self.styles = styles
 
     def __call__(self, level: int, start: int, stop: int) -> Tensor:
-        """(1, S, stop - start), frames `start` to `stop` of `condition_levels(...)[level]`."""
-        if self.residual:
-            heard = af.residual_level(self.speech, self.lengths, level, start, stop)
-        else:
-            heard = af.resample_frames(self.speech, self.lengths[level], start, stop)
-        return torch.from_numpy(np.ascontiguousarray(heard.T))[None]
+        """(1, S + K, stop - start), frames `start` to `stop` of `condition_levels(...)[level]`."""
+        parts = []
+        if self.speech.shape[1]:
+            if self.residual:
+                heard = af.residual_level(self.speech, self.lengths, level, start, stop)
+            else:
+                heard = af.resample_frames(self.speech, self.lengths[level], start, stop)
+            parts.append(torch.from_numpy(np.ascontiguousarray(heard.T))[None])
+        if self.styles:
+            parts.append(self.styles[level][..., start:stop])
+        return torch.cat(parts, dim=1)

@@ -1,4 +1,7 @@
-"""What a multires run can be told; the defaults are the light-feature speech mode."""
+"""What a multires run can be told; the defaults are the light-feature speech mode.
+
+With `features: null` nothing is heard: single-clip mode, or label mode where `styles` is given.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +41,8 @@ class NetworkConfig:
     """Modulate the input of each level (the paper), or every hidden layer as well."""
     embedding: int = 64
     """Width of y_i, the embedding of the condition (eq. 8)."""
-    modulate: Literal["upper"] | tuple[str, ...] = "upper"
-    """Joints that speech modulates: the upper body, or names."""
+    modulate: Literal["upper", "all"] | tuple[str, ...] = "upper"
+    """Joints that the condition modulates: the upper body, all, or names."""
 
     def __post_init__(self) -> None:
         _positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
@@ -64,6 +67,14 @@ class LossConfig:
     reads off the speech. Not in the paper, where it is 0."""
     rec_input: Literal["generated", "real"] = "generated"
     """What reconstruction steps upsample: the chain from z*, or the real motion as in eq. 15."""
+    contact_speed: Literal["squared", "norm"] = "squared"
+    """Foot speed in the contact loss: squared (eq. 14), or as it is (GANimator)."""
+    contact_slope: float = 10.0
+    """Of the sigmoid over contact labels in eq. 14; 12 in GANimator."""
+    critic_scale: float = 1.0
+    """Of the critic's score in its own loss, before the penalty; 1/2 in GANimator."""
+    penalty_on: Literal["window", "frame"] = "window"
+    """The gradient penalty is on the norm over a window, or on each frame's own (GANimator)."""
 
     def __post_init__(self) -> None:
         _not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
@@ -131,8 +142,20 @@ class FeatureConfig:
 
 
 @dataclass(frozen=True)
+class StyleConfig:
+    """Label mode: each sequence is told by the `style` that the manifest gives it."""
+
+    mixing: float = 0.9
+    """Share of random motions that have one style up to a random level and another above it."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.mixing <= 1:
+            raise ConfigError(f"mixing: {self.mixing} must be between 0 and 1")
+
+
+@dataclass(frozen=True)
 class MultiresConfig:
-    """A multires training run in speech mode."""
+    """A multires training run, in speech, label or single-clip mode, or by speech and label."""
 
     system: Literal["multires"]
     corpus: Path
@@ -145,7 +168,14 @@ class MultiresConfig:
     parts: dict[str, str] = field(default_factory=dict)
     """Parts of the body named by hand, such as {left_elbow: Joint12}, for rigs whose names and
     shape do not tell them."""
-    features: FeatureConfig = field(default_factory=FeatureConfig)
+    normalise: bool = True
+    """Bring motion to zero mean and comparable spread; GANimator does not."""
+    z_star: Literal["shared", "full"] = "shared"
+    """The noise of reconstructions: like all noise, or of each channel and unscaled (GANimator)."""
+    features: FeatureConfig | None = field(default_factory=FeatureConfig)
+    """What is heard; null for nothing."""
+    styles: StyleConfig | None = None
+    """How styles are learnt; null for none."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     losses: LossConfig = field(default_factory=LossConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
@@ -176,4 +206,9 @@ class MultiresConfig:
     @property
     def uses_arm_speed(self) -> bool:
         """Whether random steps are told how fast the arms should be."""
-        return bool(self.losses.arm_speed and self.schedule.generator_steps)
+        return bool(self.features and self.losses.arm_speed and self.schedule.generator_steps)
+
+    @property
+    def residual(self) -> bool:
+        """Whether finer levels hear only what the coarser ones lack."""
+        return self.features is not None and self.features.residual

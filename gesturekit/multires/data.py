@@ -1,7 +1,8 @@
 """What a multires run trains on: sequences in memory, and windows cut from them.
 
 Paired sequences (speech and motion) feed reconstruction steps and the discriminators' real side;
-random-generation steps take their speech from the unpaired audio alone.
+random-generation steps take their speech from the unpaired audio alone. Where nothing is heard,
+speech has no channels (0, T), and every motion is a sequence.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from gesturekit.motion.heading import heading
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation, reference_skeleton
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.config import FeatureConfig, MultiresConfig
 from gesturekit.multires.interpolation import resample
 from gesturekit.training.seeds import generator
 
@@ -86,12 +87,14 @@ class Normaliser:
 
 @dataclass(frozen=True)
 class PairedSequence:
-    """One recording: normalised motion (D, T), speech (S, T), and its noise.
+    """One recording: normalised motion (D, T), speech (S, T), its noise and its style.
 
     Attributes:
         sigma: (L,) spread of what each level adds (RMSE of the level against the coarser one,
             upsampled; RMS at the first level).
-        z_star: (T_1,) the noise at level 1 from which this recording is reconstructed.
+        z_star: the noise at level 1 from which this recording is reconstructed, (T_1,), or
+            (D, T_1) where each channel has its own.
+        style: its number among the corpus's styles; 0 where there are none.
     """
 
     TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star")
@@ -101,6 +104,7 @@ class PairedSequence:
     speech: Tensor
     sigma: Tensor
     z_star: Tensor
+    style: int = 0
 
     @property
     def n_frames(self) -> int:
@@ -109,19 +113,32 @@ class PairedSequence:
 
     @classmethod
     def make(
-        cls, name: str, motion: Tensor, speech: Tensor, levels: int, seed: int
+        cls,
+        name: str,
+        motion: Tensor,
+        speech: Tensor,
+        levels: int,
+        seed: int,
+        *,
+        style: int = 0,
+        full_noise: bool = False,
     ) -> PairedSequence:
         """Draw the noise of a recording; it depends on the seed and the name alone."""
         sigma = level_sigmas(motion[None], levels)
         n_coarsest = af.level_lengths(motion.shape[-1], levels)[0]
-        noise = torch.randn(n_coarsest, generator=generator(seed, "z_star", name))
-        return cls(name, motion, speech, sigma, noise * sigma[0])
+        rng = generator(seed, "z_star", name)
+        if full_noise:
+            noise = torch.randn(len(motion), n_coarsest, generator=rng)
+        else:
+            noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
+        return cls(name, motion, speech, sigma, noise, style)
 
     def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
-        """(T_1,) of the window that starts at this full-rate frame."""
-        first = round(start * len(self.z_star) / self.n_frames)
-        first = max(0, min(first, len(self.z_star) - n_coarsest))
-        window = self.z_star[first : first + n_coarsest]
+        """(1 or D, T_1) of the window that starts at this full-rate frame."""
+        noise = self.z_star.reshape(-1, self.z_star.shape[-1])
+        first = round(start * noise.shape[-1] / self.n_frames)
+        first = max(0, min(first, noise.shape[-1] - n_coarsest))
+        window = noise[:, first : first + n_coarsest]
         # A window as long as its sequence may come out one coarse frame longer by rounding.
         return resample(window, n_coarsest)
 
@@ -144,6 +161,8 @@ class TrainingData:
         paired: recordings with motion.
         unpaired: (S, T) speech without motion; where the corpus has none, that of `paired`.
         silence: (S, T) what the model hears when nobody speaks, one window long.
+        conditioner: turns waves into what the model hears; None where it hears nothing.
+        styles: names of the styles, in alphabetical order; none outside label mode.
         speakers: a reference skeleton for each named speaker.
         window: frames of a training window; None takes whole sequences.
     """
@@ -153,7 +172,8 @@ class TrainingData:
     silence: Tensor
     window: int | None
     representation: MultiresRepresentation
-    conditioner: SpeechConditioner
+    conditioner: SpeechConditioner | None
+    styles: tuple[str, ...]
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     unpaired_is_paired: bool
@@ -168,9 +188,10 @@ class TrainingData:
             "silence": self.silence,
             "motion.mean": self.normaliser.mean,
             "motion.scale": self.normaliser.scale,
-            "features.centre": torch.from_numpy(self.conditioner.centre),
-            "features.scale": torch.from_numpy(self.conditioner.scale),
         }
+        if self.conditioner is not None:
+            tensors["features.centre"] = torch.from_numpy(self.conditioner.centre)
+            tensors["features.scale"] = torch.from_numpy(self.conditioner.scale)
         for i, sequence in enumerate(self.paired):
             for name in PairedSequence.TENSORS:
                 tensors[f"paired.{i}.{name}"] = getattr(sequence, name).contiguous()
@@ -181,7 +202,9 @@ class TrainingData:
         about = {
             "names": [sequence.name for sequence in self.paired],
             "unpaired": 0 if self.unpaired_is_paired else len(self.unpaired),
-            "features": self.conditioner.extractor.spec,
+            "features": None if self.conditioner is None else self.conditioner.extractor.spec,
+            "styles": list(self.styles),
+            "style_of": [sequence.style for sequence in self.paired],
             "window": self.window,
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
@@ -205,8 +228,11 @@ class TrainingData:
                 PairedSequence(
                     name,
                     *(tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS),
+                    style,
                 )
-                for i, name in enumerate(about["names"])
+                for i, (name, style) in enumerate(
+                    zip(about["names"], about["style_of"], strict=True)
+                )
             )
             unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
             skeleton = Skeleton.from_json(about["skeleton"])
@@ -216,7 +242,9 @@ class TrainingData:
                 silence=tensors["silence"],
                 window=about["window"],
                 representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
-                conditioner=SpeechConditioner(
+                conditioner=None
+                if config.features is None
+                else SpeechConditioner(
                     # By the spec, which knows the weights that the features were made with.
                     af.extractor_from_spec(about["features"], weights=config.features.weights),
                     config.fps,
@@ -224,9 +252,10 @@ class TrainingData:
                     tensors["features.centre"].numpy(),
                     tensors["features.scale"].numpy(),
                 ),
+                styles=tuple(about["styles"]),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
-                unpaired_is_paired=not unpaired,
+                unpaired_is_paired=config.features is not None and not unpaired,
             )
         except af.WeightsError:
             raise
@@ -234,6 +263,19 @@ class TrainingData:
             raise ConfigError(
                 f"{folder}: the run's training data cannot be read ({error}); start a new run"
             ) from error
+
+    @property
+    def n_speech(self) -> int:
+        """S, the number of speech features; 0 where nothing is heard."""
+        return self.silence.shape[0]
+
+    @property
+    def style_shares(self) -> Tensor:
+        """(K,) seconds of each style, in frames: how often random motions are given it."""
+        frames = torch.zeros(len(self.styles))
+        for sequence in self.paired:
+            frames[sequence.style] += sequence.n_frames
+        return frames
 
     def window_lengths(self) -> dict[int, list[int]]:
         """Window length to the paired sequences that give windows of that length."""
@@ -246,6 +288,8 @@ class TrainingData:
 
     def speech_window(self, n_frames: int, rng: torch.Generator) -> Tensor:
         """(S, n_frames) of unpaired speech; a shorter clip is set into silence."""
+        if not self.n_speech:
+            return torch.zeros(0, n_frames)
         weights = torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])
         clip = self.unpaired[int(torch.multinomial(weights, 1, generator=rng))]
         slack = clip.shape[-1] - n_frames
@@ -261,16 +305,14 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     """Read the corpus of a run, extract features, and normalise.
 
     Raises:
-        CorpusError: no paired training item, rigs that differ, or a file that cannot be read.
+        CorpusError: no training item with what the mode needs, rigs that differ, or a file that
+            cannot be read.
     """
-    extractor = _extractor(config)  # first: wrong settings are told before anything is read
+    # First: wrong settings are told before anything is read.
+    extractor = None if config.features is None else _extractor(config.features)
     manifest = Manifest.load(config.corpus)
-    items = manifest.paired("train")
-    if not items:
-        raise CorpusError(
-            f"{config.corpus}: no item of split train has both audio and motion; "
-            "run gesturekit prepare on a folder of wav + BVH pairs"
-        )
+    items = _training_items(manifest, config)
+    styles, style_of = _styles(items, config)
     motions = [_load_motion(item, config) for item in items]
     for item, motion in zip(items, motions, strict=True):
         different = first_difference(motion.skeleton, motions[0].skeleton)
@@ -284,29 +326,45 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             vectors.append(representation.encode(motion, turn=-heading(motion)))
         except ValueError as error:
             raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
-    normaliser = Normaliser.fit(vectors, representation)
+    if config.normalise:
+        normaliser = Normaliser.fit(vectors, representation)
+    else:
+        width = representation.n_features
+        normaliser = Normaliser(torch.zeros(width), torch.ones(width))
     by_speaker: dict[str, list[Motion]] = {}
     for item, motion in zip(items, motions, strict=True):
         if item.speaker is not None:
             by_speaker.setdefault(item.speaker, []).append(motion)
 
-    others = manifest.unpaired("train")
-    progress = tqdm([*items, *others], desc="Listening", unit="file", leave=False)
-    align = config.features.align
-    heard = [extract(item.load_wave(), extractor, config.fps, align) for item in progress]
-    conditioner = SpeechConditioner.fit(heard, extractor, config.fps, align)
-    # From the first to the last, each making room for what becomes of it.
-    heard.reverse()
+    if config.features is None:
+        conditioner = None
+        speeches = [torch.zeros(0, len(vector)) for vector in vectors]
+        unpaired: list[Tensor] = []
+    else:
+        others = manifest.unpaired("train")
+        conditioner, heard = _listen(
+            [*items, *others],
+            [*map(len, vectors), *[None] * len(others)],
+            extractor,
+            config.features,
+            config.fps,
+        )
+        speeches, unpaired = heard[: len(items)], heard[len(items) :]
     paired = []
-    for item, vector in zip(items, vectors, strict=True):
-        values, active = heard.pop()
-        n_frames = min(len(vector), len(values))
-        speech = _columns(conditioner.normalise(values[:n_frames], active[:n_frames]))
+    for item, vector, speech, style in zip(items, vectors, speeches, style_of, strict=True):
+        n_frames = min(len(vector), speech.shape[-1])
         motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
         paired.append(
-            PairedSequence.make(item.id, motion, speech, config.network.levels, config.seed)
+            PairedSequence.make(
+                item.id,
+                motion,
+                speech[:, :n_frames].contiguous(),
+                config.network.levels,
+                config.seed,
+                style=style,
+                full_noise=config.z_star == "full",
+            )
         )
-    unpaired = tuple(_columns(conditioner.normalise(*heard.pop())) for _ in others)
     window = config.schedule.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
     longest = max(sequence.n_frames for sequence in paired)
@@ -315,17 +373,77 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             f"network.levels: {config.network.levels} levels leave one frame of the longest "
             f"recording ({longest / config.fps:.1f} s) at the coarsest; take fewer levels"
         )
+    silent = frames or longest
+    hears = conditioner is not None
     return TrainingData(
         paired=tuple(paired),
-        unpaired=unpaired or tuple(sequence.speech for sequence in paired),
-        silence=_columns(conditioner.silence(frames or longest)),
+        unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
+        silence=_columns(conditioner.silence(silent)) if hears else torch.zeros(0, silent),
         window=frames,
         representation=representation,
         conditioner=conditioner,
+        styles=styles,
         normaliser=normaliser,
         speakers={name: reference_skeleton(own) for name, own in by_speaker.items()},
-        unpaired_is_paired=not unpaired,
+        unpaired_is_paired=hears and not unpaired,
     )
+
+
+def _training_items(manifest: Manifest, config: MultiresConfig) -> tuple[Item, ...]:
+    """What a run learns motion from: pairs, or all motion where nothing is heard."""
+    if config.features is not None:
+        items = manifest.paired("train")
+        if not items:
+            raise CorpusError(
+                f"{config.corpus}: no item of split train has both audio and motion; run "
+                "gesturekit prepare on a folder of wav + BVH pairs, or train without speech "
+                "(features=null)"
+            )
+        return items
+    items = tuple(item for item in manifest if item.split == "train" and item.motion is not None)
+    if not items:
+        raise CorpusError(
+            f"{config.corpus}: no item of split train has motion; "
+            "run gesturekit prepare --unpaired-motion on a folder of BVH files"
+        )
+    return items
+
+
+def _styles(items: Sequence[Item], config: MultiresConfig) -> tuple[tuple[str, ...], list[int]]:
+    """Names of the styles, and the number of each item's own."""
+    if config.styles is None:
+        return (), [0] * len(items)
+    nameless = [item.id for item in items if item.style is None]
+    if nameless:
+        raise CorpusError(
+            f"{config.corpus}: item {nameless[0]} has no style ({len(nameless)} have none); "
+            "gesturekit prepare --style-pattern takes styles from file names"
+        )
+    styles = tuple(sorted({item.style for item in items if item.style is not None}))
+    return styles, [styles.index(item.style) for item in items if item.style is not None]
+
+
+def _listen(
+    items: Sequence[Item],
+    most: Sequence[int | None],
+    extractor: Any,
+    features: FeatureConfig,
+    fps: float,
+) -> tuple[SpeechConditioner, list[Tensor]]:
+    """What the model hears of each item, (S, T), and what makes it of a wave.
+
+    No more of an item than `most` of its frames, where that is a number.
+    """
+    progress = tqdm(items, desc="Listening", unit="file", leave=False)
+    heard = [extract(item.load_wave(), extractor, fps, features.align) for item in progress]
+    conditioner = SpeechConditioner.fit(heard, extractor, fps, features.align)
+    # From the first to the last, each making room for what becomes of it.
+    heard.reverse()
+    speeches = []
+    for n_frames in most:
+        values, active = heard.pop()
+        speeches.append(_columns(conditioner.normalise(values[:n_frames], active[:n_frames])))
+    return conditioner, speeches
 
 
 def _load_motion(item: Item, config: MultiresConfig) -> Motion:
@@ -340,6 +458,6 @@ def _columns(values: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values.T))
 
 
-def _extractor(config: MultiresConfig) -> Any:
-    parts = {"kind": "stack", "parts": list(config.features.extractors)}
-    return af.extractor_from_spec(parts, weights=config.features.weights)
+def _extractor(features: FeatureConfig) -> Any:
+    parts = {"kind": "stack", "parts": list(features.extractors)}
+    return af.extractor_from_spec(parts, weights=features.weights)

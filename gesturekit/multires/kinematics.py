@@ -27,7 +27,9 @@ class VectorKinematics(nn.Module):
     fixed: Tensor
     rows: Tensor
 
-    def __init__(self, representation: MultiresRepresentation, fps: float) -> None:
+    def __init__(
+        self, representation: MultiresRepresentation, fps: float, arms: bool = True
+    ) -> None:
         super().__init__()
         skeleton = representation.skeleton
         self.fps = fps
@@ -61,6 +63,9 @@ class VectorKinematics(nn.Module):
             rows[place[joint]] = k
         self.register_buffer("rows", torch.tensor(rows), persistent=False)
         self.wanted = [place[joint] for joint in modelled]
+        self.arms: list[int] = []
+        if not arms:
+            return
         missing = [name for name in arm_joints(skeleton) if name not in representation.joints]
         if missing:
             raise ConfigError(
@@ -84,13 +89,21 @@ class VectorKinematics(nn.Module):
         n_points = self.contacts.stop - self.contacts.start
         return positions[:, :, self.wanted], positions[:, :, positions.shape[2] - n_points :]
 
-    def contact_loss(self, values: Tensor, stride: float) -> Tensor:
-        """Eq. 14: squared foot speed, (m/s)^2, where the contact label says the foot stands."""
+    def contact_loss(
+        self, values: Tensor, stride: float, slope: float = 10.0, squared: bool = True
+    ) -> Tensor:
+        """Eq. 14: squared foot speed, (m/s)^2, where the contact label says the foot stands.
+
+        GANimator has the speed itself, m/s, and a slope of 12.
+        """
         _, feet = self._positions(values)
         drift = _root_drift(values)
         speed = ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
         labels = values[:, self.contacts, 1:].transpose(1, 2)
-        return (speed.square().sum(dim=-1) * torch.sigmoid(10 * labels - 5)).mean()
+        speed = speed.square().sum(dim=-1)
+        if not squared:
+            speed = (speed + 1e-12).sqrt()
+        return (speed * torch.sigmoid(slope * labels - slope / 2)).mean()
 
     def smoothness_loss(self, values: Tensor, stride: float) -> Tensor:
         """Eq. 16: distance (m) of each joint from the mean of three frames, a full-rate frame."""

@@ -15,6 +15,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.data import PairedSequence, TrainingData
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.styles import style_levels
 from gesturekit.training.seeds import generator
 
 MOST_CLIPS = 4
@@ -23,7 +24,7 @@ MOST_SECONDS = 20.0
 
 
 class Monitor:
-    """Measures motion for the training speech, beside its recordings.
+    """Measures motion for the training speech (or style), beside its recordings.
 
     Random numbers are its own, so that a run with it and one without come to the same weights.
     """
@@ -52,7 +53,11 @@ class Monitor:
         for number, (sequence, n_frames) in enumerate(self.clips):
             lengths = af.level_lengths(n_frames, self.config.network.levels)
             speech = sequence.speech[None, :, :n_frames]
-            conditions = condition_levels(speech, lengths, self.config.features.residual)
+            styles = []
+            if self.data.styles:
+                same = torch.full((1, len(lengths)), sequence.style)
+                styles = style_levels(same, len(self.data.styles), lengths)
+            conditions = condition_levels(speech, lengths, self.config.residual, styles)
             noise = self._noise(sequence, lengths[0], number).to(device)
             made = network(
                 [noise, *[None] * (levels - 1)],

@@ -68,6 +68,10 @@ class LevelGenerator(nn.Module):
             SkeletonConv1d(near, sizes[i], sizes[i + 1], config.kernel)
             for i in range(len(sizes) - 1)
         )
+        # Without any condition there is nothing to embed and nothing to modulate by.
+        if not n_condition:
+            self.films = nn.ModuleList()
+            return
         blocks = modulated_blocks(representation, config)
         self.embed = nn.Conv1d(n_condition, config.embedding, 1)
         modulated = sizes[:1] if config.film == "input" else sizes[:-1]
@@ -81,12 +85,17 @@ class LevelGenerator(nn.Module):
         Args:
             up: (B, D, T) the coarser level's motion, upsampled; zeros at the first level.
             noise: (B, 1, T), shared by all channels.
-            condition: (B, S, T) speech features of this level; None leaves out the modulation.
+            condition: (B, S, T) speech features and style of this level; None leaves out the
+                modulation.
 
         Returns:
             (B, D, T).
         """
-        y = None if condition is None else F.leaky_relu(self.embed(condition), SLOPE)
+        y = (
+            None
+            if condition is None or not self.films
+            else F.leaky_relu(self.embed(condition), SLOPE)
+        )
         x = up + noise
         for i, layer in enumerate(self.layers):
             if i:
@@ -166,7 +175,12 @@ class MultiresGenerator(nn.Module):
 
 
 def modulated_blocks(representation: MultiresRepresentation, config: NetworkConfig) -> np.ndarray:
-    """(B,) bool: the blocks that speech modulates; never a contact nor the root's displacement."""
+    """(B,) bool: the blocks that the condition modulates.
+
+    Speech never modulates a contact nor the root's displacement; `modulate: all` means them too.
+    """
+    if config.modulate == "all":
+        return np.ones(len(representation.block_sizes), dtype=bool)
     if config.modulate == "upper":
         names = set(upper_body(representation.skeleton))
     else:
@@ -176,7 +190,9 @@ def modulated_blocks(representation: MultiresRepresentation, config: NetworkConf
     return np.array(joints + [False] * (len(representation.block_sizes) - len(joints)))
 
 
-def gradient_penalty(discriminator: nn.Module, real: Tensor, fake: Tensor, mix: Tensor) -> Tensor:
+def gradient_penalty(
+    discriminator: nn.Module, real: Tensor, fake: Tensor, mix: Tensor, per_frame: bool = False
+) -> Tensor:
     """Mean of (||grad D|| - 1)^2 between real and fake motions (eq. 13, Gulrajani et al. 2017).
 
     Args:
@@ -184,10 +200,13 @@ def gradient_penalty(discriminator: nn.Module, real: Tensor, fake: Tensor, mix: 
         real: (B, D, T).
         fake: (B, D, T).
         mix: (B, 1, 1), uniform in [0, 1].
+        per_frame: penalise the norm over the channels of each frame, as GANimator does.
     """
     between = (mix * fake + (1 - mix) * real).requires_grad_(True)
     score = discriminator(between).mean(dim=(1, 2)).sum()
     (gradient,) = torch.autograd.grad(score, between, create_graph=True)
+    if per_frame:
+        return ((gradient.norm(dim=1) - 1) ** 2).mean()
     # The score is a mean over T frames, so its gradient shrinks as 1/sqrt(T) with length; the
     # penalty is on the score per frame, or long windows would be punished for their length.
     norm = gradient.flatten(1).norm(dim=1) * between.shape[-1] ** 0.5

@@ -23,7 +23,7 @@ from gesturekit.multires.data import TrainingData, load_training_data
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.listening import ArmSpeedTarget
-from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.model import MultiresModel, TrainedSequence
 from gesturekit.multires.monitor import Monitor
 from gesturekit.multires.networks import (
     LevelDiscriminator,
@@ -80,22 +80,18 @@ class _Trainer:
             )
         self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
         self.heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
-        log.info(
-            "Training on %d recordings (%.0f s) and %.0f s of %s speech; %d joints, %d features.",
-            len(self.data.paired),
-            self.seconds,
-            self.heard,
-            "the same" if self.data.unpaired_is_paired else "unpaired",
-            len(self.data.representation.joints),
-            self.data.conditioner.dim,
-        )
+        log.info("Training on %s.", ", ".join(self._what()))
         self.network = _seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
-                self.data.representation, self.data.conditioner.dim, config.network
+                self.data.representation,
+                self.data.n_speech + len(self.data.styles),
+                config.network,
             ),
         ).to(self.device)
-        self.kinematics = VectorKinematics(self.data.representation, config.fps).to(self.device)
+        self.kinematics = VectorKinematics(
+            self.data.representation, config.fps, arms=config.uses_arm_speed
+        ).to(self.device)
         self.normaliser = self.data.normaliser.to(self.device)
         self.bank = Bank(self.data, config, self.network)
         self.monitor = Monitor(self.data, config) if config.eval_every else None
@@ -110,6 +106,18 @@ class _Trainer:
         if not resume:
             self.data.save(run.folder / "data")
             run.begin()
+
+    def _what(self) -> list[str]:
+        """What there is to train on, for people."""
+        data = self.data
+        parts = [f"{len(data.paired)} recordings ({self.seconds:.0f} s)"]
+        if data.conditioner is not None:
+            kind = "the same" if data.unpaired_is_paired else "unpaired"
+            parts.append(f"{self.heard:.0f} s of {kind} speech")
+            parts.append(f"{data.conditioner.dim} features")
+        if data.styles:
+            parts.append(f"{len(data.styles)} styles")
+        return [*parts, f"{len(data.representation.joints)} joints"]
 
     def pairs(self) -> list[tuple[int, int]]:
         """(first level, iterations) of each pair."""
@@ -156,10 +164,18 @@ class _Trainer:
             conditioner=self.data.conditioner,
             normaliser=self.data.normaliser,
             network_config=self.config.network,
-            residual=self.config.features.residual,
+            residual=self.config.residual,
+            styles=self.data.styles,
             network=self.network.cpu().eval(),
             sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
             z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
+            sequences={
+                sequence.name: TrainedSequence(
+                    sequence.n_frames,
+                    self.data.styles[sequence.style] if self.data.styles else None,
+                )
+                for sequence in self.data.paired
+            },
             speakers=self.data.speakers,
         )
         last = self.folder.last_metrics()
@@ -168,9 +184,9 @@ class _Trainer:
             folder,
             notes={
                 "Recordings": f"{len(self.data.paired)}, {self.seconds:.0f} s",
-                "Unpaired speech": "none"
-                if self.data.unpaired_is_paired
-                else f"{len(self.data.unpaired)} files, {self.heard:.0f} s",
+                "Unpaired speech": f"{len(self.data.unpaired)} files, {self.heard:.0f} s"
+                if self.data.n_speech and not self.data.unpaired_is_paired
+                else "none",
                 "Training steps": str(steps),
                 "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
                 **{str(key): str(value) for key, value in self.config.notes.items()},
@@ -336,8 +352,9 @@ class _Pair:
             mix = torch.rand(len(real), 1, 1, generator=rng).to(real.device)
             scores = critic(torch.cat([fake, real])).mean(dim=(1, 2))
             gap = scores[: len(fake)].mean() - scores[len(fake) :].mean()
-            penalty = gradient_penalty(critic, real, fake, mix)
-            losses.append(gap + self.config.losses.gradient_penalty * penalty)
+            weights = self.config.losses
+            penalty = gradient_penalty(critic, real, fake, mix, weights.penalty_on == "frame")
+            losses.append(weights.critic_scale * gap + weights.gradient_penalty * penalty)
             gaps.append(gap.detach())
         self._step("discriminator", torch.stack(losses).sum())
         return float(torch.stack(gaps).mean())
@@ -357,13 +374,16 @@ class _Pair:
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1
             if weights.contact and moves:
-                loss = self.trainer.kinematics.contact_loss(values, stride)
+                squared = weights.contact_speed == "squared"
+                loss = self.trainer.kinematics.contact_loss(
+                    values, stride, weights.contact_slope, squared
+                )
                 parts.setdefault("contact", []).append(weights.contact * loss)
             # Rounding makes strides of two levels straddle 2; half the full rate is meant.
             if weights.smoothness and stride < 2.05:
                 loss = self.trainer.kinematics.smoothness_loss(values, stride)
                 parts.setdefault("smooth", []).append(weights.smoothness * loss)
-            if weights.arm_speed and moves:
+            if self.targets and moves:
                 target = self.targets[i]
                 speed = target.log_speed(self.trainer.kinematics.arm_speed(values, stride))
                 wanted = target(windows.speech[i])

@@ -38,6 +38,7 @@ def render(
     speaker: str | None = None,
     rig: str | os.PathLike[str] | None = None,
     rig_parts: Mapping[str, str] | None = None,
+    controls: Mapping[str, Any] | None = None,
 ) -> Iterator[Outcome]:
     """Generate motion for each audio file and write it as STEM.bvh (STEM_s1.bvh ... for samples).
 
@@ -54,6 +55,7 @@ def render(
         rig: whose body to move instead: a motion file, of any names, size and rest pose, or smpl,
             smplh or smplx; see `gesturekit.formats.rig`.
         rig_parts: parts of that body named by hand, where its joints' names do not tell them.
+        controls: what else `generate` shall be told: style, keyframes ...
 
     Yields:
         an outcome for each file, as it is done.
@@ -69,6 +71,7 @@ def render(
     files = _expand(sources)
     _refuse_clashes(files, out)
     body = None if rig is None else Rig.load(rig, rig_parts)
+    asked = {"samples": samples, "seed": seed, "speaker": speaker, **(controls or {})}
     _make_folder(out)
     if not sources:
         yield _render_one(
@@ -78,7 +81,7 @@ def render(
             "motion",
             formats,
             body,
-            lambda: model.generate(seconds=seconds, samples=samples, seed=seed, speaker=speaker),
+            lambda: model.generate(seconds=seconds, **asked),
         )
         return
     for path in files:
@@ -89,7 +92,7 @@ def render(
             path.stem,
             formats,
             body,
-            lambda path=path: model.generate(path, samples=samples, seed=seed, speaker=speaker),
+            lambda path=path: model.generate(path, **asked),
         )
 
 

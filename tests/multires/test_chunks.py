@@ -17,7 +17,7 @@ import gesturekit as gk
 from gesturekit.evaluation import arm_speed
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.bank import condition_levels
-from gesturekit.multires.chunks import SpeechCondition, sample
+from gesturekit.multires.chunks import LevelConditions, sample
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.systems import bundled_speech
@@ -71,7 +71,7 @@ def test_pieces_are_the_whole(network, n_frames, chunk, residual, listening, see
     conditions = condition_levels(torch.from_numpy(speech.T.copy())[None], lengths, residual)
     # With gradients the layers run as in training: one dense convolution each.
     whole = network(noises, conditions if listening else None, lengths=lengths)[-1].detach()
-    condition = SpeechCondition(speech, lengths, residual) if listening else None
+    condition = LevelConditions(speech, lengths, residual) if listening else None
     pieces = sample(network, noises, lengths, condition, chunk=chunk)
     assert pieces.shape == whole.shape
     torch.testing.assert_close(pieces, whole, rtol=0, atol=1e-5)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import gesturekit as gk
 from gesturekit.cli import main
+from gesturekit.corpus import Manifest
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.training.config import load_config, read_chain
 
@@ -40,6 +42,16 @@ def wavlm(tmp_path_factory, write_wavlm) -> Path:
     return folder
 
 
+def with_styles(corpus: Path, path: Path) -> Path:
+    """The same corpus, its recordings in two styles by turns."""
+    items = [
+        replace(item, style=("calm", "lively")[number % 2])
+        for number, item in enumerate(Manifest.load(corpus))
+    ]
+    Manifest(items).save(path)
+    return path
+
+
 def name_of(path: Path) -> str:
     return path.relative_to(ROOT / "recipes").as_posix()
 
@@ -53,8 +65,11 @@ def test_there_are_recipes():
 @pytest.mark.parametrize("path", CONFIGS, ids=name_of)
 def test_the_recipe_trains_and_its_model_moves(path, corpus, wavlm, tmp_path):
     system = read_chain(path)["system"]
+    if "styles" in read_chain(path):
+        corpus = with_styles(corpus, tmp_path / "styles.jsonl")
     config = load_config(path, CONFIG_CLASSES[system], [f"corpus={corpus}"])
-    hears_wavlm = any(part["kind"] == "wavlm" for part in config.features.extractors)
+    extractors = config.features.extractors if config.features is not None else ()
+    hears_wavlm = any(part["kind"] == "wavlm" for part in extractors)
     weights = [f"features.weights={wavlm}"] if hears_wavlm else []
     run = tmp_path / "run"
     with pytest.raises(SystemExit) as left:

@@ -1,0 +1,262 @@
+"""Single-clip mode, label mode, and speech with labels: train, reload, generate."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import gesturekit as gk
+from gesturekit.cli import main
+from gesturekit.corpus import Manifest
+from gesturekit.errors import CorpusError, ModelError
+from gesturekit.inspection import inspect
+from gesturekit.multires.styles import asked_styles, mixed_styles, style_track
+from gesturekit.multires.trainer import train
+from gesturekit.training.checkpoint import Checkpoints
+
+
+@pytest.fixture
+def motions(gesture, tmp_path):
+    """motions(old=[4.0, 3.0], angry=[4.0]): a manifest of motion alone, seconds by style."""
+
+    def make(**seconds: list[float]):
+        items = []
+        for style, lengths in seconds.items():
+            for i, length in enumerate(lengths):
+                name = f"{style}_{i}"
+                gesture(length, seed=len(items)).save(tmp_path / f"{name}.bvh")
+                items.append({"id": name, "motion": f"{name}.bvh", "duration": length})
+                items[-1] |= {"style": style if style != "none" else None, "split": "train"}
+        blank = {"audio": None, "audio_start": 0.0, "motion_start": 0.0, "speaker": None}
+        blank |= {"text": None, "mirror": False, "conditions": {}}
+        path = tmp_path / "motions.jsonl"
+        lines = [{"schema": 1}, *({**blank, **item} for item in items)]
+        path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+        return path
+
+    return make
+
+
+SINGLE = {"features": None, "schedule": {"window": None}}
+LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
+
+
+def test_one_clip_without_any_condition(make_config, motions):
+    folder = train(make_config(corpus=str(motions(none=[4.0])), **SINGLE))
+    model = gk.load(folder)
+    motion = model.generate(seconds=6.0, seed=1)
+    assert motion.n_frames == 150
+    again = gk.load(folder).generate(seconds=6.0, seed=1)
+    np.testing.assert_array_equal(motion.rotations, again.rotations)
+    other = model.generate(seconds=6.0, seed=2)
+    assert np.abs(motion.rotations - other.rotations).max() > 1e-3
+    with pytest.raises(ModelError, match="does not hear"):
+        model.generate("speech.wav")
+    with pytest.raises(ModelError, match="style"):
+        model.generate(seconds=2.0, style="happy")
+
+
+def test_styles_of_the_manifest_move_differently(make_config, motions):
+    corpus = motions(old=[4.0, 3.0], angry=[4.0])
+    folder = train(make_config(corpus=str(corpus), **LABELS))
+    model = gk.load(folder)
+    assert model.styles == ("angry", "old")
+
+    def rotations(**asked):
+        return model.generate(seconds=4.0, seed=3, **asked).rotations
+
+    old, angry = rotations(style="old"), rotations(style="angry")
+    assert np.abs(old - angry).max() > 1e-3
+    rows = dict(inspect(folder).rows)
+    assert rows["hears"] == "nothing" and rows["styles"] == "angry, old"
+    both = rotations(level_style="1-2=old,3-4=angry")
+    assert np.abs(both - old).max() > 1e-4 and np.abs(both - angry).max() > 1e-4
+    np.testing.assert_array_equal(rotations(style="angry", level_style="1-4=old"), old)
+    with pytest.raises(ModelError, match="angry, old"):
+        rotations(style="sad")
+
+
+def test_label_mode_wants_a_style_for_every_item(make_config, motions):
+    corpus = motions(old=[3.0], none=[3.0])
+    with pytest.raises(CorpusError, match="none_0 has no style"):
+        train(make_config(corpus=str(corpus), **LABELS))
+
+
+def test_speech_and_style_together(make_config, corpus, tmp_path):
+    from dataclasses import replace
+
+    manifest = Manifest.load(corpus)
+    styled = tmp_path / "styled.jsonl"
+    names = iter(["calm", "lively"] * len(manifest))
+    Manifest(
+        replace(item, style=next(names)) if item.is_paired else item for item in manifest
+    ).save(styled)
+    model = gk.load(train(make_config(corpus=str(styled), styles={})))
+    wave = manifest.paired("train")[0].load_wave()
+    calm = model.generate(wave, style=model.styles[0])
+    assert calm.n_frames == wave.n_frames(25.0)
+    if len(model.styles) > 1:
+        lively = model.generate(wave, style=model.styles[1])
+        assert np.abs(calm.rotations - lively.rotations).max() > 1e-4
+
+
+def test_spans_hold_and_blend_over_a_second():
+    track = style_track(("angry", "old"), "old@0-4,angry@4-8", 250, 25.0)
+    torch.testing.assert_close(track.sum(dim=0), torch.ones(250))
+    assert track[1, 80] == 1 and track[0, 120] == 1 and track[0, 249] == 1
+    ramp = track[0, 86:114]
+    assert (ramp.diff() >= 0).all() and ramp[0] == 0 and ramp[-1] == 1
+    assert 0.4 < track[0, 100] < 0.6
+
+
+@pytest.mark.parametrize(
+    ("style", "level_style", "message"),
+    [
+        ("old@3", None, "old@0-10"),
+        ("old@4-3", None, "before it begins"),
+        ("older", None, "knows angry, old"),
+        ("old", "1-9=old", "levels 1 .coarse. to 4"),
+        ("old", "old", "1-4=describe"),
+    ],
+)
+def test_what_cannot_be_asked_is_told(style, level_style, message):
+    with pytest.raises(ModelError, match=message):
+        rng = torch.Generator()
+        asked_styles(("angry", "old"), style, level_style, [10, 20, 30, 40], 25.0, rng)
+
+
+def test_nine_in_ten_random_motions_mix_two_styles_at_one_level():
+    rng = torch.Generator().manual_seed(0)
+    drawn = mixed_styles(torch.ones(50), 4000, 8, 0.9, rng)
+    changes = (drawn.diff(dim=1) != 0).sum(dim=1)
+    assert changes.max() == 1
+    # Of fifty styles one in fifty pairs is twice the same.
+    assert 0.86 < (changes == 1).float().mean() < 0.9
+    at = (drawn.diff(dim=1) != 0).float().sum(dim=0)
+    assert (at > 400).all(), "every level is a crossover as often as the others"
+    unmixed = mixed_styles(torch.ones(50), 100, 8, 0.0, rng)
+    assert (unmixed == unmixed[:, :1]).all()
+
+
+def test_a_coarse_level_comes_back_as_keyframes(make_config, motions, tmp_path):
+    """Unedited it gives the motion that it was taken from."""
+    model = gk.load(train(make_config(corpus=str(motions(none=[4.0])), **SINGLE)))
+    coarse = model.generate(seconds=6.0, seed=1, levels=1)
+    assert coarse.n_frames == 63 and coarse.duration == pytest.approx(6.0)
+    coarse.save(tmp_path / "coarse.bvh")
+    again = model.generate(keyframes=tmp_path / "coarse.bvh")
+    whole = model.generate(seconds=6.0, seed=1)
+    # Contacts are read off the coarse motion anew, and may differ; the pose does not.
+    np.testing.assert_allclose(again.positions(), whole.positions(), atol=0.05)
+
+
+def test_keyframes_decide_the_pose_and_the_length(make_config, motions, gesture):
+    model = gk.load(train(make_config(corpus=str(motions(none=[4.0])), **SINGLE)))
+    content = gesture(5.0, seed=7)
+    made = model.generate(keyframes=content, keyframe_level=4)
+    assert made.n_frames == 125
+    same = content.resample(25.0, 125)
+    angles = np.abs((made.rotations * same.rotations).sum(axis=-1))
+    assert angles.min() > 0.999, "at the finest level nothing is left to add"
+    with pytest.raises(ModelError, match="levels 1 .coarse. to 4"):
+        model.generate(keyframes=content, keyframe_level=5)
+
+
+def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
+    config = make_config(
+        corpus=str(motions(none=[4.0])),
+        features=None,
+        network={"levels": 3, "channels": [6, 6]},
+        schedule={
+            "window": None,
+            "first_pair": 150,
+            "further_pairs": 60,
+            "discriminator_steps": 0,
+            "generator_steps": 0,
+            "reconstruction_steps": 2,
+            "learning_rate": 5e-3,
+        },
+    )
+    model = gk.load(train(config))
+    made = model.reconstruct("none_0")
+    clip = gesture(4.0, seed=0).resample(25.0)
+    assert made.n_frames == clip.n_frames
+    other = model.generate(seconds=4.0)
+
+    def error(motion):
+        apart = np.abs((motion.rotations[:, 1:] * clip.rotations[:, 1:]).sum(axis=-1))
+        return np.degrees(2 * np.arccos(np.minimum(apart, 1))).mean()
+
+    assert error(made) < 0.8 * error(other)
+    with pytest.raises(ModelError, match="none_0"):
+        model.reconstruct("other")
+
+
+@pytest.mark.parametrize("mode", [SINGLE, LABELS], ids=["single", "labels"])
+def test_each_mode_resumes_bitwise(mode, make_config, motions):
+    """From the middle of a pair and of a bank, and from a checkpoint that was not the last."""
+    changes = {**mode, "schedule": {"window": None, "further_pairs": 8}}
+    config = make_config(corpus=str(motions(old=[3.0], angry=[4.0])), **changes)
+    folder = train(config)
+    whole = (folder / "model.safetensors").read_bytes()
+    log = (config.out / "metrics.jsonl").read_text()
+    last = Checkpoints(config.out / "checkpoints")
+    assert last.steps() == [10, 14]
+    last.path(14).unlink()
+    (folder / "model.safetensors").unlink()
+    train(config, resume=True)
+    assert (folder / "model.safetensors").read_bytes() == whole
+
+    def losses(text):
+        lines = map(json.loads, text.splitlines())
+        return [{k: v for k, v in line.items() if "seconds" not in k} for line in lines]
+
+    assert losses((config.out / "metrics.jsonl").read_text()) == losses(log)
+
+
+def test_each_switch_of_ganimator_changes_the_training(make_config, motions, tmp_path):
+    corpus = str(motions(none=[3.0]))
+    short = {"window": None, "first_pair": 2, "further_pairs": 1}
+    switches = [
+        {},
+        {"normalise": False},
+        {"z_star": "full"},
+        {"losses": {"contact_speed": "norm"}},
+        {"losses": {"contact_slope": 12.0}},
+        {"losses": {"critic_scale": 0.5}},
+        {"losses": {"penalty_on": "frame"}},
+    ]
+    made = set()
+    for number, switch in enumerate(switches):
+        out = str(tmp_path / f"run{number}")
+        config = make_config(corpus=corpus, out=out, features=None, schedule=short, **switch)
+        folder = train(config)
+        made.add((folder / "model.safetensors").read_bytes())
+        assert gk.load(folder).reconstruct("none_0").n_frames == 75
+    assert len(made) == len(switches)
+
+
+def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_path, capsys):
+    folder = train(make_config(corpus=str(motions(old=[3.0], angry=[3.0])), **LABELS))
+
+    def render(*options: str) -> int:
+        with pytest.raises(SystemExit) as left:
+            main(["render", "--model", str(folder), "--out", str(tmp_path / "out"), *options])
+        return left.value.code
+
+    assert render("--seconds", "4", "--style", "old@0-2,angry@2-4", "--level-style", "4=old") == 0
+    assert gk.Motion.load(tmp_path / "out" / "motion.bvh").n_frames == 100
+    assert render("--seconds", "4", "--style", "old", "--levels", "1") == 0
+    coarse = tmp_path / "out" / "motion.bvh"
+    assert gk.Motion.load(coarse).n_frames == 42
+    edit = coarse.rename(tmp_path / "edit.bvh")
+    assert render("--keyframes", str(edit), "--style", "angry") == 0
+    assert gk.Motion.load(tmp_path / "out" / "motion.bvh").n_frames == 100
+    assert render("--like", str(tmp_path / "old_0.bvh"), "--style", "old") == 0
+    capsys.readouterr()
+    assert render("--seconds", "4", "--style", "sad") == 1
+    assert "the model knows angry, old" in capsys.readouterr().err
+    assert render("--keyframes", str(edit), "--like", str(edit)) == 2
