@@ -14,12 +14,12 @@ ROOT = Path(__file__).resolve().parents[1]
 # What each room of gesturekit may import beside itself, audio_features and the three modules that
 # everyone may import.
 MAY_IMPORT: dict[str, set[str]] = {"motion": set()}
-MAY_IMPORT["formats"] = {"motion"}
+MAY_IMPORT["formats"] = MAY_IMPORT["postprocess"] = {"motion"}
 for _room in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_room] = {"formats", "motion"}
 MAY_IMPORT["evaluation"].add("viewer")  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
-MAY_IMPORT["multires"] = {"training", *MAY_IMPORT["training"]}
+MAY_IMPORT["multires"] = {"postprocess", "training", *MAY_IMPORT["training"]}
 MAY_IMPORT["inspection"] = {"systems", *MAY_IMPORT["multires"]}
 MAY_IMPORT["rendering"] = {"multires", *MAY_IMPORT["multires"]}
 MAY_IMPORT["cli"] = {"diagnosis", "inspection", "rendering", "systems", *MAY_IMPORT["rendering"]}

@@ -77,6 +77,18 @@ from gesturekit.cli.options import comma_separated, given, rig_part_option
     metavar="OTHER.bvh",
     help="A motion, of any rig of a person, to be done in the manner of the model.",
 )
+@click.option(
+    "--foot-lock/--no-foot-lock",
+    default=True,
+    help="Keep feet where they stand, or leave them as the model moves them.  [default: keep]",
+)
+@click.option(
+    "--smooth",
+    type=click.FloatRange(min=0, min_open=True, max=2),
+    metavar="SECONDS",
+    help="Smooth movements of the upper body that are shorter, as 0.2; beats keep their time and "
+    "height.",
+)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -97,6 +109,8 @@ def command(
     keyframes: Path | None,
     keyframe_level: int | None,
     like: Path | None,
+    foot_lock: bool,
+    smooth: float | None,
 ) -> None:
     """Turn each WAV (or folder of audio) into motion, as long as the sound.
 
@@ -142,6 +156,8 @@ def command(
             keyframes=start_from,
             keyframe_level=keyframe_level,
         ),
+        foot_lock=foot_lock,
+        smooth=smooth,
     ):
         for path in outcome.files:
             click.echo(click.format_filename(path))

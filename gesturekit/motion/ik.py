@@ -33,6 +33,7 @@ def two_bone_ik(
     *,
     pole: np.ndarray | None = None,
     softness: float = SOFTNESS,
+    hinge: bool = False,
 ) -> np.ndarray:
     """Turn a limb of two bones so that its end reaches a target.
 
@@ -45,6 +46,8 @@ def two_bone_ik(
         pole: (..., 3) direction, world, into which a straight limb bends. By default the mean
             direction of the middle joint over all frames, as the first joint sees it.
         softness: share of the limb's length over which it gives way before it is straight.
+        hinge: bend towards the pole only. A limb that was bent the other way, as noise bends a
+            knee that is nearly straight, is bent this way by as much, and never flips between.
 
     Returns:
         (..., 2, 4) local rotations of the first two joints. The third joint's world rotation
@@ -59,6 +62,9 @@ def two_bone_ik(
     bend = first - _dot(first, along) * along
     if pole is None:
         pole = _mean_pole(bend, multiply_quaternions(above[..., 0, :], rotations[..., 0, :]))
+    if hinge:
+        forward = _perpendicular(pole, along)
+        bend = bend - 2 * np.minimum(_dot(bend, forward), 0) * forward
     height = _height(a, b, new)
     # The bend that is there, and what comes to it along the pole where there was little.
     old = _length(bend)

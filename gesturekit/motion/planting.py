@@ -140,7 +140,7 @@ class FootPlan:
             away = hips + hip - self.ankle(side, turned)
             reach = np.sqrt(np.maximum(length**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
             low = np.maximum(low, away[:, 1] - reach)
-        low = _smooth_above(low, self.frames_to_give_way)
+        low = smooth_above(low, self.frames_to_give_way)
         return np.stack([np.zeros_like(low), low, np.zeros_like(low)], axis=-1)
 
     def ankle(self, side: str, turned: np.ndarray) -> np.ndarray:
@@ -187,7 +187,7 @@ class FootPlan:
         return (points - base) * self.scale + base + [0, height - own_height, 0]
 
 
-def _smooth_above(values: np.ndarray, frames: int) -> np.ndarray:
+def smooth_above(values: np.ndarray, frames: int) -> np.ndarray:
     """(T,) a smooth curve that is nowhere below `values` (T,), which are not negative."""
     if not values.any():
         return values

@@ -191,6 +191,10 @@ class MultiresRepresentation:
         sixd = sixd_from_quaternion(rotations).reshape(motion.n_frames, -1)
         return np.concatenate([sixd, contacts, root], axis=-1)
 
+    def contacts(self, values: np.ndarray) -> np.ndarray:
+        """(T, C) contact labels of motion vectors: over 0.5 where a foot point stands."""
+        return values[:, self.contact_columns]
+
     def decode(self, values: np.ndarray, fps: float, *, skeleton: Skeleton | None = None) -> Motion:
         """A motion from (T, 6 K + C + 3) values; it starts above the origin.
 

@@ -28,6 +28,7 @@ from gesturekit.multires.editing import full_frames, level_motion, motion_level
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.styles import asked_styles, style_track
+from gesturekit.postprocess import lock_feet
 from gesturekit.training.config import build, dump_yaml, read_yaml, to_dict
 from gesturekit.training.seeds import generator
 
@@ -126,6 +127,7 @@ class MultiresModel:
         levels: int | None = None,
         keyframes: str | Path | Motion | None = None,
         keyframe_level: int = 1,
+        foot_lock: bool = True,
     ) -> Motion | list[Motion]:
         """Motion, as long as the speech or `seconds`; frame k is at k / fps.
 
@@ -149,6 +151,8 @@ class MultiresModel:
                 detail. It decides all, so that seeds and samples do not matter, and the length.
                 Of the model's rig, or of another one that moves like it (style transfer).
             keyframe_level: which level that is, 1 the coarsest.
+            foot_lock: keep feet where they stand, by the contact labels that the model makes; see
+                `gesturekit.postprocess`. False gives the motion as it comes out of the network.
 
         Raises:
             ModelError: a control, style or speaker this model does not have, or neither speech
@@ -196,7 +200,7 @@ class MultiresModel:
             if keyframes is None and not whole:
                 return level_motion(self.representation, values, self.fps, lengths[-1])
             skeleton = None if speaker is None else self.speakers[speaker]
-            return self.representation.decode(values, self.fps, skeleton=skeleton)
+            return self._decoded(values, skeleton, foot_lock)
 
         # One motion at a time: in a batch, sums would be made in another order, and a motion
         # would depend on how many were asked for.
@@ -302,6 +306,12 @@ class MultiresModel:
         if not np.isfinite(values).all():
             raise ModelError("the model gave NaN; its weights are damaged or it was trained badly")
         return values
+
+    def _decoded(self, values: np.ndarray, skeleton: Skeleton | None, foot_lock: bool) -> Motion:
+        motion = self.representation.decode(values, self.fps, skeleton=skeleton)
+        if not foot_lock:
+            return motion
+        return lock_feet(motion, self.representation.contacts(values))
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""

@@ -13,6 +13,7 @@ from gesturekit.corpus.pairing import SPEECH_SUFFIXES
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.rig import Rig
 from gesturekit.motion.motion import Motion
+from gesturekit.postprocess import smooth_motion
 
 FORMATS = ("bvh", "npz", "html", "png")
 
@@ -38,6 +39,8 @@ def render(
     speaker: str | None = None,
     rig: str | os.PathLike[str] | None = None,
     rig_parts: Mapping[str, str] | None = None,
+    foot_lock: bool = True,
+    smooth: float | None = None,
     controls: Mapping[str, Any] | None = None,
 ) -> Iterator[Outcome]:
     """Generate motion for each audio file and write it as STEM.bvh (STEM_s1.bvh ... for samples).
@@ -55,6 +58,9 @@ def render(
         rig: whose body to move instead: a motion file, of any names, size and rest pose, or smpl,
             smplh or smplx; see `gesturekit.formats.rig`.
         rig_parts: parts of that body named by hand, where its joints' names do not tell them.
+        foot_lock: keep feet where they stand; another body's feet then stand where these do.
+        smooth: seconds; movements of the upper body that are shorter are smoothed away, but for
+            its beats; see `gesturekit.postprocess.smooth_motion`.
         controls: what else `generate` shall be told: style, keyframes ...
 
     Yields:
@@ -71,7 +77,14 @@ def render(
     files = _expand(sources)
     _refuse_clashes(files, out)
     body = None if rig is None else Rig.load(rig, rig_parts)
-    asked = {"samples": samples, "seed": seed, "speaker": speaker, **(controls or {})}
+    asked = {"samples": samples, "seed": seed, "speaker": speaker, "foot_lock": foot_lock}
+    asked |= controls or {}
+
+    def motions(speech: Path | None = None) -> list[Motion]:
+        made = model.generate(speech, seconds=None if speech else seconds, **asked)
+        made = made if isinstance(made, list) else [made]
+        return made if smooth is None else [smooth_motion(motion, smooth) for motion in made]
+
     _make_folder(out)
     if not sources:
         yield _render_one(
@@ -81,7 +94,7 @@ def render(
             "motion",
             formats,
             body,
-            lambda: model.generate(seconds=seconds, **asked),
+            motions,
         )
         return
     for path in files:
@@ -92,7 +105,7 @@ def render(
             path.stem,
             formats,
             body,
-            lambda path=path: model.generate(path, **asked),
+            lambda path=path: motions(path),
         )
 
 
@@ -103,12 +116,11 @@ def _render_one(
     stem: str,
     formats: Sequence[str],
     body: Rig | None,
-    generate: Callable[[], Motion | list[Motion]],
+    generate: Callable[[], list[Motion]],
 ) -> Outcome:
     files: list[Path] = []
     try:
-        made = generate()
-        motions = made if isinstance(made, list) else [made]
+        motions = generate()
         for number, motion in enumerate(motions, start=1):
             motion = motion if body is None else body.put(motion)
             name = stem if len(motions) == 1 else f"{stem}_s{number}"

@@ -35,7 +35,7 @@ def sample_multires(
 ) -> Iterator[Path]:
     """Samples for Table 1 of Moreno-Villamarín et al. 2024, twice as long as training sequences.
 
-    Noise enters at level 1 only and feet are not locked, which is how `generate` samples.
+    Noise enters at level 1 only, which is how `generate` samples, and feet are not locked.
 
     Args:
         model: as `gesturekit.load` gives it.
@@ -65,7 +65,7 @@ def sample_multires(
             asked = {"speech": af.Wave(whole, wave.sample_rate, wave.source)}
         else:
             asked = {"seconds": MULTIRES_LENGTH * Motion.load(path).duration}
-        yield from _samples(model, asked, out, stem, samples, seed)
+        yield from _samples(model, asked | {"foot_lock": False}, out, stem, samples, seed)
 
 
 def sample_lda(

@@ -162,6 +162,14 @@ def test_another_body(gesturekit, model, wav, gesture, tmp_path):
     assert done.status == 2 and "--rig" in done.err
 
 
+def test_feet_may_be_left_and_the_arms_smoothed(gesturekit, model, wav, tmp_path):
+    for name, flags in (("as-is", ["--no-foot-lock"]), ("smooth", ["--smooth", 0.2])):
+        made = gesturekit("render", wav, "--model", model, "--out", tmp_path / name, *flags)
+        assert made.status == 0 and (tmp_path / name / "speech.bvh").is_file()
+    done = gesturekit("render", wav, "--model", model, "--out", tmp_path, "--smooth", 0)
+    assert done.status == 2 and "--smooth" in done.err
+
+
 def test_idle_motion_needs_no_sound(gesturekit, model, tmp_path):
     done = gesturekit(
         *("render", "--seconds", "2", "--samples", "2", "--model", model),

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 import audio_features as af
+import gesturekit as gk
 from gesturekit import Motion, Skeleton
 from gesturekit.errors import ConfigError, FormatError, MotionError
+from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.rendering.render import FORMATS, render
+from gesturekit.rendering.sampling import sample_multires
 
 
 @pytest.fixture
@@ -39,6 +42,31 @@ def test_motion_on_disk_is_what_the_model_generates(model, sounds, tmp_path):
     assert again.fps == motion.fps == 25 and again.n_frames == 38
     assert (again.rotations == motion.rotations).all()
     assert (again.translation == motion.translation).all()
+
+
+def test_feet_are_locked_unless_told_and_never_for_the_papers_protocol(tmp_path):
+    demo = gk.load("demo")
+    slides = {}
+    for lock in (True, False):
+        (outcome,) = render(
+            demo, [], tmp_path / str(lock), formats=("npz",), seconds=4.0, foot_lock=lock
+        )
+        motion = Motion.load(outcome.files[0])
+        slides[lock] = np.linalg.norm(np.diff(foot_positions(motion), axis=0), axis=-1).mean()
+    assert slides[True] < 0.1 * slides[False]
+    demo.generate(seconds=2.0).save(tmp_path / "reference" / "a.npz")
+    (sample,) = sample_multires(demo, tmp_path / "reference", tmp_path / "s", samples=1)
+    plain = demo.generate(seconds=4.0, foot_lock=False)
+    assert (Motion.load(sample).rotations == plain.rotations).all()
+
+
+def test_smoothing_leaves_the_legs(model, sounds, tmp_path):
+    (outcome,) = render(model, sounds[:1], tmp_path, formats=("npz",), smooth=0.3)
+    smooth, plain = Motion.load(outcome.files[0]), model.generate(sounds[0])
+    same = (smooth.rotations == plain.rotations).all(axis=(0, 2))
+    legs = [name for name in plain.skeleton.names if name.endswith(("Leg", "Foot"))]
+    assert legs and all(same[plain.skeleton.index(name)] for name in legs)
+    assert not same[plain.skeleton.index("LeftArm")]
 
 
 def test_folders_stand_for_the_sounds_in_them(model, sounds, tmp_path):

@@ -1,0 +1,83 @@
+"""Jitter out, beats in: a low-pass on the upper body that lets speed peaks be.
+
+A plain low-pass takes the peaks of speed with the jitter, and it is the peaks that fall on the
+stressed words. So there are two zero-phase low-passes (Butterworth, forward and backward): the one
+asked for, and one at 6 Hz, above which gesture has next to nothing. Around each peak of the summed
+angular speed the second holds, between peaks the first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, find_peaks, sosfiltfilt
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import upper_body
+from gesturekit.motion.rotations import normalize_quaternions, rotation_angles
+
+_GESTURE = 6.0
+"""Hz; faster than this is jitter."""
+_PROMINENT = 0.05
+"""A beat stands out by this share of the fastest twentieth of the speeds."""
+_AROUND = 0.1
+"""Seconds before and after its peak in which a beat is kept."""
+
+
+def smooth_motion(motion: Motion, seconds: float) -> Motion:
+    """Smooth the upper body but for its beats; legs, feet and the path of the body stay.
+
+    Args:
+        motion: T frames of any rig.
+        seconds: movements that are shorter go, except around peaks of speed; cutoff 1 / (2 x
+            seconds) Hz. From 1/12 s down nothing but the 6 Hz low-pass is left.
+
+    Returns:
+        The motion with other rotations of the spine and all above it. No frame is shifted.
+
+    Raises:
+        MotionError: seconds is not positive and finite, or parts that cannot be told.
+    """
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise MotionError(f"smooth {seconds}: expected a positive number of seconds")
+    joints = [motion.skeleton.index(name) for name in upper_body(motion.skeleton)]
+    turns = _without_sign_flips(motion.rotations[:, joints])
+    gesture = _low_pass(turns, _GESTURE, motion.fps)
+    calm = _low_pass(turns, min(0.5 / seconds, _GESTURE), motion.fps)
+    keep = _beats(gesture, motion.fps)[:, None, None]
+    rotations = motion.rotations.copy()
+    rotations[:, joints] = normalize_quaternions(calm + keep * (gesture - calm))
+    return replace(motion, rotations=rotations)
+
+
+def _beats(turns: np.ndarray, fps: float) -> np.ndarray:
+    """(T,) 1 around the peaks of the summed angular speed of (T, J, 4), 0 between them."""
+    keep = np.zeros(len(turns))
+    if len(turns) < 3:
+        return keep
+    turns = normalize_quaternions(turns)
+    speed = np.zeros(len(turns))
+    speed[1:] = rotation_angles(turns[1:], turns[:-1]).sum(axis=-1) * fps
+    speed[0] = speed[1]
+    peaks, _ = find_peaks(speed, prominence=_PROMINENT * np.quantile(speed, 0.95) + 1e-9)
+    around = round(_AROUND * fps)
+    for peak in peaks:
+        keep[max(peak - around, 0) : peak + around + 1] = 1
+    return gaussian_filter1d(keep, _AROUND / 2 * fps)
+
+
+def _low_pass(turns: np.ndarray, cutoff: float, fps: float) -> np.ndarray:
+    if cutoff >= 0.45 * fps or len(turns) < 4:
+        return turns
+    sections = butter(2, cutoff, fs=fps, output="sos")
+    return sosfiltfilt(sections, turns, axis=0, padlen=min(round(fps / cutoff), len(turns) - 1))
+
+
+def _without_sign_flips(q: np.ndarray) -> np.ndarray:
+    """(T, J, 4) the same rotations, each quaternion on the side of the one before."""
+    near = (q[1:] * q[:-1]).sum(axis=-1, keepdims=True) >= 0
+    signs = np.cumprod(np.where(near, 1.0, -1.0), axis=0)
+    return np.concatenate([q[:1], q[1:] * signs])
