@@ -9,10 +9,10 @@ over that of an idle one is told.
 from __future__ import annotations
 
 import json
-import resource
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -78,7 +78,9 @@ class DenseMasked:
 
 
 def peak_mib() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    # Linux; getrusage would count what the parent had in memory.
+    rows = Path("/proc/self/status").read_text().splitlines()
+    return int(next(row for row in rows if row.startswith("VmHWM")).split()[1]) / 1024
 
 
 def hour(chunk: int) -> None:
