@@ -18,6 +18,9 @@ from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.retarget import retarget
 from gesturekit.multires.interpolation import resample
 
+_UNTOUCHED = 0.01
+"""Vectors nearer than this (6D entries, labels, m) differ by the rounding of a file alone."""
+
 
 def level_motion(
     representation: MultiresRepresentation, values: np.ndarray, fps: float, n_frames: int
@@ -72,6 +75,21 @@ def motion_level(
         return values
     values = representation.encode(motion.resample(fps, n_frames))
     return resample(torch.from_numpy(values.T), lengths[level]).T.numpy()
+
+
+def keep_unedited(edited: np.ndarray, made: np.ndarray, read: np.ndarray) -> np.ndarray:
+    """Vectors (T_i, D) of an edited level, with all that nobody touched as it was made.
+
+    A file holds rotations and no labels: contacts between yes and no, and rotation columns
+    shortened by interpolation, are lost in it, and the finer levels would tell.
+
+    Args:
+        edited: vectors read from the edited motion.
+        made: what the network made; `edited` comes back where no frame of it is to be found.
+        read: the same, read from the motion that was edited.
+    """
+    same = np.abs(edited - read) < _UNTOUCHED
+    return np.where(same, made, edited) if same.all(axis=1).any() else edited
 
 
 def full_frames(motion: Motion, fps: float) -> int:

@@ -24,7 +24,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.chunks import Condition, LevelConditions, sample
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.data import Normaliser
-from gesturekit.multires.editing import full_frames, level_motion, motion_level
+from gesturekit.multires.editing import full_frames, keep_unedited, level_motion, motion_level
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.styles import asked_styles, style_track
@@ -146,9 +146,11 @@ class MultiresModel:
             level_style: styles of single levels, 1 the coarsest, which go before `style`:
                 `1-4=describe,5-8=angry`.
             levels: stop after so many levels; the motion has their lower frame rate. Edited, it
-                comes back as `keyframes`.
+                comes back as `keyframes`. It is made without margins, and so is not the beginning
+                of what the same seed makes whole.
             keyframes: a motion that takes the place of a coarse level; the finer levels add
-                detail. It decides all, so that seeds and samples do not matter, and the length.
+                detail. It decides the length, and all but this: where it is what this `seed`
+                made by `levels`, the untouched parts are taken as they were made.
                 Of the model's rig, or of another one that moves like it (style transfer).
             keyframe_level: which level that is, 1 the coarsest.
             foot_lock: keep feet where they stand, by the contact labels that the model makes; see
@@ -193,7 +195,9 @@ class MultiresModel:
                 told = asked_styles(self.styles, style, level_style, lengths, self.fps, rng, margin)
             condition = self._condition(features, lengths, told)
             if keyframes is not None:
-                vectors = self._above(keyframes, keyframe_level - 1, condition, lengths)
+                vectors = self._above(
+                    keyframes, keyframe_level - 1, condition, lengths, seed, number
+                )
             else:
                 vectors = self._sample(condition, lengths[:levels], seed, number)
             values = self._values(vectors[..., margin : vectors.shape[-1] - margin])
@@ -240,10 +244,22 @@ class MultiresModel:
         return self.representation.decode(self._values(vectors), self.fps)
 
     def _above(
-        self, motion: Motion, level: int, condition: Condition | None, lengths: list[int]
+        self,
+        motion: Motion,
+        level: int,
+        condition: Condition | None,
+        lengths: list[int],
+        seed: int,
+        number: int,
     ) -> Tensor:
         """(1, D, T) what the levels above make of a motion in the place of this one."""
         values = motion_level(self.representation, motion, self.fps, lengths, level)
+        if motion.n_frames == lengths[level]:
+            # Perhaps an edit of what this seed made.
+            made = self._values(self._sample(condition, lengths[: level + 1], seed, number))
+            unedited = level_motion(self.representation, made, self.fps, lengths[-1])
+            read = motion_level(self.representation, unedited, self.fps, lengths, level)
+            values = keep_unedited(values, made, read)
         given = self.normaliser.forward(torch.from_numpy(values.T).float()[None])
         above = level + 1
         noises = [None] * (len(lengths) - above)
