@@ -187,15 +187,23 @@ def _read_file(path: Path) -> Any:
             with zipfile.ZipFile(path) as archive:
                 if any(entry.compress_type for entry in archive.infolist()):
                     raise ValueError("it is compressed, as torch never writes it")
+        elif start[:2] != b"\x80\x02":  # the pickle that a legacy file of torch begins with
+            raise ValueError(f"it begins with {start[:8]!r}, as no file of torch or safetensors")
         return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         kind = re.search(r"GLOBAL (\S+)", str(error))
-        if kind is None:
-            raise _unreadable(path, error) from error
+        if kind is None:  # torch's own words would advise to load it all the same
+            raise _unreadable(path, ValueError("it is damaged, or no plain tensors")) from error
+        what = f"{path}: holds a Python object ({kind[1]}), which could run code and is not read: "
+        if kind[1] != "argparse.Namespace":
+            raise WeightsError(
+                f"{what}no WavLM needs one: do not load this file; take the published weights"
+            ) from error
         raise WeightsError(
-            f"{path}: holds a Python object ({kind[1]}), which could run code and is not read: "
-            "where you trust the file, save it again as plain tensors and a plain dict: "
-            "torch.save({'cfg': dict(vars(c['cfg'])), 'model': c['model']}, 'plain.pt')"
+            f"{what}save it again with a plain dict, in Python: import argparse, torch; "
+            "torch.serialization.add_safe_globals([argparse.Namespace]); "
+            f"c = torch.load({str(path)!r}); "
+            "torch.save({'cfg': vars(c['cfg']), 'model': c['model']}, 'plain.pt')"
         ) from error
     # What torch raises on a damaged file is not defined; safetensors has a class of its own.
     except (SafetensorError, zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
