@@ -8,7 +8,6 @@ import json
 import logging
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from audio_features.atomic import PART, atomic_write
 from audio_features.errors import AudioFeaturesError, FeatureError
 from audio_features.track import FeatureTrack
 
@@ -181,33 +181,27 @@ class FeatureCache:
             if about.get("checksum") != _checksum(values, times):
                 raise FeatureError("its checksum is wrong")
             track = FeatureTrack(values, times, extractor.spec, extractor.names)
-            os.utime(path)
         except FileNotFoundError:
             return None
         except (OSError, SafetensorError, TypeError, ValueError) as error:
             log.warning("%s: damaged (%s); extracting again", path, error)
             return None
+        with contextlib.suppress(OSError):  # somebody else's entry, or a disk to read only
+            os.utime(path)
         return track
 
     def _write(self, path: Path, track: FeatureTrack) -> None:
         from safetensors.numpy import save
 
-        values = track.values.astype(np.float16 if self.precision == "fp16" else np.float32)
+        kind = np.float16 if self.precision == "fp16" else np.float32
+        values = track.values.astype(kind, copy=False)
+        if values.nbytes + track.times.nbytes > self.max_bytes:
+            return
         about = {"spec": json.dumps(track.spec), "checksum": _checksum(values, track.times)}
         data = save({"values": values, "times": track.times}, about)
-        if len(data) > self.max_bytes:
-            return
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
-            try:
-                with os.fdopen(handle, "wb") as file:
-                    file.write(data)
-                    file.flush()
-                    os.fsync(file.fileno())
-                os.replace(temporary, path)
-            finally:
-                Path(temporary).unlink(missing_ok=True)
+            with atomic_write(path) as file:
+                file.write(data)
             self._unmeasured += len(data)
             # Looking at every entry for each new one would be slow with many; other processes
             # write too, so a look now and then is needed in any case.
@@ -249,23 +243,30 @@ class FeatureCache:
     def _remove_leftovers(self, age: float) -> None:
         for path in self._files():
             with contextlib.suppress(FileNotFoundError):
-                if path.suffix == ".part" and time.time() - path.stat().st_mtime >= age:
+                if path.suffix == PART and time.time() - path.stat().st_mtime >= age:
                     path.unlink()
 
 
 def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> FeatureCache:
     """The cache in `default_folder()`, of $GESTUREKIT_CACHE_GB gigabytes at most (20).
 
+    The same object each time, so that the folder is not measured anew for every sound.
+
     Raises AudioFeaturesError where that is no number from 0 up; 0 keeps nothing.
     """
     size = os.environ.get("GESTUREKIT_CACHE_GB")
     try:
         max_bytes = MAX_BYTES if size is None else int(float(size) * 1e9)
-        return FeatureCache(max_bytes=max_bytes, precision=precision)
+        return _shared(default_folder(), max_bytes, precision)
     except (ValueError, OverflowError) as error:
         raise AudioFeaturesError(
             f"GESTUREKIT_CACHE_GB={size!r}: give the gigabytes that the cache may hold, 0 for none"
         ) from error
+
+
+@lru_cache
+def _shared(folder: Path, max_bytes: int, precision: Literal["fp32", "fp16"]) -> FeatureCache:
+    return FeatureCache(folder, max_bytes=max_bytes, precision=precision)
 
 
 def _checksum(values: np.ndarray, times: np.ndarray) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
 import tokenize
 import zipfile
 import zlib
@@ -15,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from audio_features.atomic import atomic_write
 from audio_features.errors import FeatureError
 from audio_features.wave import exact_rate
 
@@ -138,22 +138,9 @@ class FeatureTrack:
         The JSON also holds the format number and the column names. The file gets its name only
         when it is whole and on disk.
         """
-        path = Path(path)
         text = json.dumps({**self.spec, "format": FORMAT, "names": self.names}, allow_nan=False)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".npz", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(file, values=self.values, times=self.times, spec=np.array(text))
-                file.flush()
-                os.fsync(file.fileno())
-            # mkstemp makes files readable by their owner alone; give the usual permissions back.
-            umask = os.umask(0)
-            os.umask(umask)
-            Path(name).chmod(0o666 & ~umask)
-            os.replace(name, path)
-        finally:
-            Path(name).unlink(missing_ok=True)
+        with atomic_write(Path(path)) as file:
+            np.savez(file, values=self.values, times=self.times, spec=np.array(text))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> FeatureTrack:

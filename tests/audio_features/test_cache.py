@@ -162,11 +162,28 @@ def test_a_folder_that_cannot_be_written_only_warns(tmp_path, wave, caplog):
     assert cache.contents().entries == 0
 
 
+def test_an_entry_that_others_made_is_read_and_can_be_read_by_them(tmp_path, wave, monkeypatch):
+    slow, cache = Slow(), af.FeatureCache(tmp_path)
+    cache.extract(slow, wave)
+    (entry,) = tmp_path.rglob("*.safetensors")
+    umask = os.umask(0)
+    os.umask(umask)
+    assert entry.stat().st_mode & 0o777 == 0o666 & ~umask
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(1, "not the owner")
+
+    monkeypatch.setattr(os, "utime", refuse)
+    cache.extract(slow, wave)
+    assert slow.asked == 1
+
+
 def test_the_environment_names_folder_and_size(tmp_path, monkeypatch):
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "here"))
     monkeypatch.setenv("GESTUREKIT_CACHE_GB", "0.5")
     cache = af.cache_from_environment()
     assert cache.folder == tmp_path / "here" and cache.max_bytes == 5 * 10**8
+    assert af.cache_from_environment() is cache is not af.cache_from_environment("fp16")
     monkeypatch.delenv("GESTUREKIT_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     if sys.platform == "linux":
