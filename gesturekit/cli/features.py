@@ -47,10 +47,8 @@ KINDS = {
 @click.option(
     "--align",
     type=click.Choice(["linear", "mean", "length_ratio"]),
-    default="linear",
-    show_default=True,
     help="How they get there: by true time, interpolated or averaged over the motion frame; "
-    "length_ratio only reproduces systems that ignored time.",
+    "length_ratio only reproduces systems that ignored time.  [default: linear]",
 )
 @click.option(
     "--channel",
@@ -64,10 +62,8 @@ KINDS = {
 )
 @click.option(
     "--layer",
-    default="last",
-    show_default=True,
     help="WavLM layer: a number from 0, last, mean, several side by side (6,9,12) or their "
-    "weighted mean (6:1,9:3).",
+    "weighted mean (6:1,9:3).  [default: last]",
 )
 @click.option(
     "--preset",
@@ -77,9 +73,8 @@ KINDS = {
 @click.option(
     "--dtype",
     type=click.Choice(["fp32", "bf16"]),
-    default="fp32",
-    show_default=True,
-    help="WavLM's arithmetic; bf16 is faster where the processor has it, and less exact.",
+    help="WavLM's arithmetic; bf16 is faster where the processor has it, and less exact.  "
+    "[default: fp32]",
 )
 @click.option(
     "--full-context",
@@ -101,7 +96,7 @@ def command(
     extractor: str,
     out: Path,
     fps: float | None,
-    align: str,
+    align: str | None,
     channel: int | None,
     weights: Path | None,
     device: str,
@@ -123,7 +118,10 @@ def command(
     doubles = [str(wav) for wav in wavs if stems[wav.stem] > 1]
     if doubles:
         raise click.UsageError(f"{', '.join(doubles)} would be written to the same file: rename")
-    wavlm["layer"] = _layer(wavlm["layer"])
+    if align is not None and fps is None:
+        raise click.UsageError("--align puts features on motion frames: give --fps as well")
+    if wavlm["layer"] is not None:
+        wavlm["layer"] = _layer(wavlm["layer"])
     chosen = _extractor(extractor, weights, device, wavlm)
     for part in getattr(chosen, "parts", (chosen,)):
         if hasattr(part, "weights"):
@@ -141,7 +139,7 @@ def command(
                 click.echo(f"Warning: {wav}: {fault}", err=True)
             track = extract(wave)
             if fps is not None:
-                track = track.to_rate(fps, n_frames=wave.n_frames(fps), method=align)
+                track = track.to_rate(fps, n_frames=wave.n_frames(fps), method=align or "linear")
             track.save(target)
             if picture:
                 from gesturekit.viewer.feature_picture import draw_features
@@ -170,6 +168,10 @@ def _extractor(kinds: str, weights: Path | None, device: str, wavlm: dict[str, A
         specs.append({"kind": kind} | ({KINDS[kind]: _number(value)} if value else {}))
         if kind == "wavlm":
             specs[-1] |= {key: value for key, value in wavlm.items() if value is not None}
+    given = [name for name, value in {"weights": weights, **wavlm}.items() if value is not None]
+    if given and all(spec["kind"] != "wavlm" for spec in specs):
+        option = given[0].replace("_", "-")
+        raise click.UsageError(f"--{option} is about WavLM: name it, as in --extractor wavlm")
     spec = specs[0] if len(specs) == 1 else {"kind": "stack", "parts": specs}
     return extractor_from_spec(spec, weights=weights, device=device)
 

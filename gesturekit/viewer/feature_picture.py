@@ -17,6 +17,8 @@ from gesturekit.atomic import atomic_write
 _INK, _SOFT, _LINE = "#26303b", "#6b7785", "#c8643a"
 _DPI = 110
 _INCHES_PER_SECOND, _WIDEST = 0.7, 40.0
+_ONE_SCALE = ("mel", "chroma")
+"""Columns of one unit and like size; what others hold is shown against their own spread."""
 _UNITS = {
     "f0": "semitones from the median",
     "energy": "dB of active speech",
@@ -32,7 +34,9 @@ def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave)
     """Draw the sound (log-mel) and every feature of a track, as a PNG.
 
     Columns that belong together (mel_0, mel_1, …) are one image, others a line each; pitch is
-    drawn where there is one.
+    drawn where there is one. Bands and pitch classes share a scale; cepstral coefficients and
+    hidden states, whose sizes differ a hundredfold, are each shown against their own mean and
+    standard deviation.
 
     Args:
         track: (T, D) on any time base.
@@ -53,7 +57,8 @@ def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave)
     _image(rows[0], LogMel(n_mels=40).extract(wave), list(range(40)), "the sound, log-mel")
     for axes, (name, columns) in zip(rows[1:], groups.items()):
         if len(columns) > 1:
-            _image(axes, track, columns, f"{name}, {len(columns)} columns")
+            own = "" if name in _ONE_SCALE else ", each against its own mean and spread"
+            _image(axes, track, columns, f"{name}, {len(columns)} columns{own}", bool(own))
         else:
             _line(axes, track, columns[0], name)
     rows[-1].set_xlim(0, wave.duration)
@@ -70,8 +75,13 @@ def _groups(names: tuple[str, ...]) -> dict[str, list[int]]:
     return groups
 
 
-def _image(axes: Axes, track: FeatureTrack, columns: list[int], title: str) -> None:
+def _image(
+    axes: Axes, track: FeatureTrack, columns: list[int], title: str, own_scale: bool = False
+) -> None:
     values = track.values[:, columns].T
+    if own_scale:
+        spread = values.std(axis=1, keepdims=True)
+        values = (values - values.mean(axis=1, keepdims=True)) / np.maximum(spread, 1e-6)
     half = (track.times[-1] - track.times[0]) / max(len(track.times) - 1, 1) / 2
     low, high = np.quantile(values, [0.01, 0.995])
     axes.imshow(

@@ -52,6 +52,11 @@ def test_what_cannot_start_says_why(folder):
     assert isinstance(unknown.exception, UsageError) and "mell" in str(unknown.exception)
     wavlm = run("a.wav", "--extractor", "wavlm", "--out", "out")
     assert isinstance(wavlm.exception, WeightsError) and "--weights" in str(wavlm.exception)
+    for option, value in (("--weights", "x"), ("--layer", "3"), ("--full-context", "9")):
+        unused = run("a.wav", option, value, "--out", "out")
+        assert isinstance(unused.exception, UsageError) and option in str(unused.exception)
+    unused = run("a.wav", "--align", "mean", "--out", "out")
+    assert isinstance(unused.exception, UsageError) and "--fps" in str(unused.exception)
     assert not (folder / "out").exists()
 
 
@@ -95,3 +100,13 @@ def test_a_picture_shows_every_feature(folder):
     drawn = np.convolve(coloured.any(axis=1), np.ones(3), mode="same") > 0
     assert np.count_nonzero(np.diff(drawn.astype(int)) == 1) >= 6
     assert (folder / "o" / "silent.png").exists()
+
+
+def test_rows_of_mfcc_show_though_the_first_are_largest(folder):
+    from matplotlib.image import imread
+
+    assert run("a.wav", "--extractor", "mfcc", "--picture", "--out", "o").return_value == 0
+    picture = imread(folder / "o" / "a.png")[..., :3]
+    # Within the lower panel; a row between two coefficients may be flat.
+    panel = picture[int(0.60 * len(picture)) : int(0.80 * len(picture)), 80:-80]
+    assert np.median(panel.std(axis=1).max(axis=-1)) > 0.1
