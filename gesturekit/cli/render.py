@@ -32,6 +32,11 @@ from gesturekit.cli.options import comma_separated, given, rig_part_option
     type=click.FloatRange(min=0, min_open=True, max=4 * 3600),
     help="Length of an idle motion, without any wav.",
 )
+@click.option(
+    "--channel",
+    type=click.IntRange(min=1),
+    help="Channel to take, from 1 (left), where two speakers share a file.  [default: the mean]",
+)
 @click.option("--speaker", help="Whose body to move, of those that the corpus named.")
 @click.option(
     "--weights", type=click.Path(path_type=Path), help="WavLM weights the model was trained with."
@@ -99,6 +104,7 @@ def command(
     seed: int,
     samples: int,
     seconds: float | None,
+    channel: int | None,
     speaker: str | None,
     weights: Path | None,
     rig: str | None,
@@ -147,6 +153,7 @@ def command(
         samples=samples,
         seconds=seconds,
         speaker=speaker,
+        channel=channel,
         rig=rig,
         rig_parts=parse_parts(rig_parts),
         controls=given(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from gesturekit.motion.motion import Motion
 from gesturekit.postprocess import smooth_motion
 
 FORMATS = ("bvh", "npz", "html", "png")
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,7 @@ def render(
     samples: int = 1,
     seconds: float | None = None,
     speaker: str | None = None,
+    channel: int | None = None,
     rig: str | os.PathLike[str] | None = None,
     rig_parts: Mapping[str, str] | None = None,
     foot_lock: bool = True,
@@ -44,6 +48,8 @@ def render(
     controls: Mapping[str, Any] | None = None,
 ) -> Iterator[Outcome]:
     """Generate motion for each audio file and write it as STEM.bvh (STEM_s1.bvh ... for samples).
+
+    What is wrong with a sound (`Wave.faults`) is warned about, and it is rendered all the same.
 
     Args:
         model: as `gesturekit.load` gives it.
@@ -55,6 +61,7 @@ def render(
         samples: how many motions for each file.
         seconds: without sources, how long an idle motion to make.
         speaker: whose body to move, of those that the model's corpus named.
+        channel: which channel of each file to hear, counted from 1; None for the mean of all.
         rig: whose body to move instead: a motion file, of any names, size and rest pose, or smpl,
             smplh or smplx; see `gesturekit.formats.rig`.
         rig_parts: parts of that body named by hand, where its joints' names do not tell them.
@@ -80,7 +87,7 @@ def render(
     asked = {"samples": samples, "seed": seed, "speaker": speaker, "foot_lock": foot_lock}
     asked |= controls or {}
 
-    def motions(speech: Path | None = None) -> list[Motion]:
+    def motions(speech: af.Wave | None) -> list[Motion]:
         made = model.generate(speech, seconds=None if speech else seconds, **asked)
         made = made if isinstance(made, list) else [made]
         return made if smooth is None else [smooth_motion(motion, smooth) for motion in made]
@@ -89,6 +96,7 @@ def render(
     if not sources:
         yield _render_one(
             "motion",
+            None,
             None,
             out,
             "motion",
@@ -101,26 +109,31 @@ def render(
         yield _render_one(
             str(path),
             path,
+            channel,
             out,
             path.stem,
             formats,
             body,
-            lambda path=path: motions(path),
+            motions,
         )
 
 
 def _render_one(
     source: str,
     audio: Path | None,
+    channel: int | None,
     out: Path,
     stem: str,
     formats: Sequence[str],
     body: Rig | None,
-    generate: Callable[[], list[Motion]],
+    generate: Callable[[af.Wave | None], list[Motion]],
 ) -> Outcome:
     files: list[Path] = []
     try:
-        motions = generate()
+        wave = None if audio is None else _heard(audio, channel)
+        # Where all channels are heard, players get the file as it is.
+        sound = audio if channel is None else wave
+        motions = generate(wave)
         for number, motion in enumerate(motions, start=1):
             motion = motion if body is None else body.put(motion)
             name = stem if len(motions) == 1 else f"{stem}_s{number}"
@@ -128,7 +141,7 @@ def _render_one(
                 path = out / f"{name}.{kind}"
                 options = {} if body is None else body.options.get(path.suffix, {})
                 if kind in ("html", "png") and audio:
-                    options = {"audio": audio}
+                    options = {"audio": sound}
                 motion.save(path, **options)
                 files.append(path)
     # torch says RuntimeError where memory runs out.
@@ -140,6 +153,14 @@ def _render_one(
         reason = " ".join(reason.encode("utf-8", "replace").decode().splitlines())
         return Outcome(source, tuple(files), reason)
     return Outcome(source, tuple(files))
+
+
+def _heard(path: Path, channel: int | None) -> af.Wave:
+    wave = af.Wave.load(path, channel=channel)
+    if not wave.is_silent:  # of silence the model itself tells, and what becomes of it
+        for fault in wave.faults():
+            log.warning("%s: %s", path, fault)
+    return wave
 
 
 def _expand(sources: Sequence[Path]) -> list[Path]:

@@ -205,6 +205,24 @@ def test_a_broken_file_never_stops_the_others(model, wav, broken, tmp_path):
     ] + [str(out / f"speech.{k}") for k in ("bvh", "npz", "html", "png")]
 
 
+def test_one_speaker_of_two_is_heard(gesturekit, model, tmp_path, caplog):
+    rng = np.random.default_rng(0)
+    two = 0.1 * rng.standard_normal((32_000, 2)) * [[1.0, 0.5]] + [[0.0, 0.1]]
+    soundfile.write(tmp_path / "two.wav", two, 16_000)
+    soundfile.write(tmp_path / "second.wav", two[:, 1], 16_000)
+    common = ("--model", model, "--out", tmp_path / "out", "--format", "bvh,html")
+    done = gesturekit("render", tmp_path / "two.wav", *common, "--channel", "2")
+    assert done.status == 0, done.err
+    assert gesturekit("render", tmp_path / "second.wav", *common).status == 0
+    motions = [(tmp_path / "out" / f"{name}.bvh").read_bytes() for name in ("two", "second")]
+    assert motions[0] == motions[1]
+    assert caplog.text.count("two.wav: DC offset") == 1
+    assert gesturekit("render", tmp_path / "two.wav", *common).status == 0
+    assert (tmp_path / "out" / "two.bvh").read_bytes() != motions[1]
+    done = gesturekit("render", tmp_path / "second.wav", *common, "--channel", "2")
+    assert done.status == 1 and "channel 2: the file has 1" in done.err
+
+
 def test_nothing_but_broken_files(gesturekit, model, broken, tmp_path):
     done = gesturekit("render", *broken.values(), "--model", model, "--out", tmp_path / "out")
     assert done.status == 1
