@@ -206,7 +206,7 @@ class Wave:
         """
         found = []
         if self.is_silent:
-            found.append(f"no speech above {SILENCE_DBFS:.0f} dBFS")
+            found.append(f"silence: no speech above {SILENCE_DBFS:.0f} dBFS")
         clipped, first = self._clipping()
         if clipped:
             found.append(

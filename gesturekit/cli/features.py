@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gesturekit.cli.options import channel_option
+
 if TYPE_CHECKING:
     from audio_features import Extractor
 
@@ -50,11 +52,7 @@ KINDS = {
     help="How they get there: by true time, interpolated or averaged over the motion frame; "
     "length_ratio only reproduces systems that ignored time.  [default: linear]",
 )
-@click.option(
-    "--channel",
-    type=click.IntRange(min=1),
-    help="Channel to take, from 1 (left), where two speakers share a file.  [default: the mean]",
-)
+@channel_option
 @click.option(
     "--weights",
     type=click.Path(path_type=Path),

@@ -1,4 +1,4 @@
-"""Options that several verbs have: how a motion file is to be read."""
+"""Options that several verbs have: how a motion or sound file is to be read."""
 
 from __future__ import annotations
 
@@ -28,6 +28,12 @@ _OPTIONS = (
         metavar="NPZ",
         help="SMPL or SMPL-X model: true bones for SMPL files, a skin for html and obj.",
     ),
+)
+
+channel_option = click.option(
+    "--channel",
+    type=click.IntRange(min=1),
+    help="Channel to take, from 1 (left), where two speakers share a file.  [default: the mean]",
 )
 
 part_option = click.option(

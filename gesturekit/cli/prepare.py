@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import part_option
+from gesturekit.cli.options import channel_option, part_option
 
 
 @click.command(
@@ -59,6 +59,7 @@ from gesturekit.cli.options import part_option
     show_default=True,
     help="Seconds by which sound and motion may differ in length; they are cut to the shorter.",
 )
+@channel_option
 @part_option
 def command(
     folders: tuple[Path, ...],

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import comma_separated, given, rig_part_option
+from gesturekit.cli.options import channel_option, comma_separated, given, rig_part_option
 
 
 @click.command(
@@ -32,11 +32,7 @@ from gesturekit.cli.options import comma_separated, given, rig_part_option
     type=click.FloatRange(min=0, min_open=True, max=4 * 3600),
     help="Length of an idle motion, without any wav.",
 )
-@click.option(
-    "--channel",
-    type=click.IntRange(min=1),
-    help="Channel to take, from 1 (left), where two speakers share a file.  [default: the mean]",
-)
+@channel_option
 @click.option("--speaker", help="Whose body to move, of those that the corpus named.")
 @click.option(
     "--weights", type=click.Path(path_type=Path), help="WavLM weights the model was trained with."

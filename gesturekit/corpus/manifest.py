@@ -39,6 +39,7 @@ class Item:
         audio: the sound file, absolute; None for motion alone.
         motion: the motion file (BVH or npz), absolute; None for unpaired speech.
         audio_start: where the item begins in the sound file, seconds.
+        channel: which channel of the sound file is heard, counted from 1; None for their mean.
         motion_start: where the item begins in the motion file, seconds.
         duration: length of the item, seconds.
         speaker: who speaks or moves, or None where not named.
@@ -64,6 +65,7 @@ class Item:
     text: str | None = None
     mirror: bool = False
     conditions: Mapping[str, Path] = field(default_factory=dict)
+    channel: int | None = None
 
     def __post_init__(self) -> None:
         _check_id(self.id)
@@ -73,6 +75,8 @@ class Item:
             seconds = getattr(self, name)
             if not math.isfinite(seconds) or seconds < 0 or (name == "duration" and seconds == 0):
                 raise CorpusError(f"item {self.id!r}: {name} is {seconds}, not a length in seconds")
+        if self.channel is not None and self.channel < 1:
+            raise CorpusError(f"item {self.id!r}: channel is {self.channel}; they count from 1")
         if self.split not in SPLITS:
             raise CorpusError(
                 f"item {self.id!r}: split is {self.split!r}; it must be one of {', '.join(SPLITS)}"
@@ -94,7 +98,9 @@ class Item:
             raise CorpusError(f"item {self.id!r} has no audio: it is motion alone")
         from audio_features import Wave
 
-        return Wave.load(self.audio, start=self.audio_start, duration=self.duration)
+        return Wave.load(
+            self.audio, start=self.audio_start, duration=self.duration, channel=self.channel
+        )
 
     def load_motion(self, parts: Mapping[str, str] | None = None) -> Motion:
         """The item's stretch of its motion file, mirrored where the item says so.
@@ -274,6 +280,8 @@ def _check_header(record: dict[str, Any], where: str) -> None:
 
 
 _FIELDS = tuple(f.name for f in fields(Item))
+# Left out of lines that do not need them: manifests from before there was a choice stay valid.
+_OPTIONAL = ("channel",)
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "id": ((str,), "a string"),
     "audio": ((str, type(None)), "a path or null"),
@@ -287,20 +295,21 @@ _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "text": ((str, type(None)), "a string or null"),
     "mirror": ((bool,), "true or false"),
     "conditions": ((dict,), "an object {name: path}"),
+    "channel": ((int, type(None)), "a whole number or null"),
 }
 
 
 def _item_from_record(record: dict[str, Any], *, folder: Path, where: str) -> Item:
     unknown = sorted(set(record) - set(_FIELDS))
-    missing = [name for name in _FIELDS if name not in record]
+    missing = [name for name in _FIELDS if name not in record and name not in _OPTIONAL]
     if unknown:
         raise CorpusError(
             f"{where}: unknown field {unknown[0]!r}; an item has {', '.join(_FIELDS)}"
         )
     if missing:
         raise CorpusError(f"{where}: missing field {', '.join(map(repr, missing))}")
-    for name, (types, wanted) in _TYPES.items():
-        value = record[name]
+    for name, value in record.items():
+        types, wanted = _TYPES[name]
         # bool is an int to Python, not to JSON.
         if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
             raise CorpusError(f"{where}: {name} must be {wanted}, got {json.dumps(value)[:80]}")
@@ -338,6 +347,7 @@ def _record_from_item(item: Item, folder: Path) -> dict[str, Any]:
         return Path(os.path.relpath(absolute(path), folder)).as_posix()
 
     record = {name: getattr(item, name) for name in _FIELDS}
+    record = {name: v for name, v in record.items() if v is not None or name not in _OPTIONAL}
     for name in ("audio", "motion"):
         record[name] = None if record[name] is None else relative(record[name])
     record["conditions"] = {

@@ -33,6 +33,7 @@ def prepare(
     style: str | None = None,
     style_pattern: str | None = None,
     tolerance: float = 0.5,
+    channel: int | None = None,
     parts: Mapping[str, str] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
 ) -> Report:
@@ -56,6 +57,7 @@ def prepare(
             without extension); its groups named `style` and `speaker` give the labels.
         tolerance: seconds by which sound and motion of a pair may differ in length. Less is
             trimmed to the shorter, more is an error.
+        channel: which channel of every sound file to hear, counted from 1; None for their mean.
         parts: parts of the body named by hand, such as {"left_elbow": "Joint12"}, for rigs whose
             names and shape do not tell them; see `gesturekit.motion.parts.find_parts`.
         progress: wraps the list of recordings while they are checked, as tqdm does.
@@ -74,7 +76,7 @@ def prepare(
     tasks, left_over, problems = _find(folders, unpaired, unpaired_motion)
     recordings: list[Recording] = []
     for recording, is_alone in progress(tasks):
-        checked, found = examine(recording, tolerance, parts)
+        checked, found = examine(replace(recording, channel=channel), tolerance, parts)
         if checked is not None:
             checked, unlabelled = label(checked, None if is_alone else speaker)
             recordings.append(checked)
@@ -265,4 +267,5 @@ def _item(recording: Recording, split: str) -> Item:
         speaker=recording.speaker,
         style=recording.style,
         split=split,
+        channel=recording.channel if recording.audio else None,
     )

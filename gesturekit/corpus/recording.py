@@ -33,6 +33,7 @@ class Recording:
     id: str
     audio: Path | None = None
     motion: Path | None = None
+    channel: int | None = None
     start: float = 0.0
     stop: float = 0.0
     sample_rate: int | None = None
@@ -69,8 +70,7 @@ def examine(
     if wave is not None:
         stop = wave.duration
         recording = replace(recording, sample_rate=wave.sample_rate)
-        if wave.is_silent:
-            problems.append(Problem("warning", recording.audio, "silence: no speech in it"))
+        problems += [Problem("warning", recording.audio, fault) for fault in wave.faults()]
     if motion is not None:
         recording = replace(recording, fps=motion.fps, skeleton=motion.skeleton)
         try:
@@ -96,7 +96,7 @@ def _loaded(
     wave = motion = None
     if recording.audio is not None:
         try:
-            wave = Wave.load(recording.audio)
+            wave = Wave.load(recording.audio, channel=recording.channel)
         except AudioFeaturesError as error:
             problems.append(Problem("error", recording.audio, str(error)))
     if recording.motion is not None:

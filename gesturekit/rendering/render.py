@@ -88,7 +88,7 @@ def render(
     asked |= controls or {}
 
     def motions(speech: af.Wave | None) -> list[Motion]:
-        made = model.generate(speech, seconds=None if speech else seconds, **asked)
+        made = model.generate(speech, seconds=None if sources else seconds, **asked)
         made = made if isinstance(made, list) else [made]
         return made if smooth is None else [smooth_motion(motion, smooth) for motion in made]
 

@@ -76,6 +76,8 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path):
     ("change", "message"),
     [
         ({"colour": "red"}, "unknown field 'colour'"),
+        ({"channel": 0}, "channel is 0; they count from 1"),
+        ({"channel": "left"}, "channel must be a whole number"),
         ({"duration": "long"}, "duration must be a number of seconds"),
         ({"duration": True}, "duration must be a number of seconds"),
         ({"duration": 0}, "duration is 0"),

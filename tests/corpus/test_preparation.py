@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import soundfile
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import CorpusError
@@ -213,7 +214,27 @@ def test_silence_is_kept_with_a_warning(tmp_path, write_pair, write_speech):
     write_speech(tmp_path / "a.wav", 4.0, level=0.0)
     report = prepare(tmp_path, holdout=0.0)
     assert len(report.manifest) == 1
-    assert texts(report, "warning") == [f"{tmp_path / 'a.wav'}: silence: no speech in it"]
+    assert texts(report, "warning") == [f"{tmp_path / 'a.wav'}: silence: no speech above -75 dBFS"]
+
+
+def test_one_channel_of_a_shared_file_is_checked_and_remembered(tmp_path, write_pair):
+    write_pair(tmp_path, "a")
+    sound, rate = soundfile.read(tmp_path / "a.wav")
+    two = np.stack([np.zeros_like(sound), sound + 0.1], axis=1)
+    soundfile.write(tmp_path / "a.wav", two, rate)
+    found = {}
+    for channel in (None, 1, 2):
+        report = prepare(tmp_path, tmp_path / "m.jsonl", holdout=0.0, channel=channel)
+        (item,) = Manifest.load(tmp_path / "m.jsonl")
+        assert item.channel == channel
+        found[channel] = item.load_wave().samples
+        (warning,) = texts(report, "warning")
+        assert ("silence" if channel == 1 else "DC offset") in warning
+    assert not found[1].any()
+    np.testing.assert_allclose(found[2], two[: len(found[2]), 1], atol=1e-4)
+    np.testing.assert_allclose(found[None], found[2] / 2, atol=1e-4)
+    report = prepare(tmp_path, holdout=0.0, channel=3)
+    assert len(report.manifest) == 0 and "the file has 2" in texts(report, "error")[0]
 
 
 def test_the_odd_skeleton_is_left_out_and_its_first_difference_named(tmp_path, write_pair):
