@@ -1,4 +1,4 @@
-"""Writing a file that has its name only when it is whole and on disk."""
+"""Writing a file so that nothing partial ever has a final name."""
 
 from __future__ import annotations
 
@@ -7,30 +7,32 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
-
-PART = ".part"
-"""Ends the name of a file that is being written; what is left of one belonged to a killed run."""
 
 
 @contextmanager
-def atomic_write(path: Path) -> Iterator[BinaryIO]:
-    """A binary file beside `path` that takes its name when the block ends well.
+def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; on leaving without error it becomes `path`.
 
-    Folders are made as needed. Where the block raises, nothing is left. Raises OSError where the
-    folder cannot be written to.
+    The temporary file lies in the same folder (a rename across file systems is not atomic)
+    and keeps the suffix (libraries look at it), or has `suffix` for those that look for what a
+    killed run left. It is flushed to disk before the rename, and removed if the block raises. The
+    folder is made if it does not exist. Raises OSError where it cannot be written to.
     """
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=".", suffix=PART, dir=path.parent)
+    handle, name = tempfile.mkstemp(
+        prefix=f".{path.stem}-", suffix=path.suffix if suffix is None else suffix, dir=path.parent
+    )
+    os.close(handle)
+    temporary = Path(name)
     try:
-        with os.fdopen(handle, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        # mkstemp makes files readable by their owner alone; give the usual rights back.
+        yield temporary
+        # mkstemp makes files that their owner alone may read; give the usual permissions back.
         umask = os.umask(0)
         os.umask(umask)
-        Path(temporary).chmod(0o666 & ~umask)
+        temporary.chmod(0o666 & ~umask)
+        with temporary.open("rb+") as written:
+            os.fsync(written.fileno())
         os.replace(temporary, path)
     finally:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from audio_features.atomic import PART, atomic_write
+from audio_features.atomic import atomic_write
 from audio_features.errors import AudioFeaturesError, FeatureError
 from audio_features.track import FeatureTrack
 
@@ -33,6 +33,7 @@ MAX_BYTES = 20 * 10**9
 # Packages whose next version may change the last bits of a feature.
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
 _SUFFIX = ".safetensors"
+_PART = ".part"  # of an entry that is being written; what is left of one, a killed run left
 _STALE_SECONDS = 3600  # a temporary file older than this was left by a process that was killed
 
 log = logging.getLogger(__name__)
@@ -200,8 +201,8 @@ class FeatureCache:
         about = {"spec": json.dumps(track.spec), "checksum": _checksum(values, track.times)}
         data = save({"values": values, "times": track.times}, about)
         try:
-            with atomic_write(path) as file:
-                file.write(data)
+            with atomic_write(path, suffix=_PART) as temporary:
+                temporary.write_bytes(data)
             self._unmeasured += len(data)
             # Looking at every entry for each new one would be slow with many; other processes
             # write too, so a look now and then is needed in any case.
@@ -243,7 +244,7 @@ class FeatureCache:
     def _remove_leftovers(self, age: float) -> None:
         for path in self._files():
             with contextlib.suppress(FileNotFoundError):
-                if path.suffix == PART and time.time() - path.stat().st_mtime >= age:
+                if path.suffix == _PART and time.time() - path.stat().st_mtime >= age:
                     path.unlink()
 
 

@@ -139,7 +139,7 @@ class FeatureTrack:
         when it is whole and on disk.
         """
         text = json.dumps({**self.spec, "format": FORMAT, "names": self.names}, allow_nan=False)
-        with atomic_write(Path(path)) as file:
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
             np.savez(file, values=self.values, times=self.times, spec=np.array(text))
 
     @classmethod
