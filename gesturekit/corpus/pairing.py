@@ -10,9 +10,12 @@ from pathlib import Path
 
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import CorpusError
-from gesturekit.formats.sources import MOTION_SUFFIXES, is_motion
-
-SPEECH_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
+from gesturekit.formats.sources import (
+    MOTION_SUFFIXES,
+    SPEECH_SUFFIXES,
+    is_motion,
+    visible_folders,
+)
 
 
 @dataclass(frozen=True, order=True)
@@ -59,25 +62,17 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
         raise CorpusError(f"{folder}: {what}; give folders of recordings")
     found: list[Found] = []
     problems: list[Problem] = []
-    visited: set[tuple[int, int]] = set()
 
     def unreadable(error: OSError) -> None:
         problems.append(
             Problem("error", Path(error.filename), f"cannot open folder: {error.strerror}")
         )
 
-    for base, subfolders, files in os.walk(folder, onerror=unreadable, followlinks=True):
-        status = Path(base).stat()
-        if (status.st_dev, status.st_ino) in visited:
-            subfolders.clear()
-            continue
-        visited.add((status.st_dev, status.st_ino))
-        subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
-        for name in sorted(files):
-            path = Path(base, name)
+    for _, _, files in visible_folders(folder, unreadable):
+        for path in files:
             suffix = path.suffix.lower()
             is_speech = suffix in SPEECH_SUFFIXES
-            if name.startswith(".") or not (is_speech or suffix in MOTION_SUFFIXES):
+            if not (is_speech or suffix in MOTION_SUFFIXES):
                 continue
             key = path.relative_to(folder).with_suffix("").as_posix()
             if not key.isprintable():

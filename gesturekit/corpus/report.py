@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gesturekit.corpus.manifest import SPLITS, Item, Manifest
-from gesturekit.corpus.pairing import SPEECH_SUFFIXES
 from gesturekit.corpus.problem import Problem, printed
+from gesturekit.formats.sources import SPEECH_SUFFIXES
 
 if TYPE_CHECKING:
     from gesturekit.corpus.recording import Recording

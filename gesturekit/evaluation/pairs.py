@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gesturekit.errors import CorpusError
+from gesturekit.formats.sources import SPEECH_SUFFIXES
 
 MOTION_SUFFIXES = (".npz", ".bvh")
 """Of a clip that is there as both, the first is read: it holds every digit."""
-SOUND_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
 SEMANTIC_SUFFIXES = (".npz", ".txt")
 WINDOW_SECONDS = 10.0
 """Length of the windows that names ending in _w000, _w001 ... stand for."""
@@ -86,7 +86,7 @@ def find_pairs(
     """
     made = motion_files(generated)
     recorded = motion_files(reference)
-    sounds = files_by_key(audio, SOUND_SUFFIXES, "sound") if audio else {}
+    sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
     tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
     lookup = _Lookup(recorded)
     found = Pairs()
@@ -158,13 +158,14 @@ def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, 
         return {path.stem: path}
     if not path.is_dir():
         raise CorpusError(f"{path}: no such file or folder; give a folder of {what} files")
-    found: dict[str, Path] = {}
-    for suffix in reversed(suffixes):
-        for file in path.rglob("*"):
-            inside = file.relative_to(path)
-            hidden = any(part.startswith(".") for part in inside.parts)
-            if file.suffix.lower() == suffix and not hidden and file.is_file():
-                found[inside.with_suffix("").as_posix()] = file
+    by_suffix: dict[str, dict[str, Path]] = {suffix: {} for suffix in reversed(suffixes)}
+    for file in path.rglob("*"):
+        inside = file.relative_to(path)
+        hidden = any(part.startswith(".") for part in inside.parts)
+        suffix = file.suffix.lower()
+        if suffix in by_suffix and not hidden and file.is_file():
+            by_suffix[suffix][inside.with_suffix("").as_posix()] = file
+    found = {key: file for files in by_suffix.values() for key, file in files.items()}
     if not found:
         raise CorpusError(
             f"{path}: no {what} files ({', '.join(suffixes)}) in this folder; is it the right one?"

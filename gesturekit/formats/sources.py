@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from gesturekit.formats.easymocap import SUBFOLDERS
 
 MOTION_SUFFIXES = (".bvh", ".npz")
 """What is looked for in folders, beside EasyMocap's sequences."""
+SPEECH_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
 WRITABLE = ("bvh", "npz", "html", "png", "obj")
 EXISTING = ("refuse", "skip", "replace")
 _SHOWN = 3
@@ -78,27 +79,38 @@ def motions_in(folder: Path, *, but: Path | None = None) -> Iterator[Path | OSEr
     below `but`. Links to folders are followed once. A folder that cannot be opened gives its
     OSError.
     """
-    visited: set[tuple[int, int]] = set()
     trouble: list[OSError] = []
-    for base, folders, files in os.walk(folder, onerror=trouble.append, followlinks=True):
+    for here, folders, files in visible_folders(folder, trouble.append):
         yield from trouble
         trouble.clear()
-        here = Path(base)
-        status = here.stat()
-        is_seen = (status.st_dev, status.st_ino) in visited
-        if is_seen or (but is not None and os.path.realpath(here) == os.path.realpath(but)):
+        if but is not None and os.path.realpath(here) == os.path.realpath(but):
             folders.clear()
             continue
-        visited.add((status.st_dev, status.st_ino))
         if is_sequence(here):
             yield here
             folders[:] = [name for name in folders if name not in SUBFOLDERS]
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        for name in sorted(files):
-            path = here / name
-            if not name.startswith(".") and is_motion(path):
-                yield path
+        yield from filter(is_motion, files)
     yield from trouble
+
+
+def visible_folders(
+    folder: Path, unreadable: Callable[[OSError], None]
+) -> Iterator[tuple[Path, list[str], list[Path]]]:
+    """A folder and all below it, in order: (folder, names of its folders, its files).
+
+    Hidden ones are passed over. Links to folders are followed once. Names taken out of a list of
+    folders are not entered. `unreadable` is told of each folder that cannot be opened.
+    """
+    visited: set[tuple[int, int]] = set()
+    for base, folders, files in os.walk(folder, onerror=unreadable, followlinks=True):
+        here = Path(base)
+        status = here.stat()
+        if (status.st_dev, status.st_ino) in visited:
+            folders.clear()
+            continue
+        visited.add((status.st_dev, status.st_ino))
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        yield here, folders, [here / name for name in sorted(files) if not name.startswith(".")]
 
 
 def is_sequence(path: Path) -> bool:

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gesturekit.corpus.pairing import SPEECH_SUFFIXES, scan
+from gesturekit.corpus.pairing import scan
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.signatures import kind_by_content
 from gesturekit.formats.sources import (
     MOTION_SUFFIXES,
+    SPEECH_SUFFIXES,
     is_body_model,
     is_feature_file,
     is_sequence,

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import audio_features as af
-from gesturekit.corpus.pairing import SPEECH_SUFFIXES
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.rig import Rig
+from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion.motion import Motion
 from gesturekit.postprocess import smooth_motion
 
@@ -93,41 +93,19 @@ def render(
         return made if smooth is None else [smooth_motion(motion, smooth) for motion in made]
 
     _make_folder(out)
-    if not sources:
-        yield _render_one(
-            "motion",
-            None,
-            None,
-            out,
-            "motion",
-            formats,
-            body,
-            motions,
-        )
-        return
-    for path in files:
-        yield _render_one(
-            str(path),
-            path,
-            channel,
-            out,
-            path.stem,
-            formats,
-            body,
-            motions,
-        )
+    for path in files if sources else [None]:
+        yield _render_one(path, channel, out, formats, body, motions)
 
 
 def _render_one(
-    source: str,
     audio: Path | None,
     channel: int | None,
     out: Path,
-    stem: str,
     formats: Sequence[str],
     body: Rig | None,
     generate: Callable[[af.Wave | None], list[Motion]],
 ) -> Outcome:
+    source, stem = ("motion", "motion") if audio is None else (str(audio), audio.stem)
     files: list[Path] = []
     try:
         wave = None if audio is None else _heard(audio, channel)

@@ -16,11 +16,11 @@ import audio_features as af
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.comparison import LDA_SAMPLES, MULTIRES_LENGTH, MULTIRES_SAMPLES
 from gesturekit.evaluation.pairs import (
-    SOUND_SUFFIXES,
     WINDOW_SECONDS,
     files_by_key,
     motion_files,
 )
+from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion.motion import Motion
 
 
@@ -54,7 +54,7 @@ def sample_multires(
         ConfigError: a sequence without sound, where a folder of sounds was given.
     """
     sequences = motion_files(reference)
-    sounds = {} if audio is None else files_by_key(audio, SOUND_SUFFIXES, "sound")
+    sounds = {} if audio is None else files_by_key(audio, SPEECH_SUFFIXES, "sound")
     missing = [stem for stem in sequences if audio is not None and stem not in sounds]
     if missing:
         raise ConfigError(f"{audio}: no sound of the name of {', '.join(missing[:3])}")
@@ -90,7 +90,7 @@ def sample_lda(
         ConfigError: no recording is as long as a window.
     """
     made = 0
-    for stem, path in files_by_key(audio, SOUND_SUFFIXES, "sound").items():
+    for stem, path in files_by_key(audio, SPEECH_SUFFIXES, "sound").items():
         wave = af.Wave.load(path)
         for window in range(int(wave.duration / WINDOW_SECONDS + 1e-6)):
             asked = {"speech": wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)}
