@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import audio_features as af
+from gesturekit.errors import ModelError
+
+log = logging.getLogger(__name__)
 
 LIMIT = 6.0
 """Normalised features are kept within this many standard deviations."""
@@ -115,3 +120,48 @@ def extract(
     activity = wave.active(hop=_ACTIVITY_HOP)
     nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)
     return values, activity[np.minimum(nearest, len(activity) - 1)]
+
+
+def hear(
+    conditioner: SpeechConditioner | None,
+    speech: str | Path | af.Wave | None,
+    seconds: float | None,
+    fps: float,
+) -> np.ndarray:
+    """(T, S) what a model hears of what it is asked; S is 0 for a model that does not hear.
+
+    Args:
+        conditioner: the model's; None for one that does not hear.
+        speech: an audio file or a `Wave`; None for silence of so many `seconds`.
+        seconds: length without speech.
+        fps: frames per second of the motion.
+
+    Raises:
+        ModelError: speech for a model that does not hear, neither speech nor seconds or both, or
+            less than a frame of them.
+        AudioError: the speech cannot be read.
+    """
+    if speech is not None:
+        if conditioner is None:
+            raise ModelError("speech: this model does not hear; give seconds instead")
+        if seconds is not None:
+            raise ModelError("seconds goes without speech: the motion is as long as the speech")
+        wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
+        if wave.is_silent:
+            log.warning("%s: silent; the motion will be idle", wave.source or "the speech")
+        n_frames = wave.n_frames(fps)
+        if n_frames < 1:
+            raise ModelError(
+                f"{wave.source or 'the speech'}: {wave.duration:.3f} s is shorter than half a "
+                f"frame at {fps:g} fps"
+            )
+        return conditioner(wave, n_frames)
+    if seconds is None:
+        wanted = "seconds" if conditioner is None else "speech, or seconds for idle motion"
+        raise ModelError(f"nothing to generate from: give {wanted}")
+    n_frames = int(np.floor(seconds * fps + 0.5)) if np.isfinite(seconds) else 0
+    if n_frames < 1:
+        raise ModelError(f"seconds={seconds}: must be at least one frame ({1 / fps:g} s)")
+    if conditioner is None:
+        return np.zeros((n_frames, 0), np.float32)
+    return conditioner.silence(n_frames)

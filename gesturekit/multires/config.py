@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import KNOWN_PARTS
+from gesturekit.training.features import FeatureConfig
 
 
 def _positive(**values: float) -> None:
@@ -128,15 +129,9 @@ class ScheduleConfig:
 
 
 @dataclass(frozen=True)
-class FeatureConfig:
-    """What the model hears."""
+class PyramidFeatureConfig(FeatureConfig):
+    """What the model hears, and how levels share it."""
 
-    extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
-    """Extractors by name and settings, side by side."""
-    weights: Path | None = None
-    """Folder of the WavLM weights, where an extractor asks for them."""
-    align: Literal["mean", "linear"] = "mean"
-    """How features reach the motion's frames: mean of each frame's span, or linear in time."""
     residual: bool = True
     """Give finer levels only what the coarser ones lack (section 5 of the paper)."""
 
@@ -172,7 +167,7 @@ class MultiresConfig:
     """Bring motion to zero mean and comparable spread; GANimator does not."""
     z_star: Literal["shared", "full"] = "shared"
     """The noise of reconstructions: like all noise, or of each channel and unscaled (GANimator)."""
-    features: FeatureConfig | None = field(default_factory=FeatureConfig)
+    features: PyramidFeatureConfig | None = field(default_factory=PyramidFeatureConfig)
     """What is heard; null for nothing."""
     styles: StyleConfig | None = None
     """How styles are learnt; null for none."""

@@ -11,27 +11,31 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
-from tqdm import tqdm
 
 import audio_features as af
 from gesturekit.atomic import atomic_write
-from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.manifest import Item, Manifest
-from gesturekit.corpus.speech import SpeechConditioner, extract
-from gesturekit.errors import ConfigError, CorpusError, MotionError
+from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion.heading import heading
-from gesturekit.motion.motion import Motion
-from gesturekit.motion.representation import MultiresRepresentation, reference_skeleton
+from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.config import FeatureConfig, MultiresConfig
+from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.interpolation import resample
+from gesturekit.training.features import listen
+from gesturekit.training.recordings import (
+    item_styles,
+    load_motions,
+    speaker_skeletons,
+    training_items,
+)
 from gesturekit.training.seeds import generator
 
 _SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
@@ -309,15 +313,14 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             cannot be read.
     """
     # First: wrong settings are told before anything is read.
-    extractor = None if config.features is None else _extractor(config.features)
+    extractor = None if config.features is None else config.features.extractor()
     manifest = Manifest.load(config.corpus)
-    items = _training_items(manifest, config)
-    styles, style_of = _styles(items, config)
-    motions = [_load_motion(item, config) for item in items]
-    for item, motion in zip(items, motions, strict=True):
-        different = first_difference(motion.skeleton, motions[0].skeleton)
-        if different:
-            raise CorpusError(f"{config.corpus}: item {item.id}: another skeleton: {different}")
+    items = training_items(manifest, config.corpus, heard=config.features is not None)
+    styles: tuple[str, ...] = ()
+    style_of = [0] * len(items)
+    if config.styles is not None:
+        styles, style_of = item_styles(items, config.corpus)
+    motions = load_motions(items, config.corpus, config.fps, config.parts)
     representation = MultiresRepresentation.fit(motions, config.joints)
     vectors = []
     for item, motion in zip(items, motions, strict=True):
@@ -331,25 +334,23 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     else:
         width = representation.n_features
         normaliser = Normaliser(torch.zeros(width), torch.ones(width))
-    by_speaker: dict[str, list[Motion]] = {}
-    for item, motion in zip(items, motions, strict=True):
-        if item.speaker is not None:
-            by_speaker.setdefault(item.speaker, []).append(motion)
-
     if config.features is None:
         conditioner = None
         speeches = [torch.zeros(0, len(vector)) for vector in vectors]
         unpaired: list[Tensor] = []
     else:
         others = manifest.unpaired("train")
-        conditioner, heard = _listen(
+        conditioner, heard = listen(
             [*items, *others],
             [*map(len, vectors), *[None] * len(others)],
             extractor,
-            config.features,
             config.fps,
+            config.features.align,
         )
-        speeches, unpaired = heard[: len(items)], heard[len(items) :]
+        # One after the other, each making room for what becomes of it.
+        heard.reverse()
+        columns = [_columns(heard.pop()) for _ in range(len(heard))]
+        speeches, unpaired = columns[: len(items)], columns[len(items) :]
     paired = []
     for item, vector, speech, style in zip(items, vectors, speeches, style_of, strict=True):
         n_frames = min(len(vector), speech.shape[-1])
@@ -384,80 +385,11 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         conditioner=conditioner,
         styles=styles,
         normaliser=normaliser,
-        speakers={name: reference_skeleton(own) for name, own in by_speaker.items()},
+        speakers=speaker_skeletons(items, motions),
         unpaired_is_paired=hears and not unpaired,
     )
-
-
-def _training_items(manifest: Manifest, config: MultiresConfig) -> tuple[Item, ...]:
-    """What a run learns motion from: pairs, or all motion where nothing is heard."""
-    if config.features is not None:
-        items = manifest.paired("train")
-        if not items:
-            raise CorpusError(
-                f"{config.corpus}: no item of split train has both audio and motion; run "
-                "gesturekit prepare on a folder of wav + BVH pairs, or train without speech "
-                "(features=null)"
-            )
-        return items
-    items = tuple(item for item in manifest if item.split == "train" and item.motion is not None)
-    if not items:
-        raise CorpusError(
-            f"{config.corpus}: no item of split train has motion; "
-            "run gesturekit prepare --unpaired-motion on a folder of BVH files"
-        )
-    return items
-
-
-def _styles(items: Sequence[Item], config: MultiresConfig) -> tuple[tuple[str, ...], list[int]]:
-    """Names of the styles, and the number of each item's own."""
-    if config.styles is None:
-        return (), [0] * len(items)
-    nameless = [item.id for item in items if item.style is None]
-    if nameless:
-        raise CorpusError(
-            f"{config.corpus}: item {nameless[0]} has no style ({len(nameless)} have none); "
-            "gesturekit prepare --style-pattern takes styles from file names"
-        )
-    styles = tuple(sorted({item.style for item in items if item.style is not None}))
-    return styles, [styles.index(item.style) for item in items if item.style is not None]
-
-
-def _listen(
-    items: Sequence[Item],
-    most: Sequence[int | None],
-    extractor: Any,
-    features: FeatureConfig,
-    fps: float,
-) -> tuple[SpeechConditioner, list[Tensor]]:
-    """What the model hears of each item, (S, T), and what makes it of a wave.
-
-    No more of an item than `most` of its frames, where that is a number.
-    """
-    progress = tqdm(items, desc="Listening", unit="file", leave=False)
-    heard = [extract(item.load_wave(), extractor, fps, features.align) for item in progress]
-    conditioner = SpeechConditioner.fit(heard, extractor, fps, features.align)
-    # From the first to the last, each making room for what becomes of it.
-    heard.reverse()
-    speeches = []
-    for n_frames in most:
-        values, active = heard.pop()
-        speeches.append(_columns(conditioner.normalise(values[:n_frames], active[:n_frames])))
-    return conditioner, speeches
-
-
-def _load_motion(item: Item, config: MultiresConfig) -> Motion:
-    try:
-        return item.load_motion(config.parts).resample(config.fps)
-    except MotionError as error:
-        raise ConfigError(f"parts: item {item.id}: {error}") from None
 
 
 def _columns(values: np.ndarray) -> Tensor:
     """(T, S) to (S, T)."""
     return torch.from_numpy(np.ascontiguousarray(values.T))
-
-
-def _extractor(features: FeatureConfig) -> Any:
-    parts = {"kind": "stack", "parts": list(features.extractors)}
-    return af.extractor_from_spec(parts, weights=features.weights)

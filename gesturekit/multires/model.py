@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,13 +10,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.atomic import atomic_write
-from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.errors import ConfigError, ModelError
+from gesturekit.corpus.speech import SpeechConditioner, hear
+from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
@@ -27,14 +24,12 @@ from gesturekit.multires.data import Normaliser
 from gesturekit.multires.editing import full_frames, keep_unedited, level_motion, motion_level
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import MultiresGenerator
-from gesturekit.multires.styles import asked_styles, style_track
+from gesturekit.multires.styles import asked_styles, level_track
 from gesturekit.postprocess import lock_feet
-from gesturekit.training.config import build, dump_yaml, read_yaml, to_dict
+from gesturekit.training.config import build, to_dict
+from gesturekit.training.model_folder import ModelParts, load_model, model_readme, save_model
 from gesturekit.training.seeds import generator
 
-log = logging.getLogger(__name__)
-
-FORMAT = 1
 _MARGIN_COARSE = 2
 """Frames of the first level that are made before a motion and after it, and cut off."""
 
@@ -180,7 +175,7 @@ class MultiresModel:
             keyframes = Motion.load(keyframes)
         if keyframes is not None and speech is None and seconds is None:
             seconds = full_frames(keyframes, self.fps) / self.fps
-        features = self._features(speech, seconds)
+        features = hear(self.conditioner, speech, seconds, self.fps)
         # A coarse level is edited frame by frame: its own frames, and none around them.
         whole = keyframes is None and levels in (None, n_levels)
         margin = self.margin if whole else 0
@@ -228,7 +223,7 @@ class MultiresModel:
         if self.conditioner is not None and speech is None:
             raise ModelError(f"sequence {name!r}: the model hears; give the sequence's speech")
         seconds = sequence.frames / self.fps if speech is None else None
-        features = self._features(speech, seconds)[: sequence.frames]
+        features = hear(self.conditioner, speech, seconds, self.fps)[: sequence.frames]
         lengths = af.level_lengths(sequence.frames, self.network_config.levels)
         if len(features) < sequence.frames:
             raise ModelError(
@@ -236,7 +231,7 @@ class MultiresModel:
             )
         told: list[Tensor] = []
         if self.styles:
-            track = style_track(self.styles, sequence.style or "", lengths[-1], self.fps)
+            track = level_track(self.styles, sequence.style or "", lengths[-1], self.fps)
             told = [resample(track, n)[None] for n in lengths]
         noises = [self.z_star[name].reshape(1, -1, lengths[0]), *[None] * (len(lengths) - 1)]
         condition = self._condition(features, lengths, told)
@@ -273,39 +268,6 @@ class MultiresModel:
             return None
         return LevelConditions(features, lengths, self.residual, styles)
 
-    def _features(self, speech: str | Path | af.Wave | None, seconds: float | None) -> np.ndarray:
-        """(T, S) what the model hears; no columns where it does not."""
-        if speech is not None:
-            if self.conditioner is None:
-                raise ModelError("speech: this multires model does not hear; give seconds instead")
-            if seconds is not None:
-                raise ModelError("seconds goes without speech: the motion is as long as the speech")
-            wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
-            if wave.is_silent:
-                log.warning("%s: silent; the motion will be idle", wave.source or "the speech")
-            n_frames = wave.n_frames(self.fps)
-            if n_frames < 1:
-                raise ModelError(
-                    f"{wave.source or 'the speech'}: {wave.duration:.3f} s is shorter than half a "
-                    f"frame at {self.fps:g} fps"
-                )
-            return self.conditioner(wave, n_frames)
-        if seconds is None:
-            wanted = "seconds"
-            if self.conditioner is not None:
-                wanted = "speech, or seconds for idle motion"
-            raise ModelError(f"nothing to generate from: give {wanted}")
-        n_frames = int(np.floor(seconds * self.fps + 0.5)) if np.isfinite(seconds) else 0
-        if n_frames < 1:
-            raise ModelError(f"seconds={seconds}: must be at least one frame ({1 / self.fps:g} s)")
-        return self._silence(n_frames)
-
-    def _silence(self, n_frames: int) -> np.ndarray:
-        """(T, S) what the model hears when nobody speaks."""
-        if self.conditioner is None:
-            return np.zeros((n_frames, 0), np.float32)
-        return self.conditioner.silence(n_frames)
-
     def _sample(
         self, condition: Condition | None, lengths: list[int], seed: int, number: int
     ) -> Tensor:
@@ -331,9 +293,7 @@ class MultiresModel:
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
-        folder = Path(folder)
         config = {
-            "format": FORMAT,
             "kind": self.kind,
             "fps": self.fps,
             "joints": list(self.representation.joints),
@@ -363,15 +323,7 @@ class MultiresModel:
         if self.conditioner is not None:
             tensors["features.centre"] = torch.from_numpy(self.conditioner.centre)
             tensors["features.scale"] = torch.from_numpy(self.conditioner.scale)
-        with atomic_write(folder / "skeleton.json") as temporary:
-            temporary.write_text(json.dumps(rig), encoding="utf-8")
-        with atomic_write(folder / "model.safetensors") as temporary:
-            save_file(tensors, temporary)
-        with atomic_write(folder / "README.md") as temporary:
-            temporary.write_text(self._readme(notes or {}), encoding="utf-8")
-        # Last: a folder with a config.yaml is a whole model.
-        with atomic_write(folder / "config.yaml") as temporary:
-            temporary.write_text(dump_yaml(config), encoding="utf-8")
+        save_model(folder, config, rig, tensors, self._readme(notes or {}))
 
     def _readme(self, notes: Mapping[str, str]) -> str:
         rows = {
@@ -386,15 +338,7 @@ class MultiresModel:
         if self.styles:
             rows["Styles"] = ", ".join(self.styles)
             call += f', style="{self.styles[0]}"'
-        rows |= notes
-        lines = [f"- **{key}**: {value}" for key, value in rows.items()]
-        return (
-            "# A gesturekit model\n\n"
-            + "\n".join(lines)
-            + "\n\n```python\nimport gesturekit as gk\n\n"
-            'model = gk.load("THIS FOLDER")\n'
-            f'model.generate({call}, seed=0).save("motion.bvh")\n```\n'
-        )
+        return model_readme(rows | notes, call)
 
     @classmethod
     def load(cls, folder: str | Path, *, weights: str | Path | None = None) -> MultiresModel:
@@ -408,46 +352,15 @@ class MultiresModel:
             ModelError: a part is missing, damaged, or of a newer format.
             WeightsError: weights are asked for, or are not those of training.
         """
-        folder = Path(folder)
-        try:
-            config = read_yaml(folder / "config.yaml")
-        except ConfigError as error:
-            raise ModelError(f"not a model folder: {error}") from None
-        found = config.get("format")
-        if found != FORMAT:
-            raise ModelError(
-                f"{folder / 'config.yaml'}: format {found!r}; this gesturekit reads format "
-                f"{FORMAT}. A newer format needs a newer gesturekit"
-            )
-        if config.get("kind") != cls.kind:
-            raise ModelError(f"{folder / 'config.yaml'}: kind {config.get('kind')!r}, not multires")
-        try:
-            return cls._assemble(folder, config, weights)
-        except af.AudioFeaturesError:
-            raise
-        except ModelError:
-            raise
-        except FileNotFoundError as error:
-            # safetensors does not say which file it missed.
-            missing = Path(error.filename or "model.safetensors").name
-            raise ModelError(f"{folder}: the model lacks {missing}") from None
-        except (KeyError, TypeError, ValueError, RuntimeError, OSError, MemoryError) as error:
-            raise ModelError(f"{folder}: the model is damaged ({error})") from error
-        except Exception as error:
-            # safetensors raises an error class of its own for a damaged file.
-            raise ModelError(f"{folder}: model.safetensors is damaged ({error})") from error
+        return load_model(folder, cls.kind, lambda parts: cls._assemble(parts, weights))
 
     @classmethod
-    def _assemble(
-        cls, folder: Path, config: dict[str, Any], weights: str | Path | None
-    ) -> MultiresModel:
+    def _assemble(cls, parts: ModelParts, weights: str | Path | None) -> MultiresModel:
+        config, rig, tensors = parts.config, parts.rig, parts.tensors
+        where = str(parts.folder / "config.yaml")
         fps = float(config["fps"])
-        if not 0 < fps < float("inf"):
-            raise ValueError(f"fps is {fps}")
-        rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
         skeleton = Skeleton.from_json(rig["skeleton"])
         representation = MultiresRepresentation.from_json(skeleton, rig["motion"])
-        tensors = load_file(folder / "model.safetensors")
         features, conditioner = config["features"], None
         if features is not None:
             conditioner = SpeechConditioner(
@@ -459,7 +372,7 @@ class MultiresModel:
             )
         styles = tuple(map(str, config.get("styles", ())))
         n_condition = len(styles) + (0 if conditioner is None else conditioner.dim)
-        network_config = build(NetworkConfig, config["network"], where=str(folder / "config.yaml"))
+        network_config = build(NetworkConfig, config["network"], where=where)
         network = MultiresGenerator(representation, n_condition, network_config)
         network.load_state_dict(
             {k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")}
@@ -479,7 +392,7 @@ class MultiresModel:
             },
             # Models of before this was kept can do all but reconstruct.
             sequences={
-                name: build(TrainedSequence, about, where=str(folder / "config.yaml"))
+                name: build(TrainedSequence, about, where=where)
                 for name, about in config.get("sequences", {}).items()
             },
             speakers={name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},

@@ -1,12 +1,10 @@
 """Styles: which of them a level is told, frame by frame.
 
-A style is one-hot over the names that the corpus has. It may change over time, with blends, and
-differ from level to level: coarse levels decide posture and path, fine levels detail.
+They may differ from level to level: coarse levels decide posture and path, fine levels detail.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 
@@ -14,13 +12,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from gesturekit.corpus.styles import style_track
 from gesturekit.errors import ModelError
-from gesturekit.multires.interpolation import reflect, resample
+from gesturekit.multires.interpolation import resample
 
-BLEND_SECONDS = 1.0
-"""How long one style takes to become the next, half of it on either side of the border."""
-
-_SPAN = re.compile(r"(?P<name>.+)@(?P<start>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?)")
 _LEVELS = re.compile(r"(?P<first>\d+)(-(?P<last>\d+))?=(?P<name>.+)")
 
 
@@ -53,41 +48,9 @@ def mixed_styles(
     return torch.where(torch.arange(levels) < crossover[:, None], coarse[:, None], fine[:, None])
 
 
-def style_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> Tensor:
-    """(K, T) weights of the styles over time, which add up to 1.
-
-    Args:
-        names: the K styles there are.
-        wanted: one of them, or spans of seconds: `old@0-10,angry@10-20`. Before the first span,
-            after the last and between two, the nearest span holds; where spans overlap they share.
-        n_frames: T.
-        fps: frames per second.
-
-    Raises:
-        ModelError: an unknown style, or a span that cannot be read.
-    """
-    if "@" not in wanted:
-        track = torch.zeros(len(names), n_frames)
-        track[_number(names, wanted)] = 1.0
-        return track
-    time = torch.arange(n_frames) / fps
-    apart, numbers = [], []
-    for text in wanted.split(","):
-        match = _SPAN.fullmatch(text.strip())
-        if match is None:
-            raise ModelError(f"style {text.strip()!r}: spans look like old@0-10,angry@10-20")
-        start, end = float(match["start"]), float(match["end"])
-        if end <= start:
-            raise ModelError(f"style {text.strip()!r}: the span ends before it begins")
-        numbers.append(_number(names, match["name"]))
-        apart.append(torch.maximum(start - time, time - end + 0.5 / fps).clamp(min=0.0))
-    distance = torch.stack(apart)
-    holds = (distance <= distance.min(dim=0).values + 1e-6).float()
-    track = torch.zeros(len(names), n_frames).index_add_(0, torch.tensor(numbers), holds)
-    track = track / track.sum(dim=0)
-    # The mean over a blend's length turns every border into a ramp of that length.
-    reach = math.floor(BLEND_SECONDS * fps / 2)
-    return reflect(track, reach).unfold(-1, 2 * reach + 1, 1).mean(dim=-1) if reach else track
+def level_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> Tensor:
+    """(K, T) of `style_track`."""
+    return torch.from_numpy(style_track(names, wanted, n_frames, fps).T.copy())
 
 
 def asked_styles(
@@ -118,7 +81,7 @@ def asked_styles(
         style = names[int(torch.randint(len(names), (), generator=rng))]
 
     def with_margins(wanted: str) -> Tensor:
-        track = style_track(names, wanted, lengths[-1] - 2 * margin, fps)
+        track = level_track(names, wanted, lengths[-1] - 2 * margin, fps)
         return F.pad(track[None], (margin, margin), mode="replicate")[0]
 
     tracks = [with_margins(style)] * len(lengths)
@@ -134,9 +97,3 @@ def asked_styles(
         own = with_margins(match["name"])
         tracks[first - 1 : last] = [own] * (last - first + 1)
     return [resample(own, n)[None] for own, n in zip(tracks, lengths, strict=True)]
-
-
-def _number(names: Sequence[str], name: str) -> int:
-    if name not in names:
-        raise ModelError(f"style {name!r}: the model knows {', '.join(names)}")
-    return list(names).index(name)

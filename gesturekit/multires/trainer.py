@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import sys
 import time
 from pathlib import Path
@@ -16,7 +15,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 import audio_features as af
-from gesturekit.errors import ConfigError, ModelError
+from gesturekit.errors import ModelError
 from gesturekit.multires.bank import Bank, Windows
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.data import TrainingData, load_training_data
@@ -31,8 +30,9 @@ from gesturekit.multires.networks import (
     gradient_penalty,
 )
 from gesturekit.training.config import to_dict
+from gesturekit.training.device import prepare_device
 from gesturekit.training.run import Run
-from gesturekit.training.seeds import generator
+from gesturekit.training.seeds import generator, seeded
 
 log = logging.getLogger(__name__)
 
@@ -52,24 +52,21 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
         CorpusError: the corpus cannot be trained on.
         ModelError: training left the realm of numbers.
     """
-    if config.threads:
-        torch.set_num_threads(config.threads)
-    if _device(config.device).type == "cuda":
-        # Same seed, same weights, on a GPU too; cuBLAS wants to be told before its first use.
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
-        torch.use_deterministic_algorithms(True, warn_only=True)
+    device = prepare_device(config.device, config.threads)
     run = Run(config.out, to_dict(config), resume=resume)
     try:
-        return _Trainer(config, run, resume=resume).run()
+        return _Trainer(config, run, device, resume=resume).run()
     finally:
         run.close()
 
 
 class _Trainer:
-    def __init__(self, config: MultiresConfig, run: Run, *, resume: bool) -> None:
+    def __init__(
+        self, config: MultiresConfig, run: Run, device: torch.device, *, resume: bool
+    ) -> None:
         self.config = config
         self.folder = run
-        self.device = _device(config.device)
+        self.device = device
         if resume:
             self.data = TrainingData.load(run.folder / "data", config)
         else:
@@ -81,7 +78,7 @@ class _Trainer:
         self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
         self.heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
         log.info("Training on %s.", ", ".join(self._what()))
-        self.network = _seeded(
+        self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
                 self.data.representation,
@@ -206,7 +203,7 @@ class _Pair:
         self.indices = range(first, min(first + 2, self.config.network.levels))
         self.generators = nn.ModuleList(trainer.network.levels[i] for i in self.indices)
         self.discriminators = nn.ModuleList(
-            _seeded(
+            seeded(
                 (self.config.seed, "discriminator", i),
                 lambda: LevelDiscriminator(trainer.data.representation, self.config.network),
             )
@@ -443,22 +440,3 @@ class _Pair:
             target = ArmSpeedTarget(stride / self.config.fps).to(self.trainer.device)
             targets.append(target.fit(speeches, speeds))
         return targets
-
-
-def _device(name: str) -> torch.device:
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).partition("\n")[0]
-        raise ConfigError(f"device: {name!r} cannot be used here ({reason})") from None
-    return device
-
-
-def _seeded(keys: tuple[int | str, ...], make: Any) -> nn.Module:
-    """Build a module whose initial weights depend on the keys alone."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(generator(*keys).initial_seed())
-        return make()

@@ -7,8 +7,12 @@ checkpoints: a resumed run asks for the same numbers again.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from typing import TypeVar
 
 import torch
+
+Made = TypeVar("Made")
 
 
 def generator(*keys: int | str) -> torch.Generator:
@@ -17,3 +21,10 @@ def generator(*keys: int | str) -> torch.Generator:
     digest = hashlib.sha256(text.encode()).digest()
     # 63 bits: manual_seed takes a signed 64-bit number.
     return torch.Generator().manual_seed(int.from_bytes(digest[:8], "little") >> 1)
+
+
+def seeded(keys: tuple[int | str, ...], make: Callable[[], Made]) -> Made:
+    """Build something whose initial weights depend on the keys alone."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(generator(*keys).initial_seed())
+        return make()

@@ -13,7 +13,7 @@ from gesturekit.cli import main
 from gesturekit.corpus import Manifest
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
-from gesturekit.multires.styles import asked_styles, mixed_styles, style_track
+from gesturekit.multires.styles import asked_styles, level_track, mixed_styles
 from gesturekit.multires.trainer import train
 from gesturekit.training.checkpoint import Checkpoints
 
@@ -104,7 +104,7 @@ def test_speech_and_style_together(make_config, corpus, tmp_path):
 
 
 def test_spans_hold_and_blend_over_a_second():
-    track = style_track(("angry", "old"), "old@0-4,angry@4-8", 250, 25.0)
+    track = level_track(("angry", "old"), "old@0-4,angry@4-8", 250, 25.0)
     torch.testing.assert_close(track.sum(dim=0), torch.ones(250))
     assert track[1, 80] == 1 and track[0, 120] == 1 and track[0, 249] == 1
     ramp = track[0, 86:114]

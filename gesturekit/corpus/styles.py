@@ -1,0 +1,68 @@
+"""Styles over time: which of them holds when.
+
+A style is one-hot over the names that a corpus has. It may change over time, with blends.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from gesturekit.errors import ModelError
+
+BLEND_SECONDS = 1.0
+"""How long one style takes to become the next, half of it on either side of the border."""
+
+_SPAN = re.compile(r"(?P<name>.+)@(?P<start>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?)")
+
+
+def style_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> np.ndarray:
+    """(T, K) float32 weights of the styles over time, which add up to 1.
+
+    Args:
+        names: the K styles there are.
+        wanted: one of them, or spans of seconds: `old@0-10,angry@10-20`. Before the first span,
+            after the last and between two, the nearest span holds; where spans overlap they share.
+        n_frames: T.
+        fps: frames per second.
+
+    Raises:
+        ModelError: an unknown style, or a span that cannot be read.
+    """
+    track = np.zeros((n_frames, len(names)), np.float32)
+    if "@" not in wanted:
+        track[:, style_number(names, wanted)] = 1.0
+        return track
+    time = np.arange(n_frames) / fps
+    apart, numbers = [], []
+    for text in wanted.split(","):
+        match = _SPAN.fullmatch(text.strip())
+        if match is None:
+            raise ModelError(f"style {text.strip()!r}: spans look like old@0-10,angry@10-20")
+        start, end = float(match["start"]), float(match["end"])
+        if end <= start:
+            raise ModelError(f"style {text.strip()!r}: the span ends before it begins")
+        numbers.append(style_number(names, match["name"]))
+        apart.append(np.maximum(np.maximum(start - time, time - end + 0.5 / fps), 0.0))
+    holds = np.stack(apart) <= np.min(apart, axis=0) + 1e-6
+    for number, now in zip(numbers, holds, strict=True):
+        track[:, number] += now
+    track /= track.sum(axis=1, keepdims=True)
+    # The mean over a blend's length turns every border into a ramp of that length.
+    reach = math.floor(BLEND_SECONDS * fps / 2)
+    around = np.pad(track, ((reach, reach), (0, 0)), mode="reflect")
+    return np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1, axis=0).mean(axis=-1)
+
+
+def style_number(names: Sequence[str], name: str) -> int:
+    """Which of the styles that is.
+
+    Raises:
+        ModelError: none of them.
+    """
+    if name not in names:
+        raise ModelError(f"style {name!r}: the model knows {', '.join(names) or 'none'}")
+    return list(names).index(name)

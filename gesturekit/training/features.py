@@ -1,0 +1,68 @@
+"""What a model hears: the setting, and the features of a corpus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from tqdm import tqdm
+
+import audio_features as af
+from gesturekit.corpus.manifest import Item
+from gesturekit.corpus.speech import SpeechConditioner, extract
+
+
+@dataclass(frozen=True)
+class FeatureConfig:
+    """What a model hears."""
+
+    extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
+    """Extractors by name and settings, side by side."""
+    weights: Path | None = None
+    """The WavLM weights, where an extractor asks for them."""
+    align: Literal["mean", "linear"] = "mean"
+    """How features reach the motion's frames: mean of each frame's span, or linear in time."""
+
+    def extractor(self) -> Any:
+        """The extractor.
+
+        Raises:
+            FeatureError: an unknown extractor or setting.
+            WeightsError: weights that are missing or cannot be read.
+        """
+        parts = {"kind": "stack", "parts": list(self.extractors)}
+        return af.extractor_from_spec(parts, weights=self.weights)
+
+
+def listen(
+    items: Sequence[Item],
+    most: Sequence[int | None],
+    extractor: Any,
+    fps: float,
+    align: str,
+) -> tuple[SpeechConditioner, list[np.ndarray]]:
+    """What a model hears of each item, (T, S) float32, and what makes it of a wave.
+
+    Args:
+        items: with sound.
+        most: frames of each that are wanted, or None for all.
+        extractor: see `FeatureConfig.extractor`.
+        fps: frames per second of the motion.
+        align: see `FeatureConfig`.
+
+    Raises:
+        AudioError: a file cannot be read.
+    """
+    progress = tqdm(items, desc="Listening", unit="file", leave=False)
+    heard = [extract(item.load_wave(), extractor, fps, align) for item in progress]
+    conditioner = SpeechConditioner.fit(heard, extractor, fps, align)
+    # From the first to the last, each making room for what becomes of it.
+    heard.reverse()
+    speeches = []
+    for n_frames in most:
+        values, active = heard.pop()
+        speeches.append(conditioner.normalise(values[:n_frames], active[:n_frames]))
+    return conditioner, speeches

@@ -1,0 +1,125 @@
+"""A model on disk: a folder of config.yaml, skeleton.json, model.safetensors and README.md."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+import audio_features as af
+from gesturekit.atomic import atomic_write
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.training.config import dump_yaml, read_yaml
+
+FORMAT = 1
+
+Model = TypeVar("Model")
+
+
+@dataclass(frozen=True)
+class ModelParts:
+    """What a model folder holds.
+
+    Attributes:
+        folder: where.
+        config: `config.yaml`.
+        rig: `skeleton.json`.
+        tensors: `model.safetensors`.
+    """
+
+    folder: Path
+    config: dict[str, Any]
+    rig: dict[str, Any]
+    tensors: dict[str, Tensor]
+
+
+def save_model(
+    folder: str | Path,
+    config: Mapping[str, Any],
+    rig: Mapping[str, Any],
+    tensors: Mapping[str, Tensor],
+    readme: str,
+) -> None:
+    """Write a model folder.
+
+    Args:
+        folder: where; made if it is not there.
+        config: with `kind` and `fps`; the format's number is added.
+        rig: what goes into `skeleton.json`.
+        tensors: what goes into `model.safetensors`.
+        readme: text for people.
+    """
+    folder = Path(folder)
+    with atomic_write(folder / "skeleton.json") as temporary:
+        temporary.write_text(json.dumps(rig), encoding="utf-8")
+    with atomic_write(folder / "model.safetensors") as temporary:
+        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary)
+    with atomic_write(folder / "README.md") as temporary:
+        temporary.write_text(readme, encoding="utf-8")
+    # Last: a folder with a config.yaml is a whole model.
+    with atomic_write(folder / "config.yaml") as temporary:
+        temporary.write_text(dump_yaml({"format": FORMAT, **config}), encoding="utf-8")
+
+
+def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], Model]) -> Model:
+    """Read a model folder.
+
+    Args:
+        folder: as written by `save_model`.
+        kind: which kind of model it must hold.
+        assemble: makes the model of its parts.
+
+    Raises:
+        ModelError: a part is missing, damaged, or of a newer format.
+        WeightsError: WavLM weights are asked for, or are not those of training.
+    """
+    folder = Path(folder)
+    try:
+        config = read_yaml(folder / "config.yaml")
+    except ConfigError as error:
+        raise ModelError(f"not a model folder: {error}") from None
+    found = config.get("format")
+    if found != FORMAT:
+        raise ModelError(
+            f"{folder / 'config.yaml'}: format {found!r}; this gesturekit reads format "
+            f"{FORMAT}. A newer format needs a newer gesturekit"
+        )
+    if config.get("kind") != kind:
+        raise ModelError(f"{folder / 'config.yaml'}: kind {config.get('kind')!r}, not {kind}")
+    try:
+        if not 0 < float(config["fps"]) < math.inf:
+            raise ValueError(f"fps is {config['fps']}")
+        rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
+        return assemble(ModelParts(folder, config, rig, load_file(folder / "model.safetensors")))
+    except (af.AudioFeaturesError, ModelError):
+        raise
+    except FileNotFoundError as error:
+        # safetensors does not say which file it missed.
+        missing = Path(error.filename or "model.safetensors").name
+        raise ModelError(f"{folder}: the model lacks {missing}") from None
+    except (KeyError, TypeError, ValueError, RuntimeError, OSError, MemoryError) as error:
+        raise ModelError(f"{folder}: the model is damaged ({error})") from error
+    except Exception as error:
+        # safetensors raises an error class of its own for a damaged file.
+        raise ModelError(f"{folder}: model.safetensors is damaged ({error})") from error
+
+
+def model_readme(rows: Mapping[str, str], call: str) -> str:
+    """The text of a model's README.md.
+
+    Args:
+        rows: what there is to say of it.
+        call: how `generate` is called, but for the seed.
+    """
+    lines = [f"- **{key}**: {value}" for key, value in rows.items()]
+    return (
+        "# A gesturekit model\n\n" + "\n".join(lines) + "\n\n```python\nimport gesturekit as gk\n\n"
+        'model = gk.load("THIS FOLDER")\n'
+        f'model.generate({call}, seed=0).save("motion.bvh")\n```\n'
+    )
