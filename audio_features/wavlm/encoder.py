@@ -27,8 +27,8 @@ class Encoder:
         shape: the network's numbers.
         tensors: under transformers' names, float32.
         depth: how many layers are wanted; those above are not kept.
-        dtype: of the matrix products outside attention. Scores, softmax, normalisations and the
-            residual stream are float32 in any case.
+        dtype: of matrix products but for queries with keys. Scores, softmax, normalisations and
+            the residual stream are float32 in any case.
     """
 
     def __init__(
@@ -142,15 +142,15 @@ class Encoder:
         gates = torch.sigmoid(F.linear(x.view(batch, frames, heads, -1), weight, shift))
         gates = gates[..., 0] * (gates[..., 1] * constant - 1.0) + 2.0
         gates = gates.transpose(1, 2).contiguous()
-        qkv = F.linear(x.to(self._dtype), *layer["qkv"]).float()
+        qkv = F.linear(x.to(self._dtype), *layer["qkv"])
         q, k, v = qkv.view(batch, frames, 3, heads, -1).permute(2, 0, 3, 1, 4)
         # With the keys reversed in time, rows of the bias slide forwards: no stride is negative.
-        q, k, v = q.contiguous(), k.flip(2).transpose(2, 3), v.flip(2)
-        out = torch.empty(batch, frames, heads, width // heads, device=x.device)
+        q, k, v = q.contiguous().float(), k.flip(2).float().transpose(2, 3), v.flip(2)
+        out = v.new_empty(batch, frames, heads, width // heads)
         for item in range(batch):
             attended = _attend(q[item], k[item], v[item], gates[item], bias)
             out[item] = attended.transpose(0, 1)
-        return F.linear(out.view(x.shape).to(self._dtype), *layer["out"])
+        return F.linear(out.view(x.shape), *layer["out"])
 
     def _bias(self, frames: int) -> torch.Tensor:
         """(heads, 2T - 1): entry i + j is for query i and the j-th key from the end."""
@@ -177,7 +177,8 @@ def _attend(
     block and read by that kernel costs half as much again.
 
     Args:
-        q: (H, T, D) scaled queries; k: (H, D, T), v: (H, T, D) reversed in time.
+        q: (H, T, D) scaled queries; k: (H, D, T), v: (H, T, D) reversed in time. What `v` is
+            of, its product with the weights is of too.
         gates: (H, T). bias: (H, 2T - 1), see `Encoder._bias`.
     """
     heads, frames, _ = q.shape
@@ -187,7 +188,8 @@ def _attend(
     group = 1 if q.device.type == "cpu" else min(heads, max(1, held // (rows * frames)))
     # One buffer for all blocks: fresh memory of this size costs more than what is done in it.
     buffer = q.new_empty(group * rows * frames)
-    out = torch.empty_like(q)
+    narrow = buffer if v.dtype == q.dtype else v.new_empty(len(buffer))
+    out = torch.empty_like(v)
     for head in range(0, heads, group):
         some = slice(head, min(heads, head + group)) if group > 1 else head
         table = bias[some]
@@ -200,5 +202,8 @@ def _attend(
             multiply_add = scores.addmm_ if scores.dim() == 2 else scores.baddbmm_
             multiply_add(q[some, block], k[some])
             torch.softmax(scores, -1, out=scores)
-            torch.matmul(scores, v[some], out=out[some, block])
+            weights = narrow[: math.prod(shape)].view(shape)
+            if weights.dtype != scores.dtype:
+                weights.copy_(scores)
+            torch.matmul(weights, v[some], out=out[some, block])
     return out
