@@ -1,0 +1,109 @@
+"""Attention in blocks against attention as the formula says it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from gesturekit.diffusion.attention import (
+    PositionBias,
+    attend,
+    bias_of_blocks,
+    blocks_of,
+)
+from gesturekit.diffusion.config import NetworkConfig
+from gesturekit.training.seeds import generator
+
+
+def bent_bias(config: NetworkConfig) -> PositionBias:
+    bias = PositionBias(config)
+    rng = generator("bias")
+    with torch.no_grad():
+        bias.amplitudes.copy_(torch.randn(bias.amplitudes.shape, generator=rng) * 3)
+        bias.offsets.copy_(torch.randn(bias.offsets.shape, generator=rng) * 15)
+        bias.widths.copy_(1 + 5 * torch.rand(bias.widths.shape, generator=rng))
+        bias.floors.copy_(torch.rand(bias.floors.shape, generator=rng))
+    return bias
+
+
+def explicit(bias: PositionBias, config: NetworkConfig, n_frames: int) -> torch.Tensor:
+    """(H, T, T), the sum over kernels written out for every pair of frames, in float64."""
+    t = torch.arange(n_frames, dtype=torch.float64)
+    d = (t[:, None] - t)[None, None]
+    a, o, s = (
+        p.detach().double()[:, :, None, None] for p in (bias.amplitudes, bias.offsets, bias.widths)
+    )
+    kernels = a.abs() * torch.sigmoid(a.sign() * (d - o) / s)
+    score = torch.log(kernels.sum(1) + bias.floors.detach().abs()[:, None, None] + 1e-8)
+    views = torch.logspace(
+        math.log10(config.nearest_view), math.log10(config.farthest_view), config.heads
+    )
+    slopes = 2 * 18.420680744 / views.double()
+    return score - slopes[:, None, None] * d[0].abs()
+
+
+def test_slopes_are_those_of_the_published_sizes():
+    slopes = PositionBias(NetworkConfig()).slopes
+    published = [7.37, 5.00, 3.40, 2.31, 1.57, 1.06, 0.72, 0.49]
+    assert slopes.tolist() == pytest.approx(published, abs=0.006)
+    assert not slopes.requires_grad
+
+
+def test_table_is_the_kernel_sum_at_every_pair_of_frames():
+    config = NetworkConfig()
+    bias = bent_bias(config)
+    blocks = blocks_of(200, reach=200, size=150)
+    (whole,) = bias_of_blocks(bias.table(200), blocks)
+    torch.testing.assert_close(whole.double(), explicit(bias, config, 200), atol=1e-5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("n_frames", [1, 40, 151, 301, 470])
+def test_blocks_cover_every_frame_once_and_see_the_reach(n_frames):
+    blocks = blocks_of(n_frames, reach=75, size=64)
+    covered = [t for b in blocks for t in range(b.first, b.last)]
+    assert covered == list(range(n_frames))
+    for block in blocks:
+        assert block.first_key <= max(block.first - 75, 0)
+        assert block.last_key >= min(block.last + 75, n_frames)
+        assert block.last_key - block.first_key <= 64 + 2 * 75
+
+
+@pytest.mark.parametrize("gradients", [False, True])
+def test_blocks_equal_the_full_computation(gradients):
+    config, n_frames = NetworkConfig(), 400
+    bias = bent_bias(config)
+    rng = generator("qkv")
+    q, k, v = torch.randn(3, 2, 8, n_frames, 32, generator=rng) * 2
+    exact = (
+        torch.softmax(
+            (q.double() @ k.double().transpose(-1, -2)) / math.sqrt(32)
+            + explicit(bias, config, n_frames),
+            -1,
+        )
+        @ v.double()
+    )
+    with torch.set_grad_enabled(gradients):
+        blocks = blocks_of(n_frames, config.farthest_view, 100)
+        assert len(blocks) == 4
+        ours = attend(q, k, v, blocks, bias_of_blocks(bias.table(200), blocks), 0.0)
+    torch.testing.assert_close(ours.double(), exact, atol=1e-5, rtol=1e-5)
+
+
+def test_gradients_of_blocks_equal_those_of_the_full_computation():
+    config, n_frames = NetworkConfig(heads=2, channels=16, kernels=5), 260
+    bias = bent_bias(config)
+    q, k, v = torch.randn(3, 1, 2, n_frames, 8, generator=generator("qkv")).requires_grad_()
+    weight = torch.randn(1, 2, n_frames, 8, generator=generator("weight"))
+    inputs = [q, k, v, bias.amplitudes, bias.offsets, bias.widths, bias.floors]
+
+    def gradients(blocks) -> list[torch.Tensor]:
+        out = attend(q, k, v, blocks, bias_of_blocks(bias.table(260), blocks), 0.0)
+        return torch.autograd.grad((out * weight).sum(), inputs)
+
+    short = gradients(blocks_of(n_frames, config.farthest_view, 50))
+    full = gradients(blocks_of(n_frames, n_frames, 50))
+    for ours, exact in zip(short, full, strict=True):
+        assert exact.abs().max() > 1e-3
+        torch.testing.assert_close(ours, exact, atol=2e-5, rtol=2e-4)

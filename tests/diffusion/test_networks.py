@@ -1,0 +1,135 @@
+"""The denoiser: its size, its padding, its two ways to be called."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import torch.nn.functional as F
+
+from gesturekit.diffusion import networks
+from gesturekit.diffusion.config import NetworkConfig
+from gesturekit.diffusion.networks import Denoiser, DilatedConv
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.training.seeds import generator
+
+DIFFWAVE = NetworkConfig(
+    blocks=4, channels=16, embedding=24, dilations=(1, 2, 4, 8), architecture="diffwave"
+)
+
+
+def inputs(n_frames: int, batch: int = 2) -> tuple[torch.Tensor, torch.Tensor]:
+    rng = generator("inputs", n_frames)
+    noisy = torch.randn(batch, n_frames, 7, generator=rng)
+    return noisy, torch.randn(batch, n_frames, 5, generator=rng)
+
+
+@pytest.mark.parametrize(
+    ("blocks", "layers", "n_motion", "n_condition", "millions"),
+    [(10, 4, 70, 35, 64.45), (20, 2, 61, 11, 71.12)],
+)
+def test_parameter_counts_are_the_published_ones(blocks, layers, n_motion, n_condition, millions):
+    config = NetworkConfig(blocks=blocks, layers=layers)
+    with torch.device("meta"):
+        network = Denoiser(n_motion, n_condition, config)
+    count = sum(p.numel() for p in network.parameters())
+    assert count / 1e6 == pytest.approx(millions, abs=0.006)
+
+
+@pytest.mark.parametrize("sizes", [(6, 10), (10, 6)])
+def test_dilated_convolution_is_a_convolution(sizes):
+    n_in, n_out = sizes
+    layer = DilatedConv(n_in, n_out, dilation=3, bias=True)
+    if layer.gathers:
+        kernel = layer.weight.view(n_out, 3, n_in).permute(0, 2, 1)
+    else:
+        kernel = layer.weight.view(3, n_out, n_in).permute(1, 2, 0)
+    for n_frames in (1, 2, 3, 20):
+        x = torch.randn(2, n_frames, n_in, generator=generator("conv", n_frames))
+        exact = F.conv1d(x.transpose(1, 2), kernel, layer.bias, padding=3, dilation=3)
+        torch.testing.assert_close(layer(x), exact.transpose(1, 2))
+
+
+@pytest.mark.parametrize("config", ["conformer", "diffwave"])
+@pytest.mark.parametrize("n_frames", [30, 420])
+def test_listening_is_the_forward_pass(shaken, config, n_frames):
+    network = shaken(DIFFWAVE) if config == "diffwave" else shaken()
+    noisy, condition = inputs(n_frames)
+    predict = network.listening(condition, steps=range(20))
+    for step in (0, 13):
+        exact = network(noisy, condition, torch.tensor([step, step])).detach()
+        assert exact.std() > 0.1
+        before = noisy.clone()
+        torch.testing.assert_close(predict(noisy, step), exact, atol=2e-5, rtol=1e-4)
+        assert torch.equal(noisy, before), "the caller's motion was changed"
+
+
+def test_one_condition_serves_many_motions(shaken):
+    network = shaken()
+    noisy, condition = inputs(40)
+    together = network.listening(condition[:1], steps=[4])(noisy, 4)
+    alone = network.listening(condition[:1], steps=[4])(noisy[1:], 4)
+    torch.testing.assert_close(together[1:], alone, atol=1e-5, rtol=1e-4)
+
+
+def test_banded_attention_is_full_attention_over_a_whole_network(shaken, monkeypatch):
+    config = NetworkConfig(blocks=6, layers=3, channels=64, heads=8, feedforward=64, embedding=24)
+    network = shaken(config)
+    noisy, condition = inputs(700, batch=1)
+    banded = network.listening(condition, [30])(noisy, 30)
+    monkeypatch.setattr(networks, "QUERIES", 700)
+    full = network.listening(condition, [30])(noisy, 30)
+    assert full.std() > 0.1
+    assert not torch.equal(banded, full)
+    torch.testing.assert_close(banded, full, atol=1e-4, rtol=0)
+
+
+def test_frames_far_away_change_nothing_and_near_ones_do(shaken):
+    """What the blocks of attention rest on: a network sees so far and no farther."""
+    network = shaken(
+        NetworkConfig(blocks=1, layers=1, channels=32, heads=4, feedforward=48, embedding=24)
+    )
+    noisy, condition = inputs(500, batch=1)
+    moved = noisy.clone()
+    moved[:, 250] += 5
+    predict = network.listening(condition, [10])
+    changed = (predict(moved, 10) - predict(noisy, 10)).abs().amax((0, 2))
+    assert changed[250] > 0.1
+    assert changed[:150].max() < 1e-6
+    assert changed[350:].max() < 1e-6
+
+
+def test_training_reaches_every_parameter(shaken):
+    network = shaken().train()
+    noisy, condition = inputs(400)
+    out = network(noisy, condition, torch.tensor([3.0, 40.5]))
+    out.square().mean().backward()
+    idle = [
+        name
+        for name, p in network.named_parameters()
+        if p.grad is None or not p.grad.abs().max() > 0
+    ]
+    assert not idle
+
+
+def test_prediction_depends_on_step_and_condition(shaken):
+    network = shaken()
+    noisy, condition = inputs(30)
+    with torch.no_grad():
+        one = network(noisy, condition, torch.tensor([3, 3]))
+        assert (one - network(noisy, condition, torch.tensor([4, 4]))).abs().max() > 1e-3
+        assert (one - network(noisy, condition + 1, torch.tensor([3, 3]))).abs().max() > 1e-3
+
+
+def test_no_condition_at_all(shaken):
+    network = shaken(n_condition=0)
+    noisy, _ = inputs(30)
+    assert network.listening(noisy[..., :0], [2])(noisy, 2).shape == noisy.shape
+
+
+def test_faults_are_told():
+    with pytest.raises(ModelError, match="6 numbers a frame, but the network was made for 5"):
+        Denoiser(7, 5, DIFFWAVE).listening(torch.zeros(1, 4, 6), [0])
+    with pytest.raises(ConfigError, match="dilations: .* at least 1 for architecture diffwave"):
+        NetworkConfig(architecture="diffwave")
+    with pytest.raises(ConfigError, match="heads: 7 must divide channels, which is 256"):
+        NetworkConfig(heads=7)

@@ -1,0 +1,201 @@
+"""Schedules and solvers on data whose noise is known: a Gaussian with mean and covariance."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from gesturekit.diffusion.config import NoiseConfig
+from gesturekit.diffusion.sampling import chosen_steps, sample
+from gesturekit.diffusion.schedule import NoiseSchedule
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.training.seeds import generator
+
+GESTURE = NoiseSchedule.of(NoiseConfig())
+DANCE = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
+D = 6
+
+
+class Gaussian:
+    """Poses with a mean and variances of 0.01 to 2 along directions that are no axis."""
+
+    def __init__(self, schedule: NoiseSchedule) -> None:
+        rng = generator("gaussian")
+        basis = torch.linalg.qr(torch.randn(D, D, generator=rng, dtype=torch.float64)).Q
+        self.mean = torch.randn(D, generator=rng, dtype=torch.float64)
+        self.covariance = basis * torch.logspace(-2, 0.3, D, dtype=torch.float64) @ basis.T
+        self.schedule = schedule
+        self.asked: list[int] = []
+
+    def predict(self, noisy: torch.Tensor, step: int) -> torch.Tensor:
+        """E[noise | noisy], exactly."""
+        self.asked.append(step)
+        kept = float(self.schedule.alphas_bar[step])
+        whole = kept * self.covariance + (1 - kept) * torch.eye(D, dtype=torch.float64)
+        off = noisy - math.sqrt(kept) * self.mean
+        return math.sqrt(1 - kept) * torch.linalg.solve(whole, off.mT).mT
+
+    def reached(self, solver: str, steps: int | None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean and covariance of what a solver makes, without drawing any number.
+
+        Solvers are linear here: one row begins with zeros, one for each direction of each noise.
+        """
+        n_noises = (self.schedule.steps if steps is None else steps) if solver == "ancestral" else 1
+        rows = 1 + n_noises * D
+
+        def noise_at(k: int) -> torch.Tensor:
+            noise = torch.zeros(rows, D, dtype=torch.float64)
+            noise[1 + k * D : 1 + (k + 1) * D] = torch.eye(D, dtype=torch.float64)
+            return noise
+
+        made = sample(self.predict, noise_at, self.schedule, solver=solver, steps=steps)
+        away = made[1:] - made[0]
+        return made[0], away.mT @ away
+
+    def error(self, solver: str, steps: int | None) -> float:
+        """Wasserstein distance to the data, beside the data's own spread."""
+        mean, covariance = self.reached(solver, steps)
+
+        def root(matrix: torch.Tensor) -> torch.Tensor:
+            values, vectors = torch.linalg.eigh(matrix)
+            return vectors * values.clamp(min=0).sqrt() @ vectors.mT
+
+        between = root(root(self.covariance) @ covariance @ root(self.covariance))
+        square = (mean - self.mean).square().sum() + torch.trace(
+            self.covariance + covariance - 2 * between
+        )
+        return math.sqrt(max(float(square), 0) / float(torch.trace(self.covariance)))
+
+
+@pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
+@pytest.mark.parametrize("solver", ["ancestral", "ddim", "dpm"])
+def test_all_steps_reach_the_mean_and_the_spread(schedule, solver):
+    data = Gaussian(schedule)
+    mean, _ = data.reached(solver, None)
+    torch.testing.assert_close(mean, data.mean, atol=0.02, rtol=0)
+    assert data.asked == list(range(schedule.steps - 1, -1, -1))
+    assert data.error(solver, None) < 0.08
+
+
+@pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
+@pytest.mark.parametrize("steps", [10, 20])
+def test_few_steps_of_second_order_are_nearer_than_ddim(schedule, steps):
+    data = Gaussian(schedule)
+    second, first = data.error("dpm", steps), data.error("ddim", steps)
+    assert len(data.asked) == 2 * steps
+    assert second < 0.7 * first
+    assert second < (0.08 if steps == 20 else 0.12)
+
+
+def test_noise_comes_from_the_caller_alone():
+    data, asked = Gaussian(GESTURE), []
+
+    def noise_at(k: int) -> torch.Tensor:
+        asked.append(k)
+        return torch.randn(3, D, generator=generator("noise", k), dtype=torch.float64)
+
+    torch.manual_seed(1)
+    one = sample(data.predict, noise_at, GESTURE)
+    assert asked == list(range(100))
+    torch.manual_seed(2)
+    assert torch.equal(one, sample(data.predict, noise_at, GESTURE))
+    asked.clear()
+    sample(data.predict, noise_at, GESTURE, solver="dpm", steps=12)
+    assert asked == [0]
+
+
+@pytest.mark.parametrize("solver", ["ancestral", "ddim", "dpm"])
+def test_a_truncated_start_keeps_what_noise_has_not_hidden(solver):
+    data = Gaussian(GESTURE)
+    chosen = data.mean + torch.linalg.cholesky(data.covariance) @ torch.full(
+        (D,), 1.5, dtype=torch.float64
+    )
+
+    def made(step: int) -> torch.Tensor:
+        def noise_at(k: int) -> torch.Tensor:
+            return torch.randn(400, D, generator=generator("start", k), dtype=torch.float64)
+
+        start = (chosen.expand(400, D), step)
+        return sample(data.predict, noise_at, GESTURE, solver=solver, start=start)
+
+    away = [float((made(step) - chosen).norm(dim=1).mean()) for step in (0, 5, 20, 60)]
+    assert away == sorted(away)
+    assert away[0] < 0.35
+    data.asked.clear()
+    made(20)
+    assert data.asked == list(range(20, -1, -1))
+
+
+def test_single_precision_survives_the_end_of_the_schedule():
+    data = Gaussian(GESTURE)
+
+    def predict(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        return data.predict(noisy.double(), step).float()
+
+    noise = [torch.randn(2, D, generator=generator("noise", k)) for k in range(100)]
+    for solver, steps in (("ancestral", None), ("dpm", None), ("ddim", None), ("dpm", 20)):
+        ours = sample(predict, lambda k: noise[k], GESTURE, solver=solver, steps=steps)
+        exact = sample(
+            data.predict, lambda k: noise[k].double(), GESTURE, solver=solver, steps=steps
+        )
+        torch.testing.assert_close(ours.double(), exact, atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
+def test_few_steps_skip_pure_noise_and_repeat_none(schedule):
+    for count in range(1, schedule.steps + 1):
+        steps = chosen_steps(schedule, count)
+        assert len(steps) == len(set(steps)) == count
+        assert steps == sorted(steps, reverse=True)
+        assert steps[-1] == 0 or count == 1
+        assert count > 45 or schedule.alphas_bar[steps[0]] > 1e-6
+    assert chosen_steps(schedule, 8, start=30)[0] == 30
+
+
+def test_conversions_agree():
+    schedule = NoiseSchedule.of(NoiseConfig(predict="velocity"))
+    rng = generator("conversions")
+    clean, noise = torch.randn(2, 4, 9, 3, generator=rng, dtype=torch.float64)
+    step = torch.tensor([0, 7, 30, 60])
+    noisy = schedule.add_noise(clean, noise, step)
+    velocity = schedule.target(clean, noise, step)
+    assert (velocity - noise).abs().max() > 0.1
+    torch.testing.assert_close(schedule.noise_of(velocity, noisy, step), noise)
+    torch.testing.assert_close(schedule.clean_of(noise, noisy, step), clean, atol=1e-4, rtol=0)
+    alone = schedule.add_noise(clean[1], noise[1], 7)
+    torch.testing.assert_close(alone, noisy[1])
+    assert GESTURE.target(clean, noise, step) is noise
+
+
+@pytest.mark.parametrize("predict", ["noise", "velocity"])
+def test_min_snr_weighs_the_error_of_the_clean_motion_by_the_clipped_ratio(predict):
+    schedule = NoiseSchedule.of(NoiseConfig(predict=predict))
+    rng = generator("weights")
+    clean, noise, wrong = torch.randn(3, 3, 5, 2, generator=rng, dtype=torch.float64)
+    step = torch.tensor([0, 4, 25])
+    noisy = schedule.add_noise(clean, noise, step)
+    told = schedule.target(clean, noise, step) + wrong
+    guess = schedule.clean_of(schedule.noise_of(told, noisy, step), noisy, step)
+    ratio = schedule.log_snr().exp()[step].clamp(max=5)
+    weighed = schedule.loss_weight(step, 5.0) * wrong.square().mean((1, 2))
+    torch.testing.assert_close(weighed, ratio * (guess - clean).square().mean((1, 2)))
+    assert schedule.loss_weight(step, None).tolist() == [1, 1, 1]
+
+
+def test_faults_are_told():
+    def noise_at(k: int) -> torch.Tensor:
+        return torch.zeros(1, D, dtype=torch.float64)
+
+    data = Gaussian(GESTURE)
+    with pytest.raises(ModelError, match="solver: 'euler' is unknown"):
+        sample(data.predict, noise_at, GESTURE, solver="euler")
+    with pytest.raises(ModelError, match="steps: 101 must be between 1 and 100"):
+        sample(data.predict, noise_at, GESTURE, steps=101)
+    with pytest.raises(ModelError, match="start: step 100 is not within the noise schedule"):
+        sample(data.predict, noise_at, GESTURE, start=(noise_at(0), 100))
+    with pytest.raises(ModelError, match="step: 100 is not within"):
+        GESTURE.add_noise(noise_at(0), noise_at(0), 100)
+    with pytest.raises(ConfigError, match="last_beta: 0.001 must be at least first_beta"):
+        NoiseConfig(last_beta=0.001)
