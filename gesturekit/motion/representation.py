@@ -16,14 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.errors import MotionError
 from gesturekit.motion.contacts import contact_labels, foot_points
+from gesturekit.motion.model_joints import ModelJoints, reference_skeleton
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import body_joints, leg_length
 from gesturekit.motion.rotations import (
-    IDENTITY,
-    invert_quaternions,
-    mean_quaternion,
     multiply_quaternions,
     quaternion_from_rotation_vector,
     quaternion_from_sixd,
@@ -32,6 +28,8 @@ from gesturekit.motion.rotations import (
 )
 from gesturekit.motion.skeleton import Skeleton
 
+__all__ = ["CONTACT_SPEED", "MultiresRepresentation", "reference_skeleton"]
+
 CONTACT_SPEED = 0.2
 """Below this speed (m/s) a foot point counts as standing on the floor."""
 
@@ -39,27 +37,14 @@ _FRAMES_AT_ONCE = 1024  # decoded, so that what a rotation passes through on its
 
 
 @dataclass(frozen=True, eq=False)
-class MultiresRepresentation:
-    """Encodes motions of one rig as vectors, and vectors as motions.
-
-    Attributes:
-        skeleton: the whole rig, with all the joints of the user's file.
-        joints: names of the K modelled joints, in the skeleton's order; the first is the model's
-            root, the first joint of the rig that moves.
-        fixed_rotations: (J, 4) local quaternions that joints outside `joints` are held at.
-        fixed_translations: joint name to (3,): local positions that replace offsets, held likewise.
-    """
-
-    skeleton: Skeleton
-    joints: tuple[str, ...]
-    fixed_rotations: np.ndarray
-    fixed_translations: dict[str, np.ndarray]
+class MultiresRepresentation(ModelJoints):
+    """Encodes motions of one rig as vectors, and vectors as motions."""
 
     @classmethod
     def fit(
         cls, motions: Sequence[Motion], joints: str | Sequence[str] = "body"
     ) -> MultiresRepresentation:
-        """Settle the root, the modelled joints and the means of all others from training motions.
+        """Learn from training motions which joints to model and how to hold the others.
 
         Args:
             motions: motions of one rig (same names and parents); see `reference_skeleton`.
@@ -68,63 +53,12 @@ class MultiresRepresentation:
         Raises:
             MotionError: no motions, or a name that the rig does not have.
         """
-        if not motions:
-            raise MotionError("no motion to learn a representation from")
-        skeleton = reference_skeleton(motions)
-        if joints == "all":
-            wanted = set(skeleton.names)
-        elif joints == "body":
-            wanted = set(body_joints(skeleton))
-        elif isinstance(joints, str):
-            raise MotionError(f"joints: {joints!r}; expected body, all, or a list of joint names")
-        else:
-            wanted = {skeleton.names[skeleton.index(name)] for name in joints}
-        root = _first_moving_joint(motions)
-        wanted -= {skeleton.names[j] for j in skeleton.ancestors(root)}
-        wanted.add(skeleton.names[root])
-        order = [
-            root,
-            *(j for j, name in enumerate(skeleton.names) if name in wanted and j != root),
-        ]
-        rotations = np.concatenate([motion.rotations for motion in motions])
-        moved = {name for motion in motions for name in motion.joint_translations}
-        return cls(
-            skeleton=skeleton,
-            joints=tuple(skeleton.names[j] for j in order),
-            fixed_rotations=np.stack(
-                [mean_quaternion(rotations[:, j]) for j in range(skeleton.n_joints)]
-            ),
-            fixed_translations={
-                name: np.concatenate([_local_position(m, name) for m in motions]).mean(axis=0)
-                for name in sorted(moved - {skeleton.names[root]})
-            },
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """Everything but the skeleton, as plain values."""
-        return {
-            "joints": list(self.joints),
-            "fixed_rotations": self.fixed_rotations.tolist(),
-            "fixed_translations": {k: v.tolist() for k, v in self.fixed_translations.items()},
-        }
+        return cls(**cls.choose(motions, joints))
 
     @classmethod
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> MultiresRepresentation:
         """Inverse of `to_json`."""
-        return cls(
-            skeleton=skeleton,
-            joints=tuple(skeleton.names[skeleton.index(name)] for name in values["joints"]),
-            fixed_rotations=np.array(values["fixed_rotations"], dtype=np.float64),
-            fixed_translations={
-                name: np.array(value, dtype=np.float64)
-                for name, value in values["fixed_translations"].items()
-            },
-        )
-
-    @property
-    def root(self) -> int:
-        """The model's root, as an index into the skeleton's joints."""
-        return self.skeleton.index(self.joints[0])
+        return cls(**cls.chosen(skeleton, values))
 
     @cached_property
     def foot_points(self) -> tuple:
@@ -169,17 +103,8 @@ class MultiresRepresentation:
         Raises:
             MotionError: joint names or parents differ from the rig's.
         """
-        if (motion.skeleton.names, motion.skeleton.parents) != (
-            self.skeleton.names,
-            self.skeleton.parents,
-        ):
-            raise MotionError(
-                "the motion's joints are not those of the model: "
-                f"{motion.skeleton.n_joints} joints from {motion.skeleton.names[0]!r}, the model "
-                f"has {self.skeleton.n_joints} from {self.skeleton.names[0]!r}"
-            )
-        index = [self.skeleton.index(name) for name in self.joints]
-        rotations = motion.rotations[:, index].copy()
+        self.check_rig(motion)
+        rotations = motion.rotations[:, self.indices]
         about_y = quaternion_from_rotation_vector(np.array([0.0, turn, 0.0]))
         rotations[:, 0] = multiply_quaternions(about_y, motion.global_rotations()[:, self.root])
         position = rotate_vectors(about_y, motion.positions()[:, self.root])
@@ -204,67 +129,13 @@ class MultiresRepresentation:
             skeleton: a performer's offsets to use in place of the reference ones; steps and the
                 height of the root grow with the length of the legs.
         """
-        size = 1.0 if skeleton is None else leg_length(skeleton) / leg_length(self.skeleton)
-        skeleton = skeleton or self.skeleton
         n_frames = len(values)
-        rotations = np.tile(self.fixed_rotations, (n_frames, 1, 1))
-        index = [self.skeleton.index(name) for name in self.joints]
+        rotations = self.hold(n_frames)
+        index = self.indices
         for start in range(0, n_frames, _FRAMES_AT_ONCE):
             part = values[start : start + _FRAMES_AT_ONCE, : 6 * len(index)]
             modelled = quaternion_from_sixd(part.reshape(len(part), len(index), 6))
             rotations[start : start + len(part), index] = modelled
         dx, height, dz = values[:, self.root_columns].T
-        position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1) * size
-        moving = {
-            name: np.tile(value, (n_frames, 1)) for name, value in self.fixed_translations.items()
-        }
-        translation = position
-        ancestors = self.skeleton.ancestors(self.root)[::-1]
-        if ancestors:
-            # The joints above the model's root stand still: take them off its world position.
-            turn, origin = IDENTITY, np.zeros(3)
-            for j in ancestors:
-                step = self.fixed_translations.get(skeleton.names[j], skeleton.offsets[j])
-                origin = origin + rotate_vectors(turn, step if j else np.zeros(3))
-                turn = multiply_quaternions(turn, self.fixed_rotations[j])
-            back = invert_quaternions(turn)
-            rotations[:, self.root] = multiply_quaternions(back, rotations[:, self.root])
-            moving[skeleton.names[self.root]] = rotate_vectors(back, position - origin)
-            translation = np.zeros((n_frames, 3))
-        return Motion(
-            skeleton=skeleton,
-            rotations=rotations,
-            translation=translation,
-            fps=fps,
-            joint_translations=moving,
-        )
-
-
-def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
-    """The skeleton of these motions that lies nearest to the median of all their offsets.
-
-    Files of one performer may differ in where a moving joint happens to rest; the commonest
-    place is meant, and no bone shall get a length that nobody has.
-    """
-    offsets = np.stack([motion.skeleton.offsets for motion in motions])
-    apart = np.abs(offsets - np.median(offsets, axis=0)).sum(axis=(1, 2))
-    return motions[int(apart.argmin())].skeleton
-
-
-def _local_position(motion: Motion, name: str) -> np.ndarray:
-    """(T, 3) position of a joint in its parent's frame, whether the file moves it or not."""
-    still = motion.skeleton.offsets[motion.skeleton.index(name)]
-    return motion.joint_translations.get(name, np.tile(still, (motion.n_frames, 1)))
-
-
-def _first_moving_joint(motions: Sequence[Motion]) -> int:
-    """The first joint, from the root outwards, whose place or rotation changes in some motion."""
-    skeleton = motions[0].skeleton
-    for j, name in enumerate(skeleton.names):
-        for motion in motions:
-            places = motion.translation if j == 0 else motion.joint_translations.get(name)
-            turns = motion.rotations[:, j]
-            turning = np.abs(np.abs(turns @ turns[0]) - 1).max() > 1e-7
-            if turning or (places is not None and np.ptp(places, axis=0).max() > 1e-6):
-                return j
-    return 0
+        position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1)
+        return self.assemble(rotations, position * self.size_of(skeleton), fps, skeleton)

@@ -1,0 +1,231 @@
+"""The joints of a rig that a model moves, and how all the others are held.
+
+What every motion representation shares: it encodes the modelled joints, the first of which is the
+model's root, and puts a motion of the whole rig together from them again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import body_joints, leg_length
+from gesturekit.motion.rotations import (
+    IDENTITY,
+    invert_quaternions,
+    mean_quaternion,
+    multiply_quaternions,
+    rotate_vectors,
+)
+from gesturekit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class ModelJoints:
+    """The joints of one rig that a model moves.
+
+    Attributes:
+        skeleton: the whole rig, with all the joints of the user's file.
+        joints: names of the K modelled joints, in the skeleton's order; the first is the model's
+            root, the first joint of the rig that moves.
+        fixed_rotations: (J, 4) mean local quaternions; joints outside `joints` are held at them.
+        fixed_translations: joint name to (3,): local positions that replace offsets, held likewise.
+    """
+
+    skeleton: Skeleton
+    joints: tuple[str, ...]
+    fixed_rotations: np.ndarray
+    fixed_translations: dict[str, np.ndarray]
+
+    @classmethod
+    def choose(
+        cls, motions: Sequence[Motion], joints: str | Sequence[str] = "body"
+    ) -> dict[str, Any]:
+        """Settle the root, the modelled joints and the means of all others from training motions.
+
+        Args:
+            motions: motions of one rig (same names and parents); see `reference_skeleton`.
+            joints: "body" (no fingers, no end joints), "all", or names.
+
+        Returns:
+            The four attributes by name.
+
+        Raises:
+            MotionError: no motions, or a name that the rig does not have.
+        """
+        if not motions:
+            raise MotionError("no motion to learn a representation from")
+        skeleton = reference_skeleton(motions)
+        if joints == "all":
+            wanted = set(skeleton.names)
+        elif joints == "body":
+            wanted = set(body_joints(skeleton))
+        elif isinstance(joints, str):
+            raise MotionError(f"joints: {joints!r}; expected body, all, or a list of joint names")
+        else:
+            wanted = {skeleton.names[skeleton.index(name)] for name in joints}
+        root = first_moving_joint(motions)
+        wanted -= {skeleton.names[j] for j in skeleton.ancestors(root)}
+        wanted.add(skeleton.names[root])
+        order = [
+            root,
+            *(j for j, name in enumerate(skeleton.names) if name in wanted and j != root),
+        ]
+        rotations = np.concatenate([motion.rotations for motion in motions])
+        moved = {name for motion in motions for name in motion.joint_translations}
+        return {
+            "skeleton": skeleton,
+            "joints": tuple(skeleton.names[j] for j in order),
+            "fixed_rotations": np.stack(
+                [mean_quaternion(rotations[:, j]) for j in range(skeleton.n_joints)]
+            ),
+            "fixed_translations": {
+                name: np.concatenate([_local_position(m, name) for m in motions]).mean(axis=0)
+                for name in sorted(moved - {skeleton.names[root]})
+            },
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the skeleton, as plain values."""
+        return {
+            "joints": list(self.joints),
+            "fixed_rotations": self.fixed_rotations.tolist(),
+            "fixed_translations": {k: v.tolist() for k, v in self.fixed_translations.items()},
+        }
+
+    @staticmethod
+    def chosen(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
+        """The four attributes by name, from what `to_json` gave."""
+        return {
+            "skeleton": skeleton,
+            "joints": tuple(skeleton.names[skeleton.index(name)] for name in values["joints"]),
+            "fixed_rotations": np.array(values["fixed_rotations"], dtype=np.float64),
+            "fixed_translations": {
+                name: np.array(value, dtype=np.float64)
+                for name, value in values["fixed_translations"].items()
+            },
+        }
+
+    @property
+    def root(self) -> int:
+        """The model's root, as an index into the skeleton's joints."""
+        return self.skeleton.index(self.joints[0])
+
+    @property
+    def indices(self) -> list[int]:
+        """The modelled joints, as indices into the skeleton's."""
+        return [self.skeleton.index(name) for name in self.joints]
+
+    def check_rig(self, motion: Motion) -> None:
+        """Offsets may differ: every performer has his own.
+
+        Raises:
+            MotionError: joint names or parents differ from the rig's.
+        """
+        if (motion.skeleton.names, motion.skeleton.parents) != (
+            self.skeleton.names,
+            self.skeleton.parents,
+        ):
+            raise MotionError(
+                "the motion's joints are not those of the model: "
+                f"{motion.skeleton.n_joints} joints from {motion.skeleton.names[0]!r}, the model "
+                f"has {self.skeleton.n_joints} from {self.skeleton.names[0]!r}"
+            )
+
+    def size_of(self, skeleton: Skeleton | None) -> float:
+        """How much larger a performer is than the rig, told by the legs; None is the rig itself.
+
+        On a rig without legs, told by all its bones.
+        """
+        if skeleton is None:
+            return 1.0
+        try:
+            return leg_length(skeleton) / leg_length(self.skeleton)
+        except MotionError:
+            bones, own = (
+                float(np.linalg.norm(rig.offsets[1:], axis=-1).sum())
+                for rig in (skeleton, self.skeleton)
+            )
+            return bones / own if own else 1.0
+
+    def assemble(
+        self,
+        rotations: np.ndarray,
+        position: np.ndarray,
+        fps: float,
+        skeleton: Skeleton | None = None,
+    ) -> Motion:
+        """A motion of the whole rig: joints that are not modelled are held still.
+
+        Args:
+            rotations: (T, J, 4) local quaternions, but for the model's root the world's; those
+                of joints outside `joints` as `hold` gives them.
+            position: (T, 3) of the model's root in the world, metres.
+            fps: frames per second.
+            skeleton: a performer's offsets to use in place of the rig's.
+        """
+        skeleton = skeleton or self.skeleton
+        n_frames = len(position)
+        moving = {
+            name: np.tile(value, (n_frames, 1)) for name, value in self.fixed_translations.items()
+        }
+        translation = position
+        ancestors = self.skeleton.ancestors(self.root)[::-1]
+        if ancestors:
+            # The joints above the model's root stand still: take them off its world position.
+            turn, origin = IDENTITY, np.zeros(3)
+            for j in ancestors:
+                step = self.fixed_translations.get(skeleton.names[j], skeleton.offsets[j])
+                origin = origin + rotate_vectors(turn, step if j else np.zeros(3))
+                turn = multiply_quaternions(turn, self.fixed_rotations[j])
+            back = invert_quaternions(turn)
+            rotations = rotations.copy()
+            rotations[:, self.root] = multiply_quaternions(back, rotations[:, self.root])
+            moving[skeleton.names[self.root]] = rotate_vectors(back, position - origin)
+            translation = np.zeros((n_frames, 3))
+        return Motion(
+            skeleton=skeleton,
+            rotations=rotations,
+            translation=translation,
+            fps=fps,
+            joint_translations=moving,
+        )
+
+    def hold(self, n_frames: int) -> np.ndarray:
+        """(T, J, 4) every joint at its fixed rotation."""
+        return np.tile(self.fixed_rotations, (n_frames, 1, 1))
+
+
+def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
+    """The skeleton of these motions that lies nearest to the median of all their offsets.
+
+    Files of one performer may differ in where a moving joint happens to rest; the commonest
+    place is meant, and no bone shall get a length that nobody has.
+    """
+    offsets = np.stack([motion.skeleton.offsets for motion in motions])
+    apart = np.abs(offsets - np.median(offsets, axis=0)).sum(axis=(1, 2))
+    return motions[int(apart.argmin())].skeleton
+
+
+def first_moving_joint(motions: Sequence[Motion]) -> int:
+    """The first joint, from the root outwards, whose place or rotation changes in some motion."""
+    skeleton = motions[0].skeleton
+    for j, name in enumerate(skeleton.names):
+        for motion in motions:
+            places = motion.translation if j == 0 else motion.joint_translations.get(name)
+            turns = motion.rotations[:, j]
+            turning = np.abs(np.abs(turns @ turns[0]) - 1).max() > 1e-7
+            if turning or (places is not None and np.ptp(places, axis=0).max() > 1e-6):
+                return j
+    return 0
+
+
+def _local_position(motion: Motion, name: str) -> np.ndarray:
+    """(T, 3) position of a joint in its parent's frame, whether the file moves it or not."""
+    still = motion.skeleton.offsets[motion.skeleton.index(name)]
+    return motion.joint_translations.get(name, np.tile(still, (motion.n_frames, 1)))

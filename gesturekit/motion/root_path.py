@@ -1,0 +1,206 @@
+"""The path that a body takes over the ground, and where it faces on its way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.heading import headings, side_axis
+from gesturekit.motion.model_joints import first_moving_joint
+from gesturekit.motion.motion import Motion, checked_fps
+from gesturekit.motion.skeleton import FARTHEST
+
+STANDING = 0.05
+"""Below this speed (m/s) where a path goes does not say where it looks."""
+_MOST_FRAMES = 50_000_000  # over two weeks at 30 fps
+
+
+@dataclass(frozen=True, eq=False)
+class RootPath:
+    """Places on the ground and headings; frame k is at k / fps seconds.
+
+    Attributes:
+        positions: (T, 2) float64, x and z in metres.
+        headings: (T,) float64 radians about Y: 0 faces +Z, positive towards +X. They go on past a
+            whole turn (a circle walked twice ends at 4 pi); read headings that jump are put right.
+        fps: frames per second.
+
+    Raises:
+        MotionError: shapes that do not fit, numbers that are not finite, or no frame at all.
+    """
+
+    positions: np.ndarray
+    headings: np.ndarray
+    fps: float
+
+    def __post_init__(self) -> None:
+        positions = np.array(self.positions, dtype=np.float64)
+        angles = np.array(self.headings, dtype=np.float64)
+        if positions.ndim != 2 or positions.shape[1:] != (2,) or not len(positions):
+            raise MotionError(f"a path's positions have shape {positions.shape}; expected (T, 2)")
+        if angles.shape != (len(positions),):
+            raise MotionError(
+                f"a path's headings have shape {angles.shape}; {len(positions)} positions need "
+                f"({len(positions)},)"
+            )
+        for what, values in (("position", positions), ("heading", angles)):
+            if not (near := np.abs(values) <= FARTHEST).all():
+                frame = int(np.argwhere(~near)[0, 0])
+                raise MotionError(f"the path's {what} in frame {frame} is {values[frame]}")
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "headings", np.unwrap(angles))
+        object.__setattr__(self, "fps", checked_fps(self.fps))
+
+    @classmethod
+    def of(
+        cls, motion: Motion, root: int | None = None, side: np.ndarray | None = None
+    ) -> RootPath:
+        """The way of a motion's root over the ground, facing where the hips face.
+
+        Args:
+            motion: any rig.
+            root: index of the joint to follow; by default the first one that moves.
+            side: (3,) towards the body's left in the frame of that joint, by default as
+                `gesturekit.motion.heading.side_axis` finds it in this motion.
+        """
+        root = first_moving_joint([motion]) if root is None else root
+        side = side_axis([motion], root) if side is None else side
+        places = motion.positions()[:, root][:, [0, 2]]
+        return cls(places, headings(motion.global_rotations()[:, root], side), motion.fps)
+
+    @classmethod
+    def looking_ahead(cls, positions: np.ndarray, fps: float) -> RootPath:
+        """A path that looks where it goes; while it stands, it turns from one way to the next."""
+        positions = np.asarray(positions, dtype=np.float64)
+        step = np.gradient(positions, axis=0) * fps if len(positions) > 1 else 0 * positions
+        goes = np.flatnonzero(np.hypot(*step.T) > STANDING)
+        if not len(goes):
+            return cls(positions, np.zeros(len(positions)), fps)
+        angles = np.unwrap(np.arctan2(step[goes, 0], step[goes, 1]))
+        return cls(positions, np.interp(np.arange(len(positions)), goes, angles), fps)
+
+    @classmethod
+    def from_deltas(
+        cls, deltas: np.ndarray, fps: float, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> RootPath:
+        """Inverse of `deltas`.
+
+        Args:
+            deltas: (T, 3) turn, forward, lateral per frame; those of frame 0 lead nowhere.
+            fps: frames per second.
+            start: x and z in metres and heading in radians of frame 0.
+        """
+        turn, forward, lateral = np.array(deltas, dtype=np.float64)[1:].T
+        angles = start[2] + np.concatenate([[0.0], np.cumsum(turn)])
+        between = angles[1:] - turn / 2
+        sine, cosine = np.sin(between), np.cos(between)
+        step = np.stack(
+            [forward * sine + lateral * cosine, forward * cosine - lateral * sine], axis=-1
+        )
+        places = np.concatenate([[start[:2]], step]).cumsum(axis=0)
+        return cls(places, angles, fps)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames T."""
+        return len(self.positions)
+
+    @property
+    def duration(self) -> float:
+        """Seconds, T / fps."""
+        return self.n_frames / self.fps
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """(T,) m/s over the ground, from each frame to the next; the last is that before it."""
+        if self.n_frames < 2:
+            return np.zeros(self.n_frames)
+        steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=-1) * self.fps
+        return np.append(steps, steps[-1])
+
+    def deltas(self) -> np.ndarray:
+        """(T, 3) turn (radians), forward and lateral (metres, left is positive), each per frame.
+
+        Row k leads from frame k - 1 to frame k, seen along the heading halfway between the two, so
+        that a step along a circle has no lateral part, and left and right are alike. Row 0 repeats
+        row 1; a single frame has zeros.
+        """
+        if self.n_frames < 2:
+            return np.zeros((self.n_frames, 3))
+        turn = np.diff(self.headings)
+        between = self.headings[1:] - turn / 2
+        dx, dz = np.diff(self.positions, axis=0).T
+        sine, cosine = np.sin(between), np.cos(between)
+        rows = np.stack([turn, dx * sine + dz * cosine, dx * cosine - dz * sine], axis=-1)
+        return np.concatenate([rows[:1], rows])
+
+    def resample(self, fps: float, n_frames: int | None = None) -> RootPath:
+        """Frame k of the result is the path at k / fps seconds; past its end it stands still.
+
+        Args:
+            fps: frames per second of the result.
+            n_frames: how many; by default as many as the duration holds, floor(duration fps + 1/2).
+
+        Raises:
+            MotionError: a rate that no motion can have, or a number of frames out of bounds.
+        """
+        fps = checked_fps(fps)
+        if n_frames is None:
+            exact = self.n_frames * Fraction(fps) / Fraction(self.fps)
+            n_frames = max(1, math.floor(exact + Fraction(1, 2)))
+        if not 1 <= n_frames <= _MOST_FRAMES:
+            raise MotionError(f"{n_frames} frames of a path; expected 1 to {_MOST_FRAMES}")
+        place = np.arange(n_frames) * (self.fps / fps)
+        frames = np.arange(self.n_frames)
+        x, z, angle = (
+            np.interp(place, frames, values) for values in (*self.positions.T, self.headings)
+        )
+        return RootPath(np.stack([x, z], axis=-1), angle, fps)
+
+    def slice(self, start_frame: int, stop_frame: int) -> RootPath:
+        """Frames start_frame (included) to stop_frame (not included).
+
+        Raises:
+            MotionError: the range is empty or leaves the path.
+        """
+        if not 0 <= start_frame < stop_frame <= self.n_frames:
+            raise MotionError(
+                f"frames {start_frame} to {stop_frame} of a path of {self.n_frames} frames"
+            )
+        part = np.s_[start_frame:stop_frame]
+        return replace(self, positions=self.positions[part], headings=self.headings[part])
+
+    def smoothed(self, frames: int = 10) -> RootPath:
+        """Averaged over `frames` frames, as Alexanderson et al. (2023, 4.1) smooth at 30 fps.
+
+        The average is centred on its frame, so nothing is delayed. Both ends are continued by
+        their point reflection: they stay where they are, and a straight walk stays what it is.
+
+        Raises:
+            MotionError: fewer than one frame.
+        """
+        if frames < 1:
+            raise MotionError(f"frames is {frames}; a path is smoothed over at least 1")
+        # An even number of frames has no frame in its middle: two halves at the ends.
+        half = frames // 2
+        weights = np.ones(2 * half + 1)
+        if frames % 2 == 0:
+            weights[[0, -1]] = 0.5
+        weights /= weights.sum()
+
+        def smooth(values: np.ndarray) -> np.ndarray:
+            if self.n_frames == 1:
+                return values
+            wide = np.pad(values, half, mode="reflect", reflect_type="odd")
+            return np.convolve(wide, weights, mode="valid")
+
+        x, z, angle = (smooth(values) for values in (*self.positions.T, self.headings))
+        return replace(self, positions=np.stack([x, z], axis=-1), headings=angle)
+
+    def mirror(self) -> RootPath:
+        """Left for right: x turned into -x, as `Motion.mirror` does."""
+        return replace(self, positions=self.positions * [-1.0, 1.0], headings=-self.headings)

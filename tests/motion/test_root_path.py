@@ -1,0 +1,167 @@
+"""Paths over the ground: their deltas, other frame rates, smoothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import MotionError
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import quaternion_from_rotation_vector
+
+
+def wandering(n_frames: int = 600, fps: float = 30.0) -> RootPath:
+    rng = np.random.default_rng(3)
+    steps = np.cumsum(0.01 * rng.standard_normal((n_frames, 3)), axis=0)
+    return RootPath(np.cumsum(0.05 * steps[:, :2], axis=0) + 2.0, 3.0 + steps[:, 2], fps)
+
+
+def circle(radius: float = 2.0, speed: float = 1.2, fps: float = 30.0, n: int = 600) -> RootPath:
+    """To the left, starting at the origin towards +Z, looking where it goes."""
+    angle = speed / radius * np.arange(n) / fps
+    x, z = radius * (1 - np.cos(angle)), radius * np.sin(angle)
+    return RootPath(np.stack([x, z], axis=-1), angle, fps)
+
+
+def test_deltas_lead_back_to_the_path():
+    path = wandering(2000)
+    start = (*path.positions[0], path.headings[0])
+    again = RootPath.from_deltas(path.deltas(), path.fps, start)
+    assert np.abs(again.positions - path.positions).max() < 1e-9
+    assert np.abs(again.headings - path.headings).max() < 1e-9
+
+
+def test_deltas_say_what_the_body_does():
+    turn, forward, lateral = circle().deltas().T
+    assert turn == pytest.approx(1.2 / 2.0 / 30)
+    assert np.abs(lateral).max() < 1e-9, "who walks a circle takes no side steps"
+    assert forward == pytest.approx(2 * 2.0 * np.sin(0.5 * 1.2 / 2.0 / 30))
+    # A step to the left of a body that faces +X goes towards -Z.
+    aside = RootPath(np.array([[0.0, 0.0], [0.0, -0.1]]), np.full(2, np.pi / 2), 30.0)
+    assert aside.deltas() == pytest.approx(np.tile([0.0, 0.0, 0.1], (2, 1)))
+
+
+def test_the_mirror_changes_the_sign_of_turn_and_lateral():
+    path = wandering(50)
+    assert path.mirror().deltas() == pytest.approx(path.deltas() * [-1, 1, -1])
+
+
+@pytest.mark.parametrize("fps", [24.0, 60.0, 100.0])
+def test_another_frame_rate_is_the_same_path_at_the_same_times(fps):
+    path = circle()
+    made = path.resample(fps)
+    assert made.n_frames == round(path.duration * fps)
+    at = np.minimum(np.arange(made.n_frames) / fps, (path.n_frames - 1) / path.fps)
+    angle = 1.2 / 2.0 * at
+    assert np.abs(made.headings - angle).max() < 1e-9
+    exact = np.stack([2.0 * (1 - np.cos(angle)), 2.0 * np.sin(angle)], axis=-1)
+    assert np.abs(made.positions - exact).max() < 1e-3
+    assert made.speeds[: round(19.9 * fps)] == pytest.approx(1.2, rel=0.01)
+
+
+def test_a_path_that_is_asked_for_longer_stands_at_its_end():
+    path = circle(n=10).resample(30.0, 15)
+    assert path.n_frames == 15
+    assert (path.positions[10:] == path.positions[9]).all()
+    assert (path.headings[10:] == path.headings[9]).all()
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 4, 11, 300])
+def test_smoothing_keeps_both_ends_and_a_straight_walk(n_frames):
+    straight = RootPath(
+        np.outer(np.arange(n_frames), [0.03, 0.01]), 0.02 * np.arange(n_frames), 30.0
+    )
+    smooth = straight.smoothed()
+    assert smooth.n_frames == n_frames
+    assert np.abs(smooth.positions - straight.positions).max() < 1e-12
+    assert np.abs(smooth.headings - straight.headings).max() < 1e-12
+    rough = wandering(n_frames)
+    assert rough.smoothed().positions[[0, -1]] == pytest.approx(rough.positions[[0, -1]])
+
+
+def test_smoothing_takes_out_what_is_shorter_than_ten_frames():
+    n = np.arange(300)
+    path = RootPath(
+        np.stack([0.02 * np.sin(2 * np.pi * n / 10), 0.04 * n], axis=-1), 0 * n, fps=30.0
+    )
+    smooth = path.smoothed()
+    assert np.abs(smooth.positions[20:-20, 0]).max() < 1e-12
+    assert smooth.positions[20:-20, 1] == pytest.approx(0.04 * n[20:-20]), "nothing is delayed"
+    with pytest.raises(MotionError, match="0"):
+        path.smoothed(0)
+
+
+def test_headings_that_jump_by_a_turn_are_put_right():
+    angles = np.linspace(0, 6 * np.pi, 300)
+    wrapped = (angles + np.pi) % (2 * np.pi) - np.pi
+    assert RootPath(np.zeros((300, 2)), wrapped, 30.0).headings == pytest.approx(angles)
+
+
+def test_a_path_looks_where_it_goes_and_turns_while_it_stands():
+    path = circle()
+    assert RootPath.looking_ahead(path.positions, 30.0).headings[1:-1] == pytest.approx(
+        path.headings[1:-1], abs=1e-6
+    )
+    there = np.concatenate([np.linspace([0, 0], [0, 1], 30), np.tile([[0.0, 1.0]], (20, 1))])
+    back = np.concatenate([there, np.linspace([0, 1], [1, 1], 30)])
+    headings = RootPath.looking_ahead(back, 30.0).headings
+    assert headings[0] == pytest.approx(0.0)
+    assert headings[-1] == pytest.approx(np.pi / 2)
+    assert np.diff(headings).max() < 0.1, "no jump in between"
+    assert not RootPath.looking_ahead(np.zeros((5, 2)), 30.0).headings.any()
+
+
+def test_the_path_of_a_motion_is_that_of_its_hips(gesture):
+    motion = gesture(4.0)
+    path = circle(n=motion.n_frames)
+    motion.rotations[:, 0] = quaternion_from_rotation_vector(
+        np.outer(path.headings, [0.0, 1.0, 0.0])
+    )
+    motion.translation[:, [0, 2]] = path.positions
+    made = RootPath.of(motion)
+    assert np.abs(made.positions - path.positions).max() < 1e-12
+    assert np.abs(made.headings - path.headings).max() < 1e-9
+    assert RootPath.of(motion.mirror()).headings == pytest.approx(-path.headings)
+
+
+def test_a_body_that_lies_down_keeps_its_heading(gesture):
+    motion = gesture(1.0)
+    roll = np.concatenate([np.linspace(0, np.pi / 2, 15), np.linspace(np.pi / 2, 0, 15)])
+    motion.rotations[:, 0] = quaternion_from_rotation_vector(np.outer(roll, [0.0, 0.0, 1.0]))
+    assert np.abs(RootPath.of(motion).headings).max() < 1e-6
+
+
+def test_a_rig_without_legs_faces_where_its_root_does():
+    rig = Skeleton(
+        ("Root", "Chest", "Head"), (-1, 0, 1), np.array([[0, 0, 0], [0, 0.3, 0]] * 2)[:3]
+    )
+    angles = np.linspace(0, 2.5, 40)
+    rotations = np.zeros((40, 3, 4))
+    rotations[..., 3] = 1.0
+    rotations[:, 0] = quaternion_from_rotation_vector(np.outer(angles, [0.0, 1.0, 0.0]))
+    motion = Motion(rig, rotations, np.zeros((40, 3)), 30.0)
+    assert RootPath.of(motion).headings == pytest.approx(angles)
+
+
+def test_the_path_of_real_walks_has_no_jumps(shared_data):
+    for file in ("motion/bandai/dataset-1_bow_active_001.bvh", "motion/reactidle/003_genuine.bvh"):
+        path = RootPath.of(Motion.load(shared_data / file))
+        assert np.abs(np.diff(path.headings)).max() < 0.3
+        assert np.ptp(path.positions, axis=0).max() > 0.01, "Hips moves, not joint_Root"
+
+
+@pytest.mark.parametrize(
+    ("positions", "headings", "fps", "said"),
+    [
+        (np.zeros((4, 3)), np.zeros(4), 30.0, r"\(4, 3\)"),
+        (np.zeros((0, 2)), np.zeros(0), 30.0, r"\(0, 2\)"),
+        (np.zeros((4, 2)), np.zeros(3), 30.0, r"\(3,\)"),
+        (np.full((4, 2), np.nan), np.zeros(4), 30.0, "position in frame 0"),
+        (np.zeros((4, 2)), np.array([0, 0, np.inf, 0]), 30.0, "heading in frame 2"),
+        (np.zeros((4, 2)), np.zeros(4), 0.0, "fps"),
+    ],
+)
+def test_what_is_no_path_is_refused(positions, headings, fps, said):
+    with pytest.raises(MotionError, match=said):
+        RootPath(positions, headings, fps)
