@@ -1,0 +1,216 @@
+"""What a diffusion model is told about each frame: speech, a path, events, a style.
+
+A condition is one row of numbers a frame, `[speech | path 3 | events E | styles K]`, whatever a
+model was trained with: parts that it does not know have no columns. A part that is not given is
+zeros in its columns; models trained with condition dropout know that as "anything".
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import audio_features as af
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.errors import ModelError
+from gesturekit.formats.events import Event
+from gesturekit.motion.root_path import RootPath
+
+SMOOTHED_SECONDS = 1 / 3
+"""A path is smoothed over so long: ten frames at 30 fps (section 4.1 of the paper)."""
+
+PARTS = ("speech", "path", "events", "styles")
+
+Array = TypeVar("Array", np.ndarray, Tensor)
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """The parts of the condition that a model knows.
+
+    Attributes:
+        conditioner: turns waves (speech or music) into features; None for a model that is deaf.
+        path: whether the root's way over the ground is given to the model, not made by it.
+        events: names of the binary flags.
+        styles: names of the styles.
+        path_mean: (3,) of turn, forward and lateral per frame, in training.
+        path_scale: (3,) their standard deviation.
+    """
+
+    conditioner: SpeechConditioner | None = None
+    path: bool = False
+    events: tuple[str, ...] = ()
+    styles: tuple[str, ...] = ()
+    path_mean: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    path_scale: np.ndarray = field(default_factory=lambda: np.ones(3))
+
+    @property
+    def columns(self) -> dict[str, slice]:
+        """Where each part of `PARTS` stands in a row; an empty slice for one that is not known."""
+        widths = (
+            0 if self.conditioner is None else self.conditioner.dim,
+            3 if self.path else 0,
+            len(self.events),
+            len(self.styles),
+        )
+        ends = np.cumsum(widths).tolist()
+        return {
+            name: slice(end - width, end)
+            for name, width, end in zip(PARTS, widths, ends, strict=True)
+        }
+
+    @property
+    def width(self) -> int:
+        """C, numbers a frame."""
+        return self.columns["styles"].stop
+
+    def encode(
+        self,
+        n_frames: int,
+        fps: float,
+        *,
+        speech: np.ndarray | None = None,
+        path: RootPath | None = None,
+        events: Sequence[Event] | None = None,
+        style: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """(T, C) float32: what a model is told about a clip.
+
+        Args:
+            n_frames: T.
+            fps: frames per second of the motion.
+            speech: (T, S) of the conditioner.
+            path: see `smooth_path`; T frames at `fps`.
+            events: names must be known; what lies after the last frame is left out.
+            style: (T, K) weights of the styles, see `gesturekit.corpus.styles.style_track`.
+
+        Raises:
+            ModelError: a part that this model does not know, of another shape than it expects, or
+                an event of an unknown name.
+        """
+        rows = np.zeros((n_frames, self.width), np.float32)
+        given = {
+            "speech": speech,
+            "path": None if path is None else self._standardised(path),
+            "events": None if events is None else self._flags(events, n_frames, fps),
+            "styles": style,
+        }
+        for name, values in given.items():
+            columns = self.columns[name]
+            if values is None:
+                continue
+            wanted = (n_frames, columns.stop - columns.start)
+            if values.shape != wanted and values.size:
+                told = "the model knows no such part" if not wanted[1] else f"expected {wanted}"
+                raise ModelError(f"condition: {name} of shape {values.shape}; {told}")
+            if values.size:
+                rows[:, columns] = values
+        return rows
+
+    def without(self, condition: Array, *parts: str) -> Array:
+        """A copy of a condition (..., C) with some parts dropped; all of them if none is named."""
+        dropped = condition.clone() if isinstance(condition, Tensor) else condition.copy()
+        for name in parts or PARTS:
+            dropped[..., self.columns[name]] = 0
+        return dropped
+
+    def _standardised(self, path: RootPath) -> np.ndarray:
+        return (path.deltas() - self.path_mean) / self.path_scale
+
+    def _flags(self, events: Sequence[Event], n_frames: int, fps: float) -> np.ndarray:
+        """(T, E): 1 from the frame nearest to an event's beginning, for one frame at least."""
+        flags = np.zeros((n_frames, len(self.events)), np.float32)
+        for event in events:
+            if event.name not in self.events:
+                near = difflib.get_close_matches(event.name, self.events, n=1)
+                hint = f"did you mean {near[0]}? " if near else ""
+                known = ", ".join(self.events) or "none"
+                raise ModelError(f"event {event.name!r}: {hint}the model knows {known}")
+            start = math.floor(event.time * fps + 0.5)
+            stop = math.floor((event.time + event.duration) * fps + 0.5)
+            flags[start : max(stop, start + 1), self.events.index(event.name)] = 1
+        return flags
+
+    def to_values(self) -> dict[str, Any]:
+        """All but numbers learnt in training, as plain values for `config.yaml`."""
+        return {
+            "features": None
+            if self.conditioner is None
+            else {"spec": self.conditioner.extractor.spec, "align": self.conditioner.align},
+            "path": self.path,
+            "events": list(self.events),
+            "styles": list(self.styles),
+        }
+
+    def to_tensors(self) -> dict[str, Tensor]:
+        """Numbers learnt in training, for `model.safetensors`."""
+        tensors = {}
+        if self.conditioner is not None:
+            tensors["features.centre"] = torch.from_numpy(self.conditioner.centre)
+            tensors["features.scale"] = torch.from_numpy(self.conditioner.scale)
+        if self.path:
+            tensors["path.mean"] = torch.from_numpy(self.path_mean)
+            tensors["path.scale"] = torch.from_numpy(self.path_scale)
+        return tensors
+
+    @classmethod
+    def from_values(
+        cls,
+        values: Mapping[str, Any],
+        tensors: Mapping[str, Tensor],
+        fps: float,
+        weights: str | Path | None = None,
+    ) -> Conditions:
+        """Inverse of `to_values` and `to_tensors`.
+
+        Args:
+            values: as `to_values` gives them.
+            tensors: that hold, among others, what `to_tensors` gives.
+            fps: frames per second of the motion.
+            weights: the WavLM weights, where features ask for them.
+
+        Raises:
+            KeyError, TypeError, ValueError: values that `to_values` does not give.
+            WeightsError: WavLM weights are asked for, or are not those of training.
+        """
+        features, conditioner = values["features"], None
+        if features is not None:
+            conditioner = SpeechConditioner(
+                af.extractor_from_spec(features["spec"], weights=weights),
+                fps,
+                features["align"],
+                tensors["features.centre"].numpy(),
+                tensors["features.scale"].numpy(),
+            )
+        path = {}
+        if values["path"]:
+            path = {
+                "path_mean": tensors["path.mean"].numpy(),
+                "path_scale": tensors["path.scale"].numpy(),
+            }
+        return cls(
+            conditioner,
+            bool(values["path"]),
+            tuple(map(str, values["events"])),
+            tuple(map(str, values["styles"])),
+            **path,
+        )
+
+
+def smooth_path(path: RootPath, fps: float, n_frames: int | None = None) -> RootPath:
+    """A path as models are given it: at their frame rate, and smoothed (section 4.1).
+
+    Args:
+        path: at any frame rate.
+        fps: frames per second of the motion.
+        n_frames: how many; by default as many as the path holds.
+    """
+    return path.resample(fps, n_frames).smoothed(max(1, round(SMOOTHED_SECONDS * fps)))

@@ -1,0 +1,50 @@
+"""Motion vectors at zero mean and a spread of one, number by number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Standardiser:
+    """Takes every number of a motion vector to mean 0 and standard deviation 1 (appendix A.1).
+
+    Attributes:
+        mean: (X,) float32.
+        scale: (X,) float32, above 0.
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    @classmethod
+    def fit(cls, vectors: Sequence[np.ndarray], floor: np.ndarray | float = 1e-3) -> Standardiser:
+        """Mean and scale over all frames of the training motions.
+
+        Args:
+            vectors: (T, X) each.
+            floor: a number that moves less than this is scaled as if it moved so much, or what
+                trembles in a joint that stands still would count as much as a gesture.
+        """
+        n_frames = sum(map(len, vectors))
+        mean = sum(values.sum(axis=0) for values in vectors) / n_frames
+        square = sum(((values - mean) ** 2).sum(axis=0) for values in vectors) / n_frames
+        scale = np.maximum(np.sqrt(square), floor)
+        return cls(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())
+
+    def to(self, device: torch.device) -> Standardiser:
+        """The same on another device."""
+        return Standardiser(self.mean.to(device), self.scale.to(device))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """(..., X) in their own units to standardised."""
+        return (values - self.mean) / self.scale
+
+    def inverse(self, values: Tensor) -> Tensor:
+        """(..., X) standardised to their own units."""
+        return values * self.scale + self.mean
