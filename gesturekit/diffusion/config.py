@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
 
 from gesturekit.errors import ConfigError
+from gesturekit.motion.parts import KNOWN_PARTS
+from gesturekit.training.features import FeatureConfig
 
 
 def _positive(**values: float) -> None:
     for name, value in values.items():
         if not 0 < value < math.inf:
             raise ConfigError(f"{name}: {value!r} must be above 0")
+
+
+def _share(**values: float) -> None:
+    for name, value in values.items():
+        if not 0 <= value <= 1:
+            raise ConfigError(f"{name}: {value!r} must be between 0 and 1")
 
 
 @dataclass(frozen=True)
@@ -95,3 +104,161 @@ class NoiseConfig:
                 f"last_beta: {self.last_beta} must be at least first_beta, which is "
                 f"{self.first_beta}"
             )
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How long, how fast and on how much at a time (section 4.1 and appendix A.1)."""
+
+    updates: int = 67_000
+    """ZeroEGGS' 135 minutes; the paper has 112,000 for 244 minutes of speech, 180,000 for 373 of
+    dance, 52,000 for 60 of fighting, 292,000 for 1125 of locomotion."""
+    batch: int = 80
+    """Windows an update; over several processes, of all of them together."""
+    window: float = 5.0
+    """Seconds."""
+    margin: float = 0.1
+    """Share of a window that is read beside it, so that one that is sped up does not run short."""
+    learning_rate: float = 6e-4
+    """Of Adam, after warming up."""
+    warm_up: int = 3000
+    """Updates in which the learning rate rises to it on a straight line."""
+    decay: float = 0.99995
+    """Every ten updates the learning rate is multiplied by this. So the released code has it; the
+    paper has 1 - 0.5e-5. After 67,000 updates 0.72 and 0.97 are left."""
+    clip: float = 25.0
+    """Largest norm of a gradient; 0 for any."""
+    ema: float = 0.0
+    """The model is the exponential moving average of the weights, this much of it kept at every
+    update (less in the first ones); 0, as in the paper, takes the weights as they are."""
+    dropout_condition: float = 0.0
+    """Share of windows that are told nothing, so that one model serves guidance and as a prior."""
+    dropout_style: float = 0.0
+    """Share of the others that are not told their style."""
+    min_snr: float | None = None
+    """Gamma of min-SNR loss weights; null, as in the paper, weighs all steps alike."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of the network's products in training; weights and sums stay float32."""
+
+    def __post_init__(self) -> None:
+        _positive(
+            updates=self.updates,
+            batch=self.batch,
+            window=self.window,
+            learning_rate=self.learning_rate,
+            decay=self.decay,
+        )
+        _share(
+            margin=self.margin,
+            dropout_condition=self.dropout_condition,
+            dropout_style=self.dropout_style,
+            decay=self.decay,
+        )
+        for name in ("warm_up", "clip"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"{name}: {getattr(self, name)!r} must be at least 0")
+        if not 0 <= self.ema < 1:
+            raise ConfigError(f"ema: {self.ema} must be at least 0 and below 1")
+        if self.min_snr is not None:
+            _positive(min_snr=self.min_snr)
+
+
+@dataclass(frozen=True)
+class AugmentationConfig:
+    """What else the recordings could have been (appendix A.1)."""
+
+    mirror: bool = True
+    """Learn from the mirrored recordings too, but for the styles that `styles.handed` names."""
+    stretch: float = 0.1
+    """Share of windows that are played faster or slower; dance and fighting: 0.2."""
+    stretch_range: float = 0.1
+    """By a factor between 1 minus this and 1 plus this."""
+
+    def __post_init__(self) -> None:
+        _share(stretch=self.stretch)
+        if not 0 <= self.stretch_range <= 0.5:
+            raise ConfigError(f"stretch_range: {self.stretch_range} must be between 0 and 0.5")
+
+
+@dataclass(frozen=True)
+class StyleConfig:
+    """The model is told the `style` that the manifest gives each recording."""
+
+    handed: tuple[str, ...] = ()
+    """Styles that tell left from right; their recordings are not mirrored."""
+
+
+@dataclass(frozen=True)
+class UnpairedConfig:
+    """Motion without speech, learnt from as windows that are told nothing."""
+
+    corpus: Path | None = None
+    """A manifest of motion, of any rig with a body: another rig's is put onto the paired one.
+    Null for the motion alone that the run's own corpus has."""
+    share: float = 0.5
+    """Of the windows."""
+
+    def __post_init__(self) -> None:
+        _share(share=self.share)
+
+
+@dataclass(frozen=True)
+class DiffusionConfig:
+    """A diffusion training run: gestures, dance, a path or events to follow, or motion alone."""
+
+    system: Literal["diffusion"]
+    corpus: Path
+    """Manifest written by `gesturekit prepare`."""
+    out: Path = field(default_factory=lambda: Path("runs/diffusion"))
+    """Run folder."""
+    seed: int = 0
+    fps: float = 30.0
+    joints: Literal["body", "all"] | tuple[str, ...] = "body"
+    parts: dict[str, str] = field(default_factory=dict)
+    """Parts of the body named by hand, such as {left_elbow: Joint12}, for rigs whose names and
+    shape do not tell them."""
+    features: FeatureConfig | None = field(default_factory=FeatureConfig)
+    """What is heard, speech or music; null for nothing."""
+    path: bool = False
+    """The root follows a path that is given: each item's `path`, or the way it went itself."""
+    events: bool = False
+    """Binary flags tell what happens: each item's `events`."""
+    styles: StyleConfig | None = None
+    """How styles are learnt; null for none, as in the twin that guidance leads away from."""
+    unpaired: UnpairedConfig | None = None
+    """Motion that goes without speech; null for none."""
+    start_from: Path | None = None
+    """A model folder to go on from: its weights, rig, features and standardisation are kept."""
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
+    checkpoint_every: int = 1000
+    """Updates between checkpoints."""
+    log_every: int = 10
+    eval_every: int = 0
+    """Updates between cheap evaluations (`quick_figures`) on the training recordings, written to
+    metrics.jsonl with `kind: evaluation`; 0 for none. They change nothing in the training."""
+    threads: int | None = None
+    """CPU threads; null leaves the choice to torch."""
+    device: str = "auto"
+    """auto, cpu, or cuda."""
+    notes: dict[str, Any] = field(default_factory=dict)
+    """Free text for the model's README: data, licence."""
+
+    def __post_init__(self) -> None:
+        _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)
+        if self.eval_every < 0:
+            raise ConfigError(f"eval_every: {self.eval_every} must be at least 0")
+        for part, joint in self.parts.items():
+            if part not in KNOWN_PARTS:
+                raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
+            if not isinstance(joint, str):
+                raise ConfigError(f"parts.{part}: {joint!r} is no joint name")
+        if self.threads is not None:
+            _positive(threads=self.threads)
+
+    @property
+    def window_frames(self) -> int:
+        """Frames of a training window."""
+        return max(2, round(self.training.window * self.fps))
