@@ -70,8 +70,10 @@ def command(
 ) -> int:
     """Pair speech (wav, flac, mp3, ogg) with motion (bvh, npz) and write a manifest.
 
-    Files go together by path within FOLDER without extension, then by unique name. Every
-    recording is checked; each problem is told with its file and never stops the others.
+    Files go together by path within FOLDER without extension, then by unique name. Tables beside
+    a recording go with it: STEM.events.csv (time,name[,duration]: what happens when) and
+    STEM.path.csv (time,x,z[,heading]: where the body goes). Every recording is checked; each
+    problem is told with its file and never stops the others.
 
     Exit codes: 0 everything is used; 1 some files are left out; 2 nothing is usable.
     """

@@ -21,10 +21,14 @@ from gesturekit.errors import CorpusError
 
 if TYPE_CHECKING:
     from audio_features import Wave
+    from gesturekit.formats.events import Event
     from gesturekit.motion import Motion
+    from gesturekit.motion.root_path import RootPath
 
 SCHEMA = 1
 SPLITS = ("train", "valid", "test")
+CONDITIONS = ("events", "path")
+"""What conditions a model can be told, beside what it hears and its style."""
 
 # A line holds a handful of names and numbers; far more than that is not a manifest.
 _MAX_LINE_BYTES = 1 << 20
@@ -47,7 +51,9 @@ class Item:
         split: "train", "valid" or "test".
         text: what is said, or None.
         mirror: True where the motion is to be used mirrored, left for right.
-        conditions: further files that go with the item, {name: absolute path}.
+        conditions: further files that go with the whole recording, {name: absolute path}:
+            `events`, a table of what happens (`gesturekit.formats.events`), and `path`, where the
+            root goes (`gesturekit.formats.root_path`; else it goes where the motion does).
 
     Raises:
         CorpusError: a field holds something it cannot hold.
@@ -130,6 +136,45 @@ class Item:
         if start > 0 or stop < motion.n_frames:
             motion = motion.slice(start, min(stop, motion.n_frames))
         return motion.mirror() if self.mirror else motion
+
+    def load_events(self) -> tuple[Event, ...]:
+        """What happens within the item, in seconds from its beginning; nothing where no file tells.
+
+        Raises:
+            FormatError: the file cannot be read.
+        """
+        if "events" not in self.conditions:
+            return ()
+        from gesturekit.formats.events import Event, load_events
+
+        begins = self.audio_start if self.motion is None else self.motion_start
+        heard = []
+        for event in load_events(self.conditions["events"]):
+            start, stop = event.time - begins, event.time + event.duration - begins
+            if stop >= 0 and start < self.duration:
+                # What began before the item goes on within it.
+                heard.append(Event(max(start, 0.0), event.name, stop - max(start, 0.0)))
+        return tuple(heard)
+
+    def load_path(self, fps: float, n_frames: int) -> RootPath | None:
+        """The item's stretch of its path, mirrored where the item says so; None without a file.
+
+        Args:
+            fps: frames per second of the result.
+            n_frames: how many; past its end a path stands still.
+
+        Raises:
+            FormatError: the file cannot be read.
+        """
+        if "path" not in self.conditions:
+            return None
+        from gesturekit.formats.root_path import load_root_path
+
+        begins = self.audio_start if self.motion is None else self.motion_start
+        start = math.floor(begins * fps + 0.5)
+        path = load_root_path(self.conditions["path"]).resample(fps, start + n_frames)
+        path = path.slice(start, start + n_frames)
+        return path.mirror() if self.mirror else path
 
 
 class Manifest:

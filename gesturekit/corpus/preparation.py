@@ -39,8 +39,10 @@ def prepare(
 ) -> Report:
     """Find, check and split recordings, and write the manifest where any are usable.
 
-    Sound and motion of a pair are taken to begin together. A problem of one recording never
-    stops the others: it is reported with its file, and errors leave that recording out.
+    Sound and motion of a pair are taken to begin together. Tables beside a recording become its
+    conditions: STEM.events.csv (`gesturekit.formats.events`) and STEM.path.csv
+    (`gesturekit.formats.root_path`). A problem of one recording never stops the others: it is
+    reported with its file, and errors leave that recording out.
 
     Args:
         folders: folders with speech and motion of equal names, see `pairing.pair`.
@@ -268,4 +270,5 @@ def _item(recording: Recording, split: str) -> Item:
         style=recording.style,
         split=split,
         channel=recording.channel if recording.audio else None,
+        conditions={name: absolute(file) for name, file in recording.conditions.items()},
     )

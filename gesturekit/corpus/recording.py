@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import checks
+from gesturekit.corpus.manifest import CONDITIONS
 from gesturekit.corpus.problem import Problem
-from gesturekit.errors import GestureKitError, MotionError
+from gesturekit.errors import FormatError, GestureKitError, MotionError
+from gesturekit.formats.events import load_events
+from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts import find_parts
 
@@ -41,6 +44,7 @@ class Recording:
     skeleton: Skeleton | None = None
     speaker: str | None = None
     style: str | None = None
+    conditions: Mapping[str, Path] = field(default_factory=dict)
 
     @property
     def file(self) -> Path:
@@ -64,6 +68,7 @@ def examine(
     """
     problems: list[Problem] = []
     wave, motion = _loaded(recording, parts or {}, problems)
+    recording = replace(recording, conditions=_conditions(recording, problems))
     if problems:
         return None, problems
     start, stop = 0.0, math.inf
@@ -105,6 +110,23 @@ def _loaded(
         except GestureKitError as error:
             problems.append(Problem("error", recording.motion, str(error)))
     return wave, motion
+
+
+def _conditions(recording: Recording, problems: list[Problem]) -> dict[str, Path]:
+    """Tables beside the recording: STEM.events.csv and STEM.path.csv."""
+    found = {}
+    for name in CONDITIONS:
+        for file in filter(None, (recording.motion, recording.audio)):
+            table = file.with_suffix(f".{name}.csv")
+            if table.exists():
+                found[name] = table
+                break
+    for name, table in found.items():
+        try:
+            load_events(table) if name == "events" else load_root_path(table)
+        except FormatError as error:
+            problems.append(Problem("error", table, str(error)))
+    return found
 
 
 def _check_lengths(

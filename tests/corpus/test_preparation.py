@@ -399,3 +399,33 @@ def test_pipes_are_told_and_never_waited_for(tmp_path, write_pair):
     assert [problem.text for problem in errors(report)] == [
         f"{tmp_path / 'pipe.npz'}: not a regular file"
     ]
+
+
+def test_tables_beside_a_recording_go_with_it_and_are_cut_as_it_is(tmp_path, write_pair):
+    write_pair(tmp_path / "in", "a", 6.0)
+    (tmp_path / "in" / "a.events.csv").write_text(
+        "time,name,duration\n1,kick,\n3.5,nod,1\n5,kick,\n"
+    )
+    (tmp_path / "in" / "a.path.csv").write_text("time,x,z\n0,0,0\n6,0,3\n")
+    report = prepare(tmp_path / "in", tmp_path / "c.jsonl", hold_out_seconds=[(4.0, 6.0)])
+    assert report.is_complete, report.problems
+    train, test = Manifest.load(tmp_path / "c.jsonl")
+    assert (train.split, test.split) == ("train", "test")
+    told = [[(e.time, e.name, e.duration) for e in item.load_events()] for item in (train, test)]
+    assert told == [
+        [(1.0, "kick", 0.0), (3.5, "nod", 1.0)],
+        [(0.0, "nod", 0.5), (1.0, "kick", 0.0)],
+    ]
+    path = test.load_path(30.0, 60)
+    assert path.n_frames == 60 and np.allclose(path.positions[[0, 30]], [[0, 2.0], [0, 2.5]])
+
+
+def test_a_table_that_cannot_be_read_leaves_its_recording_out(tmp_path, write_pair):
+    write_pair(tmp_path, "a", 2.0)
+    write_pair(tmp_path, "b", 2.0)
+    (tmp_path / "b.events.csv").write_text("time,name\nsoon,kick\n")
+    report = prepare(tmp_path, holdout=0.0)
+    assert [item.id for item in report.manifest] == ["a"]
+    assert [problem.text for problem in errors(report)] == [
+        f"{tmp_path / 'b.events.csv'}, line 2: time is 'soon'; expected seconds, 0 or more"
+    ]
