@@ -1,0 +1,234 @@
+"""Motion vectors of the diffusion model: what goes in comes out, on rigs of every kind."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gesturekit as gk
+from gesturekit.errors import MotionError
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.delta_representation import DeltaRepresentation, continuous_maps
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import (
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+    rotate_vectors,
+    rotation_angles,
+    rotation_vector_from_quaternion,
+)
+
+REAL = (
+    "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
+    "motion/aitviewer/sample.bvh",
+    "motion/bandai/dataset-1_bye_happy_001.bvh",
+    "motion/bandai/dataset-2_wave-left-hand_normal_001.bvh",
+    "motion/reactidle/003_genuine.bvh",
+    "smpl/glamr_running_smpl.npz",
+)
+
+
+def errors(representation: DeltaRepresentation, motion: Motion) -> tuple[float, float]:
+    """Largest error of a modelled joint's rotation (rad) and of the root's place (m), put back
+    where the motion began."""
+    path = representation.path_of(motion)
+    values = representation.encode(motion)
+    start = (*path.positions[0], path.headings[0])
+    made = representation.decode(values, motion.fps, start=start)
+    index = representation.indices
+    turned = [m.global_rotations()[:, index[0]] for m in (made, motion)]
+    rotations = rotation_angles(made.rotations[:, index[1:]], motion.rotations[:, index[1:]])
+    places = np.abs((made.positions() - motion.positions())[:, index[0]])
+    worst = max(rotations.max(initial=0.0), rotation_angles(*turned).max())
+    return float(worst), float(places.max())
+
+
+@pytest.mark.parametrize("file", REAL)
+def test_a_round_trip_of_real_rigs_is_exact(shared_data, file):
+    motion = gk.Motion.load(shared_data / file)
+    motion = motion.slice(0, min(2000, motion.n_frames))
+    representation = DeltaRepresentation.fit([motion])
+    rotation, place = errors(representation, motion)
+    assert rotation < 1e-9
+    assert place < 1e-6, f"over {motion.n_frames} frames"
+    assert (representation.joints[0] != "joint_Root") and representation.n_features == 3 * len(
+        representation.joints
+    ) + 4
+
+
+@pytest.mark.parametrize("fps", [12.5, 60.0])
+def test_other_frame_rates(shared_data, fps):
+    motion = gk.Motion.load(shared_data / REAL[2]).resample(fps)
+    assert max(errors(DeltaRepresentation.fit([motion]), motion)) < 1e-9
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 3])
+def test_very_short_motions(gesture, n_frames):
+    motion = gesture(2.0)
+    representation = DeltaRepresentation.fit([motion])
+    assert representation.encode(motion.slice(5, 5 + n_frames)).shape == (n_frames, 61)
+    assert max(errors(representation, motion.slice(5, 5 + n_frames))) < 1e-9
+    alone = motion.slice(5, 5 + n_frames)
+    assert max(errors(DeltaRepresentation.fit([alone]), alone)) < 1e-9
+
+
+def odd_rig(n_frames: int = 120) -> Motion:
+    """Bones along their own axes, orders of all kinds, a still joint above a root that somersaults,
+    and a wheel that spins."""
+    rng = np.random.default_rng(5)
+    names = ("World", "Body", "Wheel", "Neck", "Head")
+    rig = Skeleton(
+        names=names,
+        parents=(-1, 0, 1, 1, 3),
+        offsets=np.array([[0.2, 0.1, 0], [0.5, 0, 0.2], [0, 0, 0.3], [0.3, 0, 0], [0.1, 0.1, 0]]),
+        rotation_orders=("YZX", "XYZ", "ZYX", "XZY", "YXZ"),
+    )
+    t = np.linspace(0, 4 * np.pi, n_frames)
+    vectors = 0.4 * np.sin(t[:, None, None] / 2 + rng.uniform(0, 6, (5, 3)))
+    vectors[:, 0] = [0.3, 1.0, -0.5]
+    vectors[:, 1] += np.outer(t, [0.9, 0.2, 0.1])
+    vectors[:, 2] = np.outer(t, [0.0, 0.0, 1.0])
+    moving = {"Body": 0.3 * np.sin(t[:, None] + np.arange(3))}
+    quaternions = quaternion_from_rotation_vector(vectors)
+    return Motion(rig, quaternions, np.tile([1.0, 0.4, 2.0], (n_frames, 1)), 50.0, moving)
+
+
+def test_a_rig_without_legs_and_with_odd_frames(tmp_path):
+    motion = odd_rig()
+    representation = DeltaRepresentation.fit([motion], "all")
+    assert representation.joints == ("Body", "Wheel", "Neck", "Head")
+    assert max(errors(representation, motion)) < 1e-9
+    motion.save(tmp_path / "odd.bvh")
+    read = gk.Motion.load(tmp_path / "odd.bvh")
+    assert max(errors(DeltaRepresentation.fit([read], "all"), read)) < 1e-9
+    larger = representation.decode(
+        representation.encode(motion), 50.0, skeleton=motion.skeleton.scaled(2.0)
+    )
+    plain = representation.decode(representation.encode(motion), 50.0)
+    assert np.ptp(larger.positions()[:, 1], axis=0) == pytest.approx(
+        2 * np.ptp(plain.positions()[:, 1], axis=0)
+    )
+
+
+def test_a_map_goes_on_where_its_angle_passes_pi():
+    angles = np.concatenate([np.linspace(0, 9, 90), np.linspace(9, -5, 140)])
+    axis = np.array([0.6, 0.0, 0.8])
+    wobble = 0.05 * np.sin(np.arange(230))[:, None] * [0.0, 1.0, 0.0]
+    vectors = (np.outer(angles, axis) + wobble)[:, None]
+    rotations = quaternion_from_rotation_vector(vectors)
+    wrapped = rotation_vector_from_quaternion(rotations)
+    assert np.abs(np.diff(wrapped, axis=0)).max() > 2, "the principal maps jump"
+    made = continuous_maps(wrapped)
+    assert np.linalg.norm(np.diff(made, axis=0), axis=-1).max() < 0.3
+    assert rotation_angles(quaternion_from_rotation_vector(made), rotations).max() < 1e-9
+
+
+def test_the_same_pose_has_the_same_map_wherever_a_recording_begins():
+    angles = np.concatenate([np.linspace(0, 4.2, 40), np.linspace(4.2, -2, 60)])
+    rotations = quaternion_from_rotation_vector(np.outer(angles, [0.6, 0.0, 0.8]))[:, None]
+    maps = rotation_vector_from_quaternion(rotations)
+    assert continuous_maps(maps[40:]) == pytest.approx(continuous_maps(maps)[40:])
+
+
+def test_maps_of_a_recording_are_small_and_jump_only_where_it_does(shared_data):
+    motion = gk.Motion.load(shared_data / REAL[0])
+    representation = DeltaRepresentation.fit([motion])
+    maps = representation.encode(motion)[:, : representation.height_column]
+    maps = maps.reshape(len(maps), -1, 3)
+    assert np.quantile(np.linalg.norm(maps, axis=-1), 0.999) < np.pi
+    rotations = motion.rotations[:, representation.indices]
+    turns = rotation_angles(rotations[1:], rotations[:-1])
+    steps = np.linalg.norm(np.diff(maps, axis=0), axis=-1)
+    assert steps[turns < 0.5].max() < 0.75
+    assert turns.max() > 3, "its hands flip over in single frames"
+
+
+def test_neither_place_nor_direction_of_a_motion_is_told(gesture):
+    motion = gesture(2.0)
+    motion.translation[:, 2] += motion.times
+    turn = quaternion_from_rotation_vector(np.array([0.0, 2.0, 0.0]))
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
+    places = rotate_vectors(turn, motion.translation) + [3.0, 0.0, -7.0]
+    elsewhere = replace(motion, rotations=rotations, translation=places)
+    representation = DeltaRepresentation.fit([motion])
+    assert representation.encode(elsewhere) == pytest.approx(representation.encode(motion))
+
+
+def test_the_root_goes_forward_and_turns_left(gesture):
+    motion = gesture(2.0)
+    angle = 0.5 * motion.times
+    motion.rotations[:, 0] = quaternion_from_rotation_vector(np.outer(angle, [0.0, 1.0, 0.0]))
+    motion.translation[:, 0] = 2 * (1 - np.cos(angle))
+    motion.translation[:, 2] = 2 * np.sin(angle)
+    representation = DeltaRepresentation.fit([motion])
+    values = representation.encode(motion)
+    turn, forward, lateral = values[:, representation.root_columns].T
+    assert turn == pytest.approx(0.5 / 30)
+    assert forward == pytest.approx(1.0 / 30, rel=1e-4)
+    assert np.abs(lateral).max() < 1e-9
+    assert values[:, representation.height_column] == pytest.approx(0.9)
+
+
+def test_joints_that_are_not_modelled_are_written_at_their_mean(shared_data):
+    motion = gk.Motion.load(shared_data / REAL[0]).slice(300, 400)
+    representation = DeltaRepresentation.fit([motion])
+    made = representation.decode(representation.encode(motion), motion.fps)
+    assert made.skeleton.names == motion.skeleton.names
+    thumb = motion.skeleton.index("LeftHandThumb2")
+    assert np.ptp(made.rotations[:, thumb], axis=0).max() == 0.0
+    assert np.abs(made.rotations[0, thumb] - [0, 0, 0, 1]).max() > 0.01, "the mean, not the rest"
+
+
+@pytest.mark.parametrize("file", [None, *REAL[2:]])
+def test_on_a_path_the_root_is_where_the_path_is(shared_data, gesture, file):
+    if file is None:
+        motion = gesture(4.0)
+        motion.translation[:, 0] += 0.1 * np.sin(5 * motion.times)
+    else:
+        motion = gk.Motion.load(shared_data / file)
+    representation = DeltaRepresentation.fit([motion], root=False)
+    values = representation.encode(motion)
+    assert values.shape[1] == 3 * len(representation.joints) + 1 == representation.n_features
+    path = representation.path_of(motion).smoothed()
+    made = representation.decode(values, motion.fps, path=path)
+    root = representation.root
+    assert np.abs(made.positions()[:, root][:, [0, 2]] - path.positions).max() < 1e-6
+    assert made.positions()[:, root, 1] == pytest.approx(motion.positions()[:, root, 1])
+    # The swing of the hips about the smooth path is kept: rotations are the recording's.
+    turned = [m.global_rotations()[:, representation.indices] for m in (made, motion)]
+    still = [n for n in motion.skeleton.names if n not in representation.joints]
+    tolerance = 1e-9 if all(motion.skeleton.index(n) > root for n in still) else 1e-6
+    assert rotation_angles(*turned)[:, 0].max() < tolerance
+    elsewhere = RootPath(path.positions[::-1] + 5.0, path.headings + 1.0, path.fps)
+    moved = representation.decode(values, motion.fps, path=elsewhere)
+    assert np.abs(moved.positions()[:, root][:, [0, 2]] - elsewhere.positions).max() < 1e-6
+
+
+def test_a_path_that_does_not_fit_is_refused(gesture):
+    motion = gesture(2.0)
+    made, driven = (DeltaRepresentation.fit([motion], root=root) for root in (True, False))
+    path = RootPath.of(motion)
+    with pytest.raises(MotionError, match="cannot follow a path"):
+        made.decode(made.encode(motion), 30.0, path=path)
+    with pytest.raises(MotionError, match="none was given"):
+        driven.decode(driven.encode(motion), 30.0)
+    with pytest.raises(MotionError, match="60 frames at 30 fps; the motion has 60 at 60"):
+        driven.decode(driven.encode(motion), 60.0, path=path)
+    with pytest.raises(MotionError, match=r"\(60, 58\); expected \(T, 61\)"):
+        made.decode(driven.encode(motion), 30.0)
+    with pytest.raises(MotionError, match="40 frames"):
+        driven.encode(motion, path.slice(0, 40))
+
+
+def test_it_comes_back_from_json(gesture):
+    motion = gesture(2.0)
+    for root in (True, False):
+        representation = DeltaRepresentation.fit([motion], root=root)
+        values = json.loads(json.dumps(representation.to_json()))
+        again = DeltaRepresentation.from_json(motion.skeleton, values)
+        assert (again.encode(motion) == representation.encode(motion)).all()
+        assert again.makes_root is root
