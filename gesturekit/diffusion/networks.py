@@ -9,14 +9,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gesturekit.diffusion.attention import Attention, Block, bias_of_blocks, blocks_of
+from gesturekit.diffusion.attention import Attention, Band, bands
 from gesturekit.diffusion.config import NetworkConfig
 from gesturekit.errors import ModelError
 
 FREQUENCIES = 64
 """Sines, and as many cosines, of the diffusion step; from 1 to 1e4 radians a step."""
-QUERIES = 150
-"""Frames of a block of attention."""
 
 
 def neighbours(x: Tensor, dilation: int) -> Tensor:
@@ -69,9 +67,9 @@ class Conformer(nn.Module):
         self.norm = nn.LayerNorm(config.channels)
         self.dropout = nn.Dropout(config.dropout)
 
-    def forward(self, x: Tensor, blocks: list[Block], biases: list[Tensor]) -> Tensor:
+    def forward(self, x: Tensor, bands: list[Band]) -> Tensor:
         """(B, T, channels) to the same shape."""
-        x = self.norm_attention(x + self.dropout(self.attention(x, blocks, biases)))
+        x = self.norm_attention(x + self.dropout(self.attention(x, bands)))
         hidden = self.dropout(self.widen(x).relu_())
         return self.norm(x + self.dropout(self.narrow(hidden)))
 
@@ -85,11 +83,11 @@ class ConformerStack(nn.Module):
         self.layers = nn.ModuleList(Conformer(config, dilation) for _ in range(config.layers))
         self.leave = nn.Linear(config.channels, 2 * config.channels)
 
-    def forward(self, x: Tensor, blocks: list[Block], biases: list[list[Tensor]]) -> Tensor:
-        """(B, T, C), with the biases of each layer, to (B, T, 2 C)."""
+    def forward(self, x: Tensor, bands: list[list[Band]]) -> Tensor:
+        """(B, T, C), with the bands of each layer, to (B, T, 2 C)."""
         x = self.enter(x)
-        for layer, bias in zip(self.layers, biases, strict=True):
-            x = layer(x, blocks, bias)
+        for layer, band in zip(self.layers, bands, strict=True):
+            x = layer(x, band)
         return self.leave(x)
 
 
@@ -152,7 +150,7 @@ class Denoiser(nn.Module):
         self._check(condition)
         told = self._told(condition)
         steps = self._steps(step)
-        return self._run(noisy, steps[:, :, None], told, *self._positions(noisy.shape[1]))
+        return self._run(noisy, steps[:, :, None], told, self._bands(noisy.shape[1]))
 
     @torch.no_grad()
     def listening(self, condition: Tensor, steps: Iterable[int]) -> Callable[[Tensor, int], Tensor]:
@@ -171,11 +169,11 @@ class Denoiser(nn.Module):
         steps = list(steps)
         told = self._told(condition).contiguous()
         rows = dict(zip(steps, self._steps(torch.tensor(steps, device=condition.device)).unbind(1)))
-        positions = self._positions(condition.shape[1])
+        bands = self._bands(condition.shape[1])
 
         @torch.no_grad()
         def predict(noisy: Tensor, step: int) -> Tensor:
-            return self._run(noisy, rows[step][:, None, None], told, *positions)
+            return self._run(noisy, rows[step][:, None, None], told, bands)
 
         return predict
 
@@ -202,31 +200,23 @@ class Denoiser(nn.Module):
         rows = self.project_step(self.embed_step(waves))
         return rows.unflatten(-1, (self.config.blocks, -1)).movedim(-2, 0)
 
-    def _positions(self, n_frames: int) -> tuple[list[Block], list[list[list[Tensor]]]]:
-        """Blocks of attention, and their biases for each layer of each residual block."""
+    def _bands(self, n_frames: int) -> list[list[list[Band]]]:
+        """How each layer of each block sees so many frames; nothing where there is no attention."""
         if self.config.architecture == "diffwave":
-            return [], []
-        reach = self.config.farthest_view
-        blocks = blocks_of(n_frames, reach, QUERIES)
-        widest = max(max(b.last - b.first_key, b.last_key - b.first) for b in blocks)
-        return blocks, [
-            [bias_of_blocks(layer.attention.bias.table(widest), blocks) for layer in stack.layers]
+            return []
+        return [
+            [bands(layer.attention.bias, n_frames) for layer in stack.layers]
             for stack in self.stacks
         ]
 
     def _run(
-        self,
-        noisy: Tensor,
-        steps: Tensor,
-        told: Tensor,
-        blocks: list[Block],
-        biases: list[list[list[Tensor]]],
+        self, noisy: Tensor, steps: Tensor, told: Tensor, bands: list[list[list[Band]]]
     ) -> Tensor:
         x = self.enter(noisy).relu()
         total = 0
         for i, (stack, split) in enumerate(zip(self.stacks, self.split, strict=True)):
             y = x + (steps[i] + told[i])
-            y = stack(y, blocks, biases[i]) if biases else stack(y)
+            y = stack(y, bands[i]) if bands else stack(y)
             gate, signal = y.chunk(2, -1)
             kept, skipped = split(gate.sigmoid() * signal.tanh()).chunk(2, -1)
             x = (x + kept) * math.sqrt(0.5)

@@ -8,8 +8,10 @@ import pytest
 import torch
 
 from gesturekit.diffusion.attention import (
+    Band,
     PositionBias,
     attend,
+    bands,
     bias_of_blocks,
     blocks_of,
 )
@@ -85,9 +87,12 @@ def test_blocks_equal_the_full_computation(gradients):
         @ v.double()
     )
     with torch.set_grad_enabled(gradients):
-        blocks = blocks_of(n_frames, config.farthest_view, 100)
-        assert len(blocks) == 4
-        ours = attend(q, k, v, blocks, bias_of_blocks(bias.table(200), blocks), 0.0)
+        made = bands(bias, n_frames)
+        assert [(band.first, band.last, len(band.blocks)) for band in made] == [
+            (0, 4, 9),
+            (4, 8, 4),
+        ]
+        ours = attend(q, k, v, made, 0.0)
     torch.testing.assert_close(ours.double(), exact, atol=1e-5, rtol=1e-5)
 
 
@@ -98,12 +103,13 @@ def test_gradients_of_blocks_equal_those_of_the_full_computation():
     weight = torch.randn(1, 2, n_frames, 8, generator=generator("weight"))
     inputs = [q, k, v, bias.amplitudes, bias.offsets, bias.widths, bias.floors]
 
-    def gradients(blocks) -> list[torch.Tensor]:
-        out = attend(q, k, v, blocks, bias_of_blocks(bias.table(260), blocks), 0.0)
-        return torch.autograd.grad((out * weight).sum(), inputs)
+    def gradients(made: list[Band]) -> list[torch.Tensor]:
+        return torch.autograd.grad((attend(q, k, v, made, 0.0) * weight).sum(), inputs)
 
-    short = gradients(blocks_of(n_frames, config.farthest_view, 50))
-    full = gradients(blocks_of(n_frames, n_frames, 50))
+    whole = blocks_of(n_frames, n_frames, 1)
+    assert len(bands(bias, n_frames)) == 2
+    short = gradients(bands(bias, n_frames))
+    full = gradients([Band(0, 2, whole, bias_of_blocks(bias.table(n_frames), whole))])
     for ours, exact in zip(short, full, strict=True):
         assert exact.abs().max() > 1e-3
         torch.testing.assert_close(ours, exact, atol=2e-5, rtol=2e-4)

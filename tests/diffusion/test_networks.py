@@ -6,7 +6,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from gesturekit.diffusion import networks
+from gesturekit.diffusion import attention
 from gesturekit.diffusion.config import NetworkConfig
 from gesturekit.diffusion.networks import Denoiser, DilatedConv
 from gesturekit.errors import ConfigError, ModelError
@@ -76,7 +76,7 @@ def test_banded_attention_is_full_attention_over_a_whole_network(shaken, monkeyp
     network = shaken(config)
     noisy, condition = inputs(700, batch=1)
     banded = network.listening(condition, [30])(noisy, 30)
-    monkeypatch.setattr(networks, "QUERIES", 700)
+    monkeypatch.setattr(attention, "LEAST_QUERIES", 700)
     full = network.listening(condition, [30])(noisy, 30)
     assert full.std() > 0.1
     assert not torch.equal(banded, full)
