@@ -18,6 +18,9 @@ from gesturekit.diffusion.guidance import Mixture
 from gesturekit.diffusion.sampling import Predict
 from gesturekit.errors import ModelError
 
+LONGEST = 9000
+"""Frames that are predicted as a whole: five minutes at 30 fps. At gesture size each thousand take
+about 35 MB, an hour 4 GB; time a frame is the same for long and short."""
 OVERLAP = 150
 """Frames that neighbouring windows share at least, or a quarter of a window if that is less. The
 outer thirds of them are too near the border of one window, and the other's alone; over the third

@@ -1,0 +1,302 @@
+"""A trained diffusion model: load it, tell it speech, a style, a path, events, get motion."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import audio_features as af
+from gesturekit.diffusion.conditions import Conditions
+from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
+from gesturekit.diffusion.networks import Denoiser
+from gesturekit.diffusion.product import Product
+from gesturekit.diffusion.request import Request
+from gesturekit.diffusion.sampling import Solver, sample
+from gesturekit.diffusion.schedule import NoiseSchedule
+from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.windows import LONGEST, windowed
+from gesturekit.errors import ModelError
+from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.postprocess import lock_feet
+from gesturekit.training.config import build, to_dict
+from gesturekit.training.model_folder import ModelParts, load_model, model_readme, save_model
+from gesturekit.training.seeds import generator
+
+
+class DiffusionModel:
+    """Motion by denoising diffusion: for speech or music, a style, a path, events, or nothing.
+
+    Args:
+        fps: frames per second of the motion.
+        representation: the rig and its modelled joints.
+        conditions: what the model can be told.
+        standardiser: of motion vectors.
+        network_config: how the network is built.
+        noise_config: how noise was added in training.
+        network: the denoiser.
+        speakers: a reference skeleton for each speaker that the corpus named.
+        droppable: what the model was trained to do without at times: "styles", or "all" that it
+            is told. Guidance leads away from that.
+        window: frames of the longest motion that is made as a whole.
+    """
+
+    kind = "diffusion"
+
+    def __init__(
+        self,
+        *,
+        fps: float,
+        representation: DeltaRepresentation,
+        conditions: Conditions,
+        standardiser: Standardiser,
+        network_config: NetworkConfig,
+        noise_config: NoiseConfig,
+        network: Denoiser,
+        speakers: Mapping[str, Skeleton],
+        droppable: Collection[str] = (),
+        window: int = LONGEST,
+    ) -> None:
+        self.fps = fps
+        self.representation = representation
+        self.conditions = conditions
+        self.standardiser = standardiser
+        self.network_config = network_config
+        self.noise_config = noise_config
+        self.schedule = NoiseSchedule.of(noise_config)
+        self.network = network.eval()
+        self.speakers = dict(speakers)
+        self.droppable = tuple(droppable)
+        self.window = window
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The rig, with all the joints of the training files."""
+        return self.representation.skeleton
+
+    @property
+    def styles(self) -> tuple[str, ...]:
+        """Names of the styles it knows; empty for a model that was told none."""
+        return self.conditions.styles
+
+    def generate(
+        self,
+        speech: str | Path | af.Wave | None = None,
+        *,
+        style: str | None = None,
+        path: str | Path | RootPath | Motion | None = None,
+        events: str | Path | None = None,
+        seconds: float | None = None,
+        samples: int = 1,
+        seed: int = 0,
+        guidance: float | None = None,
+        unconditional: DiffusionModel | None = None,
+        experts: Sequence[tuple] = (),
+        speaker: str | None = None,
+        foot_lock: bool = True,
+        solver: Solver | None = None,
+        steps: int | None = None,
+        batch: int = 1,
+    ) -> Motion | list[Motion]:
+        """Motion, as long as the speech, the path or `seconds`; frame k is at k / fps.
+
+        Args:
+            speech: an audio file or a `Wave`, speech or music, for a model that hears. Without it,
+                such a model moves to silence for `seconds`.
+            style: one of `styles`, weights of several, or either over time; see `style_weights`.
+                Styles are mixed as products of experts: each is predicted by itself. None draws
+                one for each sample.
+            path: what the root follows, for a model of that kind: a table or motion file, see
+                `load_root_path`. It is smoothed over a third of a second.
+            events: what happens when, for a model that knows events; see `asked_events`.
+            seconds: length without speech, s.
+            samples: how many different motions to make; more than one gives a list.
+            seed: the same seed, request and sample number give the same motion.
+            guidance: gamma of classifier-free guidance (eq. 6): 1 is the model as it is, above 1
+                exaggerates, 0 leaves the style out. For a model without styles, all that it is
+                told takes the style's place.
+            unconditional: the model that guidance leads away from; by default this one, told less.
+            experts: further models of a product: (model, weight), (model, weight, style); see
+                `Product`. This model's own weight is what is left of 1.
+            speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
+            foot_lock: keep feet where they stand; see `gesturekit.postprocess`. False gives the
+                motion as it comes out of the network.
+            solver: "ancestral" as published, "ddim", or "dpm"; None takes "ancestral" for all
+                steps and "dpm" for fewer.
+            steps: how many denoising steps; None for all that the model was trained with.
+            batch: how many samples to make at once. More are faster on a GPU. Motions then differ
+                in their last digits from those that are made one by one.
+
+        Raises:
+            ModelError: a control, style, event or speaker this model does not have, experts that
+                do not go together, or no length.
+            AudioError, FormatError: a file cannot be read.
+        """
+        if speaker is not None and speaker not in self.speakers:
+            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
+            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
+        for name, value in {"samples": samples, "batch": batch}.items():
+            if value < 1:
+                raise ModelError(f"{name}={value}: ask for at least 1")
+        product = Product.of(self, style, guidance, unconditional, experts)
+        request = Request.of(
+            [model.conditions for model in product.models],
+            self.fps,
+            speech=speech,
+            seconds=seconds,
+            path=path,
+            events=events,
+        )
+        if solver is None:
+            solver = "ancestral" if steps is None else "dpm"
+        told = product.told(request)
+        motions: list[Motion] = []
+        # One at a time unless asked otherwise: in a batch, sums are made in another order, and a
+        # motion would depend on how many were asked for.
+        for first in range(0, samples, batch):
+            numbers = range(first, min(first + batch, samples))
+            predict = windowed(told.mixture(seed, numbers), self.window)
+            noise = _Noise(seed, numbers, (request.n_frames, self.network.n_motion), self.device)
+            vectors = sample(predict, noise, self.schedule, solver=solver, steps=steps)
+            motions += self._motions(vectors, request.path, speaker, foot_lock)
+        return motions[0] if samples == 1 else motions
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is."""
+        return next(self.network.parameters()).device
+
+    def _motions(
+        self, vectors: Tensor, path: RootPath | None, speaker: str | None, foot_lock: bool
+    ) -> Iterator[Motion]:
+        """Motions of standardised vectors (B, T, X)."""
+        body = None if speaker is None else self.speakers[speaker]
+        for own in vectors.cpu():
+            values = self.standardiser.inverse(own).double().numpy()
+            if not np.isfinite(values).all():
+                raise ModelError(
+                    "the model gave NaN; its weights are damaged or it was trained badly"
+                )
+            motion = self.representation.decode(values, self.fps, skeleton=body, path=path)
+            yield lock_feet(motion, keep_path=path is not None) if foot_lock else motion
+
+    def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
+        """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
+        config = {
+            "kind": self.kind,
+            "fps": self.fps,
+            "joints": list(self.representation.joints),
+            **self.conditions.to_values(),
+            "droppable": list(self.droppable),
+            "window": self.window,
+            "noise": to_dict(self.noise_config),
+            "network": to_dict(self.network_config),
+        }
+        rig = {
+            "skeleton": self.skeleton.to_json(),
+            "motion": self.representation.to_json(),
+            "speakers": {name: body.to_json() for name, body in self.speakers.items()},
+        }
+        tensors = {f"network.{name}": value for name, value in self.network.state_dict().items()}
+        tensors |= {"motion.mean": self.standardiser.mean, "motion.scale": self.standardiser.scale}
+        tensors |= self.conditions.to_tensors()
+        save_model(folder, config, rig, tensors, self._readme(notes or {}))
+
+    def _readme(self, notes: Mapping[str, str]) -> str:
+        network, told = self.network_config, self.conditions
+        rows = {
+            "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks of "
+            f"{network.layers} layers, {self.noise_config.steps} steps",
+            "Motion": f"{self.fps:g} fps, {len(self.representation.joints)} of "
+            f"{self.skeleton.n_joints} joints modelled",
+        }
+        call = []
+        if told.conditioner is not None:
+            rows["Hears"] = json.dumps(told.conditioner.extractor.spec)
+            call.append('"speech.wav"')
+        if told.path:
+            rows["Path"] = "the root follows a path that is given"
+            call.append('path="path.csv"')
+        if not call:
+            call.append("seconds=10")
+        if told.events:
+            rows["Events"] = ", ".join(told.events)
+            call.append(f'events="{told.events[0]}@1.0"')
+        if told.styles:
+            rows["Styles"] = ", ".join(told.styles)
+            call.append(f'style="{told.styles[0]}"')
+        if self.droppable:
+            rows["Guidance"] = f"trained without its {' or '.join(self.droppable)} at times"
+            call.append("guidance=1.5")
+        return model_readme(rows | notes, ", ".join(call))
+
+    @classmethod
+    def load(cls, folder: str | Path, *, weights: str | Path | None = None) -> DiffusionModel:
+        """Read a model folder.
+
+        Args:
+            folder: as written by `save`.
+            weights: the WavLM weights it was trained with, where it hears by WavLM.
+
+        Raises:
+            ModelError: a part is missing, damaged, or of a newer format.
+            WeightsError: weights are asked for, or are not those of training.
+        """
+        return load_model(folder, cls.kind, lambda parts: cls._assemble(parts, weights))
+
+    @classmethod
+    def _assemble(cls, parts: ModelParts, weights: str | Path | None) -> DiffusionModel:
+        config, rig, tensors = parts.config, parts.rig, parts.tensors
+        where = str(parts.folder / "config.yaml")
+        fps = float(config["fps"])
+        skeleton = Skeleton.from_json(rig["skeleton"])
+        representation = DeltaRepresentation.from_json(skeleton, rig["motion"])
+        conditions = Conditions.from_values(config, tensors, fps, weights)
+        network_config = build(NetworkConfig, config["network"], where=where)
+        n_motion = representation.n_features
+        standardiser = Standardiser(tensors["motion.mean"], tensors["motion.scale"])
+        for name, values in vars(standardiser).items():
+            if values.shape != (n_motion,) or not torch.isfinite(values).all():
+                raise ValueError(f"motion.{name} is not {n_motion} finite numbers")
+        if representation.makes_root == conditions.path:
+            raise ValueError("config.yaml and skeleton.json differ in whether there is a path")
+        network = Denoiser(n_motion, conditions.width, network_config)
+        network.load_state_dict(
+            {k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")}
+        )
+        return cls(
+            fps=fps,
+            representation=representation,
+            conditions=conditions,
+            standardiser=standardiser,
+            network_config=network_config,
+            noise_config=build(NoiseConfig, config["noise"], where=where),
+            network=network,
+            speakers={name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
+            droppable=tuple(map(str, config["droppable"])),
+            window=int(config["window"]),
+        )
+
+
+class _Noise:
+    """Standard normal noise, keyed by seed, sample number and step, drawn on the CPU."""
+
+    def __init__(
+        self, seed: int, numbers: Sequence[int], shape: tuple[int, int], device: torch.device
+    ) -> None:
+        self.seed, self.numbers, self.shape, self.device = seed, numbers, shape, device
+
+    def __call__(self, step: int) -> Tensor:
+        """(B, T, X)."""
+        drawn = [
+            torch.randn(self.shape, generator=generator(self.seed, "sample", n, "noise", step))
+            for n in self.numbers
+        ]
+        return torch.stack(drawn).to(self.device)

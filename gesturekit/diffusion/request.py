@@ -1,0 +1,122 @@
+"""What a motion is asked for by: speech, path, events, as the models of a product are told it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import audio_features as af
+from gesturekit.corpus.speech import hear
+from gesturekit.diffusion.conditions import Conditions, smooth_path
+from gesturekit.diffusion.event_times import asked_events, wants_beats
+from gesturekit.errors import ModelError
+from gesturekit.formats.events import Event
+from gesturekit.formats.root_path import load_root_path
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.root_path import RootPath
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """One motion to make, but for its style.
+
+    Attributes:
+        n_frames: T.
+        fps: frames per second.
+        wave: the sound, or None for silence.
+        path: what the root follows, T frames at `fps`, smoothed; None where a model moves it.
+        events: what happens, and when; None for nothing.
+    """
+
+    n_frames: int
+    fps: float
+    wave: af.Wave | None
+    path: RootPath | None
+    events: tuple[Event, ...] | None
+
+    @classmethod
+    def of(
+        cls,
+        models: Sequence[Conditions],
+        fps: float,
+        *,
+        speech: str | Path | af.Wave | None,
+        seconds: float | None,
+        path: str | Path | RootPath | Motion | None,
+        events: str | Path | None,
+    ) -> Request:
+        """What was asked, if there is a model that it can be told.
+
+        Args:
+            models: what each model of the product knows, the leading one first.
+            fps: frames per second of all of them.
+            speech, seconds, path, events: see `DiffusionModel.generate`.
+
+        Raises:
+            ModelError: something that none of the models knows, a path that is missing, or no
+                length.
+            AudioError, FormatError: a file that cannot be read.
+        """
+        follows = models[0].path
+        if path is not None and not follows:
+            raise ModelError(f"path={path!r}: this model moves its root itself and follows no path")
+        if path is None and follows:
+            raise ModelError(
+                "path: this model follows a path and needs one: a .csv with columns "
+                "time,x,z[,heading], or a motion file"
+            )
+        if events is not None and not any(model.events for model in models):
+            raise ModelError(f"events={str(events)!r}: this model knows no events")
+        way = None if path is None else _loaded(path)
+        wave = speech
+        if speech is not None and not isinstance(speech, af.Wave):
+            wave = af.Wave.load(speech)
+        if wave is None and seconds is None and way is not None:
+            seconds = way.duration
+        ears = next((m.conditioner for m in models if m.conditioner is not None), None)
+        if ears is None and wave is not None and wants_beats(events) and seconds is None:
+            seconds = wave.n_frames(fps) / fps  # heard by nobody, but danced to
+            n_frames = len(hear(None, None, seconds, fps))
+        else:
+            n_frames = len(hear(ears, wave, seconds, fps))
+        happens = None if events is None else asked_events(events, wave)
+        _check_events(happens or (), models)
+        if way is not None:
+            way = smooth_path(way, fps, n_frames)
+        return cls(n_frames, fps, wave, way, happens)
+
+    def told(self, conditions: Conditions) -> np.ndarray:
+        """(T, C) float32: what a model is told of this, its style left at zero."""
+        heard, ears = None, conditions.conditioner
+        if ears is not None:
+            wave, n_frames = self.wave, self.n_frames
+            heard = ears.silence(n_frames) if wave is None else ears(wave, n_frames)
+        known = None
+        if self.events is not None:
+            known = [event for event in self.events if event.name in conditions.events]
+        path = self.path if conditions.path else None
+        return conditions.encode(self.n_frames, self.fps, speech=heard, path=path, events=known)
+
+
+def _loaded(path: str | Path | RootPath | Motion) -> RootPath:
+    if isinstance(path, RootPath):
+        return path
+    if isinstance(path, Motion):
+        return RootPath.of(path)
+    if isinstance(path, (str, Path)):
+        return load_root_path(path)
+    raise ModelError(
+        f"path is a {type(path).__name__}; give a RootPath, a Motion, or the name of a file"
+    )
+
+
+def _check_events(events: Sequence[Event], models: Sequence[Conditions]) -> None:
+    """Each must be known to one of the models."""
+    known = tuple(dict.fromkeys(name for model in models for name in model.events))
+    for event in events:
+        if event.name not in known:
+            # The one place that words this error.
+            Conditions(events=known).encode(1, 1.0, events=[event])
