@@ -20,7 +20,7 @@ from gesturekit.diffusion.sampling import Solver, sample
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.windows import LONGEST, windowed
-from gesturekit.errors import ModelError
+from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
@@ -184,7 +184,13 @@ class DiffusionModel:
                 raise ModelError(
                     "the model gave NaN; its weights are damaged or it was trained badly"
                 )
-            motion = self.representation.decode(values, self.fps, skeleton=body, path=path)
+            try:
+                motion = self.representation.decode(values, self.fps, skeleton=body, path=path)
+            except MotionError as error:
+                raise ModelError(
+                    f"the model left the world ({error}); it was trained too little, or the "
+                    "product's weights are too extreme"
+                ) from None
             yield lock_feet(motion, keep_path=path is not None) if foot_lock else motion
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
