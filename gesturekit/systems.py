@@ -26,7 +26,12 @@ SYSTEMS = {
         model="gesturekit.multires.model:MultiresModel",
         config="gesturekit.multires.config:MultiresConfig",
         train="gesturekit.multires.trainer:train",
-    )
+    ),
+    "diffusion": System(
+        model="gesturekit.diffusion.model:DiffusionModel",
+        config="gesturekit.diffusion.config:DiffusionConfig",
+        train="gesturekit.diffusion.trainer:train",
+    ),
 }
 
 _BUNDLED = Path(__file__).parent / "models"

@@ -117,8 +117,6 @@ class TrainingConfig:
     """Windows an update; over several processes, of all of them together."""
     window: float = 5.0
     """Seconds."""
-    margin: float = 0.1
-    """Share of a window that is read beside it, so that one that is sped up does not run short."""
     learning_rate: float = 6e-4
     """Of Adam, after warming up."""
     warm_up: int = 3000
@@ -149,7 +147,6 @@ class TrainingConfig:
             decay=self.decay,
         )
         _share(
-            margin=self.margin,
             dropout_condition=self.dropout_condition,
             dropout_style=self.dropout_style,
             decay=self.decay,

@@ -32,7 +32,7 @@ class Standardiser:
                 trembles in a joint that stands still would count as much as a gesture.
         """
         n_frames = sum(map(len, vectors))
-        mean = sum(values.sum(axis=0) for values in vectors) / n_frames
+        mean = sum(values.sum(axis=0, dtype=np.float64) for values in vectors) / n_frames
         square = sum(((values - mean) ** 2).sum(axis=0) for values in vectors) / n_frames
         scale = np.maximum(np.sqrt(square), floor)
         return cls(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())

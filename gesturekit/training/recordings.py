@@ -54,14 +54,14 @@ def item_styles(items: Sequence[Item], corpus: Path) -> tuple[tuple[str, ...], l
 
 
 def load_motions(
-    items: Sequence[Item], corpus: Path, fps: float, parts: Mapping[str, str]
+    items: Sequence[Item], corpus: Path, fps: float | None, parts: Mapping[str, str]
 ) -> list[Motion]:
     """The motion of each item at `fps`, all of one rig.
 
     Args:
         items: with motion.
         corpus: the manifest, for messages.
-        fps: frames per second.
+        fps: frames per second; None leaves each as it is.
         parts: parts of the body named by hand, see `Skeleton.parts`.
 
     Raises:
@@ -72,7 +72,8 @@ def load_motions(
     motions = []
     for item in items:
         try:
-            motions.append(item.load_motion(parts).resample(fps))
+            motion = item.load_motion(parts)
+            motions.append(motion if fps is None else motion.resample(fps))
         except MotionError as error:
             raise ConfigError(f"parts: item {item.id}: {error}") from None
         different = first_difference(motions[-1].skeleton, motions[0].skeleton)

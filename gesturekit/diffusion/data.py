@@ -1,0 +1,145 @@
+"""What a diffusion run trains on: motion and what is told about it, in memory."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+import audio_features as af
+from gesturekit.atomic import atomic_write
+from gesturekit.diffusion.conditions import Conditions
+from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.errors import ConfigError
+from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recording, or a variant of it.
+
+    Attributes:
+        name: of the item, and which variant it is.
+        motion: (T, X) float32 in their own units.
+        condition: (T, C) float32; zeros where nothing is told.
+        is_paired: False for motion that goes without speech.
+    """
+
+    name: str
+    motion: np.ndarray
+    condition: np.ndarray
+    is_paired: bool = True
+
+    @property
+    def n_frames(self) -> int:
+        """T."""
+        return len(self.motion)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """Everything a run needs, on the CPU.
+
+    Attributes:
+        recordings: with their variants.
+        seconds: of the recordings themselves, variants not counted; paired and unpaired.
+        representation: of the rig.
+        conditions: what the model is told.
+        standardiser: of motion vectors.
+        speakers: a reference skeleton for each named speaker.
+    """
+
+    recordings: tuple[Recording, ...]
+    seconds: tuple[float, float]
+    representation: DeltaRepresentation
+    conditions: Conditions
+    standardiser: Standardiser
+    speakers: dict[str, Skeleton]
+
+    def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
+        """A motion from (T, X) values in their own units and the (T, C) it was told."""
+        path = None
+        if not self.representation.makes_root:
+            told = condition[:, self.conditions.columns["path"]].astype(np.float64)
+            deltas = told * self.conditions.path_scale + self.conditions.path_mean
+            path = RootPath.from_deltas(deltas, fps)
+        return self.representation.decode(values, fps, path=path)
+
+    def save(self, folder: Path) -> None:
+        """Write all of it into a folder, for a run that is resumed.
+
+        Features and encoded motion differ in their last bits from process to process, as numpy's
+        vector instructions depend on where arrays lie; a resumed run must read what it read.
+        """
+        tensors = {
+            "motion.mean": self.standardiser.mean,
+            "motion.scale": self.standardiser.scale,
+            **self.conditions.to_tensors(),
+        }
+        for i, recording in enumerate(self.recordings):
+            tensors[f"recording.{i}.motion"] = torch.from_numpy(recording.motion)
+            tensors[f"recording.{i}.condition"] = torch.from_numpy(recording.condition)
+        with atomic_write(folder / "data.safetensors") as temporary:
+            save_file(tensors, temporary)
+        about = {
+            "names": [recording.name for recording in self.recordings],
+            "is_paired": [recording.is_paired for recording in self.recordings],
+            "seconds": list(self.seconds),
+            "conditions": self.conditions.to_values(),
+            "skeleton": self.representation.skeleton.to_json(),
+            "motion": self.representation.to_json(),
+            "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
+        }
+        with atomic_write(folder / "data.json") as temporary:
+            temporary.write_text(json.dumps(about), encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: Path, config: DiffusionConfig) -> TrainingData:
+        """Read what `save` wrote.
+
+        Raises:
+            ConfigError: the folder's data is missing or damaged.
+            WeightsError: the WavLM weights are not those that the run began with.
+        """
+        weights = None if config.features is None else config.features.weights
+        try:
+            about = json.loads((folder / "data.json").read_text(encoding="utf-8"))
+            tensors = load_file(folder / "data.safetensors")
+            paired, unpaired = about["seconds"]
+            return cls(
+                recordings=tuple(
+                    Recording(
+                        name,
+                        tensors[f"recording.{i}.motion"].numpy(),
+                        tensors[f"recording.{i}.condition"].numpy(),
+                        is_paired,
+                    )
+                    for i, (name, is_paired) in enumerate(
+                        zip(about["names"], about["is_paired"], strict=True)
+                    )
+                ),
+                seconds=(paired, unpaired),
+                representation=DeltaRepresentation.from_json(
+                    Skeleton.from_json(about["skeleton"]), about["motion"]
+                ),
+                conditions=Conditions.from_values(
+                    about["conditions"], tensors, config.fps, weights
+                ),
+                standardiser=Standardiser(tensors["motion.mean"], tensors["motion.scale"]),
+                speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
+            )
+        except af.WeightsError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+            raise ConfigError(
+                f"{folder}: the run's training data cannot be read ({error}); start a new run"
+            ) from error
