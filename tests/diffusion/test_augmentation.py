@@ -1,0 +1,195 @@
+"""Augmented motion obeys physics: speeds, distances, left and right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gesturekit as gk
+from gesturekit.diffusion.augmentation import (
+    mirror_condition,
+    other_side,
+    phases,
+    source_frames,
+    stretch,
+    stretch_factor,
+)
+from gesturekit.errors import ConfigError
+from gesturekit.evaluation.feet import foot_skate
+from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from gesturekit.training.seeds import generator
+
+
+@pytest.fixture
+def walk(gesture):
+    """Ten seconds along a curve, at a speed that varies about 1 m/s."""
+    motion = gesture(10.0)
+    time = motion.times
+    angle = 0.4 * time + 0.3 * np.sin(time)
+    speed = 1.0 + 0.5 * np.sin(1.7 * time)
+    places = np.cumsum(np.stack([speed * np.sin(angle), speed * np.cos(angle)], axis=-1) / 30, 0)
+    motion.translation[:, [0, 2]] = places
+    motion.rotations[:, 0] = multiply_quaternions(
+        quaternion_from_rotation_vector(np.outer(angle, [0.0, 1.0, 0.0])), motion.rotations[:, 0]
+    )
+    return motion
+
+
+def slower(representation: DeltaRepresentation, values: np.ndarray, factor: float) -> np.ndarray:
+    n_frames = int((len(values) - 1) * factor) + 1
+    maps = slice(0, representation.height_column)
+    steps = representation.root_columns
+    return stretch(values, 0.0, n_frames, factor, maps=maps, steps=steps)
+
+
+@pytest.mark.parametrize("factor", [0.9, 0.97, 1.1])
+def test_a_stretched_walk_goes_the_same_way_in_another_time(walk, factor):
+    representation = DeltaRepresentation.fit([walk])
+    values = representation.encode(walk)
+    made = representation.decode(slower(representation, values, factor), 30.0)
+    plain = representation.decode(values, 30.0)
+    there, here = RootPath.of(made), RootPath.of(plain)
+    at = np.arange(made.n_frames) / factor
+    for k in (0, 1):
+        way = np.interp(at, np.arange(plain.n_frames), here.positions[:, k])
+        assert np.abs(there.positions[:, k] - way).max() < 0.01, "of ten metres"
+    angle = np.interp(at, np.arange(plain.n_frames), here.headings)
+    assert np.abs(there.headings - angle).max() < 1e-3
+    assert there.speeds.sum() / there.fps == pytest.approx(
+        here.speeds.sum() / here.fps, rel=1e-2
+    ), "the same distance"
+    assert there.speeds.mean() == pytest.approx(here.speeds.mean() / factor, rel=1e-2)
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_standardised_columns_stretch_as_raw_ones_do(walk, factor):
+    representation = DeltaRepresentation.fit([walk])
+    steps = representation.encode(walk)[:, representation.root_columns]
+    mean, scale = np.array([0.1, 0.05, -0.2]), np.array([0.01, 0.02, 0.5])
+    n_frames = int((len(steps) - 1) * factor) + 1
+    raw = stretch(steps, 0.0, n_frames, factor, steps=slice(0, 3))
+    made = stretch(
+        (steps - mean) / scale, 0.0, n_frames, factor, steps=slice(0, 3), steps_offset=mean / scale
+    )
+    assert made * scale + mean == pytest.approx(raw)
+
+
+def test_a_window_is_the_part_of_the_stretched_whole_that_it_says(walk):
+    representation = DeltaRepresentation.fit([walk])
+    values = representation.encode(walk)
+    maps, steps = slice(0, representation.height_column), representation.root_columns
+    whole = stretch(values, 0.0, 320, 1.1, maps=maps, steps=steps)
+    # Frame 110 of the stretched motion is frame 100 of the recording.
+    window = stretch(values, 100.0, 50, 1.1, maps=maps, steps=steps)
+    assert window == pytest.approx(whole[110:160])
+    for factor, n_frames in ((0.9, 150), (1.0, 150), (1.1, 150), (0.9, 1)):
+        needed = source_frames(n_frames, factor)
+        assert stretch(values[:needed], 0.0, n_frames, factor).shape == (n_frames, values.shape[1])
+        with pytest.raises(ValueError, match="frames"):
+            stretch(values[: max(needed - 2, 0)], 1.0, n_frames, factor)
+    assert (stretch(values, 7.0, 20, 1.0, maps=maps, steps=steps) == values[7:27]).all()
+
+
+def test_a_glitch_is_not_blended_into_a_rotation_that_never_was():
+    values = np.zeros((10, 6))
+    values[5:, :3] = [0.0, 2.0, 2.6]
+    values[5:, 3:] = [0.0, 1.0, 0.0]
+    made = stretch(values, 0.0, 10, 1.1, maps=slice(0, 6))
+    assert set(map(tuple, made[:, :3])) == {(0.0, 0.0, 0.0), (0.0, 2.0, 2.6)}
+    assert ((made[:, 4] > 0) & (made[:, 4] < 1)).any()
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_no_event_is_lost_or_blurred(factor):
+    flags = np.zeros((400, 2), np.float32)
+    flags[[20, 21, 22, 50, 51, 97, 200, 333], 0] = 1.0
+    flags[:, 1] = np.arange(400) // 100
+    condition = np.concatenate([flags, np.linspace(0, 1, 400, dtype=np.float32)[:, None]], axis=1)
+    n_frames = int(399 * factor) + 1
+    made = stretch(condition, 0.0, n_frames, factor, flags=slice(0, 2))
+    assert set(made[:, 0]) == {0.0, 1.0}
+    at = np.flatnonzero(made[:, 0]) / factor
+    for event in (21, 50.5, 97, 200, 333):
+        assert np.abs(at - event).min() < 1.0
+    assert np.diff(np.concatenate([[0], made[:, 0]])).clip(0).sum() == 5, "five events"
+    assert made.dtype == np.float32
+
+
+def test_stretching_does_not_make_feet_slide(shared_data):
+    motion = gk.Motion.load(shared_data / "motion/bandai/dataset-1_bow_active_001.bvh")
+    representation = DeltaRepresentation.fit([motion])
+    values = representation.encode(motion)
+    plain = foot_skate(representation.decode(values, motion.fps))
+    for factor in (0.9, 1.1):
+        made = representation.decode(slower(representation, values, factor), motion.fps)
+        assert foot_skate(made) < 1.1 * plain / factor
+
+
+def test_a_share_of_the_windows_is_stretched():
+    factors = np.array([stretch_factor(generator("test", k), 0.2) for k in range(2000)])
+    assert np.mean(factors != 1.0) == pytest.approx(0.2, abs=0.03)
+    assert factors.min() < 0.91 < 1.09 < factors.max()
+    assert 0.9 <= factors.min() <= factors.max() <= 1.1
+    assert stretch_factor(generator("a"), 1.0) == stretch_factor(generator("a"), 1.0)
+
+
+@pytest.mark.parametrize(
+    "file", ["motion/bandai/dataset-2_wave-left-hand_normal_001.bvh", "motion/aitviewer/sample.bvh"]
+)
+def test_mirrored_motion_has_the_mirrored_vector(shared_data, file):
+    motion = gk.Motion.load(shared_data / file)
+    motion = motion.slice(0, min(300, motion.n_frames))
+    representation = DeltaRepresentation.fit([motion, motion.mirror()])
+    values, mirrored = (representation.encode(m) for m in (motion, motion.mirror()))
+    steps = representation.root_columns
+    told = mirror_condition(values, path=steps)
+    assert told[:, steps] == pytest.approx(mirrored[:, steps], abs=1e-9)
+    assert mirrored[:, representation.height_column] == pytest.approx(
+        values[:, representation.height_column]
+    )
+    twice = representation.encode(motion.mirror().mirror())
+    assert np.abs(twice - values).max() < 1e-9
+
+
+def test_conditions_are_mirrored_with_the_motion():
+    rng = np.random.default_rng(0)
+    condition = rng.standard_normal((40, 10))
+    names = ("kickLeft", "jump", "kickRight", "PUNCH_R", "PUNCH_L")
+    columns = {"path": slice(1, 4), "events": slice(4, 9), "event_names": names}
+    offset = np.array([0.3, -0.1, 2.0])
+    made = mirror_condition(condition, **columns, path_offset=offset)
+    assert made[:, [0, 2, 5, 9]] == pytest.approx(condition[:, [0, 2, 5, 9]])
+    raw = condition[:, 1:4] + offset
+    assert made[:, 1:4] + offset == pytest.approx(raw * [-1, 1, -1])
+    assert (made[:, [4, 6, 7, 8]] == condition[:, [6, 4, 8, 7]]).all()
+    assert mirror_condition(made, **columns, path_offset=offset) == pytest.approx(condition)
+    with pytest.raises(ConfigError, match=r"'kickLeft': mirrored it would be 'kickRight'"):
+        mirror_condition(condition, events=slice(4, 5), event_names=("kickLeft",))
+
+
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [("left hook", "right hook"), ("Kick-R", "Kick-L"), ("upright", "upright"), ("roll", "roll")],
+)
+def test_names_change_sides_by_whole_words(name, other):
+    assert other_side(name) == other
+    assert other_side(other) == name
+
+
+def test_every_frame_of_a_fast_recording_is_used(gesture):
+    motion = gesture(3.0, 60.0)
+    first, second = phases(motion, 30.0)
+    assert (first.start, second.start) == (0.0, pytest.approx(1 / 60))
+    assert first.motion.fps == second.motion.fps == 30.0
+    assert first.motion.rotations == pytest.approx(motion.rotations[::2])
+    assert second.motion.rotations == pytest.approx(motion.rotations[1::2])
+    assert len(phases(gesture(3.0, 120.0), 30.0)) == 4
+    assert len(phases(gesture(3.0, 25.0), 30.0)) == 1
+    assert len(phases(gesture(3.0, 75.0), 30.0)) == 1
+    assert len(phases(motion.slice(0, 1), 30.0)) == 1
+    nearly = replace(motion, fps=60.0 + 1e-9)
+    assert len(phases(nearly, 30.0)) == 2
