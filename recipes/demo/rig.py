@@ -110,19 +110,19 @@ def pose(
 
     put("Hips", pelvis)
     for name in ("Spine", "Spine1", "Spine2"):
-        put(name, _bend(spine / 3))
+        put(name, bend(spine / 3))
     for name in ("Neck", "Head"):
-        put(name, _bend(head / 2))
+        put(name, bend(head / 2))
     for side, arm in (("Left", left), ("Right", right)):
         for name, rotation in zip(("Shoulder", "Arm", "ForeArm", "Hand"), _arm(arm), strict=True):
-            put(side + name, rotation if side == "Left" else _mirrored(rotation))
+            put(side + name, rotation if side == "Left" else mirrored(rotation))
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
         for name, rotation in zip(("UpLeg", "Leg", "Foot"), _leg(hips, pelvis, sign), strict=True):
             put(side + name, rotation)
     return Motion(skeleton=rig, rotations=quaternions, translation=hips, fps=fps)
 
 
-def _bend(angles: np.ndarray) -> Rotation:
+def bend(angles: np.ndarray) -> Rotation:
     """Pitch, yaw and roll (T, 3) as rotations about x, y and z."""
     return Rotation.from_euler("YXZ", angles[:, [1, 0, 2]])
 
@@ -178,6 +178,6 @@ def _leg(hips: np.ndarray, pelvis: Rotation, sign: float) -> tuple[Rotation, Rot
     return pelvis.inv() * thigh, shin, (thigh * shin).inv() * foot
 
 
-def _mirrored(rotation: Rotation) -> Rotation:
+def mirrored(rotation: Rotation) -> Rotation:
     """The same rotation seen in a mirror at x = 0."""
     return Rotation.from_quat(rotation.as_quat() * np.array([1.0, -1.0, -1.0, 1.0]))

@@ -1,0 +1,104 @@
+"""The toy corpora: walks must be worth following, dances must meet their beats."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import audio_features as af
+from gesturekit.evaluation.feet import foot_skate
+from gesturekit.evaluation.rhythm import beat_alignment, music_beats
+from gesturekit.formats.root_path import load_root_path
+from gesturekit.motion import Motion
+from gesturekit.motion.contacts import foot_positions
+from gesturekit.motion.root_path import RootPath
+
+RECIPES = Path(__file__).resolve().parents[2] / "recipes"
+
+
+def prepare(recipe: str, folder: Path, clips: int, seconds: float) -> Path:
+    script = RECIPES / recipe / "prepare.py"
+    options = ["--out", folder, "--clips", clips, "--seconds", seconds, "--seed", 3]
+    subprocess.run([sys.executable, script, *map(str, options)], check=True, capture_output=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory) -> Path:
+    return prepare("diffusion_locomotion", tmp_path_factory.mktemp("walks"), 3, 10.0)
+
+
+@pytest.fixture(scope="module")
+def dances(tmp_path_factory) -> Path:
+    return prepare("diffusion_dance", tmp_path_factory.mktemp("dances"), 2, 10.0)
+
+
+def test_walkers_are_where_their_path_is(walks):
+    files = sorted(walks.glob("*.bvh"))
+    assert [file.name for file in files] == ["walk_00.bvh", "walk_01.bvh", "walk_02.bvh"]
+    for file in files:
+        motion, path = Motion.load(file), load_root_path(file.with_suffix(".path.csv"))
+        own = RootPath.of(motion)
+        assert motion.n_frames == path.n_frames == 600 and motion.fps == path.fps == 60.0
+        assert np.abs(own.positions - path.positions).max() < 1e-4
+        # The hips swing about the heading of the path.
+        assert np.abs(own.smoothed(60).headings - path.headings)[60:-60].max() < 0.1
+
+
+def test_standing_feet_neither_slide_nor_sink(walks):
+    for file in walks.glob("*.bvh"):
+        motion = Motion.load(file)
+        assert foot_skate(motion) < 0.06
+        toes = foot_positions(motion)[:, [1, 3]]
+        assert toes[..., 1].min() > 0.02 - 1e-4, "over the floor"
+        # Of the two feet one stands at any time, to the millimetre.
+        speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * motion.fps
+        assert np.quantile(speed.min(axis=1), 0.98) < 0.06
+
+
+def test_who_goes_faster_makes_more_steps(walks):
+    speeds, rates = [], []
+    for file in walks.glob("*.bvh"):
+        motion = Motion.load(file)
+        path = RootPath.of(motion)
+        stands = np.linalg.norm(np.diff(foot_positions(motion)[:, [1, 3]], axis=0), axis=-1) < 1e-3
+        lands = np.flatnonzero((stands[1:] & ~stands[:-1]).any(axis=1))
+        # A foot that rolls over its toes may stop twice.
+        lands = lands[np.diff(lands, prepend=-60) > 8]
+        rates += (60 / np.diff(lands)).tolist()
+        speeds += [path.speeds[a:b].mean() for a, b in zip(lands, lands[1:])]
+    assert np.ptp(speeds) > 0.5
+    assert np.corrcoef(speeds, rates)[0, 1] > 0.5
+
+
+def test_dancers_meet_the_beats_of_their_track(dances):
+    for file in sorted(dances.glob("*.bvh")):
+        motion, wave = Motion.load(file), af.Wave.load(file.with_suffix(".wav"))
+        assert motion.duration == pytest.approx(wave.duration)
+        found = beat_alignment(motion, music_beats(wave))
+        assert found.score > found.chance_mean + 1.5 * found.chance_sd
+        assert found.score > 0.6
+        assert foot_skate(motion) < 1e-3
+
+
+def test_tempos_differ_from_track_to_track(dances):
+    gaps = [
+        np.median(np.diff(music_beats(af.Wave.load(file)))) for file in sorted(dances.glob("*.wav"))
+    ]
+    assert np.ptp(60 / np.array(gaps)) > 10
+
+
+def test_the_same_seed_gives_the_same_bytes_however_many_clips(walks, tmp_path):
+    again = prepare("diffusion_locomotion", tmp_path, 1, 10.0)
+    assert sorted(file.name for file in again.iterdir()) == ["walk_00.bvh", "walk_00.path.csv"]
+    assert all(file.read_bytes() == (walks / file.name).read_bytes() for file in again.iterdir())
+
+
+def test_a_dance_is_the_same_again(dances, tmp_path):
+    again = prepare("diffusion_dance", tmp_path, 1, 10.0)
+    assert sorted(file.name for file in again.iterdir()) == ["dance_00.bvh", "dance_00.wav"]
+    assert all(file.read_bytes() == (dances / file.name).read_bytes() for file in again.iterdir())
