@@ -53,9 +53,10 @@ class PositionBias(nn.Module):
     def table(self, reach: int) -> Tensor:
         """(H, 2 reach + 1): the bias for queries `reach` frames before the key up to after it."""
         distance = torch.arange(-reach, reach + 1, device=self.slopes.device).float()
-        apart = (distance[:, None, None] - self.offsets) / self.widths
-        kernels = self.amplitudes.abs() * torch.sigmoid(self.amplitudes.sign() * apart)
-        score = torch.log(kernels.sum(-1) + self.floors.abs() + LEAST)
+        amplitudes = self.amplitudes.float()
+        apart = (distance[:, None, None] - self.offsets.float()) / self.widths.float()
+        kernels = amplitudes.abs() * torch.sigmoid(amplitudes.sign() * apart)
+        score = torch.log(kernels.sum(-1) + self.floors.float().abs() + LEAST)
         return (score - distance.abs()[:, None] * self.slopes).T
 
 

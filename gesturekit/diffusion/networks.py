@@ -101,6 +101,9 @@ def kaiming(n_in: int, n_out: int) -> nn.Linear:
 class Denoiser(nn.Module):
     """Tells the noise (or the velocity) of a noisy motion, given what it should look like.
 
+    `to(torch.bfloat16)` makes a network that takes half the memory and, on CPUs that multiply such
+    numbers, half the time; motions go in and come out in their own precision.
+
     Args:
         n_motion: X, numbers a frame.
         n_condition: C, numbers a frame of the condition; 0 for none.
@@ -187,8 +190,8 @@ class Denoiser(nn.Module):
     def _told(self, condition: Tensor) -> Tensor:
         """(blocks, B, T, channels) of a condition."""
         if self.project_condition is None:
-            return condition.new_zeros(self.config.blocks, 1, 1, 1)
-        told = self.project_condition(condition)
+            return self.enter.weight.new_zeros(self.config.blocks, 1, 1, 1)
+        told = self.project_condition(condition.to(self.enter.weight.dtype))
         return told.unflatten(-1, (self.config.blocks, -1)).movedim(-2, 0)
 
     def _steps(self, step: Tensor) -> Tensor:
@@ -212,7 +215,7 @@ class Denoiser(nn.Module):
     def _run(
         self, noisy: Tensor, steps: Tensor, told: Tensor, bands: list[list[list[Band]]]
     ) -> Tensor:
-        x = self.enter(noisy).relu()
+        x = self.enter(noisy.to(self.enter.weight.dtype)).relu_()
         total = 0
         for i, (stack, split) in enumerate(zip(self.stacks, self.split, strict=True)):
             y = x + (steps[i] + told[i])
@@ -221,4 +224,5 @@ class Denoiser(nn.Module):
             kept, skipped = split(gate.sigmoid() * signal.tanh()).chunk(2, -1)
             x = (x + kept) * math.sqrt(0.5)
             total = total + skipped
-        return self.leave(self.gather(total * len(self.stacks) ** -0.5).relu())
+        total = total * len(self.stacks) ** -0.5
+        return self.leave(self.gather(total).relu_()).to(noisy.dtype)
