@@ -79,6 +79,18 @@ from gesturekit.cli.options import channel_option, comma_separated, given, rig_p
     help="A motion, of any rig of a person, to be done in the manner of the model.",
 )
 @click.option(
+    "--path",
+    type=click.Path(path_type=Path),
+    metavar="PATH.csv",
+    help="Where to go: a table time,x,z[,heading] (s, m, degrees), or a motion whose way to take.",
+)
+@click.option(
+    "--keep",
+    metavar="FILE[@SECONDS],...",
+    help="Motions that stay as they are, and when each begins: clip.bvh is continued up to "
+    "--seconds; a.bvh@0,b.bvh@6 is filled in between.",
+)
+@click.option(
     "--foot-lock/--no-foot-lock",
     default=True,
     help="Keep feet where they stand, or leave them as the model moves them.  [default: keep]",
@@ -111,12 +123,15 @@ def command(
     keyframes: Path | None,
     keyframe_level: int | None,
     like: Path | None,
+    path: Path | None,
+    keep: str | None,
     foot_lock: bool,
     smooth: float | None,
 ) -> None:
     """Turn each WAV (or folder of audio) into motion, as long as the sound.
 
-    Models that do not hear take --seconds, --keyframes or --like instead of any WAV.
+    Models that do not hear take --seconds, --keyframes, --like, --path or --keep instead of any
+    WAV.
 
     One broken file never stops the others: it is listed with its reason, and the exit code is 1.
     """
@@ -127,15 +142,20 @@ def command(
     from gesturekit.systems import load
 
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
-    if keyframes is not None and like is not None:
-        raise click.UsageError("--keyframes and --like are both a motion to start from: give one.")
-    start_from = keyframes or like
-    if keyframe_level is not None and start_from is None:
+    start_from = {"--keyframes": keyframes, "--like": like, "--path": path, "--keep": keep}
+    named = [name for name, value in start_from.items() if value is not None]
+    if len(named) > 1:
+        raise click.UsageError(
+            f"{' and '.join(named)} are all that a motion starts from: give one."
+        )
+    if keyframe_level is not None and keyframes is None and like is None:
         raise click.UsageError("--keyframe-level goes with --keyframes or --like.")
-    if not sources and seconds is None and start_from is None:
+    if not sources and seconds is None and not named:
         raise click.UsageError("Give audio files, or --seconds for an idle motion.")
     if sources and seconds is not None:
         raise click.UsageError("--seconds goes without audio: a motion is as long as its speech.")
+    if path is not None and seconds is not None:
+        raise click.UsageError("--seconds goes without --path: a motion is as long as its path.")
     if rig_parts and rig is None:
         raise click.UsageError("--rig-part names parts of the body that --rig gives.")
     loaded = load(model, weights=weights)
@@ -156,8 +176,11 @@ def command(
             style=style,
             level_style=level_style,
             levels=levels,
-            keyframes=start_from,
+            keyframes=keyframes,
             keyframe_level=keyframe_level,
+            like=like,
+            path=path,
+            keep=None if keep is None else _placed_files(keep),
         ),
         foot_lock=foot_lock,
         smooth=smooth,
@@ -168,3 +191,21 @@ def command(
             failed += 1
             click.echo(f"Failed: {outcome.error}", err=True)
     ctx.exit(1 if failed else 0)
+
+
+def _placed_files(text: str) -> dict[float, str]:
+    """a.bvh@0,b.bvh@6: files by the second at which they begin; without @ at 0."""
+    placed: dict[float, str] = {}
+    for item in comma_separated(text):
+        name, at, second = item.rpartition("@")
+        try:
+            begin = float(second) if at else 0.0
+        except ValueError:
+            name, begin = item, 0.0  # an @ in the file's name
+        if begin in placed:
+            raise click.UsageError(
+                f"--keep: {placed[begin]} and {name or item} both begin at {begin:g} s; say when, "
+                "as b.bvh@6."
+            )
+        placed[begin] = name or item
+    return placed

@@ -33,6 +33,7 @@ def sample(
     *,
     first: int = 0,
     coarser: Tensor | None = None,
+    hold: Callable[[int, Tensor], Tensor] | None = None,
     chunk: int = CHUNK,
 ) -> Tensor:
     """The finest of `network(noises, conditions, ...)`, in bounded memory beside it.
@@ -45,6 +46,8 @@ def sample(
         coarser: (B, D, T) the level before `first`; None at the first level of all. Without any
             level above it, it is what comes back.
         condition: asked for each piece of each level; None leaves out the modulation.
+        hold: given the number of a level and all that it made, (B, D, T_i); what it gives back
+            goes on to the next level. See `holding`.
         chunk: frames made at a time.
 
     Returns:
@@ -66,7 +69,7 @@ def sample(
             told = None if condition is None else condition(i, begin, end)
             piece = level(up, shaken, told)
             made[..., start:stop] = piece[..., start - begin : stop - begin]
-        coarser = made
+        coarser = made if hold is None else hold(i, made)
     return coarser
 
 

@@ -8,6 +8,7 @@ first the motion is a coarse level that was edited, for the second it is anythin
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -16,7 +17,9 @@ from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.retarget import retarget
+from gesturekit.motion.rotations import slerp
 from gesturekit.multires.interpolation import resample
+from gesturekit.postprocess import lock_feet
 
 _UNTOUCHED = 0.01
 """Vectors nearer than this (6D entries, labels, m) differ by the rounding of a file alone."""
@@ -63,12 +66,7 @@ def motion_level(
         ModelError: another rig that cannot be put in the place of the model's.
     """
     n_frames = lengths[-1]
-    rig = representation.skeleton
-    if (motion.skeleton.names, motion.skeleton.parents) != (rig.names, rig.parents):
-        try:
-            motion = retarget(motion, rig)
-        except MotionError as error:
-            raise ModelError(f"the motion cannot be put on the model's rig: {error}") from None
+    motion = on_rig(representation, motion)
     if motion.n_frames == lengths[level] and motion.n_frames < n_frames:
         values = representation.encode(motion)
         values[:, [-3, -1]] *= lengths[level] / n_frames
@@ -77,7 +75,24 @@ def motion_level(
     return resample(torch.from_numpy(values.T), lengths[level]).T.numpy()
 
 
-def keep_unedited(edited: np.ndarray, made: np.ndarray, read: np.ndarray) -> np.ndarray:
+def on_rig(representation: MultiresRepresentation, motion: Motion) -> Motion:
+    """The motion, moved to the model's rig where it has another one.
+
+    Raises:
+        ModelError: that cannot be done.
+    """
+    rig = representation.skeleton
+    if (motion.skeleton.names, motion.skeleton.parents) == (rig.names, rig.parents):
+        return motion
+    try:
+        return retarget(motion, rig)
+    except MotionError as error:
+        raise ModelError(f"the motion cannot be put on the model's rig: {error}") from None
+
+
+def keep_unedited(
+    edited: np.ndarray, made: np.ndarray, read: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Vectors (T_i, D) of an edited level, with all that nobody touched as it was made.
 
     A file holds rotations and no labels: contacts between yes and no, and rotation columns
@@ -87,9 +102,49 @@ def keep_unedited(edited: np.ndarray, made: np.ndarray, read: np.ndarray) -> np.
         edited: vectors read from the edited motion.
         made: what the network made; `edited` comes back where no frame of it is to be found.
         read: the same, read from the motion that was edited.
+
+    Returns:
+        the vectors, and (T_i, D) bool, what of them was edited.
     """
     same = np.abs(edited - read) < _UNTOUCHED
-    return np.where(same, made, edited) if same.all(axis=1).any() else edited
+    if not same.all(axis=1).any():
+        return edited, np.ones(edited.shape, bool)
+    return np.where(same, made, edited), ~same
+
+
+def lock_feet_but(
+    motion: Motion, contacts: np.ndarray, given: np.ndarray, *, keep_path: bool
+) -> Motion:
+    """`lock_feet`, coming and going where feet are to stay as they were given.
+
+    Args:
+        motion: T frames.
+        contacts: (T, C) labels.
+        given: (T,) 1 where the motion stays as it is, 0 where feet are locked.
+        keep_path: see `lock_feet`.
+    """
+    locked = lock_feet(motion, contacts, keep_path=keep_path)
+    if not given.any():
+        return locked
+    given = given[:, None]
+
+    def mixed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        between = before + (1 - given) * (after - before)
+        return np.where(given == 0, after, np.where(given == 1, before, between))
+
+    turns = slerp(
+        motion.rotations, locked.rotations, np.broadcast_to(1 - given, motion.rotations.shape[:2])
+    )
+    turns = np.where(given[..., None] == 1, motion.rotations, turns)
+    return replace(
+        locked,
+        rotations=np.where(given[..., None] == 0, locked.rotations, turns),
+        translation=mixed(motion.translation, locked.translation),
+        joint_translations={
+            name: mixed(motion.joint_translations[name], places)
+            for name, places in locked.joint_translations.items()
+        },
+    )
 
 
 def full_frames(motion: Motion, fps: float) -> int:

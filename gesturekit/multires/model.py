@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,31 +16,46 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner, hear
 from gesturekit.errors import ModelError
+from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.chunks import Condition, LevelConditions, sample
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.data import Normaliser
-from gesturekit.multires.editing import full_frames, keep_unedited, level_motion, motion_level
+from gesturekit.multires.editing import (
+    full_frames,
+    keep_unedited,
+    level_motion,
+    lock_feet_but,
+    motion_level,
+)
+from gesturekit.multires.holding import (
+    Hold,
+    KeyframeHold,
+    PathHold,
+    fastest_second,
+    normalised,
+    plain_values,
+)
 from gesturekit.multires.interpolation import resample
+from gesturekit.multires.keeping import KeptParts, moved
+from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.styles import asked_styles, level_track
-from gesturekit.postprocess import lock_feet
-from gesturekit.training.config import build, to_dict
-from gesturekit.training.model_folder import ModelParts, load_model, model_readme, save_model
+from gesturekit.training.model_folder import load_model, model_readme, save_model
 from gesturekit.training.seeds import generator
 
 _MARGIN_COARSE = 2
 """Frames of the first level that are made before a motion and after it, and cut off."""
 
 
-@dataclass(frozen=True)
-class TrainedSequence:
-    """A training sequence, as far as its reconstruction needs it: frames, and its style."""
+_TOO_FAST = 1.25
+_STROLL = 0.1
+"""Times the fastest second in training, and m/s: faster than both is worth a warning."""
 
-    frames: int
-    style: str | None = None
+log = logging.getLogger(__name__)
 
 
 class MultiresModel:
@@ -58,6 +74,7 @@ class MultiresModel:
         z_star: the noise from which each training sequence is reconstructed, by its name.
         sequences: what else that takes, by its name.
         speakers: a reference skeleton for each speaker that the corpus named.
+        fastest: m/s over the ground in the fastest second of the training; None if unknown.
     """
 
     kind = "multires"
@@ -77,6 +94,7 @@ class MultiresModel:
         z_star: Mapping[str, Tensor],
         sequences: Mapping[str, TrainedSequence],
         speakers: Mapping[str, Skeleton],
+        fastest: float | None = None,
     ) -> None:
         self.fps = fps
         self.representation = representation
@@ -90,6 +108,7 @@ class MultiresModel:
         self.z_star = dict(z_star)
         self.sequences = dict(sequences)
         self.speakers = dict(speakers)
+        self.fastest = fastest
 
     @property
     def skeleton(self) -> Skeleton:
@@ -111,7 +130,7 @@ class MultiresModel:
         speech: str | Path | af.Wave | None = None,
         *,
         style: str | None = None,
-        path: str | Path | None = None,
+        path: str | Path | RootPath | None = None,
         events: Any = None,
         seconds: float | None = None,
         samples: int = 1,
@@ -122,6 +141,8 @@ class MultiresModel:
         levels: int | None = None,
         keyframes: str | Path | Motion | None = None,
         keyframe_level: int = 1,
+        like: str | Path | Motion | None = None,
+        keep: Mapping[float, str | Path | Motion] | None = None,
         foot_lock: bool = True,
     ) -> Motion | list[Motion]:
         """Motion, as long as the speech or `seconds`; frame k is at k / fps.
@@ -134,7 +155,9 @@ class MultiresModel:
             seed: the same seed, speech and sample number give the same motion.
             style: one of `styles`, or spans of seconds that blend into one another:
                 `old@0-10,angry@10-20`. None draws one for each sample.
-            path: this kind of model has none.
+            path: what the root follows over the ground, within 10 cm, facing where the path looks:
+                a table or a motion file (`load_root_path`), or a `RootPath`. Without speech it
+                decides the length; where it is shorter than the speech, the body stays at its end.
             events: this kind of model has none.
             guidance: this kind of model has none.
             speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
@@ -144,10 +167,15 @@ class MultiresModel:
                 comes back as `keyframes`. It is made without margins, and so is not the beginning
                 of what the same seed makes whole.
             keyframes: a motion that takes the place of a coarse level; the finer levels add
-                detail. It decides the length, and all but this: where it is what this `seed`
-                made by `levels`, the untouched parts are taken as they were made.
-                Of the model's rig, or of another one that moves like it (style transfer).
+                detail, and what is slow stays as it is given. It decides the length, and all but
+                this: where it is what this `seed` made by `levels`, the untouched parts are taken
+                as they were made. Of the model's rig, or of another one that moves like it.
             keyframe_level: which level that is, 1 the coarsest.
+            like: as `keyframes`, but the finer levels may change all of it: a motion done in the
+                manner of the model (style transfer).
+            keep: motions by the second at which each begins; the model makes what is between,
+                before and after them, up to `seconds` or to the end of the last one. They come
+                back as they are, and where they are in the world.
             foot_lock: keep feet where they stand, by the contact labels that the model makes; see
                 `gesturekit.postprocess`. False gives the motion as it comes out of the network.
 
@@ -156,7 +184,7 @@ class MultiresModel:
                 nor seconds.
             AudioError: the speech cannot be read.
         """
-        unknown = {"path": path, "events": events, "guidance": guidance}
+        unknown = {"events": events, "guidance": guidance}
         if not self.styles:
             unknown |= {"style": style, "level_style": level_style}
         for name, value in unknown.items():
@@ -171,17 +199,52 @@ class MultiresModel:
         for name, value in {"levels": levels, "keyframe_level": keyframe_level}.items():
             if value is not None and not 1 <= value <= n_levels:
                 raise ModelError(f"{name}={value}: the model has levels 1 (coarse) to {n_levels}")
-        if isinstance(keyframes, (str, Path)):
-            keyframes = Motion.load(keyframes)
-        if keyframes is not None and speech is None and seconds is None:
-            seconds = full_frames(keyframes, self.fps) / self.fps
-        features = hear(self.conditioner, speech, seconds, self.fps)
+        controls = {"path": path, "keyframes": keyframes, "like": like, "keep": keep}
+        named = [name for name, value in controls.items() if value is not None]
         # A coarse level is edited frame by frame: its own frames, and none around them.
-        whole = keyframes is None and levels in (None, n_levels)
+        whole = keyframes is None and like is None and levels in (None, n_levels)
+        if len(named) > 1 or (named in (["path"], ["keep"]) and not whole):
+            raise ModelError(f"{' and '.join(named)}: give one of them, and all levels with it")
+        if keep is not None and speaker is not None:
+            raise ModelError("keep goes without speaker: what is kept has a body of its own")
+        skeleton = None if speaker is None else self.speakers[speaker]
+        start = keyframes if like is None else like
+        if isinstance(start, (str, Path)):
+            start = Motion.load(start)
+        if start is not None and speech is None and seconds is None:
+            seconds = full_frames(start, self.fps) / self.fps
+        kept = None if keep is None else KeptParts(keep, self.representation, self.fps)
+        if kept is not None and speech is None and seconds is None:
+            seconds = kept.end / self.fps
+        if path is not None and not isinstance(path, RootPath):
+            path = load_root_path(path)
+        if path is not None and speech is None:
+            if seconds is not None:
+                raise ModelError("seconds goes without path: the motion is as long as its path")
+            # A path ends where its last row is.
+            seconds = (path.n_frames - 1) / path.fps + 1 / self.fps
+        features = hear(self.conditioner, speech, seconds, self.fps)
+        n_frames = len(features)
+        if kept is not None and kept.end > n_frames:
+            raise ModelError(
+                f"keep: the last part ends at {kept.end / self.fps:g} s, after the motion's end "
+                f"({n_frames / self.fps:g} s)"
+            )
         margin = self.margin if whole else 0
         # Mirrored, the speech goes on as it is at its ends: talking or silent.
         features = np.pad(features, ((margin, margin), (0, 0)), mode="reflect")
         lengths = af.level_lengths(len(features), n_levels)
+        along = held = None
+        if path is not None:
+            path = path.resample(self.fps, n_frames)
+            size = self.representation.size_of(skeleton)
+            own = replace(path, positions=path.positions / size)
+            held = along = PathHold(own, self.representation, self.normaliser, lengths, margin)
+            steps = np.diff(own.positions, axis=0)
+            self._warn_of_speed("the path", fastest_second(steps, self.fps))
+        elif kept is not None:
+            self._warn_of_speed("between the kept parts the body", kept.fastest_gap())
+            held = kept.hold(self.normaliser, lengths, margin)
 
         def motion(number: int) -> Motion:
             told: list[Tensor] = []
@@ -189,17 +252,35 @@ class MultiresModel:
                 rng = generator(seed, "sample", number, "style")
                 told = asked_styles(self.styles, style, level_style, lengths, self.fps, rng, margin)
             condition = self._condition(features, lengths, told)
-            if keyframes is not None:
-                vectors = self._above(
-                    keyframes, keyframe_level - 1, condition, lengths, seed, number
+            given = np.zeros(n_frames) if kept is None else kept.given(n_frames)
+            if start is not None:
+                values, edited = self._in_place(
+                    start, keyframe_level - 1, condition, lengths, seed, number
                 )
+                coarse = normalised(self.normaliser, values)
+                hold = None
+                if like is None:
+                    hold = KeyframeHold(coarse, edited, self.representation)
+                    given = hold.stepped(n_frames)
+                vectors = self._above(coarse, keyframe_level, condition, lengths, hold)
             else:
-                vectors = self._sample(condition, lengths[:levels], seed, number)
-            values = self._values(vectors[..., margin : vectors.shape[-1] - margin])
-            if keyframes is None and not whole:
+                vectors = self._sample(condition, lengths[:levels], seed, number, held)
+            values = self._values(vectors)
+            if along is not None:
+                values = along.placed(values)
+            values = values[margin : len(values) - margin]
+            if start is None and not whole:
                 return level_motion(self.representation, values, self.fps, lengths[-1])
-            skeleton = None if speaker is None else self.speakers[speaker]
-            return self._decoded(values, skeleton, foot_lock)
+            if kept is not None:
+                made = kept.placed(values)
+            else:
+                made = self.representation.decode(values, self.fps, skeleton=skeleton)
+            if path is not None:
+                made = moved(self.representation, made, path.positions[0])
+            if foot_lock:
+                labels = self.representation.contacts(values)
+                made = lock_feet_but(made, labels, given, keep_path=held is not None)
+            return made if kept is None else kept.restored(made)
 
         # One motion at a time: in a batch, sums would be made in another order, and a motion
         # would depend on how many were asked for.
@@ -238,7 +319,7 @@ class MultiresModel:
         vectors = sample(self.network, noises, lengths, condition)
         return self.representation.decode(self._values(vectors), self.fps)
 
-    def _above(
+    def _in_place(
         self,
         motion: Motion,
         level: int,
@@ -246,19 +327,35 @@ class MultiresModel:
         lengths: list[int],
         seed: int,
         number: int,
-    ) -> Tensor:
-        """(1, D, T) what the levels above make of a motion in the place of this one."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(T_i, D) vectors of a motion in the place of a level, and which of them were edited."""
         values = motion_level(self.representation, motion, self.fps, lengths, level)
-        if motion.n_frames == lengths[level]:
-            # Perhaps an edit of what this seed made.
-            made = self._values(self._sample(condition, lengths[: level + 1], seed, number))
-            unedited = level_motion(self.representation, made, self.fps, lengths[-1])
-            read = motion_level(self.representation, unedited, self.fps, lengths, level)
-            values = keep_unedited(values, made, read)
-        given = self.normaliser.forward(torch.from_numpy(values.T).float()[None])
-        above = level + 1
-        noises = [None] * (len(lengths) - above)
-        return sample(self.network, noises, lengths[above:], condition, first=above, coarser=given)
+        if motion.n_frames != lengths[level]:
+            return values, np.ones(values.shape, bool)
+        # Perhaps an edit of what this seed made.
+        made = self._values(self._sample(condition, lengths[: level + 1], seed, number))
+        unedited = level_motion(self.representation, made, self.fps, lengths[-1])
+        read = motion_level(self.representation, unedited, self.fps, lengths, level)
+        return keep_unedited(values, made, read)
+
+    def _above(
+        self,
+        coarse: Tensor,
+        above: int,
+        condition: Condition | None,
+        lengths: list[int],
+        hold: Hold | None,
+    ) -> Tensor:
+        """(1, D, T) what the levels from `above` on make of a level (1, D, T_i) below them."""
+        return sample(
+            self.network,
+            [None] * (len(lengths) - above),
+            lengths[above:],
+            condition,
+            first=above,
+            coarser=coarse,
+            hold=hold,
+        )
 
     def _condition(
         self, features: np.ndarray, lengths: Sequence[int], styles: Sequence[Tensor]
@@ -269,60 +366,40 @@ class MultiresModel:
         return LevelConditions(features, lengths, self.residual, styles)
 
     def _sample(
-        self, condition: Condition | None, lengths: list[int], seed: int, number: int
+        self,
+        condition: Condition | None,
+        lengths: list[int],
+        seed: int,
+        number: int,
+        hold: Hold | None = None,
     ) -> Tensor:
         """(1, D, T) normalised motion vectors of sample `number`, margins included."""
         rng = generator(seed, "sample", number, "level", 1)
         spread = self.sigma[:, 0].mean()
         noises: list[Tensor | None] = [torch.randn(1, 1, lengths[0], generator=rng) * spread]
         noises += [None] * (len(lengths) - 1)
-        return sample(self.network, noises, lengths, condition)
+        return sample(self.network, noises, lengths, condition, hold=hold)
 
     def _values(self, vectors: Tensor) -> np.ndarray:
         """(T, 6 K + C + 3) normalised vectors (1, D, T) in their own units."""
-        values = self.normaliser.inverse(vectors)[0].T.double().numpy()
+        values = plain_values(self.normaliser, vectors)
         if not np.isfinite(values).all():
             raise ModelError("the model gave NaN; its weights are damaged or it was trained badly")
         return values
 
-    def _decoded(self, values: np.ndarray, skeleton: Skeleton | None, foot_lock: bool) -> Motion:
-        motion = self.representation.decode(values, self.fps, skeleton=skeleton)
-        if not foot_lock:
-            return motion
-        return lock_feet(motion, self.representation.contacts(values))
+    def _warn_of_speed(self, what: str, speed: float) -> None:
+        if self.fastest is not None and speed > max(_TOO_FAST * self.fastest, _STROLL):
+            log.warning(
+                "%s goes %.2f m/s; nothing in the training was faster than %.2f m/s, and feet will "
+                "slide",
+                what,
+                speed,
+                self.fastest,
+            )
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
-        config = {
-            "kind": self.kind,
-            "fps": self.fps,
-            "joints": list(self.representation.joints),
-            "features": None
-            if self.conditioner is None
-            else {
-                "spec": self.conditioner.extractor.spec,
-                "align": self.conditioner.align,
-                "residual": self.residual,
-            },
-            "styles": list(self.styles),
-            "network": to_dict(self.network_config),
-            "sequences": {name: asdict(about) for name, about in self.sequences.items()},
-        }
-        rig = {
-            "skeleton": self.skeleton.to_json(),
-            "motion": self.representation.to_json(),
-            "speakers": {name: body.to_json() for name, body in self.speakers.items()},
-        }
-        tensors = {f"network.{k}": v.contiguous() for k, v in self.network.state_dict().items()}
-        tensors |= {f"z_star.{name}": value for name, value in self.z_star.items()}
-        tensors |= {
-            "sigma": self.sigma,
-            "motion.mean": self.normaliser.mean,
-            "motion.scale": self.normaliser.scale,
-        }
-        if self.conditioner is not None:
-            tensors["features.centre"] = torch.from_numpy(self.conditioner.centre)
-            tensors["features.scale"] = torch.from_numpy(self.conditioner.scale)
+        config, rig, tensors = model_parts(self)
         save_model(folder, config, rig, tensors, self._readme(notes or {}))
 
     def _readme(self, notes: Mapping[str, str]) -> str:
@@ -352,48 +429,4 @@ class MultiresModel:
             ModelError: a part is missing, damaged, or of a newer format.
             WeightsError: weights are asked for, or are not those of training.
         """
-        return load_model(folder, cls.kind, lambda parts: cls._assemble(parts, weights))
-
-    @classmethod
-    def _assemble(cls, parts: ModelParts, weights: str | Path | None) -> MultiresModel:
-        config, rig, tensors = parts.config, parts.rig, parts.tensors
-        where = str(parts.folder / "config.yaml")
-        fps = float(config["fps"])
-        skeleton = Skeleton.from_json(rig["skeleton"])
-        representation = MultiresRepresentation.from_json(skeleton, rig["motion"])
-        features, conditioner = config["features"], None
-        if features is not None:
-            conditioner = SpeechConditioner(
-                af.extractor_from_spec(features["spec"], weights=weights),
-                fps,
-                features["align"],
-                tensors["features.centre"].numpy(),
-                tensors["features.scale"].numpy(),
-            )
-        styles = tuple(map(str, config.get("styles", ())))
-        n_condition = len(styles) + (0 if conditioner is None else conditioner.dim)
-        network_config = build(NetworkConfig, config["network"], where=where)
-        network = MultiresGenerator(representation, n_condition, network_config)
-        network.load_state_dict(
-            {k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")}
-        )
-        return cls(
-            fps=fps,
-            representation=representation,
-            conditioner=conditioner,
-            styles=styles,
-            normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
-            network_config=network_config,
-            residual=bool(features and features["residual"]),
-            network=network.eval(),
-            sigma=tensors["sigma"],
-            z_star={
-                k.removeprefix("z_star."): v for k, v in tensors.items() if k.startswith("z_star.")
-            },
-            # Models of before this was kept can do all but reconstruct.
-            sequences={
-                name: build(TrainedSequence, about, where=where)
-                for name, about in config.get("sequences", {}).items()
-            },
-            speakers={name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
-        )
+        return load_model(folder, cls.kind, lambda parts: cls(**model_arguments(parts, weights)))

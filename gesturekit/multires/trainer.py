@@ -19,10 +19,12 @@ from gesturekit.errors import ModelError
 from gesturekit.multires.bank import Bank, Windows
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.data import TrainingData, load_training_data
+from gesturekit.multires.holding import fastest_second, plain_values
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.listening import ArmSpeedTarget
-from gesturekit.multires.model import MultiresModel, TrainedSequence
+from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.monitor import Monitor
 from gesturekit.multires.networks import (
     LevelDiscriminator,
@@ -174,6 +176,13 @@ class _Trainer:
                 for sequence in self.data.paired
             },
             speakers=self.data.speakers,
+            fastest=max(
+                fastest_second(
+                    plain_values(self.data.normaliser, sequence.motion[None])[:, [-3, -1]],
+                    self.config.fps,
+                )
+                for sequence in self.data.paired
+            ),
         )
         last = self.folder.last_metrics()
         folder = self.folder.folder / "model"
