@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -47,7 +48,44 @@ from gesturekit.cli.options import channel_option, comma_separated, given, rig_p
 @click.option(
     "--style",
     metavar="NAME",
-    help="A style that the model knows, or several over time: old@0-10,angry@10-20 (seconds).",
+    help="A style that the model knows, or several over time: old@0-10,angry@10-20 (seconds). "
+    "Diffusion models mix them by weights that add up to 1: old:0.25,angry:0.75.",
+)
+@click.option(
+    "--guidance",
+    type=float,
+    metavar="GAMMA",
+    help="Above 1 a style is exaggerated, below 1 subdued; 0 leaves it out.",
+)
+@click.option(
+    "--unconditional",
+    metavar="MODEL",
+    help="The model without styles that guidance leads away from.  [default: the same one]",
+)
+@click.option(
+    "--events",
+    metavar="NAME@SECONDS,...",
+    help="What happens when: kick@1.0,punch@2.5:0.5 (lasting half a second), kick@beats (of the "
+    "WAV), or a table time,name[,duration] (.csv).",
+)
+@click.option(
+    "--expert",
+    "experts",
+    multiple=True,
+    metavar="MODEL[:WEIGHT[:STYLE]]",
+    help="A further model that must agree to each movement; --model has what is left of 1. Without "
+    "weights, all count alike. May be repeated.",
+)
+@click.option(
+    "--steps",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Denoising steps; 10 to 20 are quick.  [default: all, as in training]",
+)
+@click.option(
+    "--solver",
+    type=click.Choice(["ancestral", "ddim", "dpm"]),
+    help="How they are taken.  [default: dpm with --steps, else ancestral]",
 )
 @click.option(
     "--level-style",
@@ -118,6 +156,12 @@ def command(
     rig: str | None,
     rig_parts: tuple[str, ...],
     style: str | None,
+    guidance: float | None,
+    unconditional: str | None,
+    events: str | None,
+    experts: tuple[str, ...],
+    steps: int | None,
+    solver: str | None,
     level_style: str | None,
     levels: int | None,
     keyframes: Path | None,
@@ -174,6 +218,12 @@ def command(
         rig_parts=parse_parts(rig_parts),
         controls=given(
             style=style,
+            guidance=guidance,
+            unconditional=None if unconditional is None else load(unconditional, weights=weights),
+            events=events,
+            experts=[_expert(text, weights) for text in experts] or None,
+            steps=steps,
+            solver=solver,
             level_style=level_style,
             levels=levels,
             keyframes=keyframes,
@@ -191,6 +241,21 @@ def command(
             failed += 1
             click.echo(f"Failed: {outcome.error}", err=True)
     ctx.exit(1 if failed else 0)
+
+
+def _expert(text: str, weights: Path | None) -> tuple[Any, float | None, str | None]:
+    """MODEL[:WEIGHT[:STYLE]]: the model, its weight, its style."""
+    from gesturekit.systems import load
+
+    model, _, rest = text.partition(":")
+    weight, _, style = rest.partition(":")
+    try:
+        share = float(weight) if weight else None
+    except ValueError:
+        raise click.UsageError(
+            f"--expert {text}: {weight!r} is no weight; expected MODEL[:WEIGHT[:STYLE]]."
+        ) from None
+    return load(model, weights=weights), share, style or None
 
 
 def _placed_files(text: str) -> dict[float, str]:

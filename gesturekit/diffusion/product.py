@@ -143,7 +143,7 @@ class Product:
         )
         weights = [None, *(weight for _, weight, _ in own)]
         rest = 1.0 - sum(np.asarray(w, np.float64) for w in weights if w is not None)
-        share = rest / weights.count(None) if None in weights else rest
+        share = rest / sum(weight is None for weight in weights)
         return cls(
             (*models, *(() if unconditional is None else (unconditional,))),
             tuple(share if weight is None else weight for weight in weights),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import audio_features as af
-from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.errors import ConfigError, GestureKitError, ModelError
 from gesturekit.formats.rig import Rig
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion.motion import Motion
@@ -74,6 +75,7 @@ def render(
         an outcome for each file, as it is done.
 
     Raises:
+        ModelError: a control that this kind of model does not have.
         ConfigError: an unknown format, a folder without audio, two sources that would write the
             same file, or a folder for the results that cannot be written to.
         FormatError, MotionError: a rig that cannot be read, or whose parts cannot be told.
@@ -86,6 +88,7 @@ def render(
     body = None if rig is None else Rig.load(rig, rig_parts)
     asked = {"samples": samples, "seed": seed, "speaker": speaker, "foot_lock": foot_lock}
     asked |= controls or {}
+    _refuse_controls(model, asked)
 
     def motions(speech: af.Wave | None) -> list[Motion]:
         made = model.generate(speech, seconds=None if sources else seconds, **asked)
@@ -167,6 +170,13 @@ def _refuse_clashes(files: Sequence[Path], out: Path) -> None:
                 "render them into different folders"
             )
         seen[path.stem] = path
+
+
+def _refuse_controls(model: Any, controls: Mapping[str, Any]) -> None:
+    known = inspect.signature(model.generate).parameters
+    for name in controls:
+        if name not in known:
+            raise ModelError(f"{name}: a {model.kind} model knows no {name}")
 
 
 def _make_folder(out: Path) -> None:

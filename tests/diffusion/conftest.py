@@ -1,4 +1,4 @@
-"""A small denoiser whose every part shows in its output."""
+"""Small denoisers and models of random weights, whose every part shows in what they make."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from gesturekit.diffusion.config import NetworkConfig
+from gesturekit.diffusion.conditions import Conditions
+from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
+from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.networks import Denoiser
-from gesturekit.training.seeds import generator
+from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.training.seeds import generator, seeded
 
 SMALL = NetworkConfig(blocks=3, layers=2, channels=32, heads=4, feedforward=48, embedding=24)
 
@@ -32,5 +36,49 @@ def shaken() -> Callable[..., Denoiser]:
             elif name.endswith(("bias.widths", "bias.floors")):
                 value.data *= 0.2 + torch.rand(value.shape, generator=rng)
         return network
+
+    return make
+
+
+TINY = NetworkConfig(
+    blocks=2,
+    layers=1,
+    channels=16,
+    heads=2,
+    feedforward=24,
+    embedding=16,
+    dilations=(0, 1),
+    nearest_view=3,
+    farthest_view=15,
+)
+
+
+@pytest.fixture(scope="session")
+def untrained(gesture) -> Callable[..., DiffusionModel]:
+    """`untrained(seed=0, styles=..., ...)`: a model of random weights that stays within bounds.
+
+    It predicts velocity: all but none of it, and standard normal noise stays what it is.
+    """
+    motions = [gesture(2.0, seed=seed) for seed in range(2)]
+    ways = {True: DeltaRepresentation.fit(motions)}
+    ways[False] = DeltaRepresentation.fit(motions, root=False)
+
+    def make(seed: int = 0, *, droppable: tuple[str, ...] = (), **told) -> DiffusionModel:
+        conditions = Conditions(**told)
+        representation = ways[not conditions.path]
+        width = representation.n_features
+        network = seeded(("untrained", seed), lambda: Denoiser(width, conditions.width, TINY))
+        torch.nn.init.normal_(network.leave.weight, std=0.5, generator=generator("leave", seed))
+        return DiffusionModel(
+            fps=30.0,
+            representation=representation,
+            conditions=conditions,
+            standardiser=Standardiser.fit([representation.encode(m) for m in motions]),
+            network_config=TINY,
+            noise_config=NoiseConfig(predict="velocity"),
+            network=network,
+            speakers={},
+            droppable=droppable,
+        )
 
     return make

@@ -1,3 +1,322 @@
 """Diffusion models: every control, on tiny networks of random weights."""
 
 from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+import torch
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.diffusion.conditions import smooth_path
+from gesturekit.diffusion.event_times import asked_events
+from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.errors import FormatError, ModelError
+from gesturekit.motion.root_path import RootPath
+
+QUICK = {"seconds": 1.5, "steps": 4}
+STYLES = {"styles": ("old", "angry"), "droppable": ("styles",)}
+
+
+@pytest.fixture(scope="module")
+def model(untrained):
+    return untrained(**STYLES)
+
+
+@pytest.fixture(scope="module")
+def ears():
+    extractor = af.LogMel(n_mels=4)
+    return SpeechConditioner(extractor, 30.0, "mean", np.zeros(4), np.full(4, 10.0))
+
+
+def same(one: gk.Motion, other: gk.Motion) -> bool:
+    return np.array_equal(one.rotations, other.rotations) and np.array_equal(
+        one.positions(), other.positions()
+    )
+
+
+def test_the_same_seed_gives_the_same_bytes_however_many_are_asked_for(model):
+    three = model.generate(**QUICK, samples=3, seed=4)
+    two = model.generate(**QUICK, samples=2, seed=4)
+    assert same(three[0], two[0]) and same(three[1], two[1])
+    assert not same(three[0], three[1])
+    assert not same(three[0], model.generate(**QUICK, seed=5))
+    together = model.generate(**QUICK, samples=3, seed=4, batch=2)
+    for one, other in zip(three, together, strict=True):
+        np.testing.assert_allclose(one.rotations, other.rotations, atol=1e-3)
+
+
+@pytest.mark.parametrize("solver", ["ancestral", "ddim", "dpm"])
+def test_every_solver_makes_motion_and_fewer_steps_take_the_second_order_one(model, solver):
+    asked = {"seconds": 1.0, "style": "old", "foot_lock": False}
+    made = model.generate(**asked, steps=5, solver=solver)
+    assert made.n_frames == 30 and made.fps == 30
+    assert same(made, model.generate(**asked, steps=5)) == (solver == "dpm")
+    assert same(made, model.generate(**asked, steps=5, solver=solver))
+
+
+def test_styles_are_followed_mixed_and_changed_over_time(model):
+    def styled(style: str | None, **more) -> gk.Motion:
+        return model.generate(seconds=8.0, steps=3, style=style, foot_lock=False, **more)
+
+    old, angry = styled("old"), styled("angry")
+    assert not same(old, angry)
+    assert same(styled("old:1,angry:0"), old)
+    half = styled("old,angry")
+    assert not same(half, old) and not same(half, angry)
+    changing = styled("old@0-4,angry@4-8")
+    np.testing.assert_allclose(changing.rotations[:60], old.rotations[:60], atol=1e-4)
+    np.testing.assert_allclose(changing.rotations[180:, 1:], angry.rotations[180:, 1:], atol=1e-4)
+    assert np.abs(changing.rotations[180:, 1:] - old.rotations[180:, 1:]).max() > 1e-3
+    drawn = [same(styled(None, seed=seed), styled("old", seed=seed)) for seed in range(4)]
+    assert any(drawn) and not all(drawn)
+
+
+def test_guidance_leads_from_the_unconditional_to_the_conditional_and_beyond(model, untrained):
+    asked = QUICK | {"style": "old", "foot_lock": False}
+    plain = model.generate(**asked)
+    assert same(model.generate(**asked, guidance=1.0), plain)
+    without = model.generate(**asked, guidance=0.0)
+    assert same(without, model.generate(**asked | {"style": "angry"}, guidance=0.0))
+    strong = model.generate(**asked, guidance=2.0)
+    assert not same(strong, plain)
+    twin = untrained(seed=1)
+    alone = twin.generate(**QUICK, foot_lock=False)
+    assert same(model.generate(**asked, guidance=0.0, unconditional=twin), alone)
+    # The same product, as experts of weights that are written out.
+    product = model.generate(**asked, experts=[(twin, -1.0)])
+    guided = model.generate(**asked, guidance=2.0, unconditional=twin)
+    np.testing.assert_allclose(product.rotations, guided.rotations, atol=1e-5)
+
+
+def test_experts_are_other_models_with_conditions_of_their_own(model, untrained, ears, tmp_path):
+    asked = QUICK | {"style": "old", "foot_lock": False}
+    alone = model.generate(**asked)
+    model.save(tmp_path / "copy")
+    copy = gk.load(tmp_path / "copy")
+    for weight in (None, 0.3, -2.0):  # merged: not a bit is lost
+        assert same(model.generate(**asked, experts=[(copy, weight)]), alone)
+    prior, hearing = untrained(seed=2), untrained(seed=3, conditioner=ears)
+    assert same(
+        model.generate(**asked, experts=[(prior, 1.0)]), prior.generate(**QUICK, foot_lock=False)
+    )
+    own_style = model.generate(**asked, experts=[(copy, 1.0, "angry")])
+    assert same(own_style, model.generate(**asked | {"style": "angry"}))
+    third = model.generate(**asked, experts=[(prior, None), (hearing, None)])
+    assert same(third, model.generate(**asked, experts=[(prior, 1 / 3), (hearing, 1 / 3)]))
+    early = np.repeat([1.0, 0.0], [20, 25])
+    half = model.generate(**asked, experts=[(prior, early)])
+    assert not same(half, alone)
+
+
+def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
+    walker = untrained(path=True)
+    time = np.arange(0, 4.01, 0.1)
+    rows = [f"{t:.1f},{np.sin(t):.6f},{1.2 * t:.6f}" for t in time]
+    (tmp_path / "way.csv").write_text("\n".join(["time,x,z", *rows]))
+    for lock in (True, False):
+        motion = walker.generate(path=tmp_path / "way.csv", steps=4, foot_lock=lock)
+        asked = RootPath.looking_ahead(np.stack([np.sin(time), 1.2 * time], 1), 10.0)
+        wanted = smooth_path(asked, 30.0, motion.n_frames)
+        assert abs(motion.duration - asked.duration) < 0.05
+        root = motion.positions()[:, walker.representation.root]
+        np.testing.assert_allclose(root[:, [0, 2]], wanted.positions, atol=1e-3)
+    straight = RootPath(np.zeros((60, 2)), np.zeros(60), 30.0)
+    assert walker.generate(path=straight, seconds=1.0, steps=2).n_frames == 30
+    with pytest.raises(ModelError, match="follows a path and needs one"):
+        walker.generate(seconds=1.0)
+    with pytest.raises(ModelError, match="give a RootPath"):
+        walker.generate(path=np.zeros((3, 2)))
+    with pytest.raises(FormatError, match="no such file"):
+        walker.generate(path=tmp_path / "none.csv")
+    with pytest.raises(ModelError, match="follows no path"):
+        untrained().generate(path=straight)
+
+
+@pytest.fixture(scope="module")
+def clicks(tmp_path_factory) -> Path:
+    """8 s of clicks, 120 a minute, on a low hum."""
+    rate = 16000
+    sound = 0.01 * np.sin(2 * np.pi * 110 * np.arange(8 * rate) / rate)
+    for beat in range(16):
+        sound[beat * rate // 2 :][:400] += np.random.default_rng(0).normal(0, 0.3, 400)
+    path = tmp_path_factory.mktemp("clicks") / "clicks.wav"
+    soundfile.write(path, sound, rate)
+    return path
+
+
+def test_events_happen_when_they_are_asked_for(untrained, clicks, tmp_path):
+    fighter = untrained(events=("kick", "punch"))
+    asked = QUICK | {"foot_lock": False}
+    still = fighter.generate(**asked)
+    kick = fighter.generate(**asked, events="kick@1.0")
+    early = slice(0, 5)
+    np.testing.assert_allclose(kick.rotations[early], still.rotations[early], atol=1e-5)
+    assert np.abs(kick.rotations[28:33] - still.rotations[28:33]).max() > 1e-4
+    (tmp_path / "events.csv").write_text("time,name,duration\n1.0,kick,0\n")
+    assert same(fighter.generate(**asked, events=tmp_path / "events.csv"), kick)
+    dance = fighter.generate(clicks, steps=2, events="kick@beats,punch@0.5:0.25")
+    assert dance.n_frames == 240
+    found = asked_events("kick@beats,punch@0.5:0.25", af.Wave.load(clicks))
+    times = np.array([event.time for event in found if event.name == "kick"])
+    assert len(times) >= 10
+    assert np.abs(times * 2 - np.round(times * 2)).max() / 2 < 0.05
+    for events, told in {
+        "kcik@1.0": "event 'kcik': did you mean kick",
+        "kick@soon": "events look like",
+        "kick@beats": "no sound whose beats",
+    }.items():
+        with pytest.raises(ModelError, match=told):
+            fighter.generate(**asked, events=events)
+    with pytest.raises(ModelError, match="knows no events"):
+        untrained().generate(seconds=1.0, events="kick@1.0")
+
+
+def test_speech_is_heard_and_its_length_kept(untrained, ears, write_speech, tmp_path):
+    model = untrained(conditioner=ears, styles=("old",), droppable=("all",))
+    speech = write_speech(tmp_path / "a.wav", 2.0)
+    spoken = model.generate(speech, style="old", steps=4)
+    silent = model.generate(seconds=2.0, style="old", steps=4)
+    assert spoken.n_frames == silent.n_frames == 60
+    assert not same(spoken, silent)
+    told_nothing = model.generate(speech, style="old", steps=4, guidance=0.0)
+    assert same(told_nothing, model.generate(seconds=2.0, steps=4, guidance=0.0))
+
+
+def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
+    models = [
+        untrained(conditioner=ears, events=("kick",), **STYLES),
+        untrained(path=True, path_scale=np.array([0.1, 0.02, 0.03]), styles=("old",)),
+    ]
+    way = RootPath(np.stack([np.zeros(40), np.arange(40) / 30], 1), np.zeros(40), 30.0)
+    for number, model in enumerate(models):
+        folder = tmp_path / str(number)
+        model.save(folder, notes={"Corpus": "two gestures"})
+        again = gk.load(folder)
+        asked = {"style": "old", "steps": 4} | ({"path": way} if number else {"seconds": 1.5})
+        assert same(again.generate(**asked), model.generate(**asked))
+        assert (again.droppable, again.window, again.styles) == (
+            model.droppable,
+            model.window,
+            model.styles,
+        )
+        readme = (folder / "README.md").read_text()
+        assert "two gestures" in readme and 'style="old"' in readme
+        assert ("path.csv" in readme) == bool(number)
+        assert sorted(file.name for file in folder.iterdir()) == [
+            "README.md",
+            "config.yaml",
+            "model.safetensors",
+            "skeleton.json",
+        ]
+
+
+def _other_rig(model):
+    joints = model.representation.joints
+    return model.representation.__class__(
+        **vars(model.representation) | {"joints": (*joints[:-1], "Nobody")}
+    )
+
+
+def test_models_that_do_not_go_together_are_refused(model, untrained):
+    def refused(told: str, other, **asked) -> None:
+        with pytest.raises(ModelError, match=told):
+            model.generate(**QUICK, experts=[(other, 0.5)], **asked)
+
+    scaled, slow, turned, jointed, dance = (untrained(seed=9) for _ in range(5))
+    scaled.standardiser = Standardiser(model.standardiser.mean, model.standardiser.scale * 1.5)
+    refused(r"expert 1: .*another scale \(by up to a factor of 1\.5\).*start_from", scaled)
+    slow.fps = 20.0
+    refused("expert 1: moves at 20 fps, this model at 30", slow)
+    turned.representation = turned.representation.__class__(
+        **vars(turned.representation) | {"references": turned.representation.references[::-1]}
+    )
+    refused("other mean rotations", turned)
+    jointed.representation = _other_rig(jointed)
+    refused("experts of a product need the same joints", jointed)
+    refused("only one of the two follows a path", untrained(path=True))
+    dance.schedule = type(dance.schedule).of(
+        type(dance.noise_config)(steps=150, first_beta=0.01, last_beta=0.7)
+    )
+    refused("noise schedules differ", dance)
+    refused("a multires model; only diffusion", gk.load("demo"))
+    moved = untrained(seed=9)  # another mean is no hindrance
+    moved.standardiser = Standardiser(model.standardiser.mean + 0.1, model.standardiser.scale)
+    alone = moved.generate(**QUICK, foot_lock=False)
+    leads = model.generate(**QUICK, foot_lock=False, experts=[(moved, 1.0)])
+    assert leads.n_frames == alone.n_frames and not same(leads, alone)
+
+
+def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
+    plain = untrained()
+    for asked, told in [
+        ({"style": "odl"}, "style 'odl': the model knows old, angry"),
+        ({"style": "old:0.5,angry:0.6"}, r"weights add up to 1\.1"),
+        ({"samples": 0}, "samples=0"),
+        ({"batch": 0}, "batch=0"),
+        ({"speaker": "ann"}, "its corpus named none"),
+        ({"guidance": float("nan")}, "give a finite number"),
+        ({"solver": "euler"}, "solver: 'euler' is unknown"),
+        ({"steps": 1000}, "steps: 1000 must be between 1 and 100"),
+        ({"unconditional": plain}, "goes with guidance"),
+        ({"experts": [()]}, r"expected \(model, weight\)"),
+    ]:
+        with pytest.raises(ModelError, match=told):
+            model.generate(**QUICK | asked)
+    with pytest.raises(ModelError, match="knows no styles"):
+        plain.generate(**QUICK, style="old")
+    with pytest.raises(ModelError, match="told nothing that it could follow"):
+        plain.generate(**QUICK, guidance=1.5)
+    with pytest.raises(ModelError, match="never trained without its style"):
+        untrained(styles=("old",)).generate(**QUICK, guidance=1.5)
+    with pytest.raises(ModelError, match="does not hear"):
+        plain.generate("speech.wav")
+    with pytest.raises(ModelError, match="nothing to generate from"):
+        plain.generate()
+    broken = untrained(seed=5)
+    torch.nn.init.constant_(broken.network.leave.bias, float("nan"))
+    with pytest.raises(ModelError, match="the model gave NaN"):
+        broken.generate(**QUICK)
+    with torch.no_grad():
+        broken.network.leave.bias.fill_(1e9)
+    with pytest.raises(ModelError, match="left the world"):
+        broken.generate(**QUICK)
+
+
+def _edit_config(folder: Path, old: str, new: str) -> None:
+    text = (folder / "config.yaml").read_text()
+    assert old in text
+    (folder / "config.yaml").write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda f: (f / "model.safetensors").unlink(),
+        lambda f: (f / "model.safetensors").write_bytes(b"\x80\x04pickle"),
+        lambda f: (f / "skeleton.json").write_text("[1, 2"),
+        lambda f: (f / "skeleton.json").write_text(json.dumps({"skeleton": []})),
+        lambda f: _edit_config(f, "channels: 16", "channels: 32"),
+        lambda f: _edit_config(f, "channels: 16", "chanels: 16"),
+        lambda f: _edit_config(f, "path: false", "path: true"),
+        lambda f: _edit_config(f, "- angry", "- angry\n- sad"),
+        lambda f: _edit_config(f, "fps: 30.0", "fps: .nan"),
+        lambda f: _edit_config(f, "format: 1", "format: 2"),
+        lambda f: _edit_config(f, "window: 9000", "window: many"),
+        lambda f: _edit_config(f, "last_beta: 0.78", "last_beta: 1.78"),
+        lambda f: _edit_config(f, "noise:", "nose:"),
+    ],
+)
+def test_a_damaged_folder_is_refused_by_name(model, tmp_path_factory, tmp_path, harm):
+    model.save(tmp_path / "model")
+    harm(tmp_path / "model")
+    with pytest.raises(ModelError, match=str(tmp_path)) as told:
+        gk.load(tmp_path / "model")
+    assert "\n" not in str(told.value)
+    shutil.rmtree(tmp_path / "model")
