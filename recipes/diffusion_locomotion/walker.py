@@ -33,7 +33,7 @@ _TOE = np.array([0.0, -0.06, 0.13])  # from the ankle, what the foot rolls over
 _HEEL = np.array([0.0, -_ANKLE_HEIGHT, -0.02])
 _TOES_OUT = np.radians(7.0)
 _HIP = np.array([0.09, -0.04, 0.0])
-_REACH = 0.992 * (0.42 + 0.40)  # of a leg that is still a little bent
+_REACH = 0.97 * (0.42 + 0.40)  # of a leg that is still a little bent
 _TALLEST = 0.92  # metres, hips over the floor
 
 
