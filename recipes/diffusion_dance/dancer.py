@@ -49,13 +49,14 @@ _DIP, _SWAY = 0.075, 0.05  # metres, of the hips
 
 def dance(beats: np.ndarray, seconds: float, rng: np.random.Generator) -> Motion:
     """A dance to beats at these times (seconds), as long as the track."""
-    beat = float(np.diff(beats).mean())
     # From the bar before the track to the one after it: it begins and ends amid the dance.
-    first = -4 if beats[0] > 0 else 0
-    times = beats[0] + beat * np.arange(first, len(beats) + 4)
+    gaps = np.diff(beats)
+    times = np.concatenate(
+        [beats[0] - gaps[0] * np.arange(4, 0, -1), beats, beats[-1] + gaps[-1] * np.arange(1, 5)]
+    )
     rows = np.array([row for _ in range(0, len(times), 4) for row in _bar(rng)])[: len(times)]
     time = np.arange(round(seconds * FPS)) / FPS
-    values = _between(time, times, rows, _HOLD * beat)
+    values = _between(time, times, rows)
     left, right = values[:, 0:3], values[:, 3:6]
     twist, dip, sway, nod = values[:, 6:].T
     still = np.zeros_like(time)
@@ -88,10 +89,10 @@ def _bar(rng: np.random.Generator) -> list[np.ndarray]:
     return poses
 
 
-def _between(time: np.ndarray, beats: np.ndarray, rows: np.ndarray, hold: float) -> np.ndarray:
-    """(T, D) from row to row (B, D) by minimum-jerk movements (Flash & Hogan 1985), at rest
-    for `hold` seconds on either side of each beat."""
+def _between(time: np.ndarray, beats: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(T, D) from row to row (B, D) by minimum-jerk movements (Flash & Hogan 1985), at rest on
+    each beat."""
     k = np.clip(np.searchsorted(beats, time, side="right") - 1, 0, len(beats) - 2)
-    length = beats[k + 1] - beats[k] - 2 * hold
-    x = np.clip((time - beats[k] - hold) / length, 0.0, 1.0)[:, None]
+    share = (time - beats[k]) / (beats[k + 1] - beats[k])
+    x = np.clip((share - _HOLD) / (1 - 2 * _HOLD), 0.0, 1.0)[:, None]
     return rows[k] + x**3 * (10 - 15 * x + 6 * x * x) * (rows[k + 1] - rows[k])

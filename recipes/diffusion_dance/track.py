@@ -1,4 +1,8 @@
-"""Clicks and chords: a track of a steady tempo whose beats are known."""
+"""Clicks and chords: a track whose tempo drifts as a band's does, and whose beats are known.
+
+A tempo that never changes would let a dance fit its track as well one beat later: no circular
+shift of the sound could tell a dancer who hears it from one who does not.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,8 @@ from scipy.signal import lfilter
 RATE = 22050
 """Samples per second."""
 BEATS_PER_BAR = 4
+DRIFT = 0.12
+"""Of the tempo: by so much it is faster or slower as the track goes on."""
 _KEYS = (0, 5, 7, 9)  # semitones of the four chords over the key
 _TRIADS = ((0, 4, 7), (0, 4, 7), (0, 4, 7), (0, 3, 7))
 
@@ -21,7 +27,7 @@ class Track:
     Attributes:
         samples: (N,) in [-1, 1] at `RATE`.
         beats: (B,) seconds of all beats in it; the first is the first of a bar.
-        tempo: beats per minute.
+        tempo: beats per minute, in the mean.
         has_offbeat: whether lighter clicks fall halfway between the beats.
     """
 
@@ -33,20 +39,26 @@ class Track:
 
 def play(seconds: float, tempo: float, has_offbeat: bool, rng: np.random.Generator) -> Track:
     """A track: a click on each beat, the louder on the first of a bar, and a chord for each bar."""
-    beat = 60 / tempo
-    beats = np.arange(rng.uniform(0.05, 0.05 + beat), seconds, beat)
+    fine = np.arange(0.0, seconds + 10.0, 0.01)
+    drift = DRIFT * np.sin(2 * np.pi * (fine / rng.uniform(12.0, 25.0) + rng.random()))
+    counted = np.cumsum(tempo / 60 * (1 + drift)) * 0.01 - rng.random() - 0.1
+    halves = np.interp(np.arange(0.0, counted[-1], 0.5), counted, fine)
+    beats, between = halves[::2], halves[1::2]
     samples = 0.002 * rng.standard_normal(round(seconds * RATE))
     key = 110.0 * 2 ** (rng.integers(0, 12) / 12)
-    for number, time in enumerate(beats):
-        place = number % BEATS_PER_BAR
-        _add(samples, time, _click(0.55 if place == 0 else 0.35, 0.03, rng))
-        if has_offbeat:
-            _add(samples, time + beat / 2, _click(0.12, 0.012, rng))
-        if place == 0:
+    for number, time in enumerate(beats[beats < seconds]):
+        bar = number % BEATS_PER_BAR == 0
+        _add(samples, time, _click(0.55 if bar else 0.35, 0.03, rng))
+        if bar:
             chord = rng.integers(0, len(_KEYS))
             pitches = key * 2 ** ((_KEYS[chord] + np.array(_TRIADS[chord])) / 12)
-            _add(samples, time, _chord(pitches, BEATS_PER_BAR * beat))
-    return Track(0.8 * samples / np.abs(samples).max(), beats, tempo, has_offbeat)
+            _add(samples, time, _chord(pitches, beats[number + BEATS_PER_BAR] - time))
+    if has_offbeat:
+        for time in between[between < seconds]:
+            _add(samples, time, _click(0.12, 0.012, rng))
+    beats = beats[beats < seconds]
+    mean = 60 / np.diff(beats).mean()
+    return Track(0.8 * samples / np.abs(samples).max(), beats, float(mean), has_offbeat)
 
 
 def _add(samples: np.ndarray, time: float, sound: np.ndarray) -> None:

@@ -34,7 +34,7 @@ def walks(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def dances(tmp_path_factory) -> Path:
-    return prepare("diffusion_dance", tmp_path_factory.mktemp("dances"), 2, 10.0)
+    return prepare("diffusion_dance", tmp_path_factory.mktemp("dances"), 2, 15.0)
 
 
 def test_walkers_are_where_their_path_is(walks):
@@ -80,8 +80,8 @@ def test_dancers_meet_the_beats_of_their_track(dances):
         motion, wave = Motion.load(file), af.Wave.load(file.with_suffix(".wav"))
         assert motion.duration == pytest.approx(wave.duration)
         found = beat_alignment(motion, music_beats(wave))
-        assert found.score > found.chance_mean + 1.5 * found.chance_sd
-        assert found.score > 0.6
+        assert found.score > found.chance_mean + 3 * found.chance_sd
+        assert found.score > 0.35
         assert foot_skate(motion) < 1e-3
 
 
@@ -99,6 +99,6 @@ def test_the_same_seed_gives_the_same_bytes_however_many_clips(walks, tmp_path):
 
 
 def test_a_dance_is_the_same_again(dances, tmp_path):
-    again = prepare("diffusion_dance", tmp_path, 1, 10.0)
+    again = prepare("diffusion_dance", tmp_path, 1, 15.0)
     assert sorted(file.name for file in again.iterdir()) == ["dance_00.bvh", "dance_00.wav"]
     assert all(file.read_bytes() == (dances / file.name).read_bytes() for file in again.iterdir())
