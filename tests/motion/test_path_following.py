@@ -1,0 +1,45 @@
+"""Recordings on smooth paths: the root is there, and feet do not slide for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gesturekit as gk
+from gesturekit.errors import MotionError
+from gesturekit.evaluation.feet import foot_skate
+from gesturekit.motion.contacts import foot_positions
+from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.motion.path_following import follow_path
+
+
+@pytest.mark.parametrize(
+    "name", ["bow_active_001", "bow_angry_001", "bow_happy_001", "bye_feminine_001"]
+)
+def test_feet_stay_where_they_stood(shared_data, name):
+    motion = gk.Motion.load(shared_data / f"motion/bandai/dataset-1_{name}.bvh")
+    representation = DeltaRepresentation.fit([motion], root=False)
+    path = representation.path_of(motion).smoothed()
+    made = follow_path(motion, path, representation.root)
+    root = representation.root
+    assert np.abs(made.positions()[:, root][:, [0, 2]] - path.positions).max() < 1e-9
+    apart = np.linalg.norm(foot_positions(made) - foot_positions(motion), axis=-1)
+    assert np.quantile(apart, 0.95) < 1e-3
+    carried = representation.decode(representation.encode(motion, path), motion.fps, path=path)
+    driven = representation.decode(representation.encode(made, path), motion.fps, path=path)
+    assert foot_skate(driven) < 1.25 * foot_skate(motion)
+    assert foot_skate(driven) < foot_skate(carried)
+
+
+def test_a_motion_that_is_on_its_path_stays_as_it_is(gesture):
+    motion = gesture(2.0)
+    representation = DeltaRepresentation.fit([motion])
+    made = follow_path(motion, representation.path_of(motion))
+    assert np.abs(made.positions() - motion.positions()).max() < 1e-6
+
+
+def test_a_path_of_another_length_is_refused(gesture):
+    motion = gesture(2.0)
+    path = DeltaRepresentation.fit([motion]).path_of(motion)
+    with pytest.raises(MotionError, match="30 frames at 30 fps; the motion has 60"):
+        follow_path(motion, path.slice(0, 30))
