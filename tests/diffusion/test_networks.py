@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 import torch.nn.functional as F
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from gesturekit.diffusion import attention
 from gesturekit.diffusion.config import NetworkConfig
@@ -72,11 +75,11 @@ def test_one_condition_serves_many_motions(shaken):
 
 
 def test_banded_attention_is_full_attention_over_a_whole_network(shaken, monkeypatch):
-    config = NetworkConfig(blocks=6, layers=3, channels=64, heads=8, feedforward=64, embedding=24)
+    config = NetworkConfig(blocks=6, layers=3, channels=64, feedforward=64, embedding=24)
     network = shaken(config)
-    noisy, condition = inputs(700, batch=1)
+    noisy, condition = inputs(450, batch=1)
     banded = network.listening(condition, [30])(noisy, 30)
-    monkeypatch.setattr(attention, "LEAST_QUERIES", 700)
+    monkeypatch.setattr(attention, "LEAST_QUERIES", 450)
     full = network.listening(condition, [30])(noisy, 30)
     assert full.std() > 0.1
     assert not torch.equal(banded, full)
@@ -109,6 +112,56 @@ def test_training_reaches_every_parameter(shaken):
         if p.grad is None or not p.grad.abs().max() > 0
     ]
     assert not idle
+
+
+class Largest(TorchDispatchMode):
+    """The largest tensor that any operation makes."""
+
+    numbers = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        out = func(*args, **(kwargs or {}))
+        for value in out if isinstance(out, (list, tuple)) else [out]:
+            if isinstance(value, torch.Tensor):
+                self.numbers = max(self.numbers, value.numel())
+        return out
+
+
+@pytest.mark.parametrize("gradients", [False, True])
+def test_memory_grows_with_the_length_and_not_with_its_square(shaken, gradients):
+    network = shaken()
+    sizes = []
+    for n_frames in (500, 1000):
+        noisy, condition = inputs(n_frames, batch=1)
+        with Largest() as largest:
+            if gradients:
+                network(noisy, condition, torch.tensor([3])).sum().backward()
+            else:
+                network.listening(condition, [3])(noisy, 3)
+        sizes.append(largest.numbers)
+    assert sizes[1] <= 2.1 * sizes[0]
+    assert sizes[1] < 1000 * 1000
+
+
+def test_bfloat16_takes_and_gives_motions_in_their_own_precision(shaken):
+    network = shaken()
+    noisy, condition = inputs(300)
+    exact = network.listening(condition, [9])(noisy, 9)
+    short = copy.deepcopy(network).to(torch.bfloat16).listening(condition, [9])(noisy, 9)
+    assert short.dtype == torch.float32
+    assert 0 < (short - exact).norm() / exact.norm() < 0.05
+
+
+def test_mixed_precision_gives_gradients_in_single(shaken):
+    network = shaken().train()
+    noisy, condition = inputs(300)
+    with torch.autocast("cpu", torch.bfloat16):
+        out = network(noisy, condition, torch.tensor([3, 40]))
+    assert out.dtype == torch.float32
+    out.square().mean().backward()
+    for name, value in network.named_parameters():
+        assert value.grad.dtype == torch.float32, name
+        assert torch.isfinite(value.grad).all(), name
 
 
 def test_prediction_depends_on_step_and_condition(shaken):
