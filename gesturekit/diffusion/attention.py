@@ -116,7 +116,8 @@ def bias_of_blocks(table: Tensor, blocks: list[Block]) -> list[Tensor]:
         if shape not in made:
             start = reach - before - (queries - 1)
             span = ahead[:, start : start + queries + keys - 1]
-            made[shape] = span.unfold(1, keys, 1).flip(1)
+            # Laid out row by row: the fused kernel would do so anew at every call.
+            made[shape] = span.unfold(1, keys, 1).flip(1).contiguous()
         biases.append(made[shape])
     return biases
 
