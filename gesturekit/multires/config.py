@@ -179,7 +179,9 @@ class MultiresConfig:
     log_every: int = 10
     eval_every: int = 0
     """Iterations between cheap evaluations (`quick_figures`) on the training speech, written to
-    metrics.jsonl with `kind: evaluation`; 0 for none. They change nothing in the training."""
+    metrics.jsonl with `kind: evaluation`, each with a sample in samples/; 0 for none. The model of
+    the last pair of levels that they find best is kept in best/. They change nothing in the
+    training, and model/ is always what its last step left."""
     threads: int | None = None
     """CPU threads; null leaves the choice to torch."""
     device: str = "auto"

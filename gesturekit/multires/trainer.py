@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import math
 import sys
@@ -25,7 +26,7 @@ from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.listening import ArmSpeedTarget
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.model_format import TrainedSequence
-from gesturekit.multires.monitor import Monitor
+from gesturekit.multires.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.networks import (
     LevelDiscriminator,
     MultiresGenerator,
@@ -156,7 +157,39 @@ class _Trainer:
                 start += iterations
         return self._finish(start)
 
+    def evaluate(self, step: int, first: int, levels: int) -> None:
+        """Log cheap measures, write a sample, and keep the best model of the last pair."""
+        monitor = self.monitor
+        if monitor is None:
+            return
+        figures = monitor.figures(self.network, levels)
+        monitor.warn_of_collapse(figures, step)
+        monitor.write_sample(self.folder.folder / "samples", step)
+        if levels == self.config.network.levels:
+            # Of this pair alone: before it, what is measured lacks the finest levels.
+            before = self.folder.evaluations(level=first + 1)
+            distance = distance_from_recordings(figures)
+            if all(distance < distance_from_recordings(other) for other in before):
+                self._save(
+                    "best",
+                    copy.deepcopy(self.network),
+                    {"Training steps": f"{step}, the best by the cheap evaluations"},
+                )
+        self.folder.log(step, figures, level=first + 1, kind="evaluation")
+
     def _finish(self, steps: int) -> Path:
+        last = self.folder.last_metrics()
+        return self._save(
+            "model",
+            self.network,
+            {
+                "Training steps": str(steps),
+                "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
+            },
+        )
+
+    def _save(self, name: str, network: MultiresGenerator, notes: dict[str, str]) -> Path:
+        """Write a model of the run and say where it lies."""
         model = MultiresModel(
             fps=self.config.fps,
             representation=self.data.representation,
@@ -165,7 +198,7 @@ class _Trainer:
             network_config=self.config.network,
             residual=self.config.residual,
             styles=self.data.styles,
-            network=self.network.cpu().eval(),
+            network=network.cpu().eval(),
             sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
             z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
             sequences={
@@ -184,8 +217,7 @@ class _Trainer:
                 for sequence in self.data.paired
             ),
         )
-        last = self.folder.last_metrics()
-        folder = self.folder.folder / "model"
+        folder = self.folder.folder / name
         model.save(
             folder,
             notes={
@@ -193,8 +225,7 @@ class _Trainer:
                 "Unpaired speech": f"{len(self.data.unpaired)} files, {self.heard:.0f} s"
                 if self.data.n_speech and not self.data.unpaired_is_paired
                 else "none",
-                "Training steps": str(steps),
-                "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
+                **notes,
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },
         )
@@ -267,10 +298,8 @@ class _Pair:
                 shown = ", ".join(f"{name} {value:.3g}" for name, value in means.items())
                 progress.set_postfix_str(f"level {self.first + 1}-{self.indices[-1] + 1}: {shown}")
                 totals, since, clock = {}, 0, time.monotonic()
-            monitor = self.trainer.monitor
-            if monitor is not None and (step % self.config.eval_every == 0 or last):
-                figures = monitor.figures(self.trainer.network, self.indices[-1] + 1)
-                self.trainer.folder.log(step, figures, level=self.first + 1, kind="evaluation")
+            if self.config.eval_every and (step % self.config.eval_every == 0 or last):
+                self.trainer.evaluate(step, self.first, self.indices[-1] + 1)
             if step % self.config.checkpoint_every == 0 or last:
                 networks = nn.ModuleList([self.generators, self.discriminators])
                 norms = [weight.detach().norm() for weight in networks.parameters()]

@@ -107,6 +107,17 @@ class Run:
             if isinstance(value, float) and name != "seconds_per_iteration"
         }
 
+    def evaluations(self, level: int) -> list[dict[str, Any]]:
+        """What was logged with `kind: evaluation` for a level, oldest first."""
+        if not self._metrics.exists():
+            return []
+        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
+        return [
+            line
+            for line in lines
+            if line.get("kind") == "evaluation" and line.get("level") == level
+        ]
+
     def close(self) -> None:
         """Finish writing TensorBoard events."""
         if self._events is not None:

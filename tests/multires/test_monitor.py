@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
+import pytest
 import torch
 from safetensors.torch import load_file
 
+import gesturekit as gk
+from gesturekit.multires.data import load_training_data
+from gesturekit.multires.monitor import Monitor, distance_from_recordings
+from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.trainer import train
 
 
@@ -40,3 +46,48 @@ def test_evaluations_are_logged_and_the_weights_are_those_without_them(make_conf
 def test_a_run_may_be_resumed_with_or_without_evaluations(make_config, tmp_path):
     train(make_config(out=str(tmp_path / "run"), eval_every=5))
     train(make_config(out=str(tmp_path / "run"), eval_every=0), resume=True)
+
+
+def test_samples_and_the_best_model_of_the_last_pair_are_kept(make_config, tmp_path):
+    config = make_config(out=str(tmp_path / "run"), eval_every=2)
+    folder = train(config)
+    samples = sorted(path.name for path in (config.out / "samples").iterdir())
+    steps = [2, 4, 6, 8, 10]
+    assert samples == [f"step_{s:08d}.{kind}" for s in steps for kind in ("bvh", "html")]
+    assert gk.Motion.load(config.out / "samples" / samples[0]).n_frames > 25
+    # Levels 3 and 4 of 4, from step 7 on.
+    found = [x for x in lines(config.out) if x.get("kind") == "evaluation" and x["level"] == 3]
+    best = min(found, key=distance_from_recordings)["step"]
+    assert f"{best}, the best" in (config.out / "best" / "README.md").read_text()
+    last = load_file(folder / "model.safetensors")
+    kept = load_file(config.out / "best" / "model.safetensors")
+    assert all(torch.equal(last[name], kept[name]) for name in last) == (best == 10)
+    # Resumed from the middle of the last pair, it finds the same.
+    whole = (config.out / "best" / "model.safetensors").read_bytes()
+    (config.out / "checkpoints" / "step_00000010.pt").unlink()
+    train(config, resume=True)
+    assert (config.out / "best" / "model.safetensors").read_bytes() == whole
+
+
+def test_samples_of_one_pose_are_told(make_config, caplog):
+    config = make_config(eval_every=5)
+    monitor = Monitor(load_training_data(config), config)
+    network = MultiresGenerator(
+        monitor.data.representation, monitor.data.n_speech, config.network
+    ).eval()
+    for weight in network.parameters():
+        torch.nn.init.zeros_(weight)
+    figures = monitor.figures(network, 4)
+    assert figures["patch_diversity_ratio"] < 0.01
+    assert monitor.warn_of_collapse(figures, 5) and "Step 5: samples collapse" in caplog.text
+    recorded = monitor._recorded(0)
+    assert monitor._patch_spread([recorded]) > 0.5
+    assert not monitor.warn_of_collapse({"patch_diversity_ratio": 0.9}, 5)
+
+
+def test_the_best_is_what_is_nearest_to_the_recordings():
+    near = {"jerk_ratio": 1.1, "arm_speed_ratio": 0.9, "foot_skate": 7.0}
+    assert distance_from_recordings(near) < distance_from_recordings({"jerk_ratio": 0.5})
+    twice, half = ({"jerk_ratio": ratio} for ratio in (2.0, 0.5))
+    assert distance_from_recordings(twice) == pytest.approx(distance_from_recordings(half))
+    assert distance_from_recordings({"jerk_ratio": 0.0}) == np.inf
