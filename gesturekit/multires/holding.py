@@ -33,6 +33,8 @@ _SWAY = 0.03
 """Metres by which the hips sway about a path, at most."""
 _SWAY_SECONDS = 0.3
 """Spread of the average that tells the sway from the way, and a body's turns from its facing."""
+_BELIEVABLE = 3.0
+"""Spreads from their mean that steps have, at most, for networks that go on from them."""
 _CORNER_SECONDS = 1 / 3
 """A path is averaged over this long, as a body takes corners."""
 
@@ -75,7 +77,8 @@ class PathHold:
         values = plain_values(self.normaliser, made)
         turn, steps = self._turn_and_steps(values)
         values[:, [-3, -1]] = turned_plane(steps, -turn)
-        return normalised(self.normaliser, values)
+        held = normalised(self.normaliser, values)
+        return held if level + 1 == len(self.lengths) else believable_steps(held)
 
     def placed(self, values: np.ndarray) -> np.ndarray:
         """(T, D) what the last level made and was held, turned to lie along the path."""
@@ -149,6 +152,16 @@ def turned(values: np.ndarray, angle: np.ndarray | float) -> np.ndarray:
     values[:, :6] = sixd_from_quaternion(root)
     values[:, [-3, -1]] = turned_plane(values[:, [-3, -1]], angle)
     return values
+
+
+def believable_steps(held: Tensor) -> Tensor:
+    """Normalised vectors (1, D, T) for a next level, none of their steps beyond what it knows.
+
+    Of a body that always stood it would make anything, told that it walks.
+    """
+    held = held.clone()
+    held[:, [-3, -1]] = held[:, [-3, -1]].clamp(-_BELIEVABLE, _BELIEVABLE)
+    return held
 
 
 def fastest_second(steps: np.ndarray, fps: float) -> float:

@@ -18,7 +18,13 @@ from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.rotations import rotate_vectors, slerp
 from gesturekit.multires.data import Normaliser
 from gesturekit.multires.editing import on_rig
-from gesturekit.multires.holding import normalised, plain_values, turned, turned_plane
+from gesturekit.multires.holding import (
+    believable_steps,
+    normalised,
+    plain_values,
+    turned,
+    turned_plane,
+)
 from gesturekit.multires.interpolation import resample
 
 _BLEND = 0.4
@@ -211,7 +217,8 @@ class _PartsHold:
                 result[begin:end, [-3, -1]] += share[:, None] / share.sum() * missing
         for span in spans:
             result[slice(*span)] = given[slice(*span)]
-        return normalised(self.normaliser, result)
+        held = normalised(self.normaliser, result)
+        return held if level + 1 == len(self.lengths) else believable_steps(held)
 
     def _drawn(self, given: np.ndarray, made: np.ndarray, count: int, reach: int) -> np.ndarray:
         """(count, D) to be added to the frames after a part, so that they go on from its end."""

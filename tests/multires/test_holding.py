@@ -1,0 +1,210 @@
+"""What a motion is held to: a path, parts that are given, edited keyframes."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gesturekit as gk
+from gesturekit.cli import main
+from gesturekit.errors import ModelError
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import (
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+    rotation_angles,
+)
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.trainer import train
+from gesturekit.training.config import build
+
+
+@pytest.fixture(scope="module")
+def folder(gesture, tmp_path_factory):
+    """A model of one clip that gestures and sways about, four levels."""
+    where = tmp_path_factory.mktemp("held")
+    swaying(gesture(5.0, seed=1)).save(where / "clip.bvh")
+    item = {"id": "clip", "motion": "clip.bvh", "duration": 5.0, "split": "train"}
+    item |= {"audio": None, "audio_start": 0.0, "motion_start": 0.0, "speaker": None}
+    item |= {"style": None, "text": None, "mirror": False, "conditions": {}}
+    lines = [json.dumps(line) + "\n" for line in ({"schema": 1}, item)]
+    (where / "clip.jsonl").write_text("".join(lines))
+    values = {"system": "multires", "threads": 1, "features": None, "out": str(where / "run")}
+    values |= {"corpus": str(where / "clip.jsonl")}
+    values["network"] = {"levels": 4, "channels": [3, 3]}
+    values["schedule"] = {"window": None, "first_pair": 40, "further_pairs": 20, "bank": 4}
+    values["schedule"] |= {"discriminator_steps": 1, "learning_rate": 5e-3}
+    return train(build(MultiresConfig, values))
+
+
+def swaying(motion):
+    """Its root goes to and fro at 0.25 m/s at the most."""
+    phase = 2 * np.pi * 0.4 * motion.times[:, None] + [0.0, 0.0, 1.0]
+    return replace(motion, translation=motion.translation + [0.1, 0.0, 0.1] * np.sin(phase))
+
+
+@pytest.fixture(scope="module")
+def model(folder):
+    return gk.load(folder)
+
+
+def circle(seconds: float, fps: float = 30.0, radius: float = 1.0, speed: float = 0.5) -> RootPath:
+    angle = np.arange(round(seconds * fps)) / fps * speed / radius
+    places = radius * np.stack([1 - np.cos(angle), np.sin(angle)], axis=-1) + [2.0, -1.0]
+    return RootPath.looking_ahead(places, fps)
+
+
+def off_heading(motion, path: RootPath) -> np.ndarray:
+    apart = RootPath.of(motion).headings - path.headings
+    return np.degrees(np.abs((apart + np.pi) % (2 * np.pi) - np.pi))
+
+
+def test_the_root_follows_a_path_and_faces_along_it(model):
+    path = circle(10.0)
+    made = model.generate(path=path, seed=1)
+    along = path.resample(25.0)
+    assert made.n_frames == along.n_frames == 250
+    root = made.positions()[:, 0][:, [0, 2]]
+    assert np.linalg.norm(root - along.positions, axis=1).max() < 0.1
+    assert off_heading(made, along).mean() < 15
+    # It is turned by the path and gestures as ever: another heading is the same motion, turned.
+    other = model.generate(path=replace(along, headings=along.headings + 1.0), seed=1)
+    assert off_heading(other, along).mean() == pytest.approx(np.degrees(1.0), abs=15)
+    free = model.generate(seconds=10.0, seed=1)
+    arms = [made.skeleton.index(name) for name in ("LeftArm", "RightArm")]
+    spread, own = (np.ptp(motion.rotations[:, arms], axis=0).mean() for motion in (made, free))
+    assert 0.5 < spread / own < 2
+
+
+def test_a_path_too_fast_for_the_training_is_told(model, caplog):
+    with caplog.at_level(logging.WARNING):
+        model.generate(path=RootPath(np.zeros((50, 2)), np.zeros(50), 25.0))
+        assert "m/s" not in caplog.text
+        model.generate(path=circle(2.0, speed=2.0))
+    assert "m/s; nothing in the training was faster than 0." in caplog.text
+
+
+def test_a_clip_is_continued_without_a_seam(model, gesture):
+    clip = swaying(gesture(3.0, seed=1)).resample(25.0)
+    turn = quaternion_from_rotation_vector(np.array([0.0, 2.0, 0.0]))
+    rotations = clip.rotations.copy()
+    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
+    clip = replace(clip, rotations=rotations, translation=clip.translation + [3.0, 0.0, 1.0])
+    made = model.generate(keep={0.0: clip}, seconds=6.0, seed=1)
+    assert made.n_frames == 150
+    np.testing.assert_allclose(made.positions()[:75], clip.positions(), atol=1e-9)
+    own = max(largest_jump(clip, range(5, 70)), largest_jump(made, range(95, 145)))
+    assert largest_jump(made, [75]) < 1.2 * own
+    # It goes on facing as it did, and where it was.
+    ahead = RootPath.of(made)
+    assert np.degrees(np.abs(ahead.headings - ahead.headings[0])).max() < 60
+    assert np.linalg.norm(ahead.positions - [3.0, 1.0], axis=1).max() < 0.5
+
+
+def largest_jump(motion, frames) -> float:
+    """The largest change of speed at these frames, m/s, mean over joints."""
+    change = np.linalg.norm(np.diff(motion.positions(), 2, axis=0), axis=-1).mean(axis=1)
+    return motion.fps * max(change[k - 3 : k + 2].max() for k in frames)
+
+
+def test_the_time_between_two_clips_is_filled(model, gesture):
+    first, last = (swaying(gesture(2.0, seed=seed)).resample(25.0) for seed in (1, 2))
+    last = replace(last, translation=last.translation + [0.18, 0.0, 0.24])
+    made = model.generate(keep={0.0: first, 4.0: last}, seed=1)
+    assert made.n_frames == 150
+    np.testing.assert_allclose(made.positions()[:50], first.positions(), atol=1e-9)
+    np.testing.assert_allclose(made.positions()[100:], last.positions(), atol=1e-9)
+    assert largest_jump(made, [50, 100]) < 1.2 * largest_jump(made, range(55, 95))
+    # The body goes there in the middle, not in a leap.
+    steps = np.linalg.norm(np.diff(made.positions()[:, 0], axis=0), axis=-1)
+    assert steps[49:101].max() < 3 * 0.3 / 50 + 0.25 / 25
+    # Something happens between them.
+    assert rotation_angles(made.rotations[60], made.rotations[90]).max() > 0.05
+
+
+def test_a_single_pose_is_kept(model, gesture):
+    pose = gesture(1.0, seed=4).resample(25.0).slice(3, 4)
+    made = model.generate(keep={1.0: pose}, seconds=3.0)
+    np.testing.assert_allclose(made.rotations[25], pose.rotations[0], atol=1e-12)
+
+
+def test_an_edit_is_reached_and_the_rest_stays(model):
+    coarse = model.generate(seconds=8.0, seed=1, levels=1)
+    free = model.generate(keyframes=coarse, seed=1, foot_lock=False)
+    arm, wrist = (coarse.skeleton.index(name) for name in ("LeftArm", "LeftHand"))
+    near = np.cos(np.linspace(-np.pi, np.pi, 2 * 6 + 1)) * 0.5 + 0.5
+    middle = coarse.n_frames // 2
+    angle = np.zeros(coarse.n_frames)
+    angle[middle - 6 : middle + 7] = 0.7 * near
+    about = quaternion_from_rotation_vector(angle[:, None] * [0.0, 0.0, 1.0])
+    rotations = coarse.rotations.copy()
+    rotations[:, arm] = multiply_quaternions(about, rotations[:, arm])
+    edit = replace(coarse, rotations=rotations)
+    for options in ({"foot_lock": False}, {}):
+        made = model.generate(keyframes=edit, seed=1, **options)
+        at = (middle + 0.5) * made.n_frames / coarse.n_frames - 0.5
+        low = int(at)
+        places = made.positions()
+        place = places[low] + (at - low) * (places[low + 1] - places[low])
+        wanted = edit.positions()[middle]
+        reached, before = (p[wrist] - p[0] for p in (place, coarse.positions()[middle]))
+        moved = np.linalg.norm((wanted[wrist] - wanted[0]) - before)
+        assert moved > 0.2
+        assert np.linalg.norm(reached - (wanted[wrist] - wanted[0])) < 0.05
+    # Far from the edit nothing changed.
+    made = model.generate(keyframes=edit, seed=1, foot_lock=False)
+    np.testing.assert_allclose(made.rotations[:50], free.rotations[:50], atol=1e-5)
+    # Done in the manner of the model, the finer levels may do as they like.
+    like = model.generate(like=edit, seed=1, foot_lock=False)
+    assert np.abs(like.rotations - made.rotations).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"keep": {}}, "no motion"),
+        ({"keep": {0.0: "clip", 1.0: "clip"}}, "before the one before it ends"),
+        ({"keep": {-1.0: "clip"}}, "0 or later"),
+        ({"keep": {0.0: "clip"}, "seconds": 1.0}, "after the motion's end"),
+        ({"keep": {0.0: "clip"}, "path": circle(2.0)}, "path and keep: give one"),
+        ({"path": circle(2.0), "levels": 2}, "all levels"),
+        ({"path": circle(2.0), "seconds": 4.0}, "as long as its path"),
+    ],
+)
+def test_what_cannot_be_held_is_told(model, gesture, asked, message):
+    if "keep" in asked:
+        asked = asked | {"keep": {second: gesture(2.0) for second in asked["keep"]}}
+    with pytest.raises(ModelError, match=message):
+        model.generate(**asked)
+
+
+def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, capsys):
+    def render(*options: str) -> int:
+        with pytest.raises(SystemExit) as left:
+            main(["render", "--model", str(folder), "--out", str(tmp_path / "out"), *options])
+        return left.value.code
+
+    def made() -> gk.Motion:
+        return gk.Motion.load(tmp_path / "out" / "motion.bvh")
+
+    (tmp_path / "path.csv").write_text("time,x,z\n0,0,0\n2,0,0.4\n4,0.4,0.4\n")
+    assert render("--path", str(tmp_path / "path.csv")) == 0
+    assert made().n_frames == 101
+    np.testing.assert_allclose(made().positions()[-1, 0, [0, 2]], [0.4, 0.4], atol=0.1)
+    for name, seed in (("a", 1), ("b@home", 2)):
+        gesture(2.0, seed=seed).save(tmp_path / f"{name}.bvh")
+    clips = [str(tmp_path / name) for name in ("a.bvh", "b@home.bvh")]
+    assert render("--keep", clips[1], "--seconds", "3") == 0
+    assert made().n_frames == 75
+    assert render("--keep", f"{clips[0]},{clips[1]}@3") == 0
+    assert made().n_frames == 125
+    capsys.readouterr()
+    assert render("--keep", ",".join(clips)) == 2
+    assert "both begin at 0 s" in capsys.readouterr().err
+    assert render("--keep", clips[0], "--path", str(tmp_path / "path.csv")) == 2
+    assert render("--path", str(tmp_path / "none.csv")) == 1
+    assert "no such file" in capsys.readouterr().err
