@@ -187,18 +187,8 @@ class MultiresModel:
         unknown = {"events": events, "guidance": guidance}
         if not self.styles:
             unknown |= {"style": style, "level_style": level_style}
-        for name, value in unknown.items():
-            if value is not None:
-                raise ModelError(f"{name}={value!r}: this multires model knows no {name}")
-        if speaker is not None and speaker not in self.speakers:
-            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
-            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
-        if samples < 1:
-            raise ModelError(f"samples={samples}: ask for at least 1")
+        self._check(unknown, speaker, samples, {"levels": levels, "keyframe_level": keyframe_level})
         n_levels = self.network_config.levels
-        for name, value in {"levels": levels, "keyframe_level": keyframe_level}.items():
-            if value is not None and not 1 <= value <= n_levels:
-                raise ModelError(f"{name}={value}: the model has levels 1 (coarse) to {n_levels}")
         controls = {"path": path, "keyframes": keyframes, "like": like, "keep": keep}
         named = [name for name, value in controls.items() if value is not None]
         # A coarse level is edited frame by frame: its own frames, and none around them.
@@ -318,6 +308,27 @@ class MultiresModel:
         condition = self._condition(features, lengths, told)
         vectors = sample(self.network, noises, lengths, condition)
         return self.representation.decode(self._values(vectors), self.fps)
+
+    def _check(
+        self,
+        unknown: Mapping[str, Any],
+        speaker: str | None,
+        samples: int,
+        levels: Mapping[str, int | None],
+    ) -> None:
+        """Whether the model can do what it is asked."""
+        for name, value in unknown.items():
+            if value is not None:
+                raise ModelError(f"{name}={value!r}: this multires model knows no {name}")
+        if speaker is not None and speaker not in self.speakers:
+            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
+            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
+        if samples < 1:
+            raise ModelError(f"samples={samples}: ask for at least 1")
+        count = self.network_config.levels
+        for name, level in levels.items():
+            if level is not None and not 1 <= level <= count:
+                raise ModelError(f"{name}={level}: the model has levels 1 (coarse) to {count}")
 
     def _in_place(
         self,
