@@ -198,8 +198,6 @@ def command(
         raise click.UsageError("Give audio files, or --seconds for an idle motion.")
     if sources and seconds is not None:
         raise click.UsageError("--seconds goes without audio: a motion is as long as its speech.")
-    if path is not None and seconds is not None:
-        raise click.UsageError("--seconds goes without --path: a motion is as long as its path.")
     if rig_parts and rig is None:
         raise click.UsageError("--rig-part names parts of the body that --rig gives.")
     loaded = load(model, weights=weights)
@@ -235,8 +233,8 @@ def command(
         foot_lock=foot_lock,
         smooth=smooth,
     ):
-        for path in outcome.files:
-            click.echo(click.format_filename(path))
+        for file in outcome.files:
+            click.echo(click.format_filename(file))
         if outcome.error is not None:
             failed += 1
             click.echo(f"Failed: {outcome.error}", err=True)

@@ -130,7 +130,7 @@ class MultiresModel:
         speech: str | Path | af.Wave | None = None,
         *,
         style: str | None = None,
-        path: str | Path | RootPath | None = None,
+        path: str | Path | RootPath | Motion | None = None,
         events: Any = None,
         seconds: float | None = None,
         samples: int = 1,
@@ -156,8 +156,8 @@ class MultiresModel:
             style: one of `styles`, or spans of seconds that blend into one another:
                 `old@0-10,angry@10-20`. None draws one for each sample.
             path: what the root follows over the ground, within 10 cm, facing where the path looks:
-                a table or a motion file (`load_root_path`), or a `RootPath`. Without speech it
-                decides the length; where it is shorter than the speech, the body stays at its end.
+                a table or a motion file, see `load_root_path`. Without speech
+                and seconds it decides the length; past its end the body stays there.
             events: this kind of model has none.
             guidance: this kind of model has none.
             speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
@@ -206,11 +206,11 @@ class MultiresModel:
         kept = None if keep is None else KeptParts(keep, self.representation, self.fps)
         if kept is not None and speech is None and seconds is None:
             seconds = kept.end / self.fps
-        if path is not None and not isinstance(path, RootPath):
+        if isinstance(path, Motion):
+            path = RootPath.of(path)
+        elif path is not None and not isinstance(path, RootPath):
             path = load_root_path(path)
-        if path is not None and speech is None:
-            if seconds is not None:
-                raise ModelError("seconds goes without path: the motion is as long as its path")
+        if path is not None and speech is None and seconds is None:
             # A path ends where its last row is.
             seconds = (path.n_frames - 1) / path.fps + 1 / self.fps
         features = hear(self.conditioner, speech, seconds, self.fps)
