@@ -186,6 +186,8 @@ class MultiresConfig:
     """CPU threads; null leaves the choice to torch."""
     device: str = "auto"
     """auto, cpu, or cuda."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of convolutions in training; bfloat16 is for GPUs that are fast with it."""
     notes: dict[str, Any] = field(default_factory=dict)
     """Free text for the model's README: data, licence."""
 

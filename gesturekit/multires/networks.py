@@ -125,7 +125,8 @@ class LevelDiscriminator(nn.Module):
         """(B, D, T) to (B, 1, T): one score a frame, each of the patch around it."""
         for layer in self.layers:
             x = F.leaky_relu(layer(x), SLOPE)
-        return self.score(reflect(x, self.score.kernel_size[0] // 2))
+        # Not in half precision: scores are small differences, and their means run over time.
+        return self.score(reflect(x, self.score.kernel_size[0] // 2)).float()
 
 
 class MultiresGenerator(nn.Module):

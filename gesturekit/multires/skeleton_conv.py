@@ -7,8 +7,9 @@ into blocks: one a modelled joint, one a foot contact, one for the root's displa
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,10 +18,7 @@ from torch import Tensor, nn
 
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.interpolation import reflect
-
-_BLOCKS_A_PART = 5
-"""On average, where a convolution is split. Fewer multiply more zeros, more spend their time on
-calls (benchmarks/bench_multires_sample.py)."""
+from gesturekit.multires.part_conv import Layout, Parts
 
 
 def block_neighbours(representation: MultiresRepresentation, distance: int) -> np.ndarray:
@@ -52,10 +50,8 @@ class SkeletonConv1d(nn.Module):
     """Convolution over time whose output blocks see only the input blocks near them.
 
     Only live weights are parameters: some 80 % of the dense kernel is zero and costs neither
-    memory, nor optimiser state, nor room in the model file. In training the arithmetic is a dense
-    convolution, which with its backward pass beats grouped and gathered ones at these sizes
-    (benchmarks/RESULTS.md). In evaluation without gradients it is a few dense convolutions, one for
-    each part of the body, whose weights are laid out once; sums then run in another order.
+    memory, nor optimiser state, nor room in the model file. On a CPU the arithmetic is that of
+    `part_conv`; on other devices, and for a handful of frames, a dense convolution.
 
     Args:
         neighbours: (B, B) bool, from `block_neighbours`.
@@ -85,85 +81,95 @@ class SkeletonConv1d(nn.Module):
         with torch.no_grad():
             self.weight.mul_(torch.from_numpy(per_weight.astype(np.float32)))
             self.bias.mul_(torch.from_numpy(bound.astype(np.float32)))
-        self._laid_out: tuple[tuple, _PartConvs] | None = None
+        self._laid_out: dict[str, tuple[tuple, list[Tensor]]] = {}
 
     def dense_weight(self) -> Tensor:
         """(channels out, channels in, kernel), zero where blocks do not see one another."""
         dense = self.weight.new_zeros(math.prod(self.shape))
         return dense.index_put((self.live,), self.weight).view(self.shape)
 
+    def dense(self, x: Tensor) -> Tensor:
+        """The same as `forward`, by one dense convolution."""
+        return F.conv1d(reflect(x, self.padding), self.dense_weight(), self.bias)
+
     def forward(self, x: Tensor) -> Tensor:
         """(B, channels in, T) to (B, channels out, T)."""
-        if self.training or torch.is_grad_enabled() or x.device.type != "cpu":
-            return F.conv1d(reflect(x, self.padding), self.dense_weight(), self.bias)
-        pad = self.padding
-        if x.shape[-1] <= pad:
-            return self._split()(reflect(x, pad))
-        # The same, four times as fast as by index; training keeps to the other's gradients.
-        ends = x[..., 1 : pad + 1].flip(-1), x[..., -pad - 1 : -1].flip(-1)
-        return self._split()(torch.cat([ends[0], x, ends[1]], dim=-1))
+        if not self.in_parts(x):
+            return self.dense(x)
+        return _PartFilter.apply(x, self.weight, self.bias, self)
 
-    def _split(self) -> _PartConvs:
-        """The layer as it is now, split; made anew where its weights have changed."""
-        state = tuple((_version(p), p.data_ptr()) for p in (self.weight, self.bias))
-        if self._laid_out is None or self._laid_out[0] != state:
-            self._laid_out = state, _PartConvs(self)
-        return self._laid_out[1]
+    def in_parts(self, x: Tensor) -> bool:
+        """Whether a signal (..., T) is filtered part by part."""
+        exact = x.dtype == self.weight.dtype == torch.float32
+        on_cpu = x.device.type == "cpu" and not torch.is_autocast_enabled("cpu")
+        return exact and on_cpu and Layout.fits(x.shape[-1], self.shape[-1])
 
+    @property
+    def parts(self) -> Parts:
+        """How the layer is split."""
+        near = self.neighbours
+        return _split(near.tobytes(), len(near), *self.sizes, self.shape[-1])
 
-class _PartConvs:
-    """A skeleton-aware convolution as one dense convolution for each part of the body.
+    def forward_weights(self) -> list[Tensor]:
+        """`Parts.forward_weights` of the weights as they are now."""
+        return self._transformed("forward", self.parts.forward_weights)
 
-    The blocks of a part see much the same blocks, so that few of its weights are zero.
-    """
+    def reverse_weights(self) -> list[Tensor]:
+        """`Parts.reverse_weights` of the weights as they are now."""
+        return self._transformed("reverse", self.parts.reverse_weights)
 
-    def __init__(self, conv: SkeletonConv1d) -> None:
-        sizes_in, sizes_out = conv.sizes
-        dense = conv.dense_weight().detach()
-        reads, writes, self.layers = [], [], []
-        for part in _parts(conv.neighbours.tobytes(), len(conv.neighbours)):
-            seen = _channels(sizes_in, np.flatnonzero(conv.neighbours[list(part)].any(axis=0)))
-            own = _channels(sizes_out, part)
-            reads.append(seen)
-            writes.append(own)
-            weight = dense[own][:, seen].contiguous()
-            self.layers.append((len(seen), weight, conv.bias.detach()[own]))
-        self.reads = torch.cat(reads)
-        self.back = torch.argsort(torch.cat(writes))
-
-    def __call__(self, x: Tensor) -> Tensor:
-        """(B, channels in, T + kernel - 1) to (B, channels out, T)."""
-        seen, made, start = x.index_select(1, self.reads), [], 0
-        for width, weight, bias in self.layers:
-            made.append(F.conv1d(seen[:, start : start + width], weight, bias))
-            start += width
-        return torch.cat(made, dim=1).index_select(1, self.back)
+    @torch.no_grad()
+    def _transformed(self, way: str, make: Callable[[Tensor], list[Tensor]]) -> list[Tensor]:
+        """Made anew where the weights have changed."""
+        state = _version(self.weight), self.weight.data_ptr()
+        if way not in self._laid_out or self._laid_out[way][0] != state:
+            self._laid_out[way] = state, make(self.weight.detach())
+        return self._laid_out[way][1]
 
 
 @lru_cache(maxsize=64)
-def _parts(neighbours: bytes, n_blocks: int) -> tuple[tuple[int, ...], ...]:
-    """Blocks (B, B) of whom each sees whom, joined into parts that see much the same.
-
-    Two at a time, those whose union multiplies the fewest zeros.
-    """
+def _split(
+    neighbours: bytes,
+    n_blocks: int,
+    sizes_in: tuple[int, ...],
+    sizes_out: tuple[int, ...],
+    kernel: int,
+) -> Parts:
     near = np.frombuffer(neighbours, dtype=bool).reshape(n_blocks, n_blocks)
-    parts, seen = [(block,) for block in range(n_blocks)], near.astype(np.int64)
-    while len(parts) > max(1, round(n_blocks / _BLOCKS_A_PART)):
-        own, width = np.array([len(part) for part in parts]), seen.sum(axis=1)
-        union = width[:, None] + width - seen @ seen.T
-        more = (own[:, None] + own) * union - (own * width)[:, None] - own * width
-        np.fill_diagonal(more, np.iinfo(more.dtype).max)
-        one, other = sorted(np.unravel_index(more.argmin(), more.shape))
-        parts[one] += parts.pop(other)
-        seen[one] |= seen[other]
-        seen = np.delete(seen, other, axis=0)
-    return tuple(tuple(sorted(part)) for part in parts)
+    return Parts(near, sizes_in, sizes_out, kernel)
 
 
-def _channels(sizes: Sequence[int], blocks: Sequence[int]) -> Tensor:
-    """Where the channels of these blocks stand."""
-    starts = np.cumsum((0, *sizes))
-    return torch.from_numpy(np.concatenate([np.arange(starts[b], starts[b + 1]) for b in blocks]))
+class _PartFilter(torch.autograd.Function):
+    """`part_conv` under autograd; a gradient of a gradient goes by the dense convolution."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, conv: SkeletonConv1d) -> Tensor:
+        parts, layout = conv.parts, Layout(len(x), x.shape[-1], conv.padding)
+        signal = layout.mirror(layout.pack(x, parts.order_in))
+        bias_here = bias[parts.order_out]
+        made, seen = parts.forward(conv.forward_weights(), bias_here, signal, layout)
+        ctx.conv, ctx.layout, ctx.seen = conv, layout, seen if weight.requires_grad else None
+        ctx.save_for_backward(x, weight, bias)
+        return layout.unpack(made, parts.back_out)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        x, weight, bias = ctx.saved_tensors
+        conv, layout, parts = ctx.conv, ctx.layout, ctx.conv.parts
+        if torch.is_grad_enabled():
+            wanted = [part for part in (x, weight, bias) if part.requires_grad]
+            found = iter(torch.autograd.grad(conv.dense(x), wanted, gradient, create_graph=True))
+            return *(next(found) if p.requires_grad else None for p in (x, weight, bias)), None
+        spread = parts.spread(layout.pack(gradient, parts.order_out), layout)
+        by_input = by_weight = by_bias = None
+        if ctx.needs_input_grad[0]:
+            made = parts.input_gradient(conv.reverse_weights(), spread, layout)
+            by_input = layout.unpack(made, parts.back_in)
+        if ctx.needs_input_grad[1]:
+            by_weight = parts.weight_gradient(spread, ctx.seen)
+        if ctx.needs_input_grad[2]:
+            by_bias = parts.bias_gradient(spread)[parts.back_out]
+        return by_input, by_weight, by_bias, None
 
 
 def _version(parameter: Tensor) -> int:

@@ -7,6 +7,7 @@ import logging
 import math
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 import audio_features as af
-from gesturekit.errors import ModelError
+from gesturekit.errors import ConfigError, ModelError
 from gesturekit.multires.bank import Bank, Windows
 from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.critic import critic_gradients
 from gesturekit.multires.data import TrainingData, load_training_data
 from gesturekit.multires.holding import fastest_second, plain_values
 from gesturekit.multires.interpolation import resample
@@ -27,13 +29,10 @@ from gesturekit.multires.listening import ArmSpeedTarget
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.monitor import Monitor, distance_from_recordings
-from gesturekit.multires.networks import (
-    LevelDiscriminator,
-    MultiresGenerator,
-    gradient_penalty,
-)
+from gesturekit.multires.networks import LevelDiscriminator, MultiresGenerator
 from gesturekit.training.config import to_dict
 from gesturekit.training.device import prepare_device
+from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
 from gesturekit.training.seeds import generator, seeded
 
@@ -42,6 +41,8 @@ log = logging.getLogger(__name__)
 
 def train(config: MultiresConfig, *, resume: bool = False) -> Path:
     """Train a multires model and write it.
+
+    Under torchrun each process takes its share of every batch, and the first one writes.
 
     Args:
         config: what to train on, and how.
@@ -55,32 +56,45 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
         CorpusError: the corpus cannot be trained on.
         ModelError: training left the realm of numbers.
     """
-    device = prepare_device(config.device, config.threads)
-    run = Run(config.out, to_dict(config), resume=resume)
-    try:
-        return _Trainer(config, run, device, resume=resume).run()
-    finally:
-        run.close()
+    with Processes.from_environment(config.device) as processes:
+        device = prepare_device(processes.device(config.device), config.threads)
+        run = Run(config.out, to_dict(config), resume=resume)
+        # All have looked at the folder before the first one makes it that of this run.
+        processes.wait()
+        try:
+            return _Trainer(config, run, device, processes, resume=resume).run()
+        finally:
+            run.close()
 
 
 class _Trainer:
     def __init__(
-        self, config: MultiresConfig, run: Run, device: torch.device, *, resume: bool
+        self,
+        config: MultiresConfig,
+        run: Run,
+        device: torch.device,
+        processes: Processes,
+        *,
+        resume: bool,
     ) -> None:
         self.config = config
         self.folder = run
         self.device = device
-        if resume:
-            self.data = TrainingData.load(run.folder / "data", config)
-        else:
-            self.data = load_training_data(config)
-        if self.data.unpaired_is_paired:
+        self.processes = processes
+        if self.batch < processes.count:
+            raise ConfigError(
+                f"schedule.batch: {self.batch} window(s) a step cannot be shared by "
+                f"{processes.count} processes (whole sequences go one at a time)"
+            )
+        self.data = self._read(resume)
+        if self.data.unpaired_is_paired and processes.is_first:
             log.warning(
                 "The corpus has no unpaired speech: random steps draw windows of the paired speech."
             )
         self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
         self.heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
-        log.info("Training on %s.", ", ".join(self._what()))
+        if processes.is_first:
+            log.info("Training on %s.", ", ".join(self._what()))
         self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
@@ -103,9 +117,23 @@ class _Trainer:
                 for members in self.groups.values()
             ]
         )
-        if not resume:
-            self.data.save(run.folder / "data")
-            run.begin()
+
+    def _read(self, resume: bool) -> TrainingData:
+        """What to train on; a new run's is read by the first process, and the others have it."""
+        folder = self.folder.folder / "data"
+        data = None
+        if not resume and self.processes.is_first:
+            data = load_training_data(self.config)
+            data.save(folder)
+            self.folder.begin()
+        self.processes.wait()
+        return TrainingData.load(folder, self.config) if data is None else data
+
+    @property
+    def batch(self) -> int:
+        """Windows of a step, over all processes."""
+        # Whole sequences differ in length, so they go one at a time, as in the paper.
+        return self.config.schedule.batch if self.config.schedule.window is not None else 1
 
     def _what(self) -> list[str]:
         """What there is to train on, for people."""
@@ -131,8 +159,12 @@ class _Trainer:
         done, state = self.folder.checkpoints.latest() or (0, None)
         if state is not None:
             self.network.load_state_dict(state["generator"])
-            log.info("Resuming after step %d.", done)
-        self.folder.forget_metrics_after(done)
+        if self.processes.is_first:
+            if state is not None:
+                log.info("Resuming after step %d.", done)
+            self.folder.forget_metrics_after(done)
+        # Nobody writes a checkpoint before all have read the one to go on from.
+        self.processes.wait()
         pairs = self.pairs()
         # Time left is told by frames to go, plus a share that does not depend on frames; whole
         # numbers, so that the bar ends exactly where it should.
@@ -143,6 +175,7 @@ class _Trainer:
             bar_format="{l_bar}{bar}| {elapsed} gone, {remaining} left {postfix}",
             # A log file wants a line now and then, a terminal a living bar.
             mininterval=1.0 if sys.stderr.isatty() else 60.0,
+            disable=not self.processes.is_first,
         ) as progress:
             start = 0
             for first, iterations in pairs:
@@ -178,17 +211,20 @@ class _Trainer:
         self.folder.log(step, figures, level=first + 1, kind="evaluation")
 
     def _finish(self, steps: int) -> Path:
-        last = self.folder.last_metrics()
-        return self._save(
-            "model",
-            self.network,
-            {
-                "Training steps": str(steps),
-                "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
-            },
-        )
+        if self.processes.is_first:
+            last = self.folder.last_metrics()
+            self._save(
+                "model",
+                self.network,
+                {
+                    "Training steps": str(steps),
+                    "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
+                },
+            )
+        self.processes.wait()
+        return self.folder.folder / "model"
 
-    def _save(self, name: str, network: MultiresGenerator, notes: dict[str, str]) -> Path:
+    def _save(self, name: str, network: MultiresGenerator, notes: dict[str, str]) -> None:
         """Write a model of the run and say where it lies."""
         model = MultiresModel(
             fps=self.config.fps,
@@ -217,9 +253,8 @@ class _Trainer:
                 for sequence in self.data.paired
             ),
         )
-        folder = self.folder.folder / name
         model.save(
-            folder,
+            self.folder.folder / name,
             notes={
                 "Recordings": f"{len(self.data.paired)}, {self.seconds:.0f} s",
                 "Unpaired speech": f"{len(self.data.unpaired)} files, {self.heard:.0f} s"
@@ -229,7 +264,6 @@ class _Trainer:
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },
         )
-        return folder
 
 
 class _Pair:
@@ -251,8 +285,12 @@ class _Pair:
         ).to(trainer.device)
         rate = self.config.schedule.learning_rate
         self.optimisers = {
-            "generator": torch.optim.Adam(self.generators.parameters(), lr=rate),
-            "discriminator": torch.optim.Adam(self.discriminators.parameters(), lr=rate),
+            # Not fused: that one changes weights behind the back of who counts their versions.
+            name: torch.optim.Adam(networks.parameters(), lr=rate, foreach=True)
+            for name, networks in (
+                ("generator", self.generators),
+                ("discriminator", self.discriminators),
+            )
         }
         self.targets = self._arm_speed_targets() if self.config.uses_arm_speed else []
         self._bank: dict[str, dict[int, Windows]] = {}
@@ -276,20 +314,19 @@ class _Pair:
         totals: dict[str, float] = {}
         since, clock = 0, time.monotonic()
         for iteration in range(begin, self.iterations):
-            if iteration % schedule.renew == 0 or not self._bank:
-                self._fill_bank(iteration // schedule.renew)
             late = iteration >= schedule.decay_at * self.iterations
             for optimiser in self.optimisers.values():
                 for group in optimiser.param_groups:
                     group["lr"] = schedule.learning_rate * (0.1 if late else 1.0)
-            for name, value in self._iterate(iteration).items():
+            for name, value in self.iterate(iteration).items():
                 totals[name] = totals.get(name, 0.0) + value
             since += 1
             step = offset + iteration + 1
             self._check_finite(step, totals)
             progress.update(cost)
             last = iteration + 1 == self.iterations
-            if step % self.config.log_every == 0 or last:
+            first = self.trainer.processes.is_first
+            if first and (step % self.config.log_every == 0 or last):
                 means = {name: value / since for name, value in totals.items()}
                 pace = (time.monotonic() - clock) / since
                 self.trainer.folder.log(
@@ -298,13 +335,14 @@ class _Pair:
                 shown = ", ".join(f"{name} {value:.3g}" for name, value in means.items())
                 progress.set_postfix_str(f"level {self.first + 1}-{self.indices[-1] + 1}: {shown}")
                 totals, since, clock = {}, 0, time.monotonic()
-            if self.config.eval_every and (step % self.config.eval_every == 0 or last):
+            if first and self.config.eval_every and (step % self.config.eval_every == 0 or last):
                 self.trainer.evaluate(step, self.first, self.indices[-1] + 1)
             if step % self.config.checkpoint_every == 0 or last:
                 networks = nn.ModuleList([self.generators, self.discriminators])
                 norms = [weight.detach().norm() for weight in networks.parameters()]
                 self._check_finite(step, {"weights": float(torch.stack(norms).sum())})
-                self.trainer.folder.checkpoints.save(step, self.state())
+                if first:
+                    self.trainer.folder.checkpoints.save(step, self.state())
 
     def _check_finite(self, step: int, values: dict[str, float]) -> None:
         """Stop before a checkpoint is written over what can still be used."""
@@ -332,19 +370,23 @@ class _Pair:
             if schedule.discriminator_steps or schedule.generator_steps:
                 self._bank["random"][n_frames] = bank.random(n_frames, self.first, count, rng)
 
-    def _draw(self, kind: str, n_frames: int, rng: torch.Generator) -> Windows:
+    def _draw(self, kind: str, n_frames: int, rng: torch.Generator, batches: int = 1) -> Windows:
+        """My share of so many batches of windows, one batch after the other."""
         windows = self._bank[kind][n_frames]
-        count = len(windows.conditions[0])
-        return windows.take(torch.randint(count, (self._batch,), generator=rng))
+        chosen = torch.randint(
+            len(windows.conditions[0]), (batches, self.trainer.batch), generator=rng
+        )
+        return windows.take(chosen[:, self._share].flatten())
 
     @property
-    def _batch(self) -> int:
-        # Whole sequences differ in length, so they go one at a time, as in the paper.
-        return self.config.schedule.batch if self.config.schedule.window is not None else 1
+    def _share(self) -> slice:
+        return self.trainer.processes.share(self.trainer.batch)
 
-    def _iterate(self, iteration: int) -> dict[str, float]:
+    def iterate(self, iteration: int) -> dict[str, float]:
         """One iteration: discriminator, random-generation and reconstruction steps."""
         schedule = self.config.schedule
+        if iteration % schedule.renew == 0 or not self._bank:
+            self._fill_bank(iteration // schedule.renew)
         rng = generator(self.config.seed, "iteration", self.first, iteration)
         lengths = list(self.trainer.groups)
         report: dict[str, float] = {}
@@ -352,22 +394,31 @@ class _Pair:
         def length() -> int:
             return lengths[int(torch.multinomial(self.trainer.group_frames, 1, generator=rng))]
 
-        for _ in range(schedule.discriminator_steps):
-            report["critic"] = self._discriminator_step(length(), rng)
+        if schedule.discriminator_steps:
+            chosen = [length() for _ in range(schedule.discriminator_steps)]
+            report["critic"] = self._discriminator_steps(chosen, rng)
         for _ in range(schedule.generator_steps):
             report.update(self._random_step(length(), rng))
         for _ in range(schedule.reconstruction_steps):
             report["rec"] = self._reconstruction_step(length(), rng)
-        return report
+        values = self.trainer.processes.mean(torch.tensor(list(report.values())))
+        return dict(zip(report, values.tolist(), strict=True))
+
+    def _precision(self) -> torch.autocast:
+        """What networks run under; losses and sums over time stay in float32."""
+        half = self.config.precision == "bfloat16"
+        return torch.autocast(self.trainer.device.type, torch.bfloat16, enabled=half)
 
     def _generate(self, windows: Windows) -> list[Tensor]:
-        return self.trainer.network(
-            windows.noise,
-            windows.conditions,
-            first=self.first,
-            coarser=windows.coarser,
-            lengths=[level.shape[-1] for level in windows.conditions],
-        )
+        with self._precision():
+            made = self.trainer.network(
+                windows.noise,
+                windows.conditions,
+                first=self.first,
+                coarser=windows.coarser,
+                lengths=[level.shape[-1] for level in windows.conditions],
+            )
+        return [level.float() for level in made]
 
     def _step(self, name: str, loss: Tensor) -> None:
         optimiser = self.optimisers[name]
@@ -375,23 +426,43 @@ class _Pair:
         # Only the networks of this step get gradients; the other side's would be thrown away.
         parameters = [p for group in optimiser.param_groups for p in group["params"]]
         loss.backward(inputs=parameters)
-        optimiser.step()
+        self._update(name)
 
-    def _discriminator_step(self, n_frames: int, rng: torch.Generator) -> float:
+    def _update(self, name: str) -> None:
+        """One step down the mean gradient of all processes."""
+        processes, share = self.trainer.processes, self._share
+        parameters = [p for group in self.optimisers[name].param_groups for p in group["params"]]
+        processes.average_gradients(parameters, (share.stop - share.start) / self.trainer.batch)
+        self.optimisers[name].step()
+
+    def _discriminator_steps(self, lengths: Sequence[int], rng: torch.Generator) -> float:
+        """Steps on windows of these lengths; the generator stands, so fakes are made beforehand."""
+        fakes: dict[int, Iterator[Sequence[Tensor]]] = {}
+        for n_frames in dict.fromkeys(lengths):
+            count = lengths.count(n_frames)
+            with torch.no_grad():
+                made = self._generate(self._draw("random", n_frames, rng, count))
+            split = (level.chunk(count) for level in made)
+            fakes[n_frames] = iter(zip(*split, strict=True))
+        gap = 0.0
+        for n_frames in lengths:
+            gap = self._discriminator_step(n_frames, next(fakes[n_frames]), rng)
+        return gap
+
+    def _discriminator_step(
+        self, n_frames: int, fakes: Sequence[Tensor], rng: torch.Generator
+    ) -> float:
         sequences = [self.trainer.data.paired[i] for i in self.trainer.groups[n_frames]]
-        reals = self.trainer.bank.reals(sequences, n_frames, self.first, self._batch, rng)
-        with torch.no_grad():
-            fakes = self._generate(self._draw("random", n_frames, rng))
-        losses, gaps = [], []
+        batch, share = self.trainer.batch, self._share
+        reals = self.trainer.bank.reals(sequences, n_frames, self.first, batch, rng)
+        gaps = []
         for critic, real, fake in zip(self.discriminators, reals, fakes, strict=True):
-            mix = torch.rand(len(real), 1, 1, generator=rng).to(real.device)
-            scores = critic(torch.cat([fake, real])).mean(dim=(1, 2))
-            gap = scores[: len(fake)].mean() - scores[len(fake) :].mean()
-            weights = self.config.losses
-            penalty = gradient_penalty(critic, real, fake, mix, weights.penalty_on == "frame")
-            losses.append(weights.critic_scale * gap + weights.gradient_penalty * penalty)
-            gaps.append(gap.detach())
-        self._step("discriminator", torch.stack(losses).sum())
+            mix = torch.rand(batch, 1, 1, generator=rng).to(real.device)
+            with self._precision():
+                gaps.append(
+                    critic_gradients(critic, real[share], fake, mix[share], self.config.losses)
+                )
+        self._update("discriminator")
         return float(torch.stack(gaps).mean())
 
     def _random_step(self, n_frames: int, rng: torch.Generator) -> dict[str, float]:
@@ -404,7 +475,8 @@ class _Pair:
             stride = n_frames / motion.shape[-1]
             values = self.trainer.normaliser.inverse(motion)
             if weights.adversarial:
-                score = -critic(motion).mean()
+                with self._precision():
+                    score = -critic(motion).mean()
                 parts.setdefault("adversarial", []).append(weights.adversarial * score)
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1
@@ -437,16 +509,17 @@ class _Pair:
         if self.config.losses.rec_input == "real":
             # Every level starts from the recorded motion below it, the pair's second one too.
             below = (windows.coarser, *windows.targets)
-            made = [
-                self.trainer.network(
-                    windows.noise[i : i + 1],
-                    windows.conditions[i : i + 1],
-                    first=self.first + i,
-                    coarser=below[i],
-                    lengths=[target.shape[-1]],
-                )[0]
-                for i, target in enumerate(windows.targets)
-            ]
+            with self._precision():
+                made = [
+                    self.trainer.network(
+                        windows.noise[i : i + 1],
+                        windows.conditions[i : i + 1],
+                        first=self.first + i,
+                        coarser=below[i],
+                        lengths=[target.shape[-1]],
+                    )[0].float()
+                    for i, target in enumerate(windows.targets)
+                ]
         else:
             made = self._generate(windows)
         errors = [F.l1_loss(m, target) for m, target in zip(made, windows.targets, strict=True)]

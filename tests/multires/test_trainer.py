@@ -65,7 +65,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(make_confi
 
 
 def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypatch):
-    read = {"_discriminator_step": [], "_random_step": [], "_reconstruction_step": []}
+    read = {"_discriminator_steps": [], "_random_step": [], "_reconstruction_step": []}
     step = []
 
     def marked(config):
@@ -95,7 +95,7 @@ def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypat
         monkeypatch.setattr(trainer._Pair, name, recorded(name, getattr(trainer._Pair, name)))
     train(make_config(features={"residual": False}, schedule={"silence": 0.0}))
     assert set(read["_random_step"]) == {(2.0, False)}
-    assert set(read["_discriminator_step"]) == {(2.0, False)}
+    assert set(read["_discriminator_steps"]) == {(2.0, False)}
     assert set(read["_reconstruction_step"]) == {(1.0, True)}
 
 
@@ -113,8 +113,8 @@ def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(
         upsampled.append(up)
         return forward(self, up, noise, condition)
 
-    def record_windows(self, kind, n_frames, rng):
-        windows = draw(self, kind, n_frames, rng)
+    def record_windows(self, kind, n_frames, rng, *batches):
+        windows = draw(self, kind, n_frames, rng, *batches)
         wanted.append(windows)
         return windows
 
@@ -204,6 +204,7 @@ def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path
         {"losses": {"arm_speed": 0, "rec_input": "real"}},
         {"network": {"levels": 3}},
         {"joints": "all"},
+        {"precision": "bfloat16"},
     ],
     ids=str,
 )

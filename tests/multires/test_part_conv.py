@@ -1,0 +1,68 @@
+"""Part by part, four frames at a time: the same numbers as one dense convolution by autograd."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+
+from gesturekit.motion import Motion
+from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.multires.config import LossConfig, NetworkConfig
+from gesturekit.multires.critic import critic_gradients
+from gesturekit.multires.networks import LevelDiscriminator
+from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours
+
+
+@pytest.fixture
+def representation(skeleton):
+    rng = np.random.default_rng(0)
+    turns = rng.normal(0, 0.1, (4, skeleton.n_joints, 4)) + [0.0, 0.0, 0.0, 1.0]
+    return MultiresRepresentation.fit([Motion(skeleton, turns, np.zeros((4, 3)), 25)], "all")
+
+
+def close(one, other, relative):
+    return float((one - other).detach().norm()) <= relative * float(other.detach().norm()) + 1e-12
+
+
+@pytest.mark.parametrize("n_frames", [8, 9, 30, 31])
+@pytest.mark.parametrize("kernel", [3, 5])
+def test_a_layer_and_its_gradients(representation, n_frames, kernel):
+    torch.manual_seed(0)
+    near = block_neighbours(representation, 2)
+    near[0, 5:9] = True  # who is seen need not see
+    conv = SkeletonConv1d(near, representation.block_sizes, (3,) * len(near), kernel)
+    x = torch.randn(2, conv.shape[1], n_frames, requires_grad=True)
+    wanted = torch.randn(2, conv.shape[0], n_frames)
+    assert conv.in_parts(x)
+    made, dense = conv(x), conv.dense(x)
+    assert close(made, dense, 1e-5)
+    inputs = (x, conv.weight, conv.bias)
+    for ours, theirs in zip(
+        torch.autograd.grad(made, inputs, wanted),
+        torch.autograd.grad(dense, inputs, wanted),
+        strict=True,
+    ):
+        assert close(ours, theirs, 1e-5)
+    with torch.no_grad():
+        conv.weight.mul_(2)
+    assert close(conv(x), conv.dense(x), 1e-5), "weights that changed are laid out anew"
+
+
+@pytest.mark.parametrize("penalty_on", ["window", "frame"])
+@pytest.mark.parametrize("n_frames", [8, 21])
+def test_a_discriminator_step_is_that_of_autograd(representation, penalty_on, n_frames):
+    torch.manual_seed(0)
+    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)))
+    losses = LossConfig(critic_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
+    real, fake = torch.randn(2, 2, representation.n_features, n_frames)
+    mix = torch.rand(2, 1, 1)
+    exact = copy.deepcopy(critic).double()  # double precision goes by autograd
+    gap = critic_gradients(critic, real, fake, mix, losses)
+    expected = critic_gradients(exact, real.double(), fake.double(), mix.double(), losses)
+    assert float(gap) == pytest.approx(float(expected), abs=1e-5)
+    for ours, theirs in zip(critic.parameters(), exact.parameters(), strict=True):
+        assert close(ours.grad.double(), theirs.grad, 2e-3)
+    assert sum(float(p.grad.norm()) for p in exact.parameters()) > 0
