@@ -1,0 +1,228 @@
+"""Training a pyramid: seconds of one iteration, and of a masked dense one with the same arithmetic.
+
+One clip of 648 frames, 29 blocks (24 joints, 4 contacts, the root), 7 levels, hidden channels 5, 9
+and 9 a joint, batch 1; an iteration is five discriminator steps, one generator step and one
+reconstruction step on each level of a pair, with GANimator's losses (recipes/ganimator,
+published.yaml). The other side is written here as GANimator goes about it: dense kernels times a
+mask at every call, six channels for every block, reflection padding, each of the seven steps
+running all levels up to its own under autograd, a gradient penalty by double backward, an optimiser
+for each network of each level, and losses levelled one after the other.
+
+`GANIMATOR` holds what its released code took on 2 cores for each of its groups, seconds an
+iteration, the least of two runs; the dense side on the same lengths stands beside it, so that one
+sees whether the comparison is fair on the machine at hand. The ratio is taken at our own lengths,
+on both sides the same.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from harness import arguments, compare, report
+from torch import Tensor, nn
+
+import audio_features as af
+from gesturekit.corpus import prepare
+from gesturekit.formats import write_bvh
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.networks import SLOPE
+from gesturekit.multires.skeleton_conv import block_neighbours
+from gesturekit.multires.trainer import _Pair, _Trainer
+from gesturekit.training.config import load_config, to_dict
+from gesturekit.training.processes import Processes
+from gesturekit.training.run import Run
+
+FRAMES, FPS, LEVELS = 648, 30, 7
+LENGTHS = (129, 172, 229, 305, 406, 541, 648)
+"""GANimator's own, of a clip of 648 frames."""
+GANIMATOR = {0: 0.54, 6: 0.50}
+BLOCK, HIDDEN, KERNEL = 6, (5, 9, 9), 5
+RECIPE = Path(__file__).resolve().parents[1] / "recipes/ganimator/published.yaml"
+
+
+def clip(folder: Path) -> Path:
+    """A manifest of one made-up clip: every joint swings at its own pace."""
+    rng = np.random.default_rng(0)
+    seconds = np.arange(FRAMES)[:, None, None] / FPS
+    pace, phase = rng.uniform(0.3, 1.5, (1, 24, 3)), rng.uniform(0, 2 * np.pi, (1, 24, 3))
+    half = 0.15 * np.sin(2 * np.pi * pace * seconds + phase)
+    rotations = np.concatenate([half, np.ones((FRAMES, 24, 1))], axis=-1)
+    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
+    root = np.zeros((FRAMES, 3))
+    root[:, 1] = 0.93 + 0.02 * np.sin(4 * seconds[:, 0, 0])
+    root[:, 2] = 0.5 * seconds[:, 0, 0]
+    (folder / "clips").mkdir()
+    write_bvh(Motion(smpl_skeleton(24), rotations, root, FPS), folder / "clips/clip.bvh")
+    prepare([], folder / "clip.jsonl", unpaired_motion=[folder / "clips"], holdout=0.0)
+    return folder / "clip.jsonl"
+
+
+class MaskedConv(nn.Module):
+    """A dense kernel, a mask, and reflection padding."""
+
+    def __init__(self, near: np.ndarray, n_in: int, n_out: int) -> None:
+        super().__init__()
+        mask = np.repeat(np.repeat(near, n_out, axis=0), n_in, axis=1)[..., None]
+        self.register_buffer("mask", torch.from_numpy(mask).float())
+        self.conv = nn.Conv1d(mask.shape[1], mask.shape[0], KERNEL)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = F.pad(x, (KERNEL // 2, KERNEL // 2), mode="reflect")
+        return F.conv1d(x, self.conv.weight * self.mask, self.conv.bias)
+
+
+class Masked:
+    """The same training, all of it under autograd and dense."""
+
+    def __init__(self, trainer: _Trainer, lengths: tuple[int, ...], first: int) -> None:
+        torch.manual_seed(0)
+        self.lengths, self.levels = lengths, range(first, min(first + 2, LEVELS))
+        self.blocks = trainer.data.representation.block_sizes
+        near = block_neighbours(trainer.data.representation, 2)
+        widths = (BLOCK, *HIDDEN)
+        hidden = [[near, *pair] for pair in zip(widths, widths[1:], strict=False)]
+        self.generators, self.critics = [], []
+        for _ in range(self.levels.stop):
+            convs = [MaskedConv(*size) for size in (*hidden, [near, HIDDEN[-1], BLOCK])]
+            self.generators.append(nn.ModuleList(convs))
+            score = nn.Conv1d(HIDDEN[-1] * len(near), 1, KERNEL, padding=2, padding_mode="reflect")
+            critic = [MaskedConv(*size) for size in hidden]
+            steps = [part for conv in critic for part in (conv, nn.LeakyReLU(SLOPE))]
+            self.critics.append(nn.Sequential(*steps, score))
+        self.optimisers = {
+            side: [torch.optim.Adam(net.parameters(), lr=1e-4) for net in nets]
+            for side, nets in (("g", self.generators), ("d", self.critics))
+        }
+        self.kinematics: VectorKinematics = trainer.kinematics
+        # Six channels for every block: a contact and the root leave some of them unused.
+        width = BLOCK * len(self.blocks)
+        places = [BLOCK * i + k for i, size in enumerate(self.blocks) for k in range(size)]
+        self.places = torch.tensor(places)
+        motion = trainer.data.paired[0].motion
+        whole = torch.zeros(1, width, motion.shape[-1])
+        whole[0, self.places] = motion
+        self.reals = [F.interpolate(whole, size=n, mode="linear") for n in lengths]
+        self.z_star = torch.randn(1, width, lengths[0])
+        self.pools: dict[int, list[Tensor]] = {i: [] for i in self.levels}
+
+    def generate(self, noises: list[Tensor]) -> list[Tensor]:
+        made, up = [], torch.zeros_like(self.reals[0])
+        for level, noise in zip(self.generators, noises, strict=True):
+            if up.shape[-1] != noise.shape[-1]:
+                up = F.interpolate(up, size=noise.shape[-1], mode="linear")
+            x = up + noise
+            for i, conv in enumerate(level):
+                x = conv(F.leaky_relu(x, SLOPE) if i else x)
+            up = x + up
+            made.append(up)
+        return made
+
+    def random(self) -> list[Tensor]:
+        lengths = self.lengths[: self.levels.stop]
+        return self.generate([torch.randn(1, 1, n) * 0.1 for n in lengths])
+
+    def pooled(self, level: int, fake: Tensor) -> Tensor:
+        pool = self.pools[level]
+        if len(pool) < 50:
+            pool.append(fake)
+            return fake
+        if torch.rand(()) < 0.5:
+            return fake
+        which = int(torch.randint(len(pool), ()))
+        fake, pool[which] = pool[which], fake
+        return fake
+
+    def discriminator_step(self) -> None:
+        made = self.random()
+        for i in self.levels:
+            critic, real, fake = self.critics[i], self.reals[i], made[i].detach()
+            self.optimisers["d"][i].zero_grad()
+            (-0.5 * critic(real).mean()).backward()
+            (0.5 * critic(self.pooled(i, fake)).mean()).backward()
+            mix = torch.rand(1, 1, 1)
+            between = (mix * real + (1 - mix) * fake).requires_grad_(True)
+            score = critic(between)
+            (gradient,) = torch.autograd.grad(
+                score, between, torch.ones_like(score), create_graph=True, retain_graph=True
+            )
+            ((gradient.norm(dim=1) - 1) ** 2).mean().backward()
+            self.optimisers["d"][i].step()
+
+    def generator_step(self) -> None:
+        made = self.random()
+        losses = []
+        for i in self.levels:
+            contact = self.kinematics.contact_loss(
+                made[i].index_select(1, self.places), FRAMES / self.lengths[i], 12.0, False
+            )
+            losses.append(5 * contact - self.critics[i](made[i]).mean())
+        self.step(losses)
+
+    def reconstruction_step(self) -> None:
+        still = [torch.zeros(1, 1, n) for n in self.lengths[1 : self.levels.stop]]
+        made = self.generate([self.z_star, *still])
+        self.step([50 * F.l1_loss(made[i], self.reals[i]) for i in self.levels])
+
+    def step(self, losses: list[Tensor]) -> None:
+        for i in self.levels:
+            self.optimisers["g"][i].zero_grad()
+        for loss in losses:
+            loss.backward(retain_graph=True)
+        for i in self.levels:
+            self.optimisers["g"][i].step()
+
+    def iterate(self) -> None:
+        for _ in range(5):
+            self.discriminator_step()
+        self.generator_step()
+        self.reconstruction_step()
+
+
+class Ours:
+    """Iterations of a pair, one after the other, the bank's renewals among them."""
+
+    def __init__(self, trainer: _Trainer, first: int) -> None:
+        self.pair = _Pair(trainer, first, 15000)
+        self.iteration = 0
+
+    def iterate(self) -> None:
+        self.pair.iterate(self.iteration)
+        self.iteration += 1
+
+
+def main() -> None:
+    options = arguments(__doc__.splitlines()[0])
+    torch.set_num_threads(2)
+    runs = 8 if options.quick else 30
+    figures = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        settings = [f"corpus={clip(folder)}", f"out={folder / 'run'}", f"fps={FPS}", "joints=all"]
+        config = load_config(RECIPE, MultiresConfig, settings)
+        run = Run(config.out, to_dict(config), resume=False)
+        trainer = _Trainer(config, run, torch.device("cpu"), Processes(), resume=False)
+        own = tuple(af.level_lengths(FRAMES, LEVELS))
+        for first, known in GANIMATOR.items():
+            ours = Ours(trainer, first)
+            masked, published = Masked(trainer, own, first), Masked(trainer, LENGTHS, first)
+            seconds = compare(ours.iterate, published.iterate, runs, "")["other"]
+            levels = f"levels {first + 1} to {masked.levels.stop}"
+            figures[f"train_levels_{first + 1}"] = compare(
+                ours.iterate,
+                masked.iterate,
+                runs,
+                f"an iteration of {levels}; other: dense, masked, all under autograd, which at "
+                f"GANimator's lengths takes {seconds:.2f} s, GANimator {known:.2f}",
+            )
+    report(figures, options.json)
+
+
+if __name__ == "__main__":
+    main()
