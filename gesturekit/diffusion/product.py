@@ -155,9 +155,10 @@ class Product:
     def told(self, request: Request) -> Told:
         """Tell each model what was asked."""
         terms: list[Term] = []
-        for model, weight, style in zip(self.models, self.weights, self.styles, strict=False):
+        members = zip(self.models, self.weights, self.styles, strict=False)
+        for k, (model, weight, style) in enumerate(members):
             own = self._styled(model, style, request)
-            if model is self.models[0] and self.guidance is not None:
+            if k == 0 and self.guidance is not None:
                 own = self._guided(own, request)
             terms += [replace(term, weight=np.asarray(weight) * term.weight) for term in own]
         return Told(tuple(terms))

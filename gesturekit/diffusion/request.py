@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import audio_features as af
-from gesturekit.corpus.speech import hear
+from gesturekit.corpus.speech import SpeechConditioner, hear
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.event_times import asked_events, wants_beats
 from gesturekit.errors import ModelError
@@ -29,6 +29,8 @@ class Request:
         wave: the sound, or None for silence.
         path: what the root follows, T frames at `fps`, smoothed; None where a model moves it.
         events: what happens, and when; None for nothing.
+        ears: what the first model that hears does so by; None where none does.
+        features: (T, S) that it hears.
     """
 
     n_frames: int
@@ -36,6 +38,8 @@ class Request:
     wave: af.Wave | None
     path: RootPath | None
     events: tuple[Event, ...] | None
+    ears: SpeechConditioner | None
+    features: np.ndarray
 
     @classmethod
     def of(
@@ -71,27 +75,29 @@ class Request:
         if events is not None and not any(model.events for model in models):
             raise ModelError(f"events={str(events)!r}: this model knows no events")
         way = None if path is None else _loaded(path)
-        wave = speech
-        if speech is not None and not isinstance(speech, af.Wave):
-            wave = af.Wave.load(speech)
-        if wave is None and seconds is None and way is not None:
+        if speech is None and seconds is None and way is not None:
             seconds = way.duration
         ears = next((m.conditioner for m in models if m.conditioner is not None), None)
-        if ears is None and wave is not None and wants_beats(events) and seconds is None:
-            seconds = wave.n_frames(fps) / fps  # heard by nobody, but danced to
-            n_frames = len(hear(None, None, seconds, fps))
-        else:
-            n_frames = len(hear(ears, wave, seconds, fps))
+        heard, wave = speech, None
+        if speech is not None and (ears is not None or wants_beats(events)):
+            heard = wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
+        if ears is None and wave is not None and seconds is None:
+            # No model hears it, but something shall happen on its beats.
+            heard, seconds = None, wave.n_frames(fps) / fps
+        features = hear(ears, heard, seconds, fps)
+        n_frames = len(features)
         happens = None if events is None else asked_events(events, wave)
         _check_events(happens or (), models)
         if way is not None:
             way = smooth_path(way, fps, n_frames)
-        return cls(n_frames, fps, wave, way, happens)
+        return cls(n_frames, fps, wave, way, happens, ears, features)
 
     def told(self, conditions: Conditions) -> np.ndarray:
         """(T, C) float32: what a model is told of this, its style left at zero."""
         heard, ears = None, conditions.conditioner
-        if ears is not None:
+        if ears is not None and ears is self.ears:
+            heard = self.features
+        elif ears is not None:
             wave, n_frames = self.wave, self.n_frames
             heard = ears.silence(n_frames) if wave is None else ears(wave, n_frames)
         known = None

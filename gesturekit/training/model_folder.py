@@ -104,7 +104,9 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         missing = Path(error.filename or "model.safetensors").name
         raise ModelError(f"{folder}: the model lacks {missing}") from None
     except (KeyError, TypeError, ValueError, RuntimeError, OSError, MemoryError) as error:
-        raise ModelError(f"{folder}: the model is damaged ({error})") from error
+        # torch lists every tensor that does not fit, on a line of its own.
+        reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")
+        raise ModelError(f"{folder}: the model is damaged ({reason})") from error
     except Exception as error:
         # safetensors raises an error class of its own for a damaged file.
         raise ModelError(f"{folder}: model.safetensors is damaged ({error})") from error

@@ -1,0 +1,102 @@
+"""gesturekit render with diffusion models: each option reaches the model, or is refused by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gesturekit import Motion
+from gesturekit.cli import main
+
+
+@pytest.fixture
+def render(tmp_path, capsys):
+    """render(model, options...): exit code, the motion if there is one, and what was told."""
+
+    def run(model: Path | str, *options: object) -> tuple[int, Motion | None, str]:
+        out = tmp_path / "out"
+        (out / "motion.npz").unlink(missing_ok=True)
+        asked = ["render", "--model", model, "--out", out, "--format", "npz", *options]
+        with pytest.raises(SystemExit) as left:
+            main([str(word) for word in asked])
+        made = out / "motion.npz"
+        return (
+            left.value.code,
+            Motion.load(made) if made.exists() else None,
+            capsys.readouterr().err,
+        )
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def folders(untrained, tmp_path_factory) -> dict[str, Path]:
+    """Models on disk: with styles and events, without, and one that follows a path."""
+    models = {
+        "styled": untrained(styles=("old", "angry"), events=("kick",), droppable=("styles",)),
+        "plain": untrained(seed=1),
+        "walker": untrained(path=True),
+    }
+    root = tmp_path_factory.mktemp("models")
+    for name, model in models.items():
+        model.save(root / name)
+    return {name: root / name for name in models}
+
+
+def test_options_reach_the_model(render, folders, untrained):
+    options = ["--seconds", 1, "--style", "old:0.25,angry:0.75", "--guidance", 1.5]
+    options += ["--events", "kick@0.5:0.2", "--steps", 3, "--solver", "ddim"]
+    options += ["--expert", f"{folders['plain']}:0.25", "--expert", f"{folders['styled']}:0.1:old"]
+    status, motion, _ = render(folders["styled"], *options)
+    assert status == 0
+    model = untrained(styles=("old", "angry"), events=("kick",), droppable=("styles",))
+    expected = model.generate(
+        seconds=1.0,
+        style="old:0.25,angry:0.75",
+        guidance=1.5,
+        events="kick@0.5:0.2",
+        steps=3,
+        solver="ddim",
+        experts=[(untrained(seed=1), 0.25), (model, 0.1, "old")],
+    )
+    np.testing.assert_array_equal(motion.rotations, expected.rotations)
+    status, motion, _ = render(
+        folders["styled"], "--seconds", 1, "--steps", 2, "--guidance", 0, "--unconditional",
+        folders["plain"], "--no-foot-lock",
+    )  # fmt: skip
+    expected = untrained(seed=1).generate(seconds=1.0, steps=2, foot_lock=False)
+    np.testing.assert_array_equal(motion.rotations, expected.rotations)
+
+
+def test_a_path_gives_the_length(render, folders, tmp_path):
+    (tmp_path / "way.csv").write_text("time,x,z\n0,0,0\n1,0,1\n2,1,1\n")
+    status, motion, _ = render(folders["walker"], "--path", tmp_path / "way.csv", "--steps", 2)
+    assert status == 0
+    assert abs(motion.duration - 2) <= 1.01  # as long as the table's rows hold
+    np.testing.assert_allclose(motion.positions()[-1, 0, [0, 2]], [1, 1], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "told"),
+    [
+        ("plain", ["--levels", "2"], "levels: a diffusion model knows no levels"),
+        ("plain", ["--style", "old"], "this model knows no styles"),
+        ("styled", ["--style", "odl"], "style 'odl': the model knows old, angry"),
+        ("styled", ["--style", "old:0.5,angry:0.6"], "weights add up to 1.1"),
+        ("styled", ["--expert", "{walker}"], "only one of the two follows a path"),
+        ("styled", ["--expert", "{plain}:much"], "'much' is no weight"),
+        ("styled", ["--expert", "nowhere"], "nowhere: neither a model folder"),
+        ("plain", ["--guidance", "2"], "told nothing that it could follow"),
+        ("styled", ["--events", "kcik@1"], "did you mean kick"),
+        ("demo", ["--steps", "5"], "steps: a multires model knows no steps"),
+        ("demo", ["--solver", "dpm"], "solver: a multires model knows no solver"),
+        ("demo", ["--expert", "{plain}"], "experts: a multires model knows no experts"),
+    ],
+)
+def test_what_a_model_cannot_do_is_one_line(render, folders, name, options, told):
+    options = [option.format(**folders) for option in options]
+    status, motion, err = render(folders.get(name, name), "--seconds", 1, *options)
+    assert status in (1, 2) and motion is None
+    assert told in err and "Traceback" not in err
