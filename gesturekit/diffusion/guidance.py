@@ -27,6 +27,9 @@ from gesturekit.errors import ModelError
 SUM_TOLERANCE = 1e-5
 """How far from 1 the sum of the weights may be: rounding, and nothing that anybody typed."""
 
+FARTHEST = 10.0
+"""Standard deviations from the mean beyond which no number of a motion lies."""
+
 Weight = float | np.ndarray | Tensor
 """gamma of one expert: a number, or (T,) of them, one for each frame."""
 
@@ -138,6 +141,23 @@ class Mixture:
             weight = torch.from_numpy(gamma).to(noisy.device, noisy.dtype)
             total = total + weight[:, None] * expert.predict(noisy, step)
         return total
+
+
+def bounded(predict: Predict, schedule: NoiseSchedule) -> Predict:
+    """The same prediction of the noise, but for what would make the motion an impossible one.
+
+    The clean motion that a prediction stands for is kept within `FARTHEST` (`clip_denoised` of Ho
+    et al. 2020). In steps that are all but noise this tells the noise better than any network:
+    what a network gets wrong there, a step multiplies by up to 2, and all of them by 1e12.
+    """
+
+    def within(noisy: Tensor, step: int) -> Tensor:
+        signal, spread = schedule.scales(step, noisy)
+        noise = predict(noisy, step)
+        reach = signal * FARTHEST
+        return torch.clamp(noise, (noisy - reach) / spread, (noisy + reach) / spread)
+
+    return within
 
 
 def _check_alike(experts: Sequence[Expert]) -> None:

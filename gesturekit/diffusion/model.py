@@ -13,6 +13,7 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
+from gesturekit.diffusion.guidance import bounded
 from gesturekit.diffusion.networks import Denoiser
 from gesturekit.diffusion.product import Product
 from gesturekit.diffusion.request import Request
@@ -163,6 +164,7 @@ class DiffusionModel:
         for first in range(0, samples, batch):
             numbers = range(first, min(first + batch, samples))
             predict = windowed(told.mixture(seed, numbers), self.window)
+            predict = bounded(predict, self.schedule)
             noise = _Noise(seed, numbers, (request.n_frames, self.network.n_motion), self.device)
             vectors = sample(predict, noise, self.schedule, solver=solver, steps=steps)
             motions += self._motions(vectors, request.path, speaker, foot_lock)

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.guidance import Expert, Mixture
+from gesturekit.diffusion.guidance import FARTHEST, Expert, Mixture, bounded
 from gesturekit.diffusion.networks import Denoiser
+from gesturekit.diffusion.sampling import sample
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.errors import ModelError
 from gesturekit.training.seeds import generator, seeded
@@ -116,6 +117,20 @@ def test_noise_and_velocity_networks_mix_as_noise():
     second = experts[1].network(noise(), experts[1].condition, torch.tensor([10])).detach()
     expected = 0.5 * experts[0].predict(noise(), 10) + 0.5 * (spread * noise() + signal * second)
     torch.testing.assert_close(Mixture(experts, [0.5, 0.5]).predict(noise(), 10), expected)
+
+
+def test_what_a_network_has_not_learnt_does_not_blow_up():
+    """A network that tells nine tenths of the noise, and nothing of it in one number."""
+
+    def tell(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        return noisy * torch.tensor([0.9, 0.9, 0.9, 0.9, 0.0])
+
+    made = sample(bounded(tell, SCHEDULE), noise, SCHEDULE)
+    assert made.abs().max() <= FARTHEST + 1e-3
+    assert sample(tell, noise, SCHEDULE).abs().max() > 1e6
+    # What is within bounds stays as it is.
+    right = bounded(lambda noisy, step: noisy, SCHEDULE)(noise(), 3)
+    torch.testing.assert_close(right, noise())
 
 
 def test_what_cannot_be_mixed_is_refused():

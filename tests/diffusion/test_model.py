@@ -283,10 +283,6 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
     torch.nn.init.constant_(broken.network.leave.bias, float("nan"))
     with pytest.raises(ModelError, match="the model gave NaN"):
         broken.generate(**QUICK)
-    with torch.no_grad():
-        broken.network.leave.bias.fill_(1e14)
-    with pytest.raises(ModelError, match="left the world"):
-        broken.generate(**QUICK)
 
 
 def _edit_config(folder: Path, old: str, new: str) -> None:
