@@ -11,6 +11,7 @@ from gesturekit.diffusion.data import TrainingData
 from gesturekit.diffusion.networks import Denoiser
 from gesturekit.diffusion.sampling import chosen_steps, sample
 from gesturekit.diffusion.schedule import NoiseSchedule
+from gesturekit.errors import MotionError
 from gesturekit.evaluation.quick import quick_figures
 from gesturekit.motion.motion import Motion
 from gesturekit.training.seeds import generator
@@ -41,8 +42,14 @@ class Monitor:
         self.recordings = [data.decode(*clip, config.fps) for clip in self.clips]
 
     def figures(self, network: Denoiser) -> dict[str, float]:
-        """Cheap measures (`quick_figures`) of what a network generates, each time of one noise."""
-        return quick_figures(list(self._generated(network)), self.recordings)
+        """Cheap measures (`quick_figures`) of what a network generates, each time of one noise.
+
+        There are none of a network that does not give motion yet.
+        """
+        try:
+            return quick_figures(list(self._generated(network)), self.recordings)
+        except MotionError:
+            return {}
 
     @torch.no_grad()
     def _generated(self, network: Denoiser) -> Iterator[Motion]:

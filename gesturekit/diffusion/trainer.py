@@ -51,6 +51,7 @@ def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
     with Processes.from_environment(config.device) as processes:
         device = prepare_device(processes.device(config.device), config.threads)
         run = Run(config.out, to_dict(config), resume=resume)
+        processes.wait()  # all have looked for a run there before the first begins one
         try:
             return _Trainer(config, run, device, processes, resume=resume).run()
         finally:
@@ -165,7 +166,8 @@ class _Trainer:
                 if self.monitor is not None and (step % self.config.eval_every == 0 or last):
                     self.average.eval()
                     figures = self.monitor.figures(self.average)
-                    self.folder.log(step, figures, kind="evaluation")
+                    if figures:
+                        self.folder.log(step, figures, kind="evaluation")
                 if step % self.config.checkpoint_every == 0 or last:
                     weights = [weight.detach().norm() for weight in self.network.parameters()]
                     self._check_finite(step, "weights", float(torch.stack(weights).sum()))

@@ -1,0 +1,236 @@
+"""What a run trains on: recordings, their variants, and the windows drawn from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gesturekit.corpus import Manifest, prepare
+from gesturekit.diffusion.batches import Batches
+from gesturekit.diffusion.conditions import smooth_path
+from gesturekit.diffusion.data import TrainingData
+from gesturekit.diffusion.loading import load_training_data
+from gesturekit.diffusion.model import DiffusionModel
+from gesturekit.diffusion.trainer import train
+from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.motion import Skeleton
+
+PLAIN = {"mirror": False, "stretch": 0.0}
+
+
+@pytest.fixture
+def styled(corpus, tmp_path):
+    """The corpus with a style for each recording."""
+    items = [
+        replace(item, style=style)
+        for item, style in zip(Manifest.load(corpus).paired(), ("calm", "left"), strict=True)
+    ]
+    Manifest(items).save(tmp_path / "styled.jsonl")
+    return str(tmp_path / "styled.jsonl")
+
+
+@pytest.fixture
+def idle(tmp_path, gesture, skeleton):
+    """A manifest of motion on a rig with other names, at another frame rate."""
+    motion = gesture(3.0, 24.0, seed=5)
+    rig = Skeleton(
+        tuple(f"mixamorig:{name}" for name in skeleton.names),
+        skeleton.parents,
+        1.1 * skeleton.offsets,
+        end_sites={f"mixamorig:{name}": sites for name, sites in skeleton.end_sites.items()},
+    )
+    (tmp_path / "idle").mkdir()
+    replace(motion, skeleton=rig).save(tmp_path / "idle" / "i.bvh")
+    prepare([], tmp_path / "idle.jsonl", unpaired_motion=[tmp_path / "idle"], holdout=0.0)
+    return str(tmp_path / "idle.jsonl")
+
+
+def test_rows_are_windows_of_recordings_with_what_is_told_of_them(make_config):
+    config = make_config(augmentation=PLAIN)
+    data = load_training_data(config)
+    assert [r.n_frames for r in data.recordings] == [180, 75]
+    batch = Batches(data, config).draw(3, slice(0, 4))
+    assert batch.clean.shape == batch.noise.shape == (4, 60, data.representation.n_features)
+    motion = data.standardiser.inverse(batch.clean).numpy()
+    for row in range(4):
+        found = [
+            (recording, start)
+            for recording in data.recordings
+            for start in range(recording.n_frames - 59)
+            if np.allclose(recording.motion[start : start + 60], motion[row], atol=1e-5)
+        ]
+        assert len(found) == 1
+        recording, start = found[0]
+        assert np.array_equal(recording.condition[start : start + 60], batch.condition[row])
+
+
+def test_a_row_depends_on_neither_its_neighbours_nor_what_was_drawn_before(make_config):
+    config = make_config()
+    data = load_training_data(config)
+    whole = Batches(data, config).draw(5, slice(0, 4))
+    batches = Batches(data, config)
+    parts = [batches.draw(update, rows) for update, rows in ((9, slice(0, 4)), (5, slice(2, 4)))]
+    for name, value in vars(parts[1]).items():
+        assert torch.equal(value, getattr(whole, name)[2:])
+    assert len({float(noise[0, 0]) for noise in [*whole.noise, *parts[0].noise]}) == 8
+
+
+def test_motion_is_standardised_and_comes_back(make_config):
+    config = make_config(augmentation=PLAIN)
+    data = load_training_data(config)
+    every = data.standardiser.forward(
+        torch.cat([torch.from_numpy(r.motion) for r in data.recordings])
+    )
+    assert every.mean(0).abs().max() < 1e-3 and every.std(0).max() < 1.01
+    back = data.decode(data.recordings[0].motion, data.recordings[0].condition, config.fps)
+    item = Manifest.load(config.corpus).paired()[0]
+    recorded = item.load_motion().positions()
+    # It begins above the origin and faces +Z, wherever it was recorded.
+    lengths = [
+        np.linalg.norm(places[:, 1:] - places[:, :1], axis=-1)
+        for places in (back.positions(), recorded)
+    ]
+    assert np.allclose(*lengths, atol=1e-4)
+
+
+def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(make_config, styled):
+    config = make_config(corpus=styled, styles={"handed": ["left"]})
+    data = load_training_data(config)
+    assert [r.name for r in data.recordings] == ["a", "b", "a (mirrored)"]
+    steps = data.representation.root_columns
+    one, other = data.recordings[0].motion[:, steps], data.recordings[2].motion[:, steps]
+    assert np.abs(one).max() > 1e-3
+    assert np.allclose(one * [-1, 1, -1], other, atol=1e-6)
+    assert np.array_equal(data.recordings[0].condition, data.recordings[2].condition)
+    with pytest.raises(ConfigError, match="styles.handed: 'right' is no style"):
+        load_training_data(make_config(corpus=styled, styles={"handed": ["right"]}))
+
+
+def test_what_is_dropped_is_not_told(make_config, styled):
+    told = []
+    for share in ({}, {"dropout_style": 1.0}, {"dropout_condition": 1.0}, {"dropout_style": 0.5}):
+        config = make_config(corpus=styled, styles={}, training={**share, "batch": 64})
+        data = load_training_data(config)
+        told.append(Batches(data, config).draw(0, slice(0, 64)).condition)
+    styles, speech = data.conditions.columns["styles"], data.conditions.columns["speech"]
+    assert (told[0][..., styles].sum(-1) == 1).all()
+    assert not told[1][..., styles].any() and told[1][..., speech].any()
+    assert not told[2].any()
+    kept = told[3][:, 0, styles].sum(-1)
+    assert 16 < kept.sum() < 48
+
+
+def test_unpaired_motion_of_another_rig_comes_along_untold(make_config, idle):
+    config = make_config(
+        unpaired={"corpus": idle, "share": 0.25}, augmentation=PLAIN, training={"batch": 200}
+    )
+    data = load_training_data(config)
+    (alone,) = [r for r in data.recordings if not r.is_paired]
+    assert alone.n_frames == 90 and not alone.condition.any()
+    assert data.seconds == (pytest.approx(8.5), pytest.approx(3.0))
+    # The arms hang and swing as they did on the other rig.
+    arm = data.representation.joint_columns("LeftArm")
+    paired = data.recordings[0].motion[:, arm]
+    assert np.abs(alone.motion[:, arm].mean(0) - paired.mean(0)).max() < 0.1
+    untold = ~Batches(data, config).draw(0, slice(0, 200)).condition.flatten(1).any(1)
+    assert 30 < untold.sum() < 70
+    with pytest.raises(CorpusError, match=r"no item .* is motion alone; name a manifest"):
+        load_training_data(make_config(unpaired={}))
+
+
+def test_a_path_is_told_and_followed(make_config, tmp_path, write_pair):
+    write_pair(tmp_path / "in", "a", 4.0)
+    (tmp_path / "in" / "a.path.csv").write_text("time,x,z,heading\n0,0,0,0\n2,1,2,90\n4,3,2,90\n")
+    prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
+    config = make_config(corpus=str(tmp_path / "c.jsonl"), path=True, features=None)
+    data = load_training_data(config)
+    assert data.conditions.width == 3 and not data.representation.makes_root
+    item = Manifest.load(config.corpus).items[0]
+    path = smooth_path(item.load_path(30.0, 120), 30.0, 120)
+    for recording, side in zip(data.recordings, (1, -1), strict=True):
+        motion = data.decode(recording.motion, recording.condition, config.fps)
+        root = motion.positions()[:, 0]
+        steps = np.diff(path.positions, axis=0) * [side, 1]
+        turned = np.linalg.norm(np.diff(root[:, [0, 2]], axis=0), axis=-1)
+        assert np.allclose(turned, np.linalg.norm(steps, axis=-1), atol=1e-6)
+    # Turn and lateral change sign, each about what zero was standardised to.
+    zero = -data.conditions.path_mean / data.conditions.path_scale
+    one, other = (recording.condition - zero for recording in data.recordings)
+    assert np.abs(one).max() > 0.5 and np.allclose(one * [-1, 1, -1], other, atol=1e-4)
+
+
+def test_events_keep_their_frames_however_windows_are_stretched(make_config, tmp_path, write_pair):
+    write_pair(tmp_path / "in", "a", 4.0)
+    table = "time,name\n" + "".join(f"{k / 30:.4f},kick\n" for k in range(0, 120, 10))
+    (tmp_path / "in" / "a.events.csv").write_text(table)
+    prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
+    config = make_config(
+        corpus=str(tmp_path / "c.jsonl"),
+        events=True,
+        augmentation={"stretch": 1.0},
+        training={"batch": 20},
+    )
+    data = load_training_data(config)
+    assert data.conditions.events == ("kick",)
+    flags = Batches(data, config).draw(0, slice(0, 20)).condition[..., -1]
+    assert set(flags.unique().tolist()) == {0.0, 1.0}
+    # A kick every ten frames, give or take a tenth, whatever the speed.
+    assert (flags.sum(1) >= 5).all() and (flags.sum(1) <= 8).all()
+    with pytest.raises(CorpusError, match="no training item has events"):
+        load_training_data(make_config(events=True))
+
+
+def test_both_halves_of_a_recording_at_twice_the_frame_rate(make_config, tmp_path, write_pair):
+    write_pair(tmp_path / "in", "a", 3.0, fps=60.0)
+    prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
+    config = make_config(corpus=str(tmp_path / "c.jsonl"), augmentation=PLAIN)
+    one, other = load_training_data(config).recordings
+    assert (one.name, other.name) == ("a", "a (phase 2)")
+    # Between two frames of the one lies a frame of the other, with the speech of its own time.
+    between = (one.motion[:-1, :-3] + one.motion[1:, :-3]) / 2
+    assert np.abs(between[: len(other.motion)] - other.motion[: len(between), :-3]).max() < 0.01
+    n = min(one.n_frames, other.n_frames)
+    assert not np.array_equal(one.condition[:n], other.condition[:n])
+    assert np.corrcoef(one.condition[:n].ravel(), other.condition[:n].ravel())[0, 1] > 0.8
+
+
+def test_short_recordings_give_short_windows(make_config):
+    config = make_config(training={"window": 4.0, "batch": 2})
+    batches = Batches(load_training_data(config), config)
+    lengths = {batches.draw(update, slice(0, 2)).clean.shape[1] for update in range(40)}
+    assert lengths == {120, 60}  # of 6 s, and of 2.5 s: 120 frames less a fifth, thrice
+
+
+def test_a_resumed_run_reads_what_it_read(make_config, styled, tmp_path):
+    config = make_config(corpus=styled, styles={}, path=True)
+    data = load_training_data(config)
+    data.save(tmp_path / "data")
+    back = TrainingData.load(tmp_path / "data", config)
+    one, other = (Batches(d, config).draw(0, slice(0, 4)) for d in (data, back))
+    assert all(torch.equal(value, getattr(other, name)) for name, value in vars(one).items())
+    assert back.seconds == data.seconds and back.conditions.width == data.conditions.width
+    (tmp_path / "data" / "data.safetensors").write_bytes(b"none")
+    with pytest.raises(ConfigError, match="training data cannot be read"):
+        TrainingData.load(tmp_path / "data", config)
+
+
+def test_a_run_goes_on_from_a_model_with_its_rig_and_standardisation(make_config, idle, tmp_path):
+    model = train(make_config(unpaired={"corpus": idle}, out=str(tmp_path / "before")))
+    config = make_config(start_from=str(model), training={"updates": 1, "learning_rate": 1e-9})
+    data = load_training_data(config)
+    start = DiffusionModel.load(model)
+    assert torch.equal(data.standardiser.mean, start.standardiser.mean)
+    assert np.array_equal(data.conditions.conditioner.centre, start.conditions.conditioner.centre)
+    after = DiffusionModel.load(train(config)).network.state_dict()
+    for name, value in start.network.state_dict().items():
+        assert torch.allclose(value, after[name], atol=1e-6)
+    for wrong, told in (
+        ({"features": None}, "has features .* this run None"),
+        ({"network": {"channels": 8}}, "has network.channels 16, this run 8"),
+        ({"fps": 25.0}, "has 30 fps"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            load_training_data(make_config(start_from=str(model), **wrong))

@@ -1,0 +1,171 @@
+"""Training: the recipe's numbers, exact resume, several processes, and a model that moves."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+import yaml
+from safetensors.torch import load_file
+
+import gesturekit as gk
+from gesturekit.diffusion import trainer
+from gesturekit.diffusion.config import TrainingConfig
+from gesturekit.diffusion.trainer import learning_rate, train
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.training.checkpoint import Checkpoints
+from gesturekit.training.config import to_dict
+
+
+def weights(folder):
+    return load_file(folder / "model.safetensors")
+
+
+def logged(config):
+    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
+    return [{k: v for k, v in line.items() if "seconds" not in k} for line in lines]
+
+
+def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
+    config = make_config(eval_every=4)
+    folder = train(config)
+    assert [line["step"] for line in logged(config)] == [2, 4, 4, 6, 6]
+    assert {"arm_speed_ratio", "jerk_ratio"} <= logged(config)[-1].keys()
+    assert Checkpoints(config.out / "checkpoints").steps() == [3, 6]
+    for name in ("config.yaml", "command.txt", "versions.json", "events"):
+        assert (config.out / name).exists(), name
+    motion = gk.load(folder).generate(seconds=2.0)
+    assert motion.n_frames == 60 and motion.skeleton.n_joints == 19
+
+
+def test_training_learns_to_tell_noise(make_config):
+    config = make_config(
+        network={"channels": 64},
+        training={"updates": 120, "learning_rate": 5e-3, "window": 1.0},
+        log_every=20,
+    )
+    train(config)
+    first, *_, last = [line["loss"] for line in logged(config)]
+    assert last < 0.8 * first
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(make_config, tmp_path):
+    one, same, other = (
+        weights(train(make_config(out=str(tmp_path / name), seed=seed)))
+        for name, seed in (("one", 0), ("same", 0), ("other", 1))
+    )
+    assert all(torch.equal(one[name], value) for name, value in same.items())
+    assert any(not torch.equal(one[name], value) for name, value in other.items())
+
+
+def test_looking_at_a_run_changes_nothing_in_it(make_config, tmp_path):
+    plain = weights(train(make_config()))
+    watched = weights(train(make_config(eval_every=1, out=str(tmp_path / "watched"))))
+    assert all(torch.equal(plain[name], value) for name, value in watched.items())
+
+
+def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
+    options = {"training": {"ema": 0.5, "dropout_condition": 0.3}}
+    whole = make_config(out=str(tmp_path / "whole"), **options)
+    cut = make_config(**options)
+    train(whole)
+    train(cut)
+    # As it was when killed after step 5: a checkpoint of step 3, and lines that come again.
+    Checkpoints(cut.out / "checkpoints").path(6).unlink()
+    for file in (cut.out / "model").iterdir():
+        file.unlink()
+    train(cut, resume=True)
+    one, other = weights(whole.out / "model"), weights(cut.out / "model")
+    assert all(torch.equal(one[name], value) for name, value in other.items())
+    assert [line["step"] for line in logged(cut)] == [2, 4, 6]
+    with pytest.raises(ConfigError, match="the run was started with seed: 0"):
+        train(make_config(seed=5, **options), resume=True)
+    with pytest.raises(ConfigError, match="--resume"):
+        train(cut)
+
+
+def test_two_processes_train_the_model_of_one(make_config, tmp_path):
+    options = {"network": {"dropout": 0.0}, "training": {"batch": 5}}
+    one = weights(train(make_config(out=str(tmp_path / "one"), **options)))
+    config = make_config(device="cpu", **options)
+    file = tmp_path / "config.yaml"
+    file.write_text(yaml.safe_dump(to_dict(config)))
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
+    done = subprocess.run(
+        [sys.executable, *launch, "-m", "gesturekit", "train", str(file)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("Training on") == 1
+    two = weights(config.out / "model")
+    # Adam divides by the size of a gradient: what is next to nothing may go either way.
+    apart = torch.cat([(one[name] - two[name]).abs().flatten() for name in one])
+    assert apart.quantile(0.99) < 1e-5 and apart.max() < 0.01
+
+
+def test_the_learning_rate_warms_up_and_decays_every_ten_updates():
+    paper = TrainingConfig()
+    assert learning_rate(paper, 0) == pytest.approx(6e-4 / 3000)
+    assert learning_rate(paper, 3000) == pytest.approx(6e-4 * 0.99995**300)
+    assert learning_rate(paper, 66_999) == pytest.approx(6e-4 * 0.7153, rel=1e-3)
+    assert learning_rate(paper, 5019) == learning_rate(paper, 5010) != learning_rate(paper, 5020)
+
+
+def test_the_model_is_the_average_of_the_weights(make_config, monkeypatch):
+    config = make_config(training={"ema": 0.6})
+    seen = []
+    average = trainer._Trainer._average
+
+    def spied(self, update):
+        average(self, update)
+        seen.append((update, self.network.leave.bias.detach().clone()))
+
+    monkeypatch.setattr(trainer._Trainer, "_average", spied)
+    made = weights(train(config))["network.leave.bias"]
+    expected = torch.zeros_like(made)  # as it began
+    for update, own in seen:
+        kept = min(0.6, (1 + update) / (10 + update))
+        expected = kept * expected + (1 - kept) * own
+    assert torch.allclose(made, expected, atol=1e-7) and not torch.equal(made, seen[-1][1])
+
+
+def test_what_is_no_number_stops_the_run_and_the_last_good_checkpoint_stays(
+    make_config, monkeypatch
+):
+    loss = trainer._Trainer._loss
+
+    def broken(self, batch):
+        self.calls = getattr(self, "calls", 0) + 1
+        return loss(self, batch) * (float("nan") if self.calls > 4 else 1.0)
+
+    monkeypatch.setattr(trainer._Trainer, "_loss", broken)
+    config = make_config()
+    with pytest.raises(ModelError, match=r"step 6: loss is nan; .* checkpoint is of step 3"):
+        train(config)
+    step, state = Checkpoints(config.out / "checkpoints").latest()
+    assert step == 3 and all(torch.isfinite(value).all() for value in state["network"].values())
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"features": None},
+        {"features": None, "path": True},
+        {"training": {"precision": "bfloat16"}},
+        {"training": {"min_snr": 5.0}, "noise": {"predict": "velocity"}},
+        {"network": {"architecture": "diffwave", "dilations": [1, 2]}},
+        {"joints": "all"},
+    ],
+    ids=str,
+)
+def test_variants_train(make_config, changes):
+    config = make_config(**changes)
+    assert (train(config) / "config.yaml").is_file()
+    assert all(0 < line["loss"] < 3 for line in logged(config))
