@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import difflib
-import io
 import os
 from pathlib import Path
 
 import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.table import read_table
 from gesturekit.motion.motion import LOWEST_FPS, Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import FARTHEST
@@ -19,7 +17,7 @@ MOTION_SUFFIXES = (".bvh", ".npz", ".json")
 FINEST = 120.0
 """Frames per second that a table of uneven times is laid out at, at the most."""
 _COLUMNS = ("time", "x", "z", "heading")
-_MAX_BYTES = 32 << 20
+_MEGABYTES = 32
 _MAX_FRAMES = 10_000_000  # a day at 120 fps
 _EVEN = 0.02
 """Share of a step that times may be off by (rounded digits) and still be even."""
@@ -45,7 +43,7 @@ def load_root_path(path: str | os.PathLike[str]) -> RootPath:
             f"{path}: cannot read a path from {path.suffix or 'a file without suffix'}; expected "
             f"{', '.join(MOTION_SUFFIXES)}, or .csv with the columns {','.join(_COLUMNS)}"
         )
-    table, has_heading = _table(path, _text(path))
+    table, has_heading = _table(path)
     times, x, z = table[:, :3].T
     fps = _frame_rate(path, times)
     n_frames = int(np.floor(times[-1] * fps + 0.5)) + 1
@@ -65,87 +63,34 @@ def load_root_path(path: str | os.PathLike[str]) -> RootPath:
         raise FormatError(f"{path}: {error}") from None
 
 
-def _text(path: Path) -> str:
-    if path.exists() and not path.is_file():
-        raise FormatError(f"{path}: not a regular file")
-    try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            raise FormatError(f"{path}: over {_MAX_BYTES >> 20} MB, too large for a path")
-        return data.decode("utf-8-sig")
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(f"{path}: cannot be read as text ({error})") from None
-
-
-def _table(path: Path, text: str) -> tuple[np.ndarray, bool]:
+def _table(path: Path) -> tuple[np.ndarray, bool]:
     """(N, 3 or 4) time, x, z and heading in the order of `_COLUMNS`; whether headings are there."""
-    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-    columns: list[str] | None = None
-    order: list[int] = []
     values: list[list[float]] = []
-    try:
-        for row in rows:
-            line = rows.line_num
-            if not any(cell.strip() for cell in row):
-                continue
-            if columns is None:
-                columns = [cell.strip().lower() for cell in row]
-                order = _order(path, line, columns)
-                continue
-            if len(row) != len(columns):
-                raise FormatError(
-                    f"{path}, line {line}: {len(row)} values; expected {len(columns)} "
-                    f"({','.join(columns)})"
-                )
-            numbers = [_number(path, line, columns[k], row[k]) for k in order]
-            if not values and abs(numbers[0]) > 1e-9:
-                raise FormatError(
-                    f"{path}, line {line}: the first time is {numbers[0]:g}; a path begins at 0 s"
-                )
-            if values and numbers[0] <= values[-1][0]:
-                raise FormatError(
-                    f"{path}, line {line}: time {numbers[0]:g} does not come after "
-                    f"{values[-1][0]:g}; rows must be in order of time"
-                )
-            values.append(numbers)
-    except csv.Error as error:
-        raise FormatError(f"{path}, line {rows.line_num}: not a CSV table ({error})") from None
+    for where, cells in read_table(path, _COLUMNS[:3], _COLUMNS[3:], _MEGABYTES):
+        numbers = [_number(where, name, cells[name]) for name in _COLUMNS if name in cells]
+        if not values and abs(numbers[0]) > 1e-9:
+            raise FormatError(f"{where}: the first time is {numbers[0]:g}; a path begins at 0 s")
+        if values and numbers[0] <= values[-1][0]:
+            raise FormatError(
+                f"{where}: time {numbers[0]:g} does not come after {values[-1][0]:g}; rows must "
+                "be in order of time"
+            )
+        values.append(numbers)
     if len(values) < 2:
         raise FormatError(
             f"{path}: {len(values)} row{'s' if len(values) != 1 else ''} below the names of the "
             "columns; a path needs at least two"
         )
-    return np.array(values), len(order) == len(_COLUMNS)
+    return np.array(values), len(values[0]) == len(_COLUMNS)
 
 
-def _order(path: Path, line: int, columns: list[str]) -> list[int]:
-    """Where in a row each of `_COLUMNS` stands."""
-    expected = "expected time,x,z or time,x,z,heading"
-    for name in columns:
-        if name not in _COLUMNS:
-            near = difflib.get_close_matches(name, _COLUMNS, n=1)
-            hint = f"did you mean {near[0]}? " if near else ""
-            raise FormatError(f"{path}, line {line}: column {name[:40]!r}; {hint}{expected}")
-        if columns.count(name) > 1:
-            raise FormatError(f"{path}, line {line}: two columns {name!r}; {expected}")
-    missing = [name for name in _COLUMNS[:3] if name not in columns]
-    if missing:
-        raise FormatError(f"{path}, line {line}: no column {', '.join(missing)}; {expected}")
-    return [columns.index(name) for name in _COLUMNS if name in columns]
-
-
-def _number(path: Path, line: int, column: str, cell: str) -> float:
+def _number(where: str, column: str, cell: str) -> float:
     try:
         number = float(cell)
     except ValueError:
         number = np.nan
     if not abs(number) <= FARTHEST:
-        raise FormatError(
-            f"{path}, line {line}: {column} is {cell.strip()[:40]!r}; expected a finite number"
-        )
+        raise FormatError(f"{where}: {column} is {cell[:40]!r}; expected a finite number")
     return number
 
 

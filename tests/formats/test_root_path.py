@@ -65,7 +65,7 @@ def test_a_motion_file_is_a_path_too(tmp_path, gesture):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "0 rows"),
+        ("", "empty; a table begins with the line time,x,z"),
         ("time,x,z\n", "0 rows"),
         ("time,x,z\n0,1,1\n", "1 row "),
         ("0,1,1\n1,2,2\n", "line 1: column '0'; expected time,x,z"),
@@ -103,6 +103,6 @@ def test_files_that_are_no_paths(tmp_path, monkeypatch):
     (tmp_path / "path.txt").write_text("time,x,z\n")
     with pytest.raises(FormatError, match=r"\.txt; expected .*\.csv with the columns time,x,z"):
         load_root_path(tmp_path / "path.txt")
-    monkeypatch.setattr(root_path, "_MAX_BYTES", 1 << 20)
+    monkeypatch.setattr(root_path, "_MEGABYTES", 1)
     with pytest.raises(FormatError, match="over 1 MB"):
         load_root_path(table(tmp_path, "time,x,z\n" + "0,0,0\n" * 200_000))
