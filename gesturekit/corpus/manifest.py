@@ -171,9 +171,7 @@ class Item:
         from gesturekit.formats.root_path import load_root_path
 
         begins = self.audio_start if self.motion is None else self.motion_start
-        start = math.floor(begins * fps + 0.5)
-        path = load_root_path(self.conditions["path"]).resample(fps, start + n_frames)
-        path = path.slice(start, start + n_frames)
+        path = load_root_path(self.conditions["path"]).resample(fps, n_frames, start=begins)
         return path.mirror() if self.mirror else path
 
 

@@ -138,23 +138,24 @@ class RootPath:
         rows = np.stack([turn, dx * sine + dz * cosine, dx * cosine - dz * sine], axis=-1)
         return np.concatenate([rows[:1], rows])
 
-    def resample(self, fps: float, n_frames: int | None = None) -> RootPath:
-        """Frame k of the result is the path at k / fps seconds; past its end it stands still.
+    def resample(self, fps: float, n_frames: int | None = None, *, start: float = 0.0) -> RootPath:
+        """Frame k of the result is the path at start + k / fps seconds; past its ends it stands.
 
         Args:
             fps: frames per second of the result.
-            n_frames: how many; by default as many as the duration holds, floor(duration fps + 1/2).
+            n_frames: how many; by default as many as are left, floor((duration - start) fps + 1/2).
+            start: seconds, which need not fall on a frame.
 
         Raises:
             MotionError: a rate that no motion can have, or a number of frames out of bounds.
         """
         fps = checked_fps(fps)
         if n_frames is None:
-            exact = self.n_frames * Fraction(fps) / Fraction(self.fps)
+            exact = (self.n_frames / Fraction(self.fps) - Fraction(start)) * Fraction(fps)
             n_frames = max(1, math.floor(exact + Fraction(1, 2)))
         if not 1 <= n_frames <= _MOST_FRAMES:
             raise MotionError(f"{n_frames} frames of a path; expected 1 to {_MOST_FRAMES}")
-        place = np.arange(n_frames) * (self.fps / fps)
+        place = (start + np.arange(n_frames) / fps) * self.fps
         frames = np.arange(self.n_frames)
         x, z, angle = (
             np.interp(place, frames, values) for values in (*self.positions.T, self.headings)

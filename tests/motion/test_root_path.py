@@ -67,6 +67,14 @@ def test_a_path_that_is_asked_for_longer_stands_at_its_end():
     assert (path.headings[10:] == path.headings[9]).all()
 
 
+def test_a_path_may_be_read_from_between_two_frames():
+    path = RootPath(np.outer(np.arange(60), [0.01, 0.0]), 0.02 * np.arange(60), 60.0)
+    late = path.resample(30.0, start=0.125)
+    assert late.n_frames == 26
+    assert late.positions[:26, 0] == pytest.approx(0.6 * (0.125 + np.arange(26) / 30))
+    assert late.headings[3] == pytest.approx(1.2 * 0.225)
+
+
 @pytest.mark.parametrize("n_frames", [1, 2, 4, 11, 300])
 def test_smoothing_keeps_both_ends_and_a_straight_walk(n_frames):
     straight = RootPath(
