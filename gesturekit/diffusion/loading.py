@@ -20,6 +20,7 @@ from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.events import Event
 from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.path_following import follow_path
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.standing import standing_pose
@@ -94,15 +95,14 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
     takes = [
         _Take(
             item.id,
-            motion,
-            _path(config, representation, motion, item),
+            *_on_path(config, representation, motion, item),
             *told,
             style=item.style if styles else None,
         )
         for item, motion, *told in zip(items, motions, speeches, happens, strict=True)
     ]
     takes += [
-        _Take(name, phase.motion, _path(config, representation, phase.motion), is_paired=False)
+        _Take(name, *_on_path(config, representation, phase.motion), is_paired=False)
         for name, motion in others
         for phase in phases(motion, config.fps)
     ]
@@ -243,17 +243,25 @@ def _same_rig(
     return start.representation
 
 
-def _path(
+def _on_path(
     config: DiffusionConfig,
     representation: DeltaRepresentation,
     motion: Motion,
     item: Item | None = None,
-) -> RootPath | None:
-    """What the root follows: the item's path, else its own way; None where it moves by itself."""
+) -> tuple[Motion, RootPath | None]:
+    """A motion on what its root follows: the item's path, else its own way.
+
+    As it is, without a path, where the root moves by itself.
+    """
     if not config.path:
-        return None
+        return motion, None
+    own = representation.path_of(motion)
     given = None if item is None else item.load_path(config.fps, motion.n_frames)
-    return smooth_path(given or representation.path_of(motion), config.fps, motion.n_frames)
+    path = smooth_path(given or own, config.fps, motion.n_frames)
+    # A table may begin at an origin of its own, and a model sees but the steps of a path.
+    apart = (own.positions - path.positions).mean(axis=0)
+    path = replace(path, positions=path.positions + apart)
+    return follow_path(motion, path, representation.root), path
 
 
 def _encode(
