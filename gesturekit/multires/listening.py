@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gesturekit.multires.interpolation import reflect
@@ -18,11 +19,22 @@ FLOOR = 0.1
 """Added to arm speeds (rad/s) before the logarithm, so that stillness is finite."""
 
 _CONTEXT_SECONDS = 0.2
-_RIDGE = 3.0
+_RIDGE = 30.0
+_MANNER_SECONDS = 5.0
+_MANNER_WEIGHT = 10.0
+
+
+def log_speed(speed: Tensor, frame_seconds: float) -> Tensor:
+    """(B, T) arm speed, rad/s, to its smoothed logarithm (sigma 0.1 s)."""
+    return torch.log(smooth(speed, SMOOTHING_SECONDS / frame_seconds) + FLOOR)
 
 
 class ArmSpeedTarget(nn.Module):
-    """Log arm speed from the speech of one level, +-0.2 s around each frame.
+    """Log arm speed from the speech of one level.
+
+    What it reads: the features +-0.2 s around each frame, which tell when the arms move, and how
+    much each feature varies within +-5 s, which tells how lively the speaker is on the whole: in
+    speech that is centred clip by clip, only the spread says so.
 
     Args:
         frame_seconds: time between two frames of the level.
@@ -31,17 +43,15 @@ class ArmSpeedTarget(nn.Module):
     def __init__(self, frame_seconds: float) -> None:
         super().__init__()
         self.context = round(_CONTEXT_SECONDS / frame_seconds)
-        self.sigma = SMOOTHING_SECONDS / frame_seconds
+        self.manner = round(_MANNER_SECONDS / frame_seconds)
+        self.frame_seconds = frame_seconds
 
-    def log_speed(self, speed: Tensor) -> Tensor:
-        """(B, T) arm speed, rad/s, to its smoothed logarithm (sigma 0.1 s)."""
-        return torch.log(smooth(speed, self.sigma) + FLOOR)
-
-    def _context(self, speech: Tensor) -> Tensor:
-        """(B, S, T) to (B, T, S (2 c + 1) + 1), the last column ones."""
+    def _rows(self, speech: Tensor) -> Tensor:
+        """(B, S, T) to (B, T, S (2 c + 1) + S + 1), the last column ones."""
         windows = reflect(speech, self.context).unfold(-1, 2 * self.context + 1, 1)
         rows = windows.permute(0, 2, 1, 3).flatten(2)
-        return torch.cat([rows, torch.ones_like(rows[..., :1])], dim=-1)
+        spread = _MANNER_WEIGHT * _local_spread(speech, self.manner).transpose(1, 2)
+        return torch.cat([rows, spread, torch.ones_like(rows[..., :1])], dim=-1)
 
     def fit(self, speeches: Sequence[Tensor], speeds: Sequence[Tensor]) -> ArmSpeedTarget:
         """Fit on pairs of (S, T) speech and (T,) arm speed, rad/s, of one level.
@@ -49,8 +59,10 @@ class ArmSpeedTarget(nn.Module):
         The prediction's spread is set to that of the recording, as a regression always falls
         short of it, and its range to what the recording reaches.
         """
-        rows = torch.cat([self._context(speech[None])[0] for speech in speeches]).double()
-        goal = torch.cat([self.log_speed(speed[None])[0] for speed in speeds]).double()
+        rows = torch.cat([self._rows(speech[None])[0] for speech in speeches]).double()
+        goal = torch.cat(
+            [log_speed(speed[None], self.frame_seconds)[0] for speed in speeds]
+        ).double()
         mean = goal.mean()
         penalty = _RIDGE * torch.eye(rows.shape[1], dtype=torch.float64, device=rows.device)
         penalty[-1, -1] = 1e-6
@@ -68,4 +80,13 @@ class ArmSpeedTarget(nn.Module):
     def forward(self, speech: Tensor) -> Tensor:
         """(B, S, T) speech of this level to (B, T) log arm speed."""
         low, high = self.range
-        return (self._context(speech) @ self.weights).clamp(low, high)
+        return (self._rows(speech) @ self.weights).clamp(low, high)
+
+
+def _local_spread(x: Tensor, reach: int) -> Tensor:
+    """(B, S, T) standard deviation over the frames up to `reach` before and after each."""
+    around = reflect(x, reach)
+    width = 2 * reach + 1
+    mean = F.avg_pool1d(around, width, stride=1)
+    square = F.avg_pool1d(around.square(), width, stride=1)
+    return (square - mean.square()).clamp(min=1e-3).sqrt()

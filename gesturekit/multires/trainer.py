@@ -25,7 +25,7 @@ from gesturekit.multires.data import TrainingData, load_training_data
 from gesturekit.multires.holding import fastest_second, plain_values
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.listening import ArmSpeedTarget
+from gesturekit.multires.listening import ArmSpeedTarget, log_speed
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.monitor import Monitor, distance_from_recordings
@@ -492,7 +492,8 @@ class _Pair:
                 parts.setdefault("smooth", []).append(weights.smoothness * loss)
             if self.targets and moves:
                 target = self.targets[i]
-                speed = target.log_speed(self.trainer.kinematics.arm_speed(values, stride))
+                speed = self.trainer.kinematics.arm_speed(values, stride)
+                speed = log_speed(speed, stride / self.config.fps)
                 wanted = target(windows.speech[i])
                 parts.setdefault("arm_speed", []).append(
                     weights.arm_speed * F.l1_loss(speed, wanted)
