@@ -93,6 +93,8 @@ class ScheduleConfig:
     generator_steps: int = 1
     reconstruction_steps: int = 1
     learning_rate: float = 1e-4
+    betas: tuple[float, ...] = (0.9, 0.999)
+    """Of Adam. Lower ones forget a freak gradient sooner: it moves the weights less far."""
     decay_at: float = 1.0
     """After this share of a pair's iterations the learning rate falls to a tenth."""
     batch: int = 4
@@ -124,6 +126,8 @@ class ScheduleConfig:
         _not_negative(**steps, decay_at=self.decay_at)
         if not self.generator_steps and not self.reconstruction_steps:
             raise ConfigError("generator_steps and reconstruction_steps are both 0: nothing learns")
+        if len(self.betas) != 2 or not all(0 <= beta < 1 for beta in self.betas):
+            raise ConfigError(f"betas: {list(self.betas)} must be two numbers from 0 to below 1")
         if not 0 <= self.silence < 1:
             raise ConfigError(f"silence: {self.silence} must be at least 0 and below 1")
 

@@ -15,8 +15,9 @@ from torch import Tensor, nn
 from gesturekit.multires.interpolation import reflect
 from gesturekit.multires.kinematics import SMOOTHING_SECONDS, smooth
 
-FLOOR = 0.1
-"""Added to arm speeds (rad/s) before the logarithm, so that stillness is finite."""
+FLOOR = 1.0
+"""Added to arm speeds (rad/s) before the logarithm. Less than a calm speaker's, so that speeds are
+compared by their ratio; not much less, or the loss is about how still the arms are in pauses."""
 
 _CONTEXT_SECONDS = 0.2
 _RIDGE = 30.0

@@ -283,10 +283,10 @@ class _Pair:
             )
             for i in self.indices
         ).to(trainer.device)
-        rate = self.config.schedule.learning_rate
+        rate, betas = self.config.schedule.learning_rate, self.config.schedule.betas
         self.optimisers = {
             # Not fused: that one changes weights behind the back of who counts their versions.
-            name: torch.optim.Adam(networks.parameters(), lr=rate, foreach=True)
+            name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, foreach=True)
             for name, networks in (
                 ("generator", self.generators),
                 ("discriminator", self.discriminators),
