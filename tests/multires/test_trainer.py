@@ -223,3 +223,14 @@ def test_a_folder_with_a_run_is_not_overwritten(make_config):
     with pytest.raises(ConfigError, match="seed: 0"):
         train(make_config(seed=5), resume=True)
     assert (config.out / "metrics.jsonl").read_bytes() == before
+
+
+def test_betas_reach_the_optimisers_and_wrong_ones_are_refused(make_config, tmp_path):
+    usual, other = make_config(), make_config(schedule={"betas": [0.5, 0.95]}, out=str(tmp_path))
+    train(usual)
+    train(other)
+    one, two = weights(usual), weights(other)
+    assert any(not torch.equal(one[name], two[name]) for name in one)
+    for betas in ([0.9], [0.9, 1.0]):
+        with pytest.raises(ConfigError, match="betas"):
+            make_config(schedule={"betas": betas})
