@@ -26,7 +26,7 @@ class NoiseSchedule:
     Attributes:
         betas: (N,) float64, the variance of the noise that each step adds.
         alphas_bar: (N,) float64, the share of the clean motion's variance that is left.
-        predicts: what networks on this schedule predict, "noise" or "velocity".
+        predicts: what networks on this schedule predict: "noise", "velocity" or "clean".
     """
 
     betas: Tensor
@@ -81,14 +81,18 @@ class NoiseSchedule:
 
     def target(self, clean: Tensor, noise: Tensor, step: Step) -> Tensor:
         """What a network on this schedule should predict for `add_noise(clean, noise, step)`."""
-        return noise if self.predicts == "noise" else self.velocity(clean, noise, step)
+        if self.predicts == "velocity":
+            return self.velocity(clean, noise, step)
+        return noise if self.predicts == "noise" else clean
 
     def noise_of(self, prediction: Tensor, noisy: Tensor, step: Step) -> Tensor:
         """The noise, from what a network on this schedule predicts."""
         if self.predicts == "noise":
             return prediction
         signal, spread = self.scales(step, noisy)
-        return spread * noisy + signal * prediction
+        if self.predicts == "velocity":
+            return spread * noisy + signal * prediction
+        return (noisy - signal * prediction) / spread
 
     def clean_of(self, noise: Tensor, noisy: Tensor, step: Step) -> Tensor:
         """The clean motion, from a noisy one and its noise.
@@ -103,8 +107,8 @@ class NoiseSchedule:
         """Min-SNR weights (Hang et al. 2023) of the squared error of each clip's prediction.
 
         With s = abar / (1 - abar): min(s, gamma) / s for noise, min(s, gamma) / (s + 1) for
-        velocity; both weigh the error of the clean motion by min(s, gamma). `gamma=None` weighs
-        all steps alike, as the paper does.
+        velocity, min(s, gamma) for the clean motion; all weigh the error of the clean motion by
+        min(s, gamma). `gamma=None` weighs all steps alike, as the paper does.
 
         Returns:
             (B,) float32 on the device of `step`.
@@ -112,5 +116,6 @@ class NoiseSchedule:
         if gamma is None:
             return torch.ones(len(step), device=step.device)
         snr = self.log_snr().exp()
-        weights = snr.clamp(max=gamma) / (snr if self.predicts == "noise" else snr + 1)
+        own = {"noise": snr, "velocity": snr + 1, "clean": torch.ones_like(snr)}[self.predicts]
+        weights = snr.clamp(max=gamma) / own
         return weights[step.cpu()].to(step.device, torch.float32)

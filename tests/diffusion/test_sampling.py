@@ -154,22 +154,23 @@ def test_few_steps_skip_pure_noise_and_repeat_none(schedule):
     assert chosen_steps(schedule, 8, start=30)[0] == 30
 
 
-def test_conversions_agree():
-    schedule = NoiseSchedule.of(NoiseConfig(predict="velocity"))
+@pytest.mark.parametrize("predict", ["velocity", "clean"])
+def test_conversions_agree(predict):
+    schedule = NoiseSchedule.of(NoiseConfig(predict=predict))
     rng = generator("conversions")
     clean, noise = torch.randn(2, 4, 9, 3, generator=rng, dtype=torch.float64)
     step = torch.tensor([0, 7, 30, 60])
     noisy = schedule.add_noise(clean, noise, step)
-    velocity = schedule.target(clean, noise, step)
-    assert (velocity - noise).abs().max() > 0.1
-    torch.testing.assert_close(schedule.noise_of(velocity, noisy, step), noise)
+    target = schedule.target(clean, noise, step)
+    assert (target - noise).abs().max() > 0.1
+    torch.testing.assert_close(schedule.noise_of(target, noisy, step), noise)
     torch.testing.assert_close(schedule.clean_of(noise, noisy, step), clean, atol=1e-4, rtol=0)
     alone = schedule.add_noise(clean[1], noise[1], 7)
     torch.testing.assert_close(alone, noisy[1])
     assert GESTURE.target(clean, noise, step) is noise
 
 
-@pytest.mark.parametrize("predict", ["noise", "velocity"])
+@pytest.mark.parametrize("predict", ["noise", "velocity", "clean"])
 def test_min_snr_weighs_the_error_of_the_clean_motion_by_the_clipped_ratio(predict):
     schedule = NoiseSchedule.of(NoiseConfig(predict=predict))
     rng = generator("weights")
