@@ -249,7 +249,9 @@ class _Trainer:
 
     def _finish(self) -> None:
         training = self.config.training
-        droppable = {"all": training.dropout_condition, "styles": training.dropout_style}
+        # Motion without speech is told nothing either.
+        told_nothing = training.dropout_condition or self.data.seconds[1]
+        droppable = {"all": told_nothing, "styles": training.dropout_style}
         model = DiffusionModel(
             fps=self.config.fps,
             representation=self.data.representation,
