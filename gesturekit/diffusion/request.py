@@ -76,7 +76,7 @@ class Request:
             raise ModelError(f"events={str(events)!r}: this model knows no events")
         way = None if path is None else _loaded(path)
         if speech is None and seconds is None and way is not None:
-            seconds = way.duration
+            seconds = way.frames_within(fps) / fps
         ears = next((m.conditioner for m in models if m.conditioner is not None), None)
         heard, wave = speech, None
         if speech is not None and (ears is not None or wants_beats(events)):

@@ -114,6 +114,15 @@ class RootPath:
         """Seconds, T / fps."""
         return self.n_frames / self.fps
 
+    def frames_within(self, fps: float) -> int:
+        """How many frames at `fps` lie between the first and the last of the path, both included.
+
+        A table of places a second apart from 0 to 10 s is a path of 10 s, not of 11.
+        """
+        last = (self.n_frames - 1) * Fraction(checked_fps(fps)) / Fraction(self.fps)
+        # Rates such as 29.97 are not told exactly: a hair too short is whole.
+        return math.floor(last + Fraction(1, 1000)) + 1
+
     @property
     def speeds(self) -> np.ndarray:
         """(T,) m/s over the ground, from each frame to the next; the last is that before it."""

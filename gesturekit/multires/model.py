@@ -211,8 +211,7 @@ class MultiresModel:
         elif path is not None and not isinstance(path, RootPath):
             path = load_root_path(path)
         if path is not None and speech is None and seconds is None:
-            # A path ends where its last row is.
-            seconds = (path.n_frames - 1) / path.fps + 1 / self.fps
+            seconds = path.frames_within(self.fps) / self.fps
         features = hear(self.conditioner, speech, seconds, self.fps)
         n_frames = len(features)
         if kept is not None and kept.end > n_frames:

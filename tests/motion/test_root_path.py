@@ -173,3 +173,16 @@ def test_the_path_of_real_walks_has_no_jumps(shared_data):
 def test_what_is_no_path_is_refused(positions, headings, fps, said):
     with pytest.raises(MotionError, match=said):
         RootPath(positions, headings, fps)
+
+
+@pytest.mark.parametrize(
+    ("frames", "own_fps", "fps", "expected"),
+    [(11, 1.0, 30.0, 301), (600, 60.0, 30.0, 300), (300, 30.0, 30.0, 300), (1, 30.0, 25.0, 1)],
+)
+def test_a_path_ends_at_its_last_place(frames, own_fps, fps, expected):
+    along = np.stack([np.zeros(frames), np.arange(frames) / own_fps], axis=-1)
+    path = RootPath(along, np.zeros(frames), own_fps)
+    assert path.frames_within(fps) == expected
+    walked = path.resample(fps, expected).positions[-1, 1]
+    assert walked <= along[-1, 1] + 1e-9
+    assert walked > along[-1, 1] - 1 / fps
