@@ -137,6 +137,10 @@ class TrainingConfig:
     """Share of the others that are not told their style."""
     min_snr: float | None = None
     """Gamma of min-SNR loss weights; null, as in the paper, weighs all steps alike."""
+    changes: float = 0.0
+    """Weight of the error in how the motion changes from frame to frame, in units of how much each
+    number changes in the recordings. For networks that predict the clean motion, whose own errors
+    are small and tremble; the paper has none."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of the network's products in training; weights and sums stay float32."""
 
@@ -153,7 +157,7 @@ class TrainingConfig:
             dropout_style=self.dropout_style,
             decay=self.decay,
         )
-        for name in ("warm_up", "clip"):
+        for name in ("warm_up", "clip", "changes"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"{name}: {getattr(self, name)!r} must be at least 0")
         if not 0 <= self.ema < 1:
@@ -256,6 +260,11 @@ class DiffusionConfig:
                 raise ConfigError(f"parts.{part}: {joint!r} is no joint name")
         if self.threads is not None:
             _positive(threads=self.threads)
+        if self.training.changes and self.noise.predict != "clean":
+            raise ConfigError(
+                f"training.changes: {self.training.changes} is for networks that predict the clean "
+                f"motion; noise.predict is {self.noise.predict}"
+            )
 
     @property
     def window_frames(self) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 import audio_features as af
 from gesturekit.atomic import atomic_write
@@ -73,6 +74,18 @@ class TrainingData:
             deltas = told * self.conditions.path_scale + self.conditions.path_mean
             path = RootPath.from_deltas(deltas, fps)
         return self.representation.decode(values, fps, path=path)
+
+    def changes(self) -> Tensor:
+        """(X,) root mean square of how standardised motion changes from frame to frame.
+
+        What hardly ever changes counts as if it did a tenth as much as the median.
+        """
+        steps = [
+            self.standardiser.forward(torch.from_numpy(recording.motion)).diff(dim=0)
+            for recording in self.recordings
+        ]
+        spread = torch.cat(steps).square().mean(dim=0).sqrt()
+        return spread.clamp(min=max(0.1 * float(spread.median()), 1e-6))
 
     def save(self, folder: Path) -> None:
         """Write all of it into a folder, for a run that is resumed.

@@ -81,6 +81,7 @@ class _Trainer:
         self.data = self._data(resume=resume)
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(self.data, config)
+        self.changes = self.data.changes().to(device)
         if processes.is_first:
             log.info("Training on %s.", ", ".join(self._what()))
         self.network = self._network(resume=resume).to(device)
@@ -210,7 +211,11 @@ class _Trainer:
         precise = torch.autocast(self.device.type, torch.bfloat16) if half else None
         with precise or contextlib.nullcontext():
             predicted = self.network(noisy, batch.condition, batch.step)
-        errors = (predicted.float() - target).square().mean(dim=(1, 2))
+        apart = predicted.float() - target
+        errors = apart.square().mean(dim=(1, 2))
+        if self.config.training.changes:
+            trembling = (apart.diff(dim=1) / self.changes).square().mean(dim=(1, 2))
+            errors = errors + self.config.training.changes * trembling
         weights = self.schedule.loss_weight(batch.step, self.config.training.min_snr)
         return (weights * errors).mean()
 

@@ -160,6 +160,7 @@ def test_what_is_no_number_stops_the_run_and_the_last_good_checkpoint_stays(
         {"features": None, "path": True},
         {"training": {"precision": "bfloat16"}},
         {"training": {"min_snr": 5.0}, "noise": {"predict": "velocity"}},
+        {"training": {"changes": 0.3}, "noise": {"predict": "clean"}},
         {"network": {"architecture": "diffwave", "dilations": [1, 2]}},
         {"joints": "all"},
     ],
@@ -169,3 +170,8 @@ def test_variants_train(make_config, changes):
     config = make_config(**changes)
     assert (train(config) / "config.yaml").is_file()
     assert all(0 < line["loss"] < 3 for line in logged(config))
+
+
+def test_changes_are_compared_where_there_is_a_clean_motion(make_config):
+    with pytest.raises(ConfigError, match=r"training.changes: 0.3 .*; noise.predict is noise"):
+        make_config(training={"changes": 0.3})
