@@ -232,6 +232,9 @@ class DiffusionConfig:
     """Motion that goes without speech; null for none."""
     start_from: Path | None = None
     """A model folder to go on from: its weights, rig, features and standardisation are kept."""
+    moves_like: Path | None = None
+    """A model folder whose rig, joints and standardisation are kept, with weights of its own: the
+    two can be multiplied, whatever each is told."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -253,6 +256,8 @@ class DiffusionConfig:
         _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)
         if self.eval_every < 0:
             raise ConfigError(f"eval_every: {self.eval_every} must be at least 0")
+        if self.moves_like is not None and self.start_from is not None:
+            raise ConfigError("moves_like: start_from keeps all of a model; leave out one of them")
         for part, joint in self.parts.items():
             if part not in KNOWN_PARTS:
                 raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")

@@ -53,12 +53,14 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
     Raises:
         CorpusError: no training item with what the run needs, rigs that differ, or a file that
             cannot be read.
-        ConfigError: a model to start from that is told other things, or has another rig.
-        ModelError: a model to start from that cannot be read.
+        ConfigError: a model to start from that is told other things, or one to start from or to
+            move like that has another rig.
+        ModelError: such a model cannot be read.
     """
     # First: wrong settings are told before anything is read.
     extractor = None if config.features is None else config.features.extractor()
     start = _start(config)
+    like = _like(config) if start is None else start
     manifest = Manifest.load(config.corpus)
     items = training_items(manifest, config.corpus, heard=extractor is not None)
     styles: tuple[str, ...] = ()
@@ -82,16 +84,17 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
         lengths = [motion.n_frames for motion in motions]
         conditioner, speeches = listen(items, lengths, extractor, config.fps, config.features.align)
     conditions = Conditions(conditioner, config.path, names, styles)
-    if start is None:
-        representation = DeltaRepresentation.fit(motions, config.joints, root=not config.path)
-    else:
+    if start is not None:
         conditions = _same(conditions, start, config)
-        representation = _same_rig(start, motions[0], config)
         if conditions.conditioner is not None:
             speeches = [
                 conditions.conditioner(item.load_wave(), len(heard))
                 for item, heard in zip(items, speeches, strict=True)
             ]
+    if like is None:
+        representation = DeltaRepresentation.fit(motions, config.joints, root=not config.path)
+    else:
+        representation = _same_rig(like, motions[0], config)
     takes = [
         _Take(
             item.id,
@@ -121,10 +124,10 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
             for take, recording in zip(takes, recordings, strict=True)
             if take.style not in handed
         ]
-    if start is None:
+    if like is None:
         standardiser = Standardiser.fit([r.motion for r in recordings], _floors(representation))
     else:
-        standardiser = start.standardiser
+        standardiser = like.standardiser
     return TrainingData(
         recordings=tuple(recordings),
         seconds=seconds,
@@ -149,6 +152,18 @@ def _start(config: DiffusionConfig) -> DiffusionModel | None:
                     f"{wanted[key]}; set it to what the model has"
                 )
     return start
+
+
+def _like(config: DiffusionConfig) -> DiffusionModel | None:
+    """The model whose motion vectors are those of this run."""
+    if config.moves_like is None:
+        return None
+    weights = None if config.features is None else config.features.weights
+    like = DiffusionModel.load(config.moves_like, weights=weights)
+    if like.representation.makes_root == config.path:
+        follows = "follows a path" if config.path else "moves its root itself"
+        raise ConfigError(f"moves_like: this run {follows} and {config.moves_like} does not")
+    return like
 
 
 def _check_handed(config: DiffusionConfig, styles: Sequence[str]) -> None:
@@ -230,17 +245,16 @@ def _same(conditions: Conditions, start: DiffusionModel, config: DiffusionConfig
     return start.conditions
 
 
-def _same_rig(
-    start: DiffusionModel, motion: Motion, config: DiffusionConfig
-) -> DeltaRepresentation:
-    if start.fps != config.fps:
-        raise ConfigError(f"start_from: {config.start_from} has {start.fps:g} fps; set fps to it")
-    different = first_difference(motion.skeleton, start.skeleton)
+def _same_rig(like: DiffusionModel, motion: Motion, config: DiffusionConfig) -> DeltaRepresentation:
+    """The representation of the model to start from, or to move like, if it fits the corpus."""
+    setting = "start_from" if config.moves_like is None else "moves_like"
+    where = getattr(config, setting)
+    if like.fps != config.fps:
+        raise ConfigError(f"{setting}: {where} has {like.fps:g} fps; set fps to it")
+    different = first_difference(motion.skeleton, like.skeleton)
     if different:
-        raise ConfigError(
-            f"start_from: {config.start_from} has another rig than {config.corpus}: {different}"
-        )
-    return start.representation
+        raise ConfigError(f"{setting}: {where} has another rig than {config.corpus}: {different}")
+    return like.representation
 
 
 def _on_path(
