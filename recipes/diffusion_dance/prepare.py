@@ -17,12 +17,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 from dancer import dance
-from track import RATE, Track, play
+from track import RATE, TEMPOS, Track, play
 
 from gesturekit.atomic import atomic_write
-
-TEMPOS = (80.0, 150.0)
-"""Beats per minute."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

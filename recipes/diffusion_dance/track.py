@@ -13,6 +13,8 @@ from scipy.signal import lfilter
 
 RATE = 22050
 """Samples per second."""
+TEMPOS = (80.0, 150.0)
+"""Beats per minute of the slowest and the fastest track."""
 BEATS_PER_BAR = 4
 DRIFT = 0.12
 """Of the tempo: by so much it is faster or slower as the track goes on."""
