@@ -1,4 +1,4 @@
-"""The toy corpora: walks must be worth following, dances must meet their beats."""
+"""The toy corpora: walks worth following, dances on their beats, fights as their flags say."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ import pytest
 import audio_features as af
 from gesturekit.evaluation.feet import foot_skate
 from gesturekit.evaluation.rhythm import beat_alignment, music_beats
+from gesturekit.formats.events import load_events
 from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.root_path import RootPath
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
-sys.path.insert(0, str(RECIPES / "diffusion_locomotion"))
+sys.path[:0] = [str(RECIPES / name) for name in ("diffusion_locomotion", "diffusion_events")]
+from moves import met  # noqa: E402
 from steps import stepping_rates  # noqa: E402
 from walker import step_rate  # noqa: E402
 
@@ -83,6 +85,19 @@ def test_dancers_meet_the_beats_of_their_track(dances):
         assert found.score > found.chance_mean + 3 * found.chance_sd
         assert found.score > 0.35
         assert foot_skate(motion) < 1e-3
+
+
+def test_fighters_move_when_their_table_says_so_and_at_no_other_time(tmp_path):
+    (file,) = prepare("diffusion_events", tmp_path, 1, 20.0).glob("*.bvh")
+    motion, events = Motion.load(file), load_events(file.with_suffix(".events.csv"))
+    for name in ("punch", "duck"):
+        moments = np.array([event.time for event in events if event.name == name])
+        assert len(moments) >= 3
+        assert met(motion, name, moments) == 1 and met(motion, name, moments + 0.5) < 0.3
+    assert foot_skate(motion) < 1e-3
+    again = prepare("diffusion_events", tmp_path / "again", 1, 20.0)
+    for made in (file, file.with_suffix(".events.csv")):
+        assert (again / made.name).read_bytes() == made.read_bytes()
 
 
 def test_tempos_differ_from_track_to_track(dances):
