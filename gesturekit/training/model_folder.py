@@ -93,8 +93,9 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
     if config.get("kind") != kind:
         raise ModelError(f"{folder / 'config.yaml'}: kind {config.get('kind')!r}, not {kind}")
     try:
-        if not 0 < float(config["fps"]) < math.inf:
-            raise ValueError(f"fps is {config['fps']}")
+        fps = float(config["fps"])
+        if not 0 < fps < math.inf:
+            raise ValueError(f"fps is {fps}")
         rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
         return assemble(ModelParts(folder, config, rig, load_file(folder / "model.safetensors")))
     except (af.AudioFeaturesError, ModelError):
