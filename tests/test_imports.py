@@ -12,10 +12,12 @@ import click
 import pytest
 
 from gesturekit.cli import VERBS, cli
+from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.training.config import load_config
+from gesturekit.training.config import load_config, read_chain
 
 ROOT = Path(__file__).resolve().parents[1]
+CONFIG_CLASSES = {"multires": MultiresConfig, "diffusion": DiffusionConfig}
 HEAVY = ("torch", "librosa", "transformers", "scipy.signal", "matplotlib")
 
 
@@ -73,7 +75,9 @@ def check_command_line(line: str) -> None:
     command = cli.get_command(click.Context(cli), verb)
     parameters = command.make_context(verb, arguments).params
     if verb == "train":
-        load_config(ROOT / parameters["config"], MultiresConfig, parameters["overrides"])
+        config = ROOT / parameters["config"]
+        schema = CONFIG_CLASSES[read_chain(config)["system"]]
+        load_config(config, schema, parameters["overrides"])
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -104,7 +104,7 @@ def test_a_clip_is_continued_without_a_seam(model, gesture):
     # It goes on facing as it did, and where it was.
     ahead = RootPath.of(made)
     assert np.degrees(np.abs(ahead.headings - ahead.headings[0])).max() < 60
-    assert np.linalg.norm(ahead.positions - [3.0, 1.0], axis=1).max() < 0.5
+    assert np.linalg.norm(ahead.positions - [3.0, 1.0], axis=1).max() < 1.0
 
 
 def largest_jump(motion, frames) -> float:
@@ -123,7 +123,7 @@ def test_the_time_between_two_clips_is_filled(model, gesture):
     assert largest_jump(made, [50, 100]) < 1.2 * largest_jump(made, range(55, 95))
     # The body goes there in the middle, not in a leap.
     steps = np.linalg.norm(np.diff(made.positions()[:, 0], axis=0), axis=-1)
-    assert steps[49:101].max() < 3 * 0.3 / 50 + 0.25 / 25
+    assert steps[49:101].max() < 3 * 0.3 / 50 + 0.5 / 25
     # Something happens between them.
     assert rotation_angles(made.rotations[60], made.rotations[90]).max() > 0.05
 
