@@ -5,23 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from gesturekit.errors import ConfigError
-from gesturekit.motion.parts import KNOWN_PARTS
 from gesturekit.training.features import FeatureConfig
-
-
-def _positive(**values: float) -> None:
-    for name, value in values.items():
-        if not 0 < value < math.inf:
-            raise ConfigError(f"{name}: {value!r} must be above 0")
-
-
-def _share(**values: float) -> None:
-    for name, value in values.items():
-        if not 0 <= value <= 1:
-            raise ConfigError(f"{name}: {value!r} must be between 0 and 1")
+from gesturekit.training.run_config import RunConfig, check_positive, check_share
 
 
 @dataclass(frozen=True)
@@ -54,7 +42,7 @@ class NetworkConfig:
     It has no dilation 0; the paper's cycle is 1, 2, 4 ... 512."""
 
     def __post_init__(self) -> None:
-        _positive(
+        check_positive(
             blocks=self.blocks,
             layers=self.layers,
             channels=self.channels,
@@ -97,7 +85,7 @@ class NoiseConfig:
     learns it in a fraction of the time."""
 
     def __post_init__(self) -> None:
-        _positive(steps=self.steps)
+        check_positive(steps=self.steps)
         for name in ("first_beta", "last_beta"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{name}: {getattr(self, name)!r} must be between 0 and 1")
@@ -145,14 +133,14 @@ class TrainingConfig:
     """Of the network's products in training; weights and sums stay float32."""
 
     def __post_init__(self) -> None:
-        _positive(
+        check_positive(
             updates=self.updates,
             batch=self.batch,
             window=self.window,
             learning_rate=self.learning_rate,
             decay=self.decay,
         )
-        _share(
+        check_share(
             dropout_condition=self.dropout_condition,
             dropout_style=self.dropout_style,
             decay=self.decay,
@@ -163,7 +151,7 @@ class TrainingConfig:
         if not 0 <= self.ema < 1:
             raise ConfigError(f"ema: {self.ema} must be at least 0 and below 1")
         if self.min_snr is not None:
-            _positive(min_snr=self.min_snr)
+            check_positive(min_snr=self.min_snr)
 
 
 @dataclass(frozen=True)
@@ -178,7 +166,7 @@ class AugmentationConfig:
     """By a factor between 1 minus this and 1 plus this."""
 
     def __post_init__(self) -> None:
-        _share(stretch=self.stretch)
+        check_share(stretch=self.stretch)
         if not 0 <= self.stretch_range <= 0.5:
             raise ConfigError(f"stretch_range: {self.stretch_range} must be between 0 and 0.5")
 
@@ -202,24 +190,16 @@ class UnpairedConfig:
     """Of the windows."""
 
     def __post_init__(self) -> None:
-        _share(share=self.share)
+        check_share(share=self.share)
 
 
-@dataclass(frozen=True)
-class DiffusionConfig:
+@dataclass(frozen=True, kw_only=True)
+class DiffusionConfig(RunConfig):
     """A diffusion training run: gestures, dance, a path or events to follow, or motion alone."""
 
     system: Literal["diffusion"]
-    corpus: Path
-    """Manifest written by `gesturekit prepare`."""
     out: Path = field(default_factory=lambda: Path("runs/diffusion"))
-    """Run folder."""
-    seed: int = 0
     fps: float = 30.0
-    joints: Literal["body", "all"] | tuple[str, ...] = "body"
-    parts: dict[str, str] = field(default_factory=dict)
-    """Parts of the body named by hand, such as {left_elbow: Joint12}, for rigs whose names and
-    shape do not tell them."""
     features: FeatureConfig | None = field(default_factory=FeatureConfig)
     """What is heard, speech or music; null for nothing."""
     path: bool = False
@@ -240,31 +220,11 @@ class DiffusionConfig:
     training: TrainingConfig = field(default_factory=TrainingConfig)
     augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
     checkpoint_every: int = 1000
-    """Updates between checkpoints."""
-    log_every: int = 10
-    eval_every: int = 0
-    """Updates between cheap evaluations (`quick_figures`) on the training recordings, written to
-    metrics.jsonl with `kind: evaluation`; 0 for none. They change nothing in the training."""
-    threads: int | None = None
-    """CPU threads; null leaves the choice to torch."""
-    device: str = "auto"
-    """auto, cpu, or cuda."""
-    notes: dict[str, Any] = field(default_factory=dict)
-    """Free text for the model's README: data, licence."""
 
     def __post_init__(self) -> None:
-        _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)
-        if self.eval_every < 0:
-            raise ConfigError(f"eval_every: {self.eval_every} must be at least 0")
+        super().__post_init__()
         if self.moves_like is not None and self.start_from is not None:
             raise ConfigError("moves_like: start_from keeps all of a model; leave out one of them")
-        for part, joint in self.parts.items():
-            if part not in KNOWN_PARTS:
-                raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
-            if not isinstance(joint, str):
-                raise ConfigError(f"parts.{part}: {joint!r} is no joint name")
-        if self.threads is not None:
-            _positive(threads=self.threads)
         if self.training.changes and self.noise.predict != "clean":
             raise ConfigError(
                 f"training.changes: {self.training.changes} is for networks that predict the clean "

@@ -5,26 +5,13 @@ With `features: null` nothing is heard: single-clip mode, or label mode where `s
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from gesturekit.errors import ConfigError
-from gesturekit.motion.parts import KNOWN_PARTS
 from gesturekit.training.features import FeatureConfig
-
-
-def _positive(**values: float) -> None:
-    for name, value in values.items():
-        if not 0 < value < math.inf:
-            raise ConfigError(f"{name}: {value!r} must be above 0")
-
-
-def _not_negative(**values: float) -> None:
-    for name, value in values.items():
-        if not 0 <= value < math.inf:
-            raise ConfigError(f"{name}: {value!r} must be at least 0")
+from gesturekit.training.run_config import RunConfig, check_not_negative, check_positive
 
 
 @dataclass(frozen=True)
@@ -46,8 +33,8 @@ class NetworkConfig:
     """Joints that the condition modulates: the upper body, all, or names."""
 
     def __post_init__(self) -> None:
-        _positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
-        _not_negative(neighbour_distance=self.neighbour_distance)
+        check_positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
+        check_not_negative(neighbour_distance=self.neighbour_distance)
         if self.kernel % 2 == 0:
             raise ConfigError(f"kernel: {self.kernel} must be odd")
         if not self.channels or min(self.channels) <= 0:
@@ -78,7 +65,7 @@ class LossConfig:
     """The gradient penalty is on the norm over a window, or on each frame's own (GANimator)."""
 
     def __post_init__(self) -> None:
-        _not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
+        check_not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
 
 
 @dataclass(frozen=True)
@@ -108,7 +95,7 @@ class ScheduleConfig:
     """Share of random windows whose speech is replaced by silence."""
 
     def __post_init__(self) -> None:
-        _positive(
+        check_positive(
             learning_rate=self.learning_rate,
             batch=self.batch,
             bank=self.bank,
@@ -117,13 +104,13 @@ class ScheduleConfig:
             further_pairs=self.further_pairs,
         )
         if self.window is not None:
-            _positive(window=self.window)
+            check_positive(window=self.window)
         steps = {
             "discriminator_steps": self.discriminator_steps,
             "generator_steps": self.generator_steps,
             "reconstruction_steps": self.reconstruction_steps,
         }
-        _not_negative(**steps, decay_at=self.decay_at)
+        check_not_negative(**steps, decay_at=self.decay_at)
         if not self.generator_steps and not self.reconstruction_steps:
             raise ConfigError("generator_steps and reconstruction_steps are both 0: nothing learns")
         if len(self.betas) != 2 or not all(0 <= beta < 1 for beta in self.betas):
@@ -152,21 +139,13 @@ class StyleConfig:
             raise ConfigError(f"mixing: {self.mixing} must be between 0 and 1")
 
 
-@dataclass(frozen=True)
-class MultiresConfig:
+@dataclass(frozen=True, kw_only=True)
+class MultiresConfig(RunConfig):
     """A multires training run, in speech, label or single-clip mode, or by speech and label."""
 
     system: Literal["multires"]
-    corpus: Path
-    """Manifest written by `gesturekit prepare`."""
     out: Path = field(default_factory=lambda: Path("runs/multires"))
-    """Run folder."""
-    seed: int = 0
     fps: float = 25.0
-    joints: Literal["body", "all"] | tuple[str, ...] = "body"
-    parts: dict[str, str] = field(default_factory=dict)
-    """Parts of the body named by hand, such as {left_elbow: Joint12}, for rigs whose names and
-    shape do not tell them."""
     normalise: bool = True
     """Bring motion to zero mean and comparable spread; GANimator does not."""
     z_star: Literal["shared", "full"] = "shared"
@@ -179,32 +158,13 @@ class MultiresConfig:
     losses: LossConfig = field(default_factory=LossConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
     checkpoint_every: int = 250
-    """Iterations between checkpoints."""
-    log_every: int = 10
     eval_every: int = 0
     """Iterations between cheap evaluations (`quick_figures`) on the training speech, written to
     metrics.jsonl with `kind: evaluation`, each with a sample in samples/; 0 for none. The model of
     the last pair of levels that they find best is kept in best/. They change nothing in the
     training, and model/ is always what its last step left."""
-    threads: int | None = None
-    """CPU threads; null leaves the choice to torch."""
-    device: str = "auto"
-    """auto, cpu, or cuda."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of convolutions in training; bfloat16 is for GPUs that are fast with it."""
-    notes: dict[str, Any] = field(default_factory=dict)
-    """Free text for the model's README: data, licence."""
-
-    def __post_init__(self) -> None:
-        _positive(fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every)
-        _not_negative(eval_every=self.eval_every)
-        for part, joint in self.parts.items():
-            if part not in KNOWN_PARTS:
-                raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
-            if not isinstance(joint, str):
-                raise ConfigError(f"parts.{part}: {joint!r} is no joint name")
-        if self.threads is not None:
-            _positive(threads=self.threads)
 
     @property
     def uses_arm_speed(self) -> bool:

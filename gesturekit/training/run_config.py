@@ -1,0 +1,73 @@
+"""What every training run can be told, and how numbers in a configuration are checked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from gesturekit.errors import ConfigError
+from gesturekit.motion.parts import KNOWN_PARTS
+
+
+def check_positive(**values: float) -> None:
+    """Raises ConfigError for what is not above 0 and finite."""
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise ConfigError(f"{name}: {value!r} must be above 0")
+
+
+def check_not_negative(**values: float) -> None:
+    """Raises ConfigError for what is below 0 or not finite."""
+    for name, value in values.items():
+        if not 0 <= value < math.inf:
+            raise ConfigError(f"{name}: {value!r} must be at least 0")
+
+
+def check_share(**values: float) -> None:
+    """Raises ConfigError for what is not between 0 and 1."""
+    for name, value in values.items():
+        if not 0 <= value <= 1:
+            raise ConfigError(f"{name}: {value!r} must be between 0 and 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """The settings that the systems share; each adds its own and may have other defaults."""
+
+    corpus: Path
+    """Manifest written by `gesturekit prepare`."""
+    out: Path
+    """Run folder."""
+    seed: int = 0
+    fps: float
+    joints: Literal["body", "all"] | tuple[str, ...] = "body"
+    parts: dict[str, str] = field(default_factory=dict)
+    """Parts of the body named by hand, such as {left_elbow: Joint12}, for rigs whose names and
+    shape do not tell them."""
+    checkpoint_every: int
+    """Steps between checkpoints."""
+    log_every: int = 10
+    eval_every: int = 0
+    """Steps between cheap evaluations (`quick_figures`) on the training recordings, written to
+    metrics.jsonl with `kind: evaluation`; 0 for none. They change nothing in the training."""
+    threads: int | None = None
+    """CPU threads; null leaves the choice to torch."""
+    device: str = "auto"
+    """auto, cpu, or cuda."""
+    notes: dict[str, Any] = field(default_factory=dict)
+    """Free text for the model's README: data, licence."""
+
+    def __post_init__(self) -> None:
+        check_positive(
+            fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every
+        )
+        check_not_negative(eval_every=self.eval_every)
+        for part, joint in self.parts.items():
+            if part not in KNOWN_PARTS:
+                raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
+            if not isinstance(joint, str):
+                raise ConfigError(f"parts.{part}: {joint!r} is no joint name")
+        if self.threads is not None:
+            check_positive(threads=self.threads)
