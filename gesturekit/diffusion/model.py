@@ -241,7 +241,9 @@ class DiffusionModel:
             rows["Styles"] = ", ".join(told.styles)
             call.append(f'style="{told.styles[0]}"')
         if self.droppable:
-            rows["Guidance"] = f"trained without its {' or '.join(self.droppable)} at times"
+            dropped = {"styles": "its style", "all": "anything that it is told"}
+            parts = " or ".join(dropped[name] for name in self.droppable)
+            rows["Guidance"] = f"trained without {parts} at times"
             call.append("guidance=1.5")
         return model_readme(rows | notes, ", ".join(call))
 
