@@ -6,11 +6,13 @@
 Interpolation (eq. 7 of Alexanderson et al. 2023, their Fig. 9): weights 1 - gamma of the still
 style and gamma of the lively one, gamma from -0.25 to 1.25; the median of wrist speed. Guidance
 (eq. 6): gamma from 0 to 2 of one style at a time; how often a classifier hears that style in it.
-Motions go to out/interpolation/ and out/guidance/, a folder for each gamma, so that
+Motions go to out/interpolation/ and out/guidance/, a folder for each gamma, under the name of a
+recording of the lively style, so that the report of
 
-    gesturekit evaluate out/interpolation/* recordings/ --out report.html
+    cd out/interpolation
+    gesturekit evaluate gamma_-0.25 recordings/ gamma_+0.00 ... --compare --out report.html
 
-draws the violins. The classifier is a ridge regression onto styles of means and spreads over
+has the violins. The classifier is a ridge regression onto styles of means and spreads over
 windows of 1.5 s of the corpus's recordings; the table begins with how it does on windows of
 recordings that it was not made from.
 """
@@ -92,6 +94,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, help="denoising steps; all by default")
     asked = parser.parse_args()
     model = gk.load(asked.model)
+    manifest = Manifest.load(asked.corpus)
+    stem = next(item.motion.stem for item in manifest if item.motion and item.style == asked.lively)
 
     def made(folder: Path, **told) -> list[gk.Motion]:
         motions = model.generate(
@@ -100,7 +104,7 @@ def main() -> None:
         )  # fmt: skip
         folder.mkdir(parents=True, exist_ok=True)
         for number, motion in enumerate(motions, start=1):
-            motion.save(folder / f"clip_s{number}.npz")
+            motion.save(folder / f"{stem}_s{number}.npz")
         return motions
 
     print("gamma | median wrist speed, m/s | mean")
@@ -110,7 +114,7 @@ def main() -> None:
         speeds = np.concatenate([wrist_speed(motion) for motion in motions])
         print(f"{gamma:+.2f} | {np.median(speeds):.3f} | {speeds.mean():.3f}", flush=True)
 
-    classifier, right = fit_classifier(model, Manifest.load(asked.corpus))
+    classifier, right = fit_classifier(model, manifest)
     print(
         f"\nclassifier: {right:.2f} of held-out windows right, chance {1 / len(model.styles):.2f}"
     )
