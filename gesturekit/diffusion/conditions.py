@@ -18,14 +18,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ModelError
 from gesturekit.formats.events import Event
 from gesturekit.motion.root_path import RootPath
-
-SMOOTHED_SECONDS = 1 / 3
-"""A path is smoothed over so long: ten frames at 30 fps (section 4.1 of the paper)."""
+from gesturekit.training.features import conditioner_tensors, load_conditioner
 
 PARTS = ("speech", "path", "events", "styles")
 
@@ -129,11 +126,7 @@ class Conditions:
         """(T, E): 1 from the frame nearest to an event's beginning, for one frame at least."""
         flags = np.zeros((n_frames, len(self.events)), np.float32)
         for event in events:
-            if event.name not in self.events:
-                near = difflib.get_close_matches(event.name, self.events, n=1)
-                hint = f"did you mean {near[0]}? " if near else ""
-                known = ", ".join(self.events) or "none"
-                raise ModelError(f"event {event.name!r}: {hint}the model knows {known}")
+            check_event(event, self.events)
             start = math.floor(event.time * fps + 0.5)
             stop = math.floor((event.time + event.duration) * fps + 0.5)
             flags[start : max(stop, start + 1), self.events.index(event.name)] = 1
@@ -152,10 +145,7 @@ class Conditions:
 
     def to_tensors(self) -> dict[str, Tensor]:
         """Numbers learnt in training, for `model.safetensors`."""
-        tensors = {}
-        if self.conditioner is not None:
-            tensors["features.centre"] = torch.from_numpy(self.conditioner.centre)
-            tensors["features.scale"] = torch.from_numpy(self.conditioner.scale)
+        tensors = conditioner_tensors(self.conditioner)
         if self.path:
             tensors["path.mean"] = torch.from_numpy(self.path_mean)
             tensors["path.scale"] = torch.from_numpy(self.path_scale)
@@ -183,12 +173,8 @@ class Conditions:
         """
         features, conditioner = values["features"], None
         if features is not None:
-            conditioner = SpeechConditioner(
-                af.extractor_from_spec(features["spec"], weights=weights),
-                fps,
-                features["align"],
-                tensors["features.centre"].numpy(),
-                tensors["features.scale"].numpy(),
+            conditioner = load_conditioner(
+                features["spec"], features["align"], tensors, fps, weights
             )
         path = {}
         if values["path"]:
@@ -205,6 +191,16 @@ class Conditions:
         )
 
 
+def check_event(event: Event, known: Sequence[str]) -> None:
+    """Raises ModelError for an event of an unknown name."""
+    if event.name not in known:
+        near = difflib.get_close_matches(event.name, known, n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ModelError(
+            f"event {event.name!r}: {hint}the model knows {', '.join(known) or 'none'}"
+        )
+
+
 def smooth_path(path: RootPath, fps: float, n_frames: int | None = None) -> RootPath:
     """A path as models are given it: at their frame rate, and smoothed (section 4.1).
 
@@ -213,4 +209,4 @@ def smooth_path(path: RootPath, fps: float, n_frames: int | None = None) -> Root
         fps: frames per second of the motion.
         n_frames: how many; by default as many as the path holds.
     """
-    return path.resample(fps, n_frames).smoothed(max(1, round(SMOOTHED_SECONDS * fps)))
+    return path.resample(fps, n_frames).smoothed()

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-import audio_features as af
-from gesturekit.atomic import atomic_write
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.standardiser import Standardiser
-from gesturekit.errors import ConfigError
 from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.training.data_folder import load_data, save_data
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +84,7 @@ class TrainingData:
         return spread.clamp(min=max(0.1 * float(spread.median()), 1e-6))
 
     def save(self, folder: Path) -> None:
-        """Write all of it into a folder, for a run that is resumed.
-
-        Features and encoded motion differ in their last bits from process to process, as numpy's
-        vector instructions depend on where arrays lie; a resumed run must read what it read.
-        """
+        """Write all of it into a folder, for a run that is resumed."""
         tensors = {
             "motion.mean": self.standardiser.mean,
             "motion.scale": self.standardiser.scale,
@@ -101,8 +93,6 @@ class TrainingData:
         for i, recording in enumerate(self.recordings):
             tensors[f"recording.{i}.motion"] = torch.from_numpy(recording.motion)
             tensors[f"recording.{i}.condition"] = torch.from_numpy(recording.condition)
-        with atomic_write(folder / "data.safetensors") as temporary:
-            save_file(tensors, temporary)
         about = {
             "names": [recording.name for recording in self.recordings],
             "is_paired": [recording.is_paired for recording in self.recordings],
@@ -112,8 +102,7 @@ class TrainingData:
             "motion": self.representation.to_json(),
             "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
         }
-        with atomic_write(folder / "data.json") as temporary:
-            temporary.write_text(json.dumps(about), encoding="utf-8")
+        save_data(folder, tensors, about)
 
     @classmethod
     def load(cls, folder: Path, config: DiffusionConfig) -> TrainingData:
@@ -124,9 +113,8 @@ class TrainingData:
             WeightsError: the WavLM weights are not those that the run began with.
         """
         weights = None if config.features is None else config.features.weights
-        try:
-            about = json.loads((folder / "data.json").read_text(encoding="utf-8"))
-            tensors = load_file(folder / "data.safetensors")
+
+        def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             paired, unpaired = about["seconds"]
             return cls(
                 recordings=tuple(
@@ -150,9 +138,5 @@ class TrainingData:
                 standardiser=Standardiser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
             )
-        except af.WeightsError:
-            raise
-        except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
-            raise ConfigError(
-                f"{folder}: the run's training data cannot be read ({error}); start a new run"
-            ) from error
+
+        return load_data(folder, assemble)

@@ -10,11 +10,11 @@ import numpy as np
 
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner, hear
-from gesturekit.diffusion.conditions import Conditions, smooth_path
+from gesturekit.diffusion.conditions import Conditions, check_event, smooth_path
 from gesturekit.diffusion.event_times import asked_events, wants_beats
 from gesturekit.errors import ModelError
 from gesturekit.formats.events import Event
-from gesturekit.formats.root_path import load_root_path
+from gesturekit.formats.root_path import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 
@@ -74,7 +74,7 @@ class Request:
             )
         if events is not None and not any(model.events for model in models):
             raise ModelError(f"events={str(events)!r}: this model knows no events")
-        way = None if path is None else _loaded(path)
+        way = None if path is None else as_root_path(path)
         if speech is None and seconds is None and way is not None:
             seconds = way.frames_within(fps) / fps
         ears = next((m.conditioner for m in models if m.conditioner is not None), None)
@@ -107,22 +107,8 @@ class Request:
         return conditions.encode(self.n_frames, self.fps, speech=heard, path=path, events=known)
 
 
-def _loaded(path: str | Path | RootPath | Motion) -> RootPath:
-    if isinstance(path, RootPath):
-        return path
-    if isinstance(path, Motion):
-        return RootPath.of(path)
-    if isinstance(path, (str, Path)):
-        return load_root_path(path)
-    raise ModelError(
-        f"path is a {type(path).__name__}; give a RootPath, a Motion, or the name of a file"
-    )
-
-
 def _check_events(events: Sequence[Event], models: Sequence[Conditions]) -> None:
     """Each must be known to one of the models."""
     known = tuple(dict.fromkeys(name for model in models for name in model.events))
     for event in events:
-        if event.name not in known:
-            # The one place that words this error.
-            Conditions(events=known).encode(1, 1.0, events=[event])
+        check_event(event, known)

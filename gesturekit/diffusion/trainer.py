@@ -24,11 +24,10 @@ from gesturekit.diffusion.monitor import Monitor
 from gesturekit.diffusion.networks import Denoiser
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.errors import ModelError
-from gesturekit.training.config import to_dict
-from gesturekit.training.device import prepare_device
 from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
 from gesturekit.training.seeds import generator, seeded
+from gesturekit.training.session import session
 
 log = logging.getLogger(__name__)
 
@@ -48,14 +47,8 @@ def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
         CorpusError: the corpus cannot be trained on.
         ModelError: training left the realm of numbers.
     """
-    with Processes.from_environment(config.device) as processes:
-        device = prepare_device(processes.device(config.device), config.threads)
-        run = Run(config.out, to_dict(config), resume=resume)
-        processes.wait()  # all have looked for a run there before the first begins one
-        try:
-            return _Trainer(config, run, device, processes, resume=resume).run()
-        finally:
-            run.close()
+    with session(config, resume=resume) as (run, device, processes):
+        return _Trainer(config, run, device, processes, resume=resume).run()
 
 
 def learning_rate(training: TrainingConfig, update: int) -> float:
@@ -81,7 +74,7 @@ class _Trainer:
         self.data = self._data(resume=resume)
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(self.data, config)
-        self.changes = self.data.changes().to(device)
+        self.changes = self.data.changes().to(device) if config.training.changes else None
         if processes.is_first:
             log.info("Training on %s.", ", ".join(self._what()))
         self.network = self._network(resume=resume).to(device)

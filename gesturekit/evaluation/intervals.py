@@ -34,11 +34,6 @@ class Interval:
     units: int
     over: str
 
-    @property
-    def is_rough(self) -> bool:
-        """Whether there are too few units to trust the interval."""
-        return self.units < FEW
-
 
 def interval_of(values: Sequence[float], groups: Sequence[str], seed: int) -> Interval:
     """Mean and interval of clip figures.

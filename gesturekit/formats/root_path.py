@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.errors import FormatError, MotionError
+from gesturekit.errors import FormatError, ModelError, MotionError
 from gesturekit.formats.table import read_table
 from gesturekit.motion.motion import LOWEST_FPS, Motion
 from gesturekit.motion.root_path import RootPath
@@ -21,6 +21,24 @@ _MEGABYTES = 32
 _MAX_FRAMES = 10_000_000  # a day at 120 fps
 _EVEN = 0.02
 """Share of a step that times may be off by (rounded digits) and still be even."""
+
+
+def as_root_path(path: str | os.PathLike[str] | RootPath | Motion) -> RootPath:
+    """A path, whatever it is given by: itself, a motion, or the name of a file.
+
+    Raises:
+        ModelError: it is none of these.
+        FormatError: a file that cannot be read.
+    """
+    if isinstance(path, RootPath):
+        return path
+    if isinstance(path, Motion):
+        return RootPath.of(path)
+    if isinstance(path, (str, os.PathLike)):
+        return load_root_path(path)
+    raise ModelError(
+        f"path is a {type(path).__name__}; give a RootPath, a Motion, or the name of a file"
+    )
 
 
 def load_root_path(path: str | os.PathLike[str]) -> RootPath:

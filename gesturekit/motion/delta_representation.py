@@ -36,9 +36,6 @@ from gesturekit.motion.rotations import (
 )
 from gesturekit.motion.skeleton import Skeleton
 
-SMOOTHED = 1 / 3
-"""Seconds that a path is smoothed over: 10 frames at 30 fps (4.1 of the paper)."""
-
 _FRAMES_AT_ONCE = 1024  # decoded, so that what a rotation passes through on its way stays small
 
 
@@ -129,7 +126,7 @@ class DeltaRepresentation(ModelJoints):
         Args:
             motion: T frames.
             path: T frames, what the root follows where `makes_root` is False; by default the
-                motion's own path, smoothed over `SMOOTHED` seconds.
+                motion's own path, smoothed (`RootPath.smoothed`).
 
         Raises:
             MotionError: joint names or parents differ from the rig's, or a path of other length.
@@ -213,7 +210,7 @@ class DeltaRepresentation(ModelJoints):
     def _own_path(self, motion: Motion) -> RootPath:
         """What the vectors of a motion are relative to unless a path is given."""
         path = self.path_of(motion)
-        return path if self.makes_root else path.smoothed(max(1, round(path.fps * SMOOTHED)))
+        return path if self.makes_root else path.smoothed()
 
     def _level_root(self, motion: Motion, path: RootPath) -> np.ndarray:
         """(T, 4) the root's world rotation without the path's heading."""

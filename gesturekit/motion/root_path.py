@@ -16,6 +16,8 @@ from gesturekit.motion.skeleton import FARTHEST
 
 STANDING = 0.05
 """Below this speed (m/s) where a path goes does not say where it looks."""
+SMOOTHED_SECONDS = 1 / 3
+"""What a path is smoothed over: 10 frames at 30 fps (section 4.1 of Alexanderson et al. 2023)."""
 _MOST_FRAMES = 50_000_000  # over two weeks at 30 fps
 
 
@@ -184,8 +186,8 @@ class RootPath:
         part = np.s_[start_frame:stop_frame]
         return replace(self, positions=self.positions[part], headings=self.headings[part])
 
-    def smoothed(self, frames: int = 10) -> RootPath:
-        """Averaged over `frames` frames, as Alexanderson et al. (2023, 4.1) smooth at 30 fps.
+    def smoothed(self, frames: int | None = None) -> RootPath:
+        """Averaged over `frames` frames, by default over `SMOOTHED_SECONDS`.
 
         The average is centred on its frame, so nothing is delayed. Both ends are continued by
         their point reflection: they stay where they are, and a straight walk stays what it is.
@@ -193,6 +195,8 @@ class RootPath:
         Raises:
             MotionError: fewer than one frame.
         """
+        if frames is None:
+            frames = max(1, round(SMOOTHED_SECONDS * self.fps))
         if frames < 1:
             raise MotionError(f"frames is {frames}; a path is smoothed over at least 1")
         # An even number of frames has no frame in its middle: two halves at the ends.

@@ -7,20 +7,16 @@ speech has no channels (0, T), and every motion is a sequence.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.atomic import atomic_write
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, CorpusError
@@ -29,7 +25,8 @@ from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.interpolation import resample
-from gesturekit.training.features import listen
+from gesturekit.training.data_folder import load_data, save_data
+from gesturekit.training.features import conditioner_tensors, listen, load_conditioner
 from gesturekit.training.recordings import (
     item_styles,
     load_motions,
@@ -183,26 +180,18 @@ class TrainingData:
     unpaired_is_paired: bool
 
     def save(self, folder: Path) -> None:
-        """Write all of it into a folder, for a run that is resumed.
-
-        Features and encoded motion differ in their last bits from process to process, as numpy's
-        vector instructions depend on where arrays lie; a resumed run must read what it read.
-        """
+        """Write all of it into a folder, for a run that is resumed."""
         tensors = {
             "silence": self.silence,
             "motion.mean": self.normaliser.mean,
             "motion.scale": self.normaliser.scale,
+            **conditioner_tensors(self.conditioner),
         }
-        if self.conditioner is not None:
-            tensors["features.centre"] = torch.from_numpy(self.conditioner.centre)
-            tensors["features.scale"] = torch.from_numpy(self.conditioner.scale)
         for i, sequence in enumerate(self.paired):
             for name in PairedSequence.TENSORS:
                 tensors[f"paired.{i}.{name}"] = getattr(sequence, name).contiguous()
         if not self.unpaired_is_paired:
             tensors |= {f"unpaired.{i}": clip for i, clip in enumerate(self.unpaired)}
-        with atomic_write(folder / "data.safetensors") as temporary:
-            save_file(tensors, temporary)
         about = {
             "names": [sequence.name for sequence in self.paired],
             "unpaired": 0 if self.unpaired_is_paired else len(self.unpaired),
@@ -214,8 +203,7 @@ class TrainingData:
             "motion": self.representation.to_json(),
             "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
         }
-        with atomic_write(folder / "data.json") as temporary:
-            temporary.write_text(json.dumps(about), encoding="utf-8")
+        save_data(folder, tensors, about)
 
     @classmethod
     def load(cls, folder: Path, config: MultiresConfig) -> TrainingData:
@@ -225,9 +213,8 @@ class TrainingData:
             ConfigError: the folder's data is missing or damaged.
             WeightsError: the WavLM weights are not those that the run began with.
         """
-        try:
-            about = json.loads((folder / "data.json").read_text(encoding="utf-8"))
-            tensors = load_file(folder / "data.safetensors")
+
+        def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             paired = tuple(
                 PairedSequence(
                     name,
@@ -248,25 +235,20 @@ class TrainingData:
                 representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
                 conditioner=None
                 if config.features is None
-                else SpeechConditioner(
-                    # By the spec, which knows the weights that the features were made with.
-                    af.extractor_from_spec(about["features"], weights=config.features.weights),
-                    config.fps,
+                else load_conditioner(
+                    about["features"],
                     config.features.align,
-                    tensors["features.centre"].numpy(),
-                    tensors["features.scale"].numpy(),
+                    tensors,
+                    config.fps,
+                    config.features.weights,
                 ),
                 styles=tuple(about["styles"]),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
                 unpaired_is_paired=config.features is not None and not unpaired,
             )
-        except af.WeightsError:
-            raise
-        except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
-            raise ConfigError(
-                f"{folder}: the run's training data cannot be read ({error}); start a new run"
-            ) from error
+
+        return load_data(folder, assemble)
 
     @property
     def n_speech(self) -> int:

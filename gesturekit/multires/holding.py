@@ -35,8 +35,6 @@ _SWAY_SECONDS = 0.3
 """Spread of the average that tells the sway from the way, and a body's turns from its facing."""
 _BELIEVABLE = 3.0
 """Spreads from their mean that steps have, at most, for networks that go on from them."""
-_CORNER_SECONDS = 1 / 3
-"""A path is averaged over this long, as a body takes corners."""
 
 
 class PathHold:
@@ -62,7 +60,7 @@ class PathHold:
         lengths: Sequence[int],
         margin: int = 0,
     ) -> None:
-        self.path = path.smoothed(max(1, round(_CORNER_SECONDS * path.fps)))
+        self.path = path.smoothed()
         self.representation, self.normaliser, self.lengths = representation, normaliser, lengths
         self.fps = path.fps
         mean = representation.decode(normaliser.mean[None].double().numpy(), self.fps)

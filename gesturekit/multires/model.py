@@ -16,7 +16,7 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner, hear
 from gesturekit.errors import ModelError
-from gesturekit.formats.root_path import load_root_path
+from gesturekit.formats.root_path import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.root_path import RootPath
@@ -206,10 +206,8 @@ class MultiresModel:
         kept = None if keep is None else KeptParts(keep, self.representation, self.fps)
         if kept is not None and speech is None and seconds is None:
             seconds = kept.end / self.fps
-        if isinstance(path, Motion):
-            path = RootPath.of(path)
-        elif path is not None and not isinstance(path, RootPath):
-            path = load_root_path(path)
+        if path is not None:
+            path = as_root_path(path)
         if path is not None and speech is None and seconds is None:
             seconds = path.frames_within(self.fps) / self.fps
         features = hear(self.conditioner, speech, seconds, self.fps)

@@ -6,17 +6,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
 from torch import Tensor
 
-import audio_features as af
-from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.data import Normaliser
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.training.config import build, to_dict
+from gesturekit.training.features import conditioner_tensors, load_conditioner
 from gesturekit.training.model_folder import ModelParts
 
 if TYPE_CHECKING:
@@ -62,10 +60,8 @@ def model_parts(
         "sigma": model.sigma,
         "motion.mean": model.normaliser.mean,
         "motion.scale": model.normaliser.scale,
+        **conditioner_tensors(model.conditioner),
     }
-    if model.conditioner is not None:
-        tensors["features.centre"] = torch.from_numpy(model.conditioner.centre)
-        tensors["features.scale"] = torch.from_numpy(model.conditioner.scale)
     return config, rig, tensors
 
 
@@ -83,13 +79,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None) -> dict[str, 
     representation = MultiresRepresentation.from_json(skeleton, rig["motion"])
     features, conditioner = config["features"], None
     if features is not None:
-        conditioner = SpeechConditioner(
-            af.extractor_from_spec(features["spec"], weights=weights),
-            fps,
-            features["align"],
-            tensors["features.centre"].numpy(),
-            tensors["features.scale"].numpy(),
-        )
+        conditioner = load_conditioner(features["spec"], features["align"], tensors, fps, weights)
     styles = tuple(map(str, config.get("styles", ())))
     n_condition = len(styles) + (0 if conditioner is None else conditioner.dim)
     network_config = build(NetworkConfig, config["network"], where=where)

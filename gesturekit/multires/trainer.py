@@ -30,11 +30,10 @@ from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.networks import LevelDiscriminator, MultiresGenerator
-from gesturekit.training.config import to_dict
-from gesturekit.training.device import prepare_device
 from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
 from gesturekit.training.seeds import generator, seeded
+from gesturekit.training.session import session
 
 log = logging.getLogger(__name__)
 
@@ -56,15 +55,8 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
         CorpusError: the corpus cannot be trained on.
         ModelError: training left the realm of numbers.
     """
-    with Processes.from_environment(config.device) as processes:
-        device = prepare_device(processes.device(config.device), config.threads)
-        run = Run(config.out, to_dict(config), resume=resume)
-        # All have looked at the folder before the first one makes it that of this run.
-        processes.wait()
-        try:
-            return _Trainer(config, run, device, processes, resume=resume).run()
-        finally:
-            run.close()
+    with session(config, resume=resume) as (run, device, processes):
+        return _Trainer(config, run, device, processes, resume=resume).run()
 
 
 class _Trainer:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import torch
+from torch import Tensor
 from tqdm import tqdm
 
 import audio_features as af
@@ -66,3 +68,34 @@ def listen(
         values, active = heard.pop()
         speeches.append(conditioner.normalise(values[:n_frames], active[:n_frames]))
     return conditioner, speeches
+
+
+def conditioner_tensors(conditioner: SpeechConditioner | None) -> dict[str, Tensor]:
+    """What a conditioner has learnt, under the names that models and runs keep it by."""
+    if conditioner is None:
+        return {}
+    return {
+        "features.centre": torch.from_numpy(conditioner.centre),
+        "features.scale": torch.from_numpy(conditioner.scale),
+    }
+
+
+def load_conditioner(
+    spec: dict[str, Any],
+    align: str,
+    tensors: Mapping[str, Tensor],
+    fps: float,
+    weights: str | Path | None,
+) -> SpeechConditioner:
+    """A conditioner of its extractor's spec, which knows its weights, and of what it has learnt.
+
+    Raises:
+        WeightsError: WavLM weights are asked for, or are not those of training.
+    """
+    return SpeechConditioner(
+        af.extractor_from_spec(spec, weights=weights),
+        fps,
+        align,
+        tensors["features.centre"].numpy(),
+        tensors["features.scale"].numpy(),
+    )
