@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.training.config import load_config, read_chain, read_yaml
@@ -57,18 +57,29 @@ def model_folder(model: str | Path) -> Path:
     return _BUNDLED / str(model) if str(model) in bundled_models() else Path(model)
 
 
-def load(model: str | Path, *, weights: str | Path | None = None) -> Any:
+def load(
+    model: str | Path,
+    *,
+    weights: str | Path | None = None,
+    device: str = "cpu",
+    dtype: Literal["fp32", "bf16"] = "fp32",
+) -> Any:
     """Load a model.
 
     Args:
         model: a bundled name such as "demo", or a model folder.
         weights: folder of WavLM weights, for models that hear by WavLM.
+        device: where its networks compute: cpu, cuda, cuda:1, or auto (a GPU if there is one).
+            A pyramid of multires stays on the CPU, which makes its motion in milliseconds.
+        dtype: arithmetic of the network: single precision, or bfloat16, in which diffusion takes
+            half the time on processors that have it. Its motion differs in small things.
 
     Returns:
         an object with `generate(speech, *, seconds, samples, seed, ...)`.
 
     Raises:
-        ModelError: there is no such model, or it cannot be read.
+        ModelError: there is no such model, it cannot be read, or has no such dtype.
+        ConfigError: there is no such device.
         WeightsError: the model needs weights, or other weights.
     """
     folder = model_folder(model)
@@ -88,7 +99,7 @@ def load(model: str | Path, *, weights: str | Path | None = None) -> Any:
             f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
             "A newer kind needs a newer gesturekit"
         )
-    return _part(SYSTEMS[kind].model).load(folder, weights=weights)
+    return _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
 
 
 def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = False) -> Path:

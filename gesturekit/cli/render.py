@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +47,20 @@ from gesturekit.cli.options import channel_option, comma_separated, given, rig_p
     "or smplx.",
 )
 @rig_part_option
+@click.option(
+    "--device",
+    default="cpu",
+    show_default=True,
+    help="Where diffusion and WavLM compute: cpu, cuda, cuda:1, or auto.",
+)
+@click.option(
+    "--dtype",
+    type=click.Choice(["fp32", "bf16"]),
+    default="fp32",
+    show_default=True,
+    help="Arithmetic of diffusion; bf16 takes half the time where the processor has it, and its "
+    "motion differs in small things.",
+)
 @click.option(
     "--style",
     metavar="NAME",
@@ -155,6 +171,8 @@ def command(
     weights: Path | None,
     rig: str | None,
     rig_parts: tuple[str, ...],
+    device: str,
+    dtype: str,
     style: str | None,
     guidance: float | None,
     unconditional: str | None,
@@ -200,7 +218,8 @@ def command(
         raise click.UsageError("--seconds goes without audio: a motion is as long as its speech.")
     if rig_parts and rig is None:
         raise click.UsageError("--rig-part names parts of the body that --rig gives.")
-    loaded = load(model, weights=weights)
+    open_model = partial(load, weights=weights, device=device, dtype=dtype)
+    loaded = open_model(model)
     failed = 0
     for outcome in render(
         loaded,
@@ -217,9 +236,9 @@ def command(
         controls=given(
             style=style,
             guidance=guidance,
-            unconditional=None if unconditional is None else load(unconditional, weights=weights),
+            unconditional=None if unconditional is None else open_model(unconditional),
             events=events,
-            experts=[_expert(text, weights) for text in experts] or None,
+            experts=[_expert(text, open_model) for text in experts] or None,
             steps=steps,
             solver=solver,
             level_style=level_style,
@@ -241,10 +260,8 @@ def command(
     ctx.exit(1 if failed else 0)
 
 
-def _expert(text: str, weights: Path | None) -> tuple[Any, float | None, str | None]:
+def _expert(text: str, open_model: Callable[[str], Any]) -> tuple[Any, float | None, str | None]:
     """MODEL[:WEIGHT[:STYLE]]: the model, its weight, its style."""
-    from gesturekit.systems import load
-
     model, _, rest = text.partition(":")
     weight, _, style = rest.partition(":")
     try:
@@ -253,7 +270,7 @@ def _expert(text: str, weights: Path | None) -> tuple[Any, float | None, str | N
         raise click.UsageError(
             f"--expert {text}: {weight!r} is no weight; expected MODEL[:WEIGHT[:STYLE]]."
         ) from None
-    return load(model, weights=weights), share, style or None
+    return open_model(model), share, style or None
 
 
 def _placed_files(text: str) -> dict[float, str]:

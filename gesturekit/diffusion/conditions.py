@@ -158,6 +158,7 @@ class Conditions:
         tensors: Mapping[str, Tensor],
         fps: float,
         weights: str | Path | None = None,
+        device: str = "cpu",
     ) -> Conditions:
         """Inverse of `to_values` and `to_tensors`.
 
@@ -166,6 +167,7 @@ class Conditions:
             tensors: that hold, among others, what `to_tensors` gives.
             fps: frames per second of the motion.
             weights: the WavLM weights, where features ask for them.
+            device: where WavLM computes.
 
         Raises:
             KeyError, TypeError, ValueError: values that `to_values` does not give.
@@ -174,7 +176,7 @@ class Conditions:
         features, conditioner = values["features"], None
         if features is not None:
             conditioner = load_conditioner(
-                features["spec"], features["align"], tensors, fps, weights
+                features["spec"], features["align"], tensors, fps, weights, device
             )
         path = {}
         if values["path"]:

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -44,6 +44,7 @@ from gesturekit.multires.keeping import KeptParts, moved
 from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.styles import asked_styles, level_track
+from gesturekit.training.device import prepare_device
 from gesturekit.training.model_folder import load_model, model_readme, save_model
 from gesturekit.training.seeds import generator
 
@@ -426,15 +427,30 @@ class MultiresModel:
         return model_readme(rows | notes, call)
 
     @classmethod
-    def load(cls, folder: str | Path, *, weights: str | Path | None = None) -> MultiresModel:
+    def load(
+        cls,
+        folder: str | Path,
+        *,
+        weights: str | Path | None = None,
+        device: str = "cpu",
+        dtype: Literal["fp32"] = "fp32",
+    ) -> MultiresModel:
         """Read a model folder.
 
         Args:
             folder: as written by `save`.
             weights: the WavLM weights it was trained with, where it hears by WavLM.
+            device: where WavLM computes: auto, cpu, cuda, cuda:1 ... The pyramid stays on the CPU.
+            dtype: of the pyramid; there is one only.
 
         Raises:
-            ModelError: a part is missing, damaged, or of a newer format.
+            ModelError: a part is missing, damaged, or of a newer format; another dtype.
             WeightsError: weights are asked for, or are not those of training.
+            ConfigError: there is no such device.
         """
-        return load_model(folder, cls.kind, lambda parts: cls(**model_arguments(parts, weights)))
+        if dtype != "fp32":
+            raise ModelError(f"dtype={dtype!r}: {folder} is a multires model, which is fp32 only")
+        device = str(prepare_device(device, None))
+        return load_model(
+            folder, cls.kind, lambda parts: cls(**model_arguments(parts, weights, device))
+        )

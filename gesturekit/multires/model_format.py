@@ -65,12 +65,13 @@ def model_parts(
     return config, rig, tensors
 
 
-def model_arguments(parts: ModelParts, weights: str | Path | None) -> dict[str, Any]:
+def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
     """What `MultiresModel` is made from, of what `model_parts` gave.
 
     Args:
         parts: as read from a folder.
         weights: the WavLM weights it was trained with, where it hears by WavLM.
+        device: where WavLM computes.
     """
     config, rig, tensors = parts.config, parts.rig, parts.tensors
     where = str(parts.folder / "config.yaml")
@@ -79,7 +80,9 @@ def model_arguments(parts: ModelParts, weights: str | Path | None) -> dict[str, 
     representation = MultiresRepresentation.from_json(skeleton, rig["motion"])
     features, conditioner = config["features"], None
     if features is not None:
-        conditioner = load_conditioner(features["spec"], features["align"], tensors, fps, weights)
+        conditioner = load_conditioner(
+            features["spec"], features["align"], tensors, fps, weights, device
+        )
     styles = tuple(map(str, config.get("styles", ())))
     n_condition = len(styles) + (0 if conditioner is None else conditioner.dim)
     network_config = build(NetworkConfig, config["network"], where=where)

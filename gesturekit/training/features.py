@@ -86,6 +86,7 @@ def load_conditioner(
     tensors: Mapping[str, Tensor],
     fps: float,
     weights: str | Path | None,
+    device: str = "cpu",
 ) -> SpeechConditioner:
     """A conditioner of its extractor's spec, which knows its weights, and of what it has learnt.
 
@@ -93,7 +94,7 @@ def load_conditioner(
         WeightsError: WavLM weights are asked for, or are not those of training.
     """
     return SpeechConditioner(
-        af.extractor_from_spec(spec, weights=weights),
+        af.extractor_from_spec(spec, weights=weights, device=device),
         fps,
         align,
         tensors["features.centre"].numpy(),

@@ -17,7 +17,7 @@ from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import smooth_path
 from gesturekit.diffusion.event_times import asked_events
 from gesturekit.diffusion.standardiser import Standardiser
-from gesturekit.errors import FormatError, ModelError
+from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.motion.root_path import RootPath
 
 QUICK = {"seconds": 1.5, "steps": 4}
@@ -215,6 +215,26 @@ def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
             "model.safetensors",
             "skeleton.json",
         ]
+
+
+def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
+    model.save(tmp_path / "model")
+    short = gk.load(tmp_path / "model", dtype="bf16")
+    assert all(value.dtype == torch.bfloat16 for value in short.network.parameters())
+    exact, near = (
+        m.generate(**QUICK, style="old", solver="ancestral", foot_lock=False)
+        for m in (model, short)
+    )
+    assert not same(exact, near)
+    other = model.generate(**QUICK, style="old", solver="ancestral", foot_lock=False, seed=1)
+    apart = np.linalg.norm(exact.positions() - near.positions(), axis=-1).mean()
+    assert apart < 0.1 * np.linalg.norm(exact.positions() - other.positions(), axis=-1).mean()
+    with pytest.raises(ModelError, match="dtype='fp16': choose one of fp32, bf16"):
+        gk.load(tmp_path / "model", dtype="fp16")
+    with pytest.raises(ConfigError, match="device: 'gpu' cannot be used here"):
+        gk.load(tmp_path / "model", device="gpu")
+    with pytest.raises(ModelError, match="a multires model, which is fp32 only"):
+        gk.load("demo", dtype="bf16")
 
 
 def _other_rig(model):

@@ -68,6 +68,10 @@ def test_options_reach_the_model(render, folders, untrained):
     )  # fmt: skip
     expected = untrained(seed=1).generate(seconds=1.0, steps=2, foot_lock=False)
     np.testing.assert_array_equal(motion.rotations, expected.rotations)
+    _, motion, _ = render(
+        folders["plain"], "--seconds", 1, "--steps", 2, "--no-foot-lock", "--dtype", "bf16"
+    )
+    assert not np.array_equal(motion.rotations, expected.rotations)
 
 
 def test_a_path_gives_the_length(render, folders, tmp_path):
@@ -91,6 +95,8 @@ def test_a_path_gives_the_length(render, folders, tmp_path):
         ("plain", ["--guidance", "2"], "told nothing that it could follow"),
         ("styled", ["--events", "kcik@1"], "did you mean kick"),
         ("demo", ["--steps", "5"], "steps: a multires model knows no steps"),
+        ("demo", ["--dtype", "bf16"], "a multires model, which is fp32 only"),
+        ("plain", ["--device", "tpu"], "device: 'tpu' cannot be used here"),
         ("demo", ["--solver", "dpm"], "solver: a multires model knows no solver"),
         ("demo", ["--expert", "{plain}"], "experts: a multires model knows no experts"),
     ],
