@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from gesturekit.diffusion.config import NoiseConfig
+from gesturekit.diffusion.guidance import bounded
 from gesturekit.diffusion.sampling import chosen_steps, sample
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.errors import ConfigError, ModelError
@@ -77,6 +78,18 @@ def test_all_steps_reach_the_mean_and_the_spread(schedule, solver):
     torch.testing.assert_close(mean, data.mean, atol=0.02, rtol=0)
     assert data.asked == list(range(schedule.steps - 1, -1, -1))
     assert data.error(solver, None) < (0.03 if solver == "dpm" else 0.1)
+
+
+@pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
+def test_steps_of_pure_noise_need_no_network(schedule):
+    data = Gaussian(schedule)
+    whole, asked = data.reached("ancestral", None), len(data.asked)
+    ask, data.asked = data.predict, []
+    data.predict = bounded(ask, schedule)
+    fewer = data.reached("ancestral", None)
+    assert len(data.asked) <= 0.61 * asked
+    for one, other in zip(fewer, whole, strict=True):
+        torch.testing.assert_close(one, other, atol=2e-4, rtol=0)
 
 
 @pytest.mark.parametrize("schedule", [GESTURE, DANCE], ids=["gesture", "dance"])
