@@ -156,6 +156,11 @@ from gesturekit.cli.options import channel_option, comma_separated, given, rig_p
     help="Smooth movements of the upper body that are shorter, as 0.2; beats keep their time and "
     "height.",
 )
+@click.option(
+    "--skip-existing",
+    is_flag=True,
+    help="Leave out what is in --out already, to go on after a stop.",
+)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -189,6 +194,7 @@ def command(
     keep: str | None,
     foot_lock: bool,
     smooth: float | None,
+    skip_existing: bool,
 ) -> None:
     """Turn each WAV (or folder of audio) into motion, as long as the sound.
 
@@ -251,6 +257,7 @@ def command(
         ),
         foot_lock=foot_lock,
         smooth=smooth,
+        skip_existing=skip_existing,
     ):
         for file in outcome.files:
             click.echo(click.format_filename(file))

@@ -47,6 +47,7 @@ def render(
     foot_lock: bool = True,
     smooth: float | None = None,
     controls: Mapping[str, Any] | None = None,
+    skip_existing: bool = False,
 ) -> Iterator[Outcome]:
     """Generate motion for each audio file and write it as STEM.bvh (STEM_s1.bvh ... for samples).
 
@@ -70,6 +71,8 @@ def render(
         smooth: seconds; movements of the upper body that are shorter are smoothed away, but for
             its beats; see `gesturekit.postprocess.smooth_motion`.
         controls: what else `generate` shall be told: style, keyframes ...
+        skip_existing: leave out files whose results are all there, whatever they were made with:
+            to go on after a stop. Files are written whole or not at all.
 
     Yields:
         an outcome for each file, as it is done.
@@ -97,31 +100,38 @@ def render(
 
     _make_folder(out)
     for path in files if sources else [None]:
-        yield _render_one(path, channel, out, formats, body, motions)
+        stem = "motion" if path is None else path.stem
+        names = [stem] if samples == 1 else [f"{stem}_s{n}" for n in range(1, samples + 1)]
+        results = [[out / f"{name}.{kind}" for kind in formats] for name in names]
+        if skip_existing and all(file.exists() for made in results for file in made):
+            yield Outcome(_source(path))
+        else:
+            yield _render_one(path, channel, results, body, motions)
+
+
+def _source(audio: Path | None) -> str:
+    return "motion" if audio is None else str(audio)
 
 
 def _render_one(
     audio: Path | None,
     channel: int | None,
-    out: Path,
-    formats: Sequence[str],
+    results: Sequence[Sequence[Path]],
     body: Rig | None,
     generate: Callable[[af.Wave | None], list[Motion]],
 ) -> Outcome:
-    source, stem = ("motion", "motion") if audio is None else (str(audio), audio.stem)
+    """Fill the files of one sound, a sequence of them for each sample."""
+    source = _source(audio)
     files: list[Path] = []
     try:
         wave = None if audio is None else _heard(audio, channel)
         # Where all channels are heard, players get the file as it is.
         sound = audio if channel is None else wave
-        motions = generate(wave)
-        for number, motion in enumerate(motions, start=1):
+        for motion, paths in zip(generate(wave), results, strict=True):
             motion = motion if body is None else body.put(motion)
-            name = stem if len(motions) == 1 else f"{stem}_s{number}"
-            for kind in formats:
-                path = out / f"{name}.{kind}"
+            for path in paths:
                 options = {} if body is None else body.options.get(path.suffix, {})
-                if kind in ("html", "png") and audio:
+                if path.suffix in (".html", ".png") and audio:
                     options = {"audio": sound}
                 motion.save(path, **options)
                 files.append(path)

@@ -44,6 +44,17 @@ def test_motion_on_disk_is_what_the_model_generates(model, sounds, tmp_path):
     assert (again.translation == motion.translation).all()
 
 
+def test_a_stopped_rendering_goes_on_with_what_is_missing(model, sounds, tmp_path):
+    asked = {"formats": ("bvh", "npz"), "samples": 2, "skip_existing": True}
+    made = [outcome.files for outcome in render(model, sounds, tmp_path, **asked)]
+    assert [len(files) for files in made] == [4, 4, 4]
+    before = {path: path.stat().st_mtime_ns for files in made for path in files}
+    made[1][2].unlink()
+    again = [outcome.files for outcome in render(model, sounds, tmp_path, **asked)]
+    assert again == [(), made[1], ()]
+    assert [before[path] == path.stat().st_mtime_ns for path in made[0] + made[2]] == [True] * 8
+
+
 def test_feet_are_locked_unless_told_and_never_for_the_papers_protocol(tmp_path):
     demo = gk.load("demo")
     slides = {}
