@@ -105,7 +105,7 @@ class Mixture:
             )
         _check_alike(experts)
         self.n_frames = experts[0].condition.shape[1]
-        gammas = [_checked_weight(weight, self.n_frames) for weight in weights]
+        gammas = [checked_weight(weight, self.n_frames) for weight in weights]
         _check_sum(gammas)
         merged: list[tuple[Expert, np.ndarray]] = []
         for expert, gamma in zip(experts, gammas, strict=True):
@@ -193,8 +193,12 @@ def _described(schedule: NoiseSchedule) -> str:
     return f"{schedule.steps} steps, beta {schedule.betas[0]:g} to {schedule.betas[-1]:g}"
 
 
-def _checked_weight(weight: Weight, n_frames: int) -> np.ndarray:
-    """(1,) or (T,) float64."""
+def checked_weight(weight: Weight, n_frames: int) -> np.ndarray:
+    """(1,) or (T,) float64 of a weight of one expert for T frames.
+
+    Raises:
+        ModelError: it has another shape.
+    """
     values = np.atleast_1d(np.asarray(weight, dtype=np.float64))
     if values.shape not in ((1,), (n_frames,)):
         raise ModelError(

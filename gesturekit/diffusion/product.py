@@ -25,6 +25,7 @@ from gesturekit.corpus.checks import first_difference
 from gesturekit.diffusion.guidance import Expert, Mixture
 from gesturekit.diffusion.request import Request
 from gesturekit.diffusion.styles import style_weights
+from gesturekit.diffusion.weights import Share, weight_track, weights_over_time
 from gesturekit.errors import ModelError
 from gesturekit.training.seeds import generator
 
@@ -87,14 +88,14 @@ class Product:
     Attributes:
         models: of one rig; the one that guidance leads away from is the last, if it is not the
             first.
-        weights: of all but that one.
+        weights: of all but that one; None for an equal share of what the others leave of 1.
         styles: that each of them is asked for; None for one by chance.
         guidance: of the first; None for none.
         unconditional: what guidance leads away from.
     """
 
     models: tuple[DiffusionModel, ...]
-    weights: tuple[float | np.ndarray, ...]
+    weights: tuple[Share, ...]
     styles: tuple[str | None, ...]
     guidance: float | None
     unconditional: DiffusionModel | None
@@ -116,17 +117,21 @@ class Product:
             guidance: of the leader.
             unconditional: what that leads away from; None for the leader itself.
             experts: (model, weight), (model, weight, style) for further models. A weight may be
-                one for each frame, or None: the leader and all experts without weight share
-                equally what is left of 1. Without a style, an expert has that of the leader where
-                it knows it, and is else told one by chance.
+                one for each frame, a text of weights over time (see `weight_track`), or None: the
+                leader and all experts without weight share equally what is left of 1. Without a
+                style, an expert has that of the leader where it knows it, and is else told one by
+                chance.
 
         Raises:
-            ModelError: models that do not go together, or guidance that none of them can give.
+            ModelError: models that do not go together, weights over time that cannot be read, or
+                guidance that none of them can give.
         """
         for number, expert in enumerate(experts, start=1):
             if not 1 <= len(expert) <= 3:
                 raise ModelError(f"expert {number}: expected (model, weight) or + (style,)")
             _check_goes_with(leader, expert[0], f"expert {number}")
+            if isinstance((*expert, None)[1], str):
+                weight_track(expert[1], 1, leader.fps)
         if unconditional is not None:
             if guidance is None:
                 raise ModelError("unconditional: goes with guidance, which leads away from it")
@@ -141,12 +146,9 @@ class Product:
             wanted if not k or own[k - 1][2] is not None or _knows(model, wanted) else None
             for k, (model, wanted) in enumerate(zip(models, styles, strict=True))
         )
-        weights = [None, *(weight for _, weight, _ in own)]
-        rest = 1.0 - sum(np.asarray(w, np.float64) for w in weights if w is not None)
-        share = rest / sum(weight is None for weight in weights)
         return cls(
             (*models, *(() if unconditional is None else (unconditional,))),
-            tuple(share if weight is None else weight for weight in weights),
+            (None, *(weight for _, weight, _ in own)),
             styles,
             guidance,
             unconditional,
@@ -155,12 +157,13 @@ class Product:
     def told(self, request: Request) -> Told:
         """Tell each model what was asked."""
         terms: list[Term] = []
-        members = zip(self.models, self.weights, self.styles, strict=False)
+        weights = weights_over_time(self.weights, request.n_frames, request.fps)
+        members = zip(self.models, weights, self.styles, strict=False)
         for k, (model, weight, style) in enumerate(members):
             own = self._styled(model, style, request)
             if k == 0 and self.guidance is not None:
                 own = self._guided(own, request)
-            terms += [replace(term, weight=np.asarray(weight) * term.weight) for term in own]
+            terms += [replace(term, weight=weight * term.weight) for term in own]
         return Told(tuple(terms))
 
     def _styled(self, model: DiffusionModel, style: str | None, request: Request) -> list[Term]:

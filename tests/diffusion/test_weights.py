@@ -1,0 +1,38 @@
+"""Weights of experts over time, as they are asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gesturekit.diffusion.weights import weight_track, weights_over_time
+from gesturekit.errors import ModelError
+
+
+def test_spans_become_one_another_and_an_expert_takes_no_part_outside_of_them():
+    found = weight_track("-0.5@4-8, 1.5@8-12", 480, 30.0)
+    np.testing.assert_array_equal(found[:104], 0)
+    np.testing.assert_allclose(found[140:220], -0.5)
+    np.testing.assert_allclose(found[260:340], 1.5)
+    np.testing.assert_array_equal(found[376:], 0)
+    assert (np.diff(found[105:135]) < 0).all() and (np.diff(found[226:254]) > 0).all()
+    apart = weight_track("1@0-2,1@6-8", 240, 30.0)
+    assert apart[[0, 30, 120, 210]].tolist() == [1, 1, 0, 1]
+
+
+def test_who_is_given_no_weight_shares_what_is_left():
+    prior, half, own = weights_over_time(["0.5@0-4", 0.25, None], 240, 30.0)
+    assert half.tolist() == [0.25]
+    np.testing.assert_allclose(own, 0.75 - prior)
+    np.testing.assert_allclose(prior[[0, -1]], [0.5, 0])
+    assert [w.tolist() for w in weights_over_time([None, 0.4, None], 9, 30.0)] == [
+        pytest.approx([0.3]), [0.4], pytest.approx([0.3]),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ["@0-4", "0.5@4", "much@0-4", "0.5@0-4,0.5", "0.5@4-2", "x:1@0-4"])
+def test_what_cannot_be_read_is_told(text):
+    with pytest.raises(ModelError, match=r"weight|span"):
+        weight_track(text, 60, 30.0)
+    with pytest.raises(ModelError, match="one for each frame"):
+        weights_over_time([None, np.ones(7)], 60, 30.0)
