@@ -90,7 +90,7 @@ from gesturekit.cli.options import channel_option, comma_separated, given, rig_p
     multiple=True,
     metavar="MODEL[:WEIGHT[:STYLE]]",
     help="A further model that must agree to each movement; --model has what is left of 1. Without "
-    "weights, all count alike. May be repeated.",
+    "weights, all count alike. Over time: MODEL:0.2@0-10,0.8@10-20 (seconds). May be repeated.",
 )
 @click.option(
     "--steps",
@@ -131,6 +131,12 @@ from gesturekit.cli.options import channel_option, comma_separated, given, rig_p
     type=click.Path(path_type=Path),
     metavar="OTHER.bvh",
     help="A motion, of any rig of a person, to be done in the manner of the model.",
+)
+@click.option(
+    "--change",
+    type=click.FloatRange(min=0, min_open=True, max=1),
+    metavar="SHARE",
+    help="How much of --like a diffusion model may change, up to 1 for all.  [default: 0.5]",
 )
 @click.option(
     "--path",
@@ -190,6 +196,7 @@ def command(
     keyframes: Path | None,
     keyframe_level: int | None,
     like: Path | None,
+    change: float | None,
     path: Path | None,
     keep: str | None,
     foot_lock: bool,
@@ -218,6 +225,8 @@ def command(
         )
     if keyframe_level is not None and keyframes is None and like is None:
         raise click.UsageError("--keyframe-level goes with --keyframes or --like.")
+    if change is not None and like is None:
+        raise click.UsageError("--change goes with --like.")
     if not sources and seconds is None and not named:
         raise click.UsageError("Give audio files, or --seconds for an idle motion.")
     if sources and seconds is not None:
@@ -252,6 +261,7 @@ def command(
             keyframes=keyframes,
             keyframe_level=keyframe_level,
             like=like,
+            change=change,
             path=path,
             keep=None if keep is None else _placed_files(keep),
         ),
@@ -267,12 +277,14 @@ def command(
     ctx.exit(1 if failed else 0)
 
 
-def _expert(text: str, open_model: Callable[[str], Any]) -> tuple[Any, float | None, str | None]:
-    """MODEL[:WEIGHT[:STYLE]]: the model, its weight, its style."""
+def _expert(
+    text: str, open_model: Callable[[str], Any]
+) -> tuple[Any, float | str | None, str | None]:
+    """MODEL[:WEIGHT[:STYLE]]: the model, its weight (a text where it has times), its style."""
     model, _, rest = text.partition(":")
     weight, _, style = rest.partition(":")
     try:
-        share = float(weight) if weight else None
+        share = weight if "@" in weight else float(weight) if weight else None
     except ValueError:
         raise click.UsageError(
             f"--expert {text}: {weight!r} is no weight; expected MODEL[:WEIGHT[:STYLE]]."

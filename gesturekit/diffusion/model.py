@@ -21,6 +21,7 @@ from gesturekit.diffusion.request import Request
 from gesturekit.diffusion.sampling import Solver, sample
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.start import CHANGE, Start
 from gesturekit.diffusion.windows import LONGEST, windowed
 from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.delta_representation import DeltaRepresentation
@@ -104,6 +105,8 @@ class DiffusionModel:
         guidance: float | None = None,
         unconditional: DiffusionModel | None = None,
         experts: Sequence[tuple] = (),
+        like: str | Path | Motion | None = None,
+        change: float = CHANGE,
         speaker: str | None = None,
         foot_lock: bool = True,
         solver: Solver | None = None,
@@ -130,6 +133,11 @@ class DiffusionModel:
             unconditional: the model that guidance leads away from; by default this one, told less.
             experts: further models of a product: (model, weight), (model, weight, style); see
                 `Product`. This model's own weight is what is left of 1.
+            like: a motion, of any rig of a person, to begin from in place of noise: done in the
+                manner of the model, where it was. It gives the length where nothing else does, and
+                the path, for a model that follows one.
+            change: how much of it may change, from just above 0 (all but nothing) to 1 (all of
+                it): the share of noise in what the model begins with, see `Start`.
             speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
             foot_lock: keep feet where they stand; see `gesturekit.postprocess`. False gives the
                 motion as it comes out of the network.
@@ -151,6 +159,11 @@ class DiffusionModel:
             if value < 1:
                 raise ModelError(f"{name}={value}: ask for at least 1")
         product = Product.of(self, style, guidance, unconditional, experts)
+        start = None if like is None else Start.of(self, like, change)
+        if start is not None and self.conditions.path and path is None:
+            path = start.path
+        if start is not None and speech is None and seconds is None and path is None:
+            seconds = start.motion.duration
         request = Request.of(
             [model.conditions for model in product.models],
             self.fps,
@@ -162,6 +175,10 @@ class DiffusionModel:
         if solver is None:
             solver = "ancestral" if steps is None else "dpm"
         told = product.told(request)
+        begin, place = None, (0.0, 0.0, 0.0)
+        if start is not None:
+            begin, place = (start.clean(request.n_frames), start.step), start.place
+            steps = None if steps is None else min(steps, start.step + 1)
         motions: list[Motion] = []
         # One at a time unless asked otherwise: in a batch, sums are made in another order, and a
         # motion would depend on how many were asked for.
@@ -170,8 +187,8 @@ class DiffusionModel:
             predict = windowed(told.mixture(seed, numbers), self.window)
             predict = bounded(predict, self.schedule)
             noise = _Noise(seed, numbers, (request.n_frames, self.network.n_motion), self.device)
-            vectors = sample(predict, noise, self.schedule, solver=solver, steps=steps)
-            motions += self._motions(vectors, request.path, speaker, foot_lock)
+            vectors = sample(predict, noise, self.schedule, solver=solver, steps=steps, start=begin)
+            motions += self._motions(vectors, request.path, place, speaker, foot_lock)
         return motions[0] if samples == 1 else motions
 
     @property
@@ -180,9 +197,14 @@ class DiffusionModel:
         return next(self.network.parameters()).device
 
     def _motions(
-        self, vectors: Tensor, path: RootPath | None, speaker: str | None, foot_lock: bool
+        self,
+        vectors: Tensor,
+        path: RootPath | None,
+        place: tuple[float, float, float],
+        speaker: str | None,
+        foot_lock: bool,
     ) -> Iterator[Motion]:
-        """Motions of standardised vectors (B, T, X)."""
+        """Motions of standardised vectors (B, T, X), that begin at a place or follow a path."""
         body = None if speaker is None else self.speakers[speaker]
         for own in vectors.cpu():
             values = self.standardiser.inverse(own).double().numpy()
@@ -191,7 +213,9 @@ class DiffusionModel:
                     "the model gave NaN; its weights are damaged or it was trained badly"
                 )
             try:
-                motion = self.representation.decode(values, self.fps, skeleton=body, path=path)
+                motion = self.representation.decode(
+                    values, self.fps, skeleton=body, path=path, start=place
+                )
             except MotionError as error:
                 raise ModelError(
                     f"the model left the world ({error}); it was trained too little, or the "

@@ -13,13 +13,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
-from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import slerp
 from gesturekit.multires.interpolation import resample
 from gesturekit.postprocess import lock_feet
+from gesturekit.training.own_rig import on_rig
 
 _UNTOUCHED = 0.01
 """Vectors nearer than this (6D entries, labels, m) differ by the rounding of a file alone."""
@@ -73,21 +72,6 @@ def motion_level(
         return values
     values = representation.encode(motion.resample(fps, n_frames))
     return resample(torch.from_numpy(values.T), lengths[level]).T.numpy()
-
-
-def on_rig(representation: MultiresRepresentation, motion: Motion) -> Motion:
-    """The motion, moved to the model's rig where it has another one.
-
-    Raises:
-        ModelError: that cannot be done.
-    """
-    rig = representation.skeleton
-    if (motion.skeleton.names, motion.skeleton.parents) == (rig.names, rig.parents):
-        return motion
-    try:
-        return retarget(motion, rig)
-    except MotionError as error:
-        raise ModelError(f"the motion cannot be put on the model's rig: {error}") from None
 
 
 def keep_unedited(

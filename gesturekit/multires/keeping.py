@@ -17,7 +17,6 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.rotations import rotate_vectors, slerp
 from gesturekit.multires.data import Normaliser
-from gesturekit.multires.editing import on_rig
 from gesturekit.multires.holding import (
     believable_steps,
     normalised,
@@ -26,6 +25,7 @@ from gesturekit.multires.holding import (
     turned_plane,
 )
 from gesturekit.multires.interpolation import resample
+from gesturekit.training.own_rig import on_rig
 
 _BLEND = 0.4
 """Seconds over which what was made is drawn to where a given part ends."""

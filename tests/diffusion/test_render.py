@@ -74,6 +74,40 @@ def test_options_reach_the_model(render, folders, untrained):
     assert not np.array_equal(motion.rotations, expected.rotations)
 
 
+def test_experts_weights_over_time(render, folders, untrained):
+    def rendered(weight: str) -> Motion:
+        options = ["--seconds", 6, "--steps", 2, "--no-foot-lock", "--style", "old"]
+        expert = f"{folders['plain']}{weight}"
+        return render(folders["styled"], *options, "--expert", expert)[1]
+
+    always, never = rendered(":0.5"), rendered(":0")
+    np.testing.assert_array_equal(rendered(":0.5@0-6").rotations, always.rotations)
+    np.testing.assert_array_equal(rendered(":0.5@0-3,0.5@3-6").rotations, always.rotations)
+    late = rendered(":0.5@3-6")  # and no part before
+    np.testing.assert_allclose(late.rotations[:45], never.rotations[:45], atol=1e-4)
+    np.testing.assert_allclose(late.rotations[135:, 1:], always.rotations[135:, 1:], atol=1e-4)
+    assert np.abs(always.rotations[:45] - never.rotations[:45]).max() > 1e-3
+
+
+def test_a_motion_to_begin_from(render, folders, untrained, gesture, tmp_path):
+    gesture(1.5).save(tmp_path / "given.npz")
+    options = ["--like", tmp_path / "given.npz", "--style", "old", "--steps", 3]
+    model = untrained(styles=("old", "angry"), events=("kick",), droppable=("styles",))
+    asked = {"like": gesture(1.5), "style": "old", "steps": 3}
+    for change, told in ((0.5, []), (0.1, ["--change", 0.1])):
+        _, motion, _ = render(folders["styled"], *options, *told)
+        expected = model.generate(**asked, change=change)
+        np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
+    for name, wrong, told in (
+        ("styled", ["--change", 0.1, "--seconds", 1], "--change goes with --like"),
+        ("demo", [*options[:2], "--change", 0.1], "change: a multires model knows no change"),
+        ("styled", ["--like", tmp_path / "none.bvh"], "none.bvh: no such file"),
+    ):
+        status, motion, err = render(folders.get(name, name), *wrong)
+        assert status in (1, 2) and motion is None
+        assert told in err and "Traceback" not in err
+
+
 def test_a_path_gives_the_length(render, folders, tmp_path):
     (tmp_path / "way.csv").write_text("time,x,z\n0,0,0\n1,0,1\n2,1,1\n")
     status, motion, _ = render(folders["walker"], "--path", tmp_path / "way.csv", "--steps", 2)
@@ -91,6 +125,8 @@ def test_a_path_gives_the_length(render, folders, tmp_path):
         ("styled", ["--style", "old:0.5,angry:0.6"], "weights add up to 1.1"),
         ("styled", ["--expert", "{walker}"], "only one of the two follows a path"),
         ("styled", ["--expert", "{plain}:much"], "'much' is no weight"),
+        ("styled", ["--expert", "{plain}:0.5@4"], "weights over time look like 0.2@0-10"),
+        ("styled", ["--expert", "{plain}:0.5@4-2"], "'0.5@4-2': the span ends before it begins"),
         ("styled", ["--expert", "nowhere"], "nowhere: neither a model folder"),
         ("plain", ["--guidance", "2"], "told nothing that it could follow"),
         ("styled", ["--events", "kcik@1"], "did you mean kick"),

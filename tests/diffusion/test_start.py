@@ -1,0 +1,94 @@
+"""A motion to begin from: near it with little noise, free of it with nothing but noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gesturekit import Motion, Skeleton
+from gesturekit.errors import FormatError, ModelError
+
+ASKED = {"foot_lock": False, "steps": 6}
+
+
+@pytest.fixture(scope="module")
+def model(untrained):
+    return untrained(styles=("old", "angry"))
+
+
+@pytest.fixture(scope="module")
+def given(gesture) -> Motion:
+    """A gesture somewhere else than at the origin."""
+    made = gesture(2.0, seed=0)
+    return replace(made, translation=made.translation + [3.0, 0.0, -2.0])
+
+
+def apart(one: Motion, other: Motion) -> float:
+    """Metres between joints, on average."""
+    return float(np.linalg.norm(one.positions() - other.positions(), axis=-1).mean())
+
+
+def test_it_stays_as_near_as_it_is_told(model, given):
+    made = [model.generate(like=given, change=change, **ASKED) for change in (0.01, 0.1, 0.5, 1)]
+    assert made[0].n_frames == given.n_frames
+    distances = [apart(motion, given) for motion in made]
+    assert distances == sorted(distances)
+    free = model.generate(seconds=2.0, **ASKED)
+    from_elsewhere = replace(free, translation=free.translation + [3.0, 0.0, -2.0])
+    assert distances[0] < 0.05
+    assert distances[-1] > 0.5 * apart(from_elsewhere, given) > 4 * distances[0]
+
+
+def test_seconds_cut_it_off_or_let_it_stand(model, given):
+    for seconds in (1.0, 3.0):
+        made = model.generate(like=given, seconds=seconds, change=0.01, **ASKED)
+        assert apart(made, given.resample(30.0, made.n_frames)) < 0.05
+        assert made.n_frames == 30 * seconds
+
+
+def test_all_steps_are_taken_from_there_on(model, given):
+    whole = model.generate(like=given, change=0.3, foot_lock=False)
+    few = model.generate(like=given, change=0.3, foot_lock=False, steps=1000, solver="ancestral")
+    np.testing.assert_array_equal(whole.rotations, few.rotations)
+    other = model.generate(like=given, change=0.3, foot_lock=False, style="angry", seed=1)
+    assert not np.array_equal(whole.rotations, other.rotations)
+
+
+def test_another_rig_is_put_on_the_models_own_and_on_its_floor(model, given):
+    rig = given.skeleton
+    other = Motion(
+        Skeleton(
+            names=tuple(f"mixamorig:{name}" for name in rig.names),
+            parents=rig.parents,
+            offsets=rig.offsets,
+        ),
+        given.rotations,
+        given.translation - [0.0, 0.9, 0.0],  # its pelvis is where others have their floor
+        given.fps,
+    )
+    made = model.generate(like=other, change=0.01, **ASKED)
+    assert made.skeleton.names == rig.names
+    assert apart(made, given) < 0.2  # its feet are held where they stand, which moves the whole
+    assert abs((made.positions() - given.positions())[..., 1].mean()) < 0.02
+
+
+def test_a_model_that_follows_a_path_takes_that_of_the_motion(untrained, gesture):
+    walk = gesture(2.0)
+    way = np.stack([np.zeros(60), np.full(60, 0.9), np.arange(60) / 30], axis=1)
+    walk = replace(walk, translation=way)
+    made = untrained(path=True).generate(like=walk, change=0.05, **ASKED)
+    assert apart(made, walk) < 0.1
+
+
+def test_what_cannot_be_begun_from_is_told(model, given, tmp_path):
+    for change in (0.0, 1.5, float("nan")):
+        with pytest.raises(ModelError, match="change="):
+            model.generate(like=given, change=change)
+    with pytest.raises(FormatError, match="no such file"):
+        model.generate(like=tmp_path / "none.bvh")
+    chain = Skeleton(("a", "b"), (-1, 0), np.array([[0.0, 0, 0], [0, 1, 0]]))
+    stick = Motion(chain, np.tile([0.0, 0, 0, 1], (30, 2, 1)), np.zeros((30, 3)), 30.0)
+    with pytest.raises(ModelError, match="cannot be put on the model's rig"):
+        model.generate(like=stick)
