@@ -247,9 +247,10 @@ class DiffusionModel:
 
     def _readme(self, notes: Mapping[str, str]) -> str:
         network, told = self.network_config, self.conditions
+        layers = f" of {network.layers} layers" if network.architecture == "conformer" else ""
         rows = {
-            "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks of "
-            f"{network.layers} layers, {self.noise_config.steps} steps",
+            "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks{layers}, "
+            f"{self.noise_config.steps} steps",
             "Motion": f"{self.fps:g} fps, {len(self.representation.joints)} of "
             f"{self.skeleton.n_joints} joints modelled",
         }

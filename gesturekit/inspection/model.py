@@ -17,6 +17,16 @@ from gesturekit.training.config import read_yaml
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
 _TOLD = {"Kind", "Motion", "Hears", "Styles"}
+_OF_CONFORMERS = {
+    "layers",
+    "heads",
+    "feedforward",
+    "kernels",
+    "nearest_view",
+    "farthest_view",
+    "dropout",
+}
+"""Settings of a diffusion network that its diffwave architecture has no use for."""
 
 
 def inspect_model(folder: Path) -> Sheet:
@@ -53,7 +63,7 @@ def inspect_model(folder: Path) -> Sheet:
         "skeleton": list(skeleton.names),
         "features": features,
         "styles": [str(name) for name in config.get("styles") or ()],
-        "network": config.get("network", {}),
+        "network": _used(config.get("network", {})),
         "parameters": sum(math.prod(shape) for shape in weights.values()),
         "bytes": sum(file.stat().st_size for file in folder.iterdir() if file.is_file()),
         "speakers": sorted(rig.get("speakers", {})),
@@ -96,6 +106,13 @@ def _hears(spec: Any) -> str:
         return ", ".join(map(_hears, spec.get("parts", ())))
     settings = ", ".join(f"{key} {value}" for key, value in spec.items() if key != "kind")
     return f"{spec.get('kind')}" + (f" ({settings})" if settings else "")
+
+
+def _used(network: Any) -> Any:
+    """A network's settings without those that do nothing in it."""
+    if not isinstance(network, dict) or network.get("architecture") != "diffwave":
+        return network
+    return {key: value for key, value in network.items() if key not in _OF_CONFORMERS}
 
 
 def _settings(values: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,10 @@ import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import smooth_path
 from gesturekit.diffusion.event_times import asked_events
+from gesturekit.diffusion.networks import Denoiser
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ConfigError, FormatError, ModelError
+from gesturekit.inspection import inspect
 from gesturekit.motion.root_path import RootPath
 
 QUICK = {"seconds": 1.5, "steps": 4}
@@ -235,6 +238,33 @@ def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
         gk.load(tmp_path / "model", device="gpu")
     with pytest.raises(ModelError, match="a multires model, which is fp32 only"):
         gk.load("demo", dtype="bf16")
+
+
+def test_a_speaker_has_a_body_and_steps_of_their_own(untrained, skeleton, tmp_path):
+    model = untrained()
+    model.speakers = {"ann": replace(skeleton, offsets=1.2 * skeleton.offsets)}
+    model.save(tmp_path / "model")
+    asked = QUICK | {"foot_lock": False}
+    usual = model.generate(**asked)
+    ann = gk.load(tmp_path / "model").generate(**asked, speaker="ann")
+    np.testing.assert_allclose(ann.skeleton.offsets, 1.2 * usual.skeleton.offsets, atol=1e-6)
+    np.testing.assert_array_equal(ann.rotations, usual.rotations)
+    np.testing.assert_allclose(ann.positions(), 1.2 * usual.positions(), atol=1e-6)
+    with pytest.raises(ModelError, match=r"speaker='bob': .*\(ann\)"):
+        model.generate(**QUICK, speaker="bob")
+
+
+def test_what_a_model_does_not_use_is_not_told_of_it(untrained, tmp_path):
+    for kind, used in (("conformer", True), ("diffwave", False)):
+        model = untrained()
+        model.network_config = replace(model.network_config, architecture=kind, dilations=(1, 2))
+        model.network = Denoiser(model.network.n_motion, 0, model.network_config).eval()
+        model.save(tmp_path / kind)
+        sheet = inspect(tmp_path / kind)
+        network = dict(sheet.rows)["network"]
+        assert "blocks 2" in network and "embedding 16" in network
+        assert ("heads" in network) == ("heads" in sheet.facts["network"]) == used
+        assert ("2 blocks of 1 layers" in (tmp_path / kind / "README.md").read_text()) == used
 
 
 def _other_rig(model):
