@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 import audio_features as af
 from gesturekit.diffusion.conditions import Conditions
@@ -18,7 +19,7 @@ from gesturekit.diffusion.guidance import bounded
 from gesturekit.diffusion.networks import Denoiser
 from gesturekit.diffusion.product import Product
 from gesturekit.diffusion.request import Request
-from gesturekit.diffusion.sampling import Solver, sample
+from gesturekit.diffusion.sampling import Predict, Solver, chosen_steps, sample
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.start import CHANGE, Start
@@ -179,16 +180,24 @@ class DiffusionModel:
         if start is not None:
             begin, place = (start.clean(request.n_frames), start.step), start.place
             steps = None if steps is None else min(steps, start.step + 1)
+        visited = len(chosen_steps(self.schedule, steps, None if start is None else start.step))
         motions: list[Motion] = []
         # One at a time unless asked otherwise: in a batch, sums are made in another order, and a
         # motion would depend on how many were asked for.
-        for first in range(0, samples, batch):
-            numbers = range(first, min(first + batch, samples))
-            predict = windowed(told.mixture(seed, numbers), self.window)
-            predict = bounded(predict, self.schedule)
-            noise = _Noise(seed, numbers, (request.n_frames, self.network.n_motion), self.device)
-            vectors = sample(predict, noise, self.schedule, solver=solver, steps=steps, start=begin)
-            motions += self._motions(vectors, request.path, place, speaker, foot_lock)
+        batches = [range(k, min(k + batch, samples)) for k in range(0, samples, batch)]
+        # None: a bar in a terminal, nothing in a log.
+        with tqdm(
+            total=len(batches) * visited, desc="Denoising", unit="step", leave=False, disable=None
+        ) as progress:
+            for numbers in batches:
+                predict = windowed(told.mixture(seed, numbers), self.window)
+                predict = _counted(bounded(predict, self.schedule), progress)
+                shape = (request.n_frames, self.network.n_motion)
+                noise = _Noise(seed, numbers, shape, self.device)
+                vectors = sample(
+                    predict, noise, self.schedule, solver=solver, steps=steps, start=begin
+                )
+                motions += self._motions(vectors, request.path, place, speaker, foot_lock)
         return motions[0] if samples == 1 else motions
 
     @property
@@ -342,6 +351,16 @@ class DiffusionModel:
             droppable=tuple(map(str, config["droppable"])),
             window=int(config["window"]),
         )
+
+
+def _counted(predict: Predict, progress: tqdm) -> Predict:
+    """The same prediction, each of them a step of the progress bar."""
+
+    def counted(noisy: Tensor, step: int) -> Tensor:
+        progress.update()
+        return predict(noisy, step)
+
+    return counted
 
 
 class _Noise:
