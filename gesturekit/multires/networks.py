@@ -13,7 +13,7 @@ from gesturekit.motion.parts import upper_body
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.interpolation import reflect, resample
-from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours
+from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours, chained
 
 SLOPE = 0.2
 """Of the leaky rectifiers, as in GANimator."""
@@ -97,10 +97,14 @@ class LevelGenerator(nn.Module):
             else F.leaky_relu(self.embed(condition), SLOPE)
         )
         x = up + noise
+        modulated = 0 if y is None else len(self.films)
+        if modulated <= 1 and not torch.is_grad_enabled() and self.layers[0].in_parts(x):
+            x = self.films[0](x, y) if modulated else x
+            return chained(self.layers, x, SLOPE) + up
         for i, layer in enumerate(self.layers):
             if i:
                 x = F.leaky_relu(x, SLOPE)
-            if y is not None and i < len(self.films):
+            if i < modulated:
                 # After the convolution and before its rectifier would do as well; here the
                 # modulated signal is what the next convolution reads.
                 x = self.films[i](x, y)

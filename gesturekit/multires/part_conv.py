@@ -60,8 +60,6 @@ class Layout:
         self.batch, self.n_frames, self.padding = batch, n_frames, padding
         self.places = -(-n_frames // TILE)
         self.row = batch * (self.places + 1)
-        self.edges = [(-k, k) for k in range(1, padding + 1)]
-        self.edges += [(n_frames - 1 + k, n_frames - 1 - k) for k in range(1, padding + 1)]
 
     @staticmethod
     def fits(n_frames: int, kernel: int) -> bool:
@@ -79,33 +77,27 @@ class Layout:
         """(4, C, B, n + 1), a view."""
         return signal[:, 1:-1].view(TILE, -1, self.batch, self.places + 1)
 
-    def _frame(self, signal: Tensor, frame: int) -> Tensor:
-        """(C, B) of one frame, mirrored ones too; a view."""
-        if frame >= 0:
-            return self.windows(signal)[frame % TILE, :, :, frame // TILE]
-        before = signal[:, :-2].view(TILE, -1, self.batch, self.places + 1)
-        return before[TILE + frame, :, :, 0]
+    def _edges(self, signal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Of all channels: see `_edges`."""
+        return _edges(self.batch, self.n_frames, self.padding, signal.shape[1])
 
     def mirror(self, signal: Tensor) -> Tensor:
         """Write the frames beyond the ends."""
-        for beyond, within in self.edges:
-            self._frame(signal, beyond).copy_(self._frame(signal, within))
+        beyond, within, _ = self._edges(signal)
+        flat = signal.view(-1)
+        flat.index_copy_(0, beyond, flat.index_select(0, within))
         return signal
 
     def fold(self, signal: Tensor) -> Tensor:
         """The transpose of `mirror`: what lies beyond the ends is added within, and cleared."""
-        for beyond, within in self.edges:
-            self._frame(signal, within).add_(self._frame(signal, beyond))
+        beyond, within, _ = self._edges(signal)
+        flat = signal.view(-1)
+        flat.index_add_(0, within, flat.index_select(0, beyond))
         return self.clear(signal)
 
     def clear(self, signal: Tensor) -> Tensor:
         """Zeros wherever no frame of a window is."""
-        windows = self.windows(signal)
-        windows[..., self.places] = 0
-        rest = self.n_frames % TILE
-        if rest:
-            windows[rest:, :, :, self.places - 1] = 0
-        signal[:, 0] = 0
+        signal.view(-1).index_fill_(0, self._edges(signal)[2], 0)
         return signal
 
     def pack(self, x: Tensor, channels: Tensor) -> Tensor:
@@ -125,6 +117,28 @@ class Layout:
         """The layout to (B, C, T); `channels` says where each channel stands."""
         windows = self.windows(signal)[..., : self.places].index_select(1, channels)
         return windows.permute(2, 1, 3, 0).flatten(2)[..., : self.n_frames]
+
+
+@lru_cache(maxsize=128)
+def _edges(batch: int, n_frames: int, padding: int, width: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Where frames beyond the ends stand in a `Layout`, where those that they mirror do, and where
+    no frame does; `width` is the layout's, and places count from the beginning of the first row."""
+    places = -(-n_frames // TILE)
+    starts = 1 + np.arange((width - 2) // (places + 1)) * (places + 1)
+
+    def at(frame: int) -> np.ndarray:
+        # A frame before the first stands in the place before: floor division goes downwards.
+        return frame % TILE * width + starts + frame // TILE
+
+    ahead = range(1, padding + 1)
+    beyond = [at(-k) for k in ahead] + [at(n_frames - 1 + k) for k in ahead]
+    within = [at(k) for k in ahead] + [at(n_frames - 1 - k) for k in ahead]
+    blank = [at(frame) for frame in range(n_frames, TILE * (places + 1))]
+    blank.append(np.arange(TILE) * width)
+    return tuple(
+        torch.from_numpy(np.concatenate(part or [np.empty(0, dtype=np.int64)]))
+        for part in (beyond, within, blank)
+    )
 
 
 class Parts:
@@ -189,18 +203,15 @@ class Parts:
         """
         whole, seen = self._transformed(signal, layout), []
         out, start = layout.empty(self.n_out), 1
-        biases = [None] * len(weights)
-        if bias is not None:
-            biases = bias.split([own for _, own in self.forward_reads])
-        for weight, shift, (reads, _) in zip(weights, biases, self.forward_reads, strict=True):
+        for weight, (reads, _) in zip(weights, self.forward_reads, strict=True):
             # One part after the other, while what it reads is at hand.
             seen.append(whole.index_select(1, reads))
             made = torch.bmm(weight, seen[-1])
-            if shift is not None:
-                made[1] += shift[:, None]  # at the point 1, whose way back is 1 on every frame
             stop = start + weight.shape[1] * layout.row
             torch.mm(self.back, made.view(len(made), -1), out=out[:, start:stop])
             start = stop
+        if bias is not None:
+            layout.windows(out).add_(bias[:, None, None])
         return out, seen
 
     def spread(self, gradient: Tensor, layout: Layout) -> Tensor:

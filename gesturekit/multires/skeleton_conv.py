@@ -127,6 +127,31 @@ class SkeletonConv1d(nn.Module):
         return self._laid_out[way][1]
 
 
+@torch.no_grad()
+def chained(layers: Sequence[SkeletonConv1d], x: Tensor, slope: float) -> Tensor:
+    """Layers `in_parts` one after the other, with leaky rectifiers between them.
+
+    Between them the signal stays in its layout; nothing is recorded for gradients.
+
+    Args:
+        layers: each reads the blocks that the one before it makes.
+        x: (B, channels in, T).
+        slope: of the rectifiers below zero.
+
+    Returns:
+        (B, channels out, T).
+    """
+    layout = Layout(len(x), x.shape[-1], layers[0].padding)
+    signal = layout.pack(x, layers[0].parts.order_in)
+    for i, layer in enumerate(layers):
+        if i:
+            F.leaky_relu_(signal, slope)
+        parts = layer.parts
+        bias = layer.bias[parts.order_out]
+        signal, _ = parts.forward(layer.forward_weights(), bias, layout.mirror(signal), layout)
+    return layout.unpack(signal, layers[-1].parts.back_out)
+
+
 @lru_cache(maxsize=64)
 def _split(
     neighbours: bytes,

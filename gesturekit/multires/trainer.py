@@ -277,8 +277,7 @@ class _Pair:
         ).to(trainer.device)
         rate, betas = self.config.schedule.learning_rate, self.config.schedule.betas
         self.optimisers = {
-            # Not fused: that one changes weights behind the back of who counts their versions.
-            name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, foreach=True)
+            name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, fused=True)
             for name, networks in (
                 ("generator", self.generators),
                 ("discriminator", self.discriminators),
@@ -426,6 +425,9 @@ class _Pair:
         parameters = [p for group in self.optimisers[name].param_groups for p in group["params"]]
         processes.average_gradients(parameters, (share.stop - share.start) / self.trainer.batch)
         self.optimisers[name].step()
+        # A fused step does not count as a change of the weights, which convolutions go by.
+        for parameter in parameters:
+            torch.autograd.graph.increment_version(parameter)
 
     def _discriminator_steps(self, lengths: Sequence[int], rng: torch.Generator) -> float:
         """Steps on windows of these lengths; the generator stands, so fakes are made beforehand."""
