@@ -46,7 +46,7 @@ _STRAY = 0.1
 """Share of the leg's length within which a foot is pulled back to its pin."""
 _TURN = 0.15
 """Share of the foot's length by which heel and ball are moved against each other: radians."""
-_ROLL = 0.01
+_LIFT = 0.01
 """Metres; a heel that is farther from the floor while the ball stands is lifted, not noisy."""
 _STRETCH = 0.995
 """Legs are not pulled straighter than this share of their length, unless they were."""
@@ -155,24 +155,21 @@ class _FootLock:
         places = [a.places(self.positions, self.turned) + shift for a in self._anchors(foot)]
         along = places[-1] - places[0]
         turns = max(_TURN * float(np.linalg.norm(along, axis=-1).mean()), _NOTHING)
-        offsets, holds = [], []
-        for place, (mask, floor) in zip(places, stands, strict=True):
+        offsets, holds, lifts = [], [], 0.0
+        # The ball first: while it stands the heel may be lifted.
+        for place, (mask, floor) in zip(places[::-1], stands[::-1], strict=True):
             spans = split_where_it_moves(
                 contact_spans(mask, self.fps),
                 np.stack([place, along * [1, 0, 1]], axis=1),
                 self.fps,
                 np.array([self.radius, turns]),
             )
-            offset, hold = pin(place, spans, floor, self.fps, self.radius)
-            offsets.append(offset), holds.append(hold[:, None])
+            offset, hold = pin(place, spans, floor, self.fps, self.radius, lifts)
+            offsets.insert(0, offset), holds.insert(0, hold[:, None])
+            lifts = hold * _lifted(places[0][:, 1] + offset[:, 1] - stands[0][1])
         turn = np.tile(IDENTITY, (len(ankle), 1))
         moved = offsets[0]
         if foot.ball is not None:
-            offsets[0][:, 1] += holds[1][:, 0] * (
-                holds[0][:, 0] * _rolled(places[0][:, 1] + offsets[1][:, 1], stands[0][1])
-                + offsets[1][:, 1] * holds[0][:, 0]
-                - offsets[0][:, 1]
-            )
             # What only one of them holds moves the foot as a whole.
             heel = offsets[0] + (1 - holds[0]) * offsets[1]
             ball = offsets[1] + (1 - holds[1]) * offsets[0]
@@ -272,11 +269,10 @@ def _shifted(motion: Motion, shift: np.ndarray, turned: np.ndarray) -> Motion:
     return replace(motion, translation=motion.translation + shift)
 
 
-def _rolled(height: np.ndarray, floor: float) -> np.ndarray:
-    """(T,) by how much a heel moves to its place on the floor while the ball stands: all the way
-    where it is near or below, not at all where it is lifted."""
-    above = np.maximum(height - floor, 0)
-    return floor + above**3 / (above**2 + _ROLL**2) - height
+def _lifted(above: np.ndarray) -> np.ndarray:
+    """(T,) of metres over the floor those that are no noise: none near it, all far from it."""
+    above = np.maximum(above, 0)
+    return above**3 / (above**2 + _LIFT**2)
 
 
 def _yaw(turn: np.ndarray) -> np.ndarray:

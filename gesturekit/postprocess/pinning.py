@@ -16,9 +16,17 @@ _GIVES = 0.25
 
 
 def pin(
-    places: np.ndarray, spans: list[Span], floor: float, fps: float, radius: float
+    places: np.ndarray,
+    spans: list[Span],
+    floor: float,
+    fps: float,
+    radius: float,
+    lifts: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pin a point in each span at its mean place, on the floor.
+
+    A point that comes down to the floor at the beginning of a span, or leaves it at the end, does
+    so as it did: a foot that still flies is not pulled down, where it would slide.
 
     Args:
         places: (T, 3) of the point, metres.
@@ -26,17 +34,20 @@ def pin(
         floor: height of the point when it stands.
         fps: frames per second.
         radius: metres; a point that strays farther from its pin is let go, softly.
+        lifts: (T,) metres over the floor at which it is meant to be, such as a heel that is lifted.
 
     Returns:
         (T, 3) what is to be added to `places`, and (T,) how much the pin holds: 1 within spans, 0
         away from them.
     """
     offset, hold = np.zeros_like(places), np.zeros(len(places))
+    lifts = np.broadcast_to(lifts, len(places))
     pinned = []
     for start, stop in spans:
         inside = places[start:stop]
-        target = inside.mean(axis=0)
-        target[1] = floor
+        target = np.tile(inside.mean(axis=0), (stop - start, 1))
+        rolled = _rolled(inside[:, 1], start > 0, stop < len(places), fps)
+        target[:, 1] = floor + np.maximum(rolled, lifts[start:stop])
         offset[start:stop] = give_way(target - inside, radius)
         hold[start:stop] = 1
         pinned.append((start, stop))
@@ -44,6 +55,16 @@ def pin(
     for before, after in gaps:
         _cross(offset, hold, before, after, fps)
     return offset, hold
+
+
+def _rolled(height: np.ndarray, lands: bool, leaves: bool, fps: float) -> np.ndarray:
+    """(T,) metres over the floor at which a point stays in a span: what it comes down from at its
+    beginning and goes up to at its end, if it lands and leaves in sight."""
+    above = np.maximum(height - np.median(height), 0)
+    near = 1 - _ease(np.clip(np.arange(len(above)) / (BLEND * fps) - 1, 0, 1))
+    landing = near * np.minimum.accumulate(above) * lands
+    leaving = near[::-1] * np.minimum.accumulate(above[::-1])[::-1] * leaves
+    return np.maximum(landing, leaving)
 
 
 def give_way(offset: np.ndarray, radius: float) -> np.ndarray:
@@ -65,11 +86,18 @@ def _cross(offset: np.ndarray, hold: np.ndarray, before: Span, after: Span, fps:
     out = _frames(first, fps) if start else 0
     into = _frames(last, fps) if stop < n_frames else 0
     if stop - start >= out + into:
-        for edge, step, count in ((start, 1, out), (stop - 1, -1, into)):
-            frames = edge + step * np.arange(count)
+        for edge, step, count, span in ((start, 1, out, before), (stop - 1, -1, into, after)):
+            outside = edge + step * np.arange(count)
             share = 1 - _ease((1 + np.arange(count)) / (count + 1))
-            offset[frames] = (first if step > 0 else last) * share[:, None]
-            hold[frames] = share
+            from_span = first if step > 0 else last
+            offset[outside] = from_span * share[:, None]
+            hold[outside] = share
+            if from_span[1] < 0:
+                # Down it goes only once it stands: near the floor, what flies would slide.
+                offset[outside, 1] = 0
+                count = min(count, (span[1] - span[0]) // 2)
+                inside = edge - step * (1 + np.arange(count))
+                offset[inside, 1] *= _ease((1 + np.arange(count)) / (count + 1))
         return
     if not start or stop == n_frames:
         # Before the first span and after the last there is nothing to come from or to go to.

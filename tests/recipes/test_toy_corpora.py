@@ -17,6 +17,7 @@ from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.root_path import RootPath
+from gesturekit.postprocess import lock_feet
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 sys.path[:0] = [str(RECIPES / name) for name in ("diffusion_locomotion", "diffusion_events")]
@@ -63,6 +64,15 @@ def test_standing_feet_neither_slide_nor_sink(walks):
         # Of the two feet one stands at any time, to the millimetre.
         speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * motion.fps
         assert np.quantile(speed.min(axis=1), 0.98) < 0.06
+
+
+def test_walks_that_do_not_slide_do_not_with_locked_feet(walks):
+    for file in walks.glob("*.bvh"):
+        motion = Motion.load(file).resample(30.0)
+        locked = lock_feet(motion, keep_path=True)
+        # Feet come down and roll as they did: pulled to the floor in flight they would slide.
+        assert foot_skate(locked) <= foot_skate(motion)
+        assert np.abs(foot_positions(locked) - foot_positions(motion)).max() < 0.02
 
 
 def test_who_goes_faster_makes_more_steps(walks):
