@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import binary_dilation, gaussian_filter1d
 
 Span = tuple[int, int]
 """First frame, and the frame after the last."""
 
 STILL = 0.2
 """m/s; what stands is slower. The labels of eq. 1 are made with the same threshold."""
+SETTLES = 0.4
+"""m/s; a point just above the floor that is slower than this is about to stand, or stood."""
 BELIEVED = 0.6
 """m/s; a label on a foot that moves faster is a mistake."""
+TREMBLES = 1 / 30
+"""Seconds (standard deviation) over which a tremble is averaged before it is called movement."""
 NEAR = 0.03
 """Metres above or below its standing height where a point is not on the floor."""
 SHORTEST = 0.1
@@ -33,7 +38,8 @@ def contact_frames(
     Args:
         places: (T, 3) of the point, metres.
         fps: frames per second.
-        labels: (T,) predicted contact, over 0.5 where it stands; None judges by speed alone.
+        labels: (T,) predicted contact, over 0.5 where it stands; None judges by speed alone, that
+            of the point or of where it is on average, if that is slower.
 
     Returns:
         (T,) bool, and the height of the floor under the point: the median over the frames in which
@@ -41,10 +47,31 @@ def contact_frames(
         has the lowest tenth of its heights.
     """
     speed = point_speed(places, fps)
+    if labels is None:
+        steady = gaussian_filter1d(places, TREMBLES * fps, axis=0)
+        speed = np.minimum(speed, point_speed(steady, fps))
     stands = speed < STILL if labels is None else (labels > 0.5) & (speed < BELIEVED)
     height = places[:, 1]
     floor = float(np.median(height[stands]) if stands.any() else np.quantile(height, 0.1))
     return stands & (np.abs(height - floor) < NEAR), floor
+
+
+def with_edges(stands: np.ndarray, places: np.ndarray, floor: float, fps: float) -> np.ndarray:
+    """(T,) bool: when a point stands, lands and leaves.
+
+    A foot passes `STILL` some frames after it has landed, and before it leaves: up to `SHORTEST`
+    on either side count in which the point is slow and low.
+
+    Args:
+        stands: (T,) bool.
+        places: (T, 3) of the point, metres.
+        floor: height of the point when it stands.
+        fps: frames per second.
+    """
+    low = np.abs(places[:, 1] - floor) < NEAR / 2
+    settles = stands | (low & (point_speed(places, fps) < SETTLES))
+    frames = max(round(SHORTEST * fps), 1)
+    return binary_dilation(stands, iterations=frames, mask=settles)
 
 
 def contact_spans(stands: np.ndarray, fps: float) -> list[Span]:

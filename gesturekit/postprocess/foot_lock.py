@@ -38,6 +38,7 @@ from gesturekit.postprocess.contact_spans import (
     contact_frames,
     contact_spans,
     split_where_it_moves,
+    with_edges,
 )
 from gesturekit.postprocess.foot import Anchor, Foot, feet_of
 from gesturekit.postprocess.pinning import give_way, pin
@@ -154,13 +155,19 @@ class _FootLock:
         ankle = self.positions[:, foot.limb[2]] + shift
         places = [a.places(self.positions, self.turned) + shift for a in self._anchors(foot)]
         along = places[-1] - places[0]
-        turns = max(_TURN * float(np.linalg.norm(along, axis=-1).mean()), _NOTHING)
+        length = max(float(np.linalg.norm(along, axis=-1).mean()), _NOTHING)
+        turns = _TURN * length
+        level = along * [1, 0, 1]
+        # Where the foot points, however far its heel is lifted.
+        level *= length / np.maximum(np.linalg.norm(level, axis=-1, keepdims=True), length / 2)
         offsets, holds, lifts = [], [], 0.0
         # The ball first: while it stands the heel may be lifted.
         for place, (mask, floor) in zip(places[::-1], stands[::-1], strict=True):
+            if self.labels is None:
+                mask = with_edges(mask, place, floor, self.fps)
             spans = split_where_it_moves(
                 contact_spans(mask, self.fps),
-                np.stack([place, along * [1, 0, 1]], axis=1),
+                np.stack([place, level], axis=1),
                 self.fps,
                 np.array([self.radius, turns]),
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from gesturekit.postprocess import lock_feet
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
@@ -73,6 +75,21 @@ def test_walks_that_do_not_slide_do_not_with_locked_feet(walks):
         # Feet come down and roll as they did: pulled to the floor in flight they would slide.
         assert foot_skate(locked) <= foot_skate(motion)
         assert np.abs(foot_positions(locked) - foot_positions(motion)).max() < 0.02
+
+
+def test_walks_that_tremble_stand_with_locked_feet(walks):
+    for file in walks.glob("*.bvh"):
+        motion = Motion.load(file).resample(30.0)
+        rng, names = np.random.default_rng(0), ("UpLeg", "Leg", "Foot")
+        joints = [motion.skeleton.index(side + n) for side in ("Left", "Right") for n in names]
+        noise = 0.006 * rng.standard_normal((motion.n_frames, len(joints), 3))
+        rotations = motion.rotations.copy()
+        rotations[:, joints] = multiply_quaternions(
+            rotations[:, joints], quaternion_from_rotation_vector(noise)
+        )
+        trembling = replace(motion, rotations=rotations)
+        skate = [foot_skate(m) for m in (motion, trembling, lock_feet(trembling, keep_path=True))]
+        assert skate[1] > 3 * skate[0] and skate[2] < 1.7 * skate[0]
 
 
 def test_who_goes_faster_makes_more_steps(walks):
