@@ -4,7 +4,8 @@
    speed and height (`contact_spans`).
 2. What the standing feet slide together, slowly, is taken from the path of the hips (`carrying`).
 3. In each span the point is pinned at its mean place, on the floor, and blended in and out
-   (`pinning`). The ball holds while the heel lifts; a flat foot holds by both, turned as a whole.
+   (`pinning`), but never pulled down in flight: a foot rolls onto the floor and off it as it did.
+   The ball holds while the heel lifts; a flat foot holds by both, turned as a whole.
 4. No foot sinks deeper than it was, and the hips come down a little where a leg is too short.
 5. Two-bone IK (`gesturekit.motion.ik`) turns hips and knees; the ankle keeps the foot's
    orientation, the toes lie as they lay.
