@@ -157,10 +157,10 @@ from gesturekit.cli.options import channel_option, comma_separated, given, rig_p
 )
 @click.option(
     "--smooth",
-    type=click.FloatRange(min=0, min_open=True, max=2),
+    type=click.FloatRange(min=0, max=2),
     metavar="SECONDS",
     help="Smooth movements of the upper body that are shorter, as 0.2; beats keep their time and "
-    "height.",
+    "height. 0 for none.  [default: what the model was trained for]",
 )
 @click.option(
     "--skip-existing",

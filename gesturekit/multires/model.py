@@ -44,6 +44,7 @@ from gesturekit.multires.keeping import KeptParts, moved
 from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.styles import asked_styles, level_track
+from gesturekit.postprocess import smooth_motion
 from gesturekit.training.device import prepare_device
 from gesturekit.training.model_folder import load_model, model_readme, save_model
 from gesturekit.training.seeds import generator
@@ -76,6 +77,7 @@ class MultiresModel:
         sequences: what else that takes, by its name.
         speakers: a reference skeleton for each speaker that the corpus named.
         fastest: m/s over the ground in the fastest second of the training; None if unknown.
+        smooth: seconds, of `smooth_motion` on what is generated; None for none.
     """
 
     kind = "multires"
@@ -96,6 +98,7 @@ class MultiresModel:
         sequences: Mapping[str, TrainedSequence],
         speakers: Mapping[str, Skeleton],
         fastest: float | None = None,
+        smooth: float | None = None,
     ) -> None:
         self.fps = fps
         self.representation = representation
@@ -110,6 +113,7 @@ class MultiresModel:
         self.sequences = dict(sequences)
         self.speakers = dict(speakers)
         self.fastest = fastest
+        self.smooth = smooth
 
     @property
     def skeleton(self) -> Skeleton:
@@ -145,6 +149,7 @@ class MultiresModel:
         like: str | Path | Motion | None = None,
         keep: Mapping[float, str | Path | Motion] | None = None,
         foot_lock: bool = True,
+        smooth: float | None = None,
     ) -> Motion | list[Motion]:
         """Motion, as long as the speech or `seconds`; frame k is at k / fps.
 
@@ -178,7 +183,10 @@ class MultiresModel:
                 before and after them, up to `seconds` or to the end of the last one. They come
                 back as they are, and where they are in the world.
             foot_lock: keep feet where they stand, by the contact labels that the model makes; see
-                `gesturekit.postprocess`. False gives the motion as it comes out of the network.
+                `gesturekit.postprocess`. False leaves them as the network moves them.
+            smooth: seconds; movements of the upper body that are shorter are smoothed away, but for
+                its beats, see `gesturekit.postprocess.smooth_motion`. None takes what the model was
+                trained to be given (its `smooth`), 0 smooths nothing.
 
         Raises:
             ModelError: a control, style or speaker this model does not have, or neither speech
@@ -189,6 +197,7 @@ class MultiresModel:
         if not self.styles:
             unknown |= {"style": style, "level_style": level_style}
         self._check(unknown, speaker, samples, {"levels": levels, "keyframe_level": keyframe_level})
+        seconds_smoothed = self.smooth if smooth is None else smooth
         n_levels = self.network_config.levels
         controls = {"path": path, "keyframes": keyframes, "like": like, "keep": keep}
         named = [name for name, value in controls.items() if value is not None]
@@ -265,6 +274,8 @@ class MultiresModel:
                 made = self.representation.decode(values, self.fps, skeleton=skeleton)
             if path is not None:
                 made = moved(self.representation, made, path.positions[0])
+            if seconds_smoothed:
+                made = smooth_motion(made, seconds_smoothed)
             if foot_lock:
                 labels = self.representation.contacts(values)
                 made = lock_feet_but(made, labels, given, keep_path=held is not None)

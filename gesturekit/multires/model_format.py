@@ -48,6 +48,7 @@ def model_parts(
         "network": to_dict(model.network_config),
         "sequences": {name: asdict(about) for name, about in model.sequences.items()},
         "fastest": model.fastest,
+        "smooth": model.smooth,
     }
     rig = {
         "skeleton": model.skeleton.to_json(),
@@ -95,7 +96,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         name: build(TrainedSequence, about, where=where)
         for name, about in config.get("sequences", {}).items()
     }
-    fastest = config.get("fastest")
+    fastest, smooth = config.get("fastest"), config.get("smooth")
     return {
         "fps": fps,
         "representation": representation,
@@ -112,4 +113,5 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         "sequences": sequences,
         "speakers": {name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
         "fastest": None if fastest is None else float(fastest),
+        "smooth": None if smooth is None else float(smooth),
     }

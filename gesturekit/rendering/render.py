@@ -69,7 +69,8 @@ def render(
         rig_parts: parts of that body named by hand, where its joints' names do not tell them.
         foot_lock: keep feet where they stand; another body's feet then stand where these do.
         smooth: seconds; movements of the upper body that are shorter are smoothed away, but for
-            its beats; see `gesturekit.postprocess.smooth_motion`.
+            its beats; see `gesturekit.postprocess.smooth_motion`. None takes what the model says
+            of itself, 0 smooths nothing.
         controls: what else `generate` shall be told: style, keyframes ...
         skip_existing: leave out files whose results are all there, whatever they were made with:
             to go on after a stop. Files are written whole or not at all.
@@ -91,12 +92,17 @@ def render(
     body = None if rig is None else Rig.load(rig, rig_parts)
     asked = {"samples": samples, "seed": seed, "speaker": speaker, "foot_lock": foot_lock}
     asked |= controls or {}
+    # A model that smooths by itself is told how; what the others make is smoothed afterwards.
+    smooths = "smooth" in inspect.signature(model.generate).parameters
+    asked |= {"smooth": smooth} if smooths else {}
     _refuse_controls(model, asked)
 
     def motions(speech: af.Wave | None) -> list[Motion]:
         made = model.generate(speech, seconds=None if sources else seconds, **asked)
         made = made if isinstance(made, list) else [made]
-        return made if smooth is None else [smooth_motion(motion, smooth) for motion in made]
+        if smooths or not smooth:
+            return made
+        return [smooth_motion(motion, smooth) for motion in made]
 
     _make_folder(out)
     for path in files if sources else [None]:

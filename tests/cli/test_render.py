@@ -166,7 +166,7 @@ def test_feet_may_be_left_and_the_arms_smoothed(gesturekit, model, wav, tmp_path
     for name, flags in (("as-is", ["--no-foot-lock"]), ("smooth", ["--smooth", 0.2])):
         made = gesturekit("render", wav, "--model", model, "--out", tmp_path / name, *flags)
         assert made.status == 0 and (tmp_path / name / "speech.bvh").is_file()
-    done = gesturekit("render", wav, "--model", model, "--out", tmp_path, "--smooth", 0)
+    done = gesturekit("render", wav, "--model", model, "--out", tmp_path, "--smooth", -1)
     assert done.status == 2 and "--smooth" in done.err
 
 

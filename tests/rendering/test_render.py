@@ -14,6 +14,7 @@ from gesturekit.errors import ConfigError, FormatError, MotionError
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.rotations import rotate_vectors
+from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering.render import FORMATS, render
 from gesturekit.rendering.sampling import sample_multires
 
@@ -78,6 +79,19 @@ def test_smoothing_leaves_the_legs(model, sounds, tmp_path):
     legs = [name for name in plain.skeleton.names if name.endswith(("Leg", "Foot"))]
     assert legs and all(same[plain.skeleton.index(name)] for name in legs)
     assert not same[plain.skeleton.index("LeftArm")]
+
+
+def test_a_model_is_smoothed_as_it_was_trained_to_be_unless_told(model, sounds, tmp_path):
+    plain = model.generate(sounds[0])
+    trained = copy.copy(model)
+    trained.smooth = 0.3
+    trained.save(tmp_path / "model")
+    again = gk.load(tmp_path / "model")
+    for seconds, wanted in ((None, smooth_motion(plain, 0.3)), (0, plain)):
+        folder = tmp_path / str(seconds)
+        (outcome,) = render(again, sounds[:1], folder, formats=("npz",), smooth=seconds)
+        made = Motion.load(outcome.files[0])
+        np.testing.assert_allclose(made.rotations, wanted.rotations, atol=1e-12)
 
 
 def test_folders_stand_for_the_sounds_in_them(model, sounds, tmp_path):
