@@ -53,6 +53,8 @@ class LossConfig:
     arm_speed: float = 3.0
     """On random steps, L1 between the generated arm speed and the one that a ridge regression
     reads off the speech. Not in the paper, where it is 0."""
+    arm_acceleration: float = 0.0
+    """The same of the change of arm speed: at one speed, arms that swing and arms that shake."""
     rec_input: Literal["generated", "real"] = "generated"
     """What reconstruction steps upsample: the chain from z*, or the real motion as in eq. 15."""
     contact_speed: Literal["squared", "norm"] = "squared"
@@ -157,6 +159,10 @@ class MultiresConfig(RunConfig):
     network: NetworkConfig = field(default_factory=NetworkConfig)
     losses: LossConfig = field(default_factory=LossConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
+    smooth: float | None = None
+    """Seconds; what the model makes has movements of the upper body that are shorter smoothed
+    away, but for its beats (`gesturekit.postprocess.smooth_motion`); null for none. Stored with the
+    model: it changes nothing in the training."""
     checkpoint_every: int = 250
     eval_every: int = 0
     """Iterations between cheap evaluations (`quick_figures`) on the training speech, written to
@@ -166,10 +172,16 @@ class MultiresConfig(RunConfig):
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of convolutions in training; bfloat16 is for GPUs that are fast with it."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.smooth is not None:
+            check_positive(smooth=self.smooth)
+
     @property
     def uses_arm_speed(self) -> bool:
-        """Whether random steps are told how fast the arms should be."""
-        return bool(self.features and self.losses.arm_speed and self.schedule.generator_steps)
+        """Whether random steps are told how the arms should move."""
+        told = self.losses.arm_speed or self.losses.arm_acceleration
+        return bool(self.features and told and self.schedule.generator_steps)
 
     @property
     def residual(self) -> bool:

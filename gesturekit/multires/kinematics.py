@@ -16,6 +16,9 @@ from gesturekit.multires.interpolation import reflect
 SMOOTHING_SECONDS = 0.1
 """Of rotations before arm speed is read off them, and of the speed itself."""
 
+CAPTURE_SECONDS = 0.03
+"""Of recorded rotations before acceleration is read off them: capture noise is none."""
+
 
 class VectorKinematics(nn.Module):
     """Reads positions and speeds off motion vectors (B, D, T) in their own units.
@@ -124,11 +127,34 @@ class VectorKinematics(nn.Module):
         frames it is the chord of the turn, |R' - R| / sqrt 2, which is the angle for the small
         turns of a frame and has a gradient everywhere.
         """
-        arms = self._rotations(values)[:, :, self.arms]
-        arms = smooth(arms.movedim(1, -1), smoothing * self.fps / stride)
-        chord = (arms[..., 1:] - arms[..., :-1]).square().sum(dim=(2, 3))
-        speed = (chord / 2 + 1e-10).sqrt().sum(dim=1) * (self.fps / stride)
+        arms = self._arms(values, stride, smoothing)
+        speed = _size(arms[..., 1:] - arms[..., :-1]) * (self.fps / stride)
         return torch.cat([speed[:, :1], speed], dim=1)
+
+    def arm_acceleration(self, values: Tensor, stride: float, smoothing: float = 0.0) -> Tensor:
+        """(B, T) summed angular acceleration of shoulders and elbows, rad/s^2.
+
+        |R'' - 2 R' + R| / sqrt 2 of three frames, which counts turning about another axis too; the
+        first and last frame copy their neighbours, and two frames have none. `smoothing` as in
+        `arm_speed`.
+        """
+        if values.shape[-1] < 3:
+            return values.new_zeros(len(values), values.shape[-1])
+        arms = self._arms(values, stride, smoothing)
+        bend = _size(arms[..., 2:] - 2 * arms[..., 1:-1] + arms[..., :-2])
+        bend = bend * (self.fps / stride) ** 2
+        return torch.cat([bend[:, :1], bend, bend[:, -1:]], dim=1)
+
+    def _arms(self, values: Tensor, stride: float, smoothing: float) -> Tensor:
+        """(B, 4, 3, 3, T) rotations of shoulders and elbows, smoothed over so many seconds."""
+        sixd = values[:, : 6 * self.n_joints].unflatten(1, (self.n_joints, 6))[:, self.arms]
+        rotations = sixd_to_matrix(sixd.permute(0, 3, 1, 2))
+        return smooth(rotations.movedim(1, -1), smoothing * self.fps / stride)
+
+
+def _size(change: Tensor) -> Tensor:
+    """(B, T) radians, over all joints, of changes of rotation matrices (B, J, 3, 3, T)."""
+    return (change.square().sum(dim=(2, 3)) / 2 + 1e-10).sqrt().sum(dim=1)
 
 
 def smooth(x: Tensor, sigma: float) -> Tensor:

@@ -1,7 +1,9 @@
-"""What arm speed the speech asks for: a ridge regression, fitted on the paired part.
+"""What the speech asks of the arms: a ridge regression, fitted on the paired part.
 
-It gives random-generation steps, whose speech has no recorded motion, something to aim at. It is
-not in the paper; with `losses.arm_speed: 0` it does not exist.
+It gives random-generation steps, whose speech has no recorded motion, something to aim at: how
+fast the arms move, and by how much their speed changes. The first alone is met by arms that shake
+instead of swinging. It is not in the paper; with `losses.arm_speed` and `losses.arm_acceleration`
+at 0 it does not exist.
 """
 
 from __future__ import annotations
@@ -15,26 +17,29 @@ from torch import Tensor, nn
 from gesturekit.multires.interpolation import reflect
 from gesturekit.multires.kinematics import SMOOTHING_SECONDS, smooth
 
-FLOOR = 1.0
-"""Added to arm speeds (rad/s) before the logarithm. Less than a calm speaker's, so that speeds are
-compared by their ratio; not much less, or the loss is about how still the arms are in pauses."""
+FLOORS = (1.0, 10.0)
+"""Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm. Less than a calm
+speaker's, so that they are compared by their ratio; not much less, or the loss is about how still
+the arms are in pauses."""
 
 _CONTEXT_SECONDS = 0.2
 _RIDGE = 30.0
-_MANNER_SECONDS = 5.0
-_MANNER_WEIGHT = 10.0
+_MANNER_SECONDS = 3.0
+_MANNER_WEIGHT = 5.0
 
 
-def log_speed(speed: Tensor, frame_seconds: float) -> Tensor:
-    """(B, T) arm speed, rad/s, to its smoothed logarithm (sigma 0.1 s)."""
-    return torch.log(smooth(speed, SMOOTHING_SECONDS / frame_seconds) + FLOOR)
+def log_movement(speed: Tensor, acceleration: Tensor, frame_seconds: float) -> Tensor:
+    """(B, T) of the arms, rad/s and rad/s^2, to (B, 2, T) smoothed logarithms (sigma 0.1 s)."""
+    both = torch.stack([speed, acceleration], dim=1)
+    floors = both.new_tensor(FLOORS)[:, None]
+    return torch.log(smooth(both, SMOOTHING_SECONDS / frame_seconds) + floors)
 
 
-class ArmSpeedTarget(nn.Module):
-    """Log arm speed from the speech of one level.
+class ArmTarget(nn.Module):
+    """Log arm speed and log arm acceleration from the speech of one level.
 
     What it reads: the features +-0.2 s around each frame, which tell when the arms move, and how
-    much each feature varies within +-5 s, which tells how lively the speaker is on the whole: in
+    much each feature varies within +-3 s, which tells how lively the speaker is on the whole: in
     speech that is centred clip by clip, only the spread says so.
 
     Args:
@@ -54,34 +59,31 @@ class ArmSpeedTarget(nn.Module):
         spread = _MANNER_WEIGHT * _local_spread(speech, self.manner).transpose(1, 2)
         return torch.cat([rows, spread, torch.ones_like(rows[..., :1])], dim=-1)
 
-    def fit(self, speeches: Sequence[Tensor], speeds: Sequence[Tensor]) -> ArmSpeedTarget:
-        """Fit on pairs of (S, T) speech and (T,) arm speed, rad/s, of one level.
+    def fit(self, speeches: Sequence[Tensor], movements: Sequence[Tensor]) -> ArmTarget:
+        """Fit on pairs of (S, T) speech and (2, T) `log_movement`, of one level.
 
-        The prediction's spread is set to that of the recording, as a regression always falls
-        short of it, and its range to what the recording reaches.
+        The range is set to what the recording reaches. The spread stays that of a regression, less
+        than the recording's: speech tells only a part, and what is added to seem as lively is
+        added at the wrong times and to calm speech.
         """
         rows = torch.cat([self._rows(speech[None])[0] for speech in speeches]).double()
-        goal = torch.cat(
-            [log_speed(speed[None], self.frame_seconds)[0] for speed in speeds]
-        ).double()
-        mean = goal.mean()
+        goal = torch.cat([movement.T for movement in movements]).double()
+        mean = goal.mean(dim=0)
         penalty = _RIDGE * torch.eye(rows.shape[1], dtype=torch.float64, device=rows.device)
         penalty[-1, -1] = 1e-6
         weights = torch.linalg.solve(
             rows.T @ rows + penalty * len(rows) ** 0.5, rows.T @ (goal - mean)
         )
-        predicted = rows @ weights
-        gain = goal.std() / predicted.std().clamp(min=1e-6)
-        weights = weights * gain.clamp(max=3.0)
-        weights[-1] += mean - (rows @ weights).mean()
+        weights[-1] += mean - (rows @ weights).mean(dim=0)
         self.register_buffer("weights", weights.float(), persistent=False)
-        self.register_buffer("range", torch.quantile(goal, goal.new_tensor([0.01, 0.99])).float())
+        limits = torch.quantile(goal, goal.new_tensor([0.01, 0.99]), dim=0)
+        self.register_buffer("range", limits.float()[..., None])
         return self
 
     def forward(self, speech: Tensor) -> Tensor:
-        """(B, S, T) speech of this level to (B, T) log arm speed."""
+        """(B, S, T) speech of this level to (B, 2, T) log arm speed and acceleration."""
         low, high = self.range
-        return (self._rows(speech) @ self.weights).clamp(low, high)
+        return (self._rows(speech) @ self.weights).transpose(1, 2).clamp(low, high)
 
 
 def _local_spread(x: Tensor, reach: int) -> Tensor:

@@ -24,8 +24,8 @@ from gesturekit.multires.critic import critic_gradients
 from gesturekit.multires.data import TrainingData, load_training_data
 from gesturekit.multires.holding import fastest_second, plain_values
 from gesturekit.multires.interpolation import resample
-from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.listening import ArmSpeedTarget, log_speed
+from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
+from gesturekit.multires.listening import ArmTarget, log_movement
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.monitor import Monitor, distance_from_recordings
@@ -244,6 +244,7 @@ class _Trainer:
                 )
                 for sequence in self.data.paired
             ),
+            smooth=self.config.smooth,
         )
         model.save(
             self.folder.folder / name,
@@ -283,7 +284,7 @@ class _Pair:
                 ("discriminator", self.discriminators),
             )
         }
-        self.targets = self._arm_speed_targets() if self.config.uses_arm_speed else []
+        self.targets = self._arm_targets() if self.config.uses_arm_speed else []
         self._bank: dict[str, dict[int, Windows]] = {}
 
     def state(self) -> dict[str, Any]:
@@ -485,13 +486,18 @@ class _Pair:
                 loss = self.trainer.kinematics.smoothness_loss(values, stride)
                 parts.setdefault("smooth", []).append(weights.smoothness * loss)
             if self.targets and moves:
-                target = self.targets[i]
-                speed = self.trainer.kinematics.arm_speed(values, stride)
-                speed = log_speed(speed, stride / self.config.fps)
-                wanted = target(windows.speech[i])
-                parts.setdefault("arm_speed", []).append(
-                    weights.arm_speed * F.l1_loss(speed, wanted)
+                kinematics = self.trainer.kinematics
+                arms = log_movement(
+                    kinematics.arm_speed(values, stride),
+                    kinematics.arm_acceleration(values, stride),
+                    stride / self.config.fps,
                 )
+                distances = (arms - self.targets[i](windows.speech[i])).abs().mean(dim=(0, 2))
+                for name, distance in zip(
+                    ("arm_speed", "arm_acceleration"), distances, strict=True
+                ):
+                    if weight := getattr(weights, name):
+                        parts.setdefault(name, []).append(weight * distance)
         if not parts:
             return {}
         sums = {name: torch.stack(losses).sum() for name, losses in parts.items()}
@@ -521,17 +527,19 @@ class _Pair:
         self._step("generator", self.config.losses.reconstruction * torch.stack(errors).sum())
         return float(torch.stack(errors).detach().mean())
 
-    def _arm_speed_targets(self) -> list[ArmSpeedTarget]:
-        """One regression a level, from the paired speech to the recorded arm speed.
+    def _arm_targets(self) -> list[ArmTarget]:
+        """One regression a level, from the paired speech to how the recorded arms move.
 
         The recording's speed is taken raw, with all that is fast in it, and the generated one
         without trembling (`VectorKinematics.arm_speed`): the arms shall be as fast as the
-        recorded ones by moving, not by shaking.
+        recorded ones by moving, not by shaking. Acceleration is the other way round: recorded
+        without capture noise, generated with all that trembles.
         """
         targets = []
         levels = self.config.network.levels
+        kinematics = self.trainer.kinematics
         for i in self.indices:
-            speeches, speeds = [], []
+            speeches, movements = [], []
             stride = 1.0
             for sequence in self.trainer.data.paired:
                 n = af.level_lengths(sequence.n_frames, levels)[i]
@@ -540,9 +548,13 @@ class _Pair:
                 stride = sequence.n_frames / n
                 motion = resample(sequence.motion[None].to(self.trainer.device), n)
                 values = self.trainer.normaliser.inverse(motion)
-                speed = self.trainer.kinematics.arm_speed(values, stride, smoothing=0.0)
-                speeds.append(speed[0])
+                movement = log_movement(
+                    kinematics.arm_speed(values, stride, smoothing=0.0),
+                    kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
+                    stride / self.config.fps,
+                )
+                movements.append(movement[0])
                 speeches.append(resample(sequence.speech.to(self.trainer.device), n))
-            target = ArmSpeedTarget(stride / self.config.fps).to(self.trainer.device)
-            targets.append(target.fit(speeches, speeds))
+            target = ArmTarget(stride / self.config.fps).to(self.trainer.device)
+            targets.append(target.fit(speeches, movements))
         return targets

@@ -7,7 +7,9 @@ the table has the mean over seeds of: sync (r at the best lag), the same with th
 speech instead (mismatched: what a motion reaches with speech that it was not made for), chance and
 z by circular shifts, r with the recording's own arm speed (smoothed by the same 0.1 s, lag 0), arm
 speed and jerk as ratios to the recording's (jerk also to the recording low-passed at 6 Hz: much of
-the raw one is capture noise), and the recording's own sync.
+the raw one is capture noise), and the recording's own sync. What is measured is what `render`
+gives by default: with feet locked, and smoothed where the model says so (`smooth` in its
+config.yaml).
 
 With `--strangers`, one more line for a folder of speech that the model has not heard: sync, and
 arm speed against the mean of the training recordings.
@@ -126,6 +128,8 @@ def main() -> None:
         table[options.strangers.name] = measure_strangers(
             model, options.strangers, motions, options.seeds
         )
+    smoothed = getattr(model, "smooth", None)
+    print(f"smoothed by {smoothed:g} s\n" if smoothed else "not smoothed\n")
     names = list(next(iter(table.values())))
     print("| item | " + " | ".join(names) + " |")
     print("|---" * (len(names) + 1) + "|")

@@ -50,18 +50,38 @@ def test_arm_speed_is_that_of_the_evaluation(representation, walker, values):
     assert np.corrcoef(ours[10:-10], arm_speed(walker)[10:-10])[0, 1] > 0.95
 
 
-def test_trembling_is_no_arm_speed(representation, walker, values):
-    kinematics = VectorKinematics(representation, walker.fps)
-    trembling = walker.rotations.copy()
+@pytest.fixture(scope="module")
+def shaken(walker):
+    """The walker with a left arm that trembles by 4 degrees from frame to frame."""
+    rotations = walker.rotations.copy()
     arm = walker.skeleton.index("LeftArm")
     angles = 4 * (-1.0) ** np.arange(walker.n_frames)
     turn = Rotation.from_euler("z", angles[:, None], degrees=True)
-    trembling[:, arm] = (turn * Rotation.from_quat(trembling[:, arm])).as_quat()
-    shaken = replace(walker, rotations=trembling)
+    rotations[:, arm] = (turn * Rotation.from_quat(rotations[:, arm])).as_quat()
+    return replace(walker, rotations=rotations)
+
+
+def test_trembling_is_no_arm_speed(representation, walker, values, shaken):
+    kinematics = VectorKinematics(representation, walker.fps)
     shaken_values = torch.from_numpy(representation.encode(shaken).T).float()[None]
     assert arm_speed(shaken).mean() > 1.8 * arm_speed(walker).mean()
     calm, shaky = (kinematics.arm_speed(v, stride=1.0).mean() for v in (values, shaken_values))
     assert shaky < 1.1 * calm
+
+
+def test_trembling_is_arm_acceleration_and_a_swing_has_one_at_any_rate(
+    representation, walker, values, shaken
+):
+    kinematics = VectorKinematics(representation, walker.fps)
+    shaken_values = torch.from_numpy(representation.encode(shaken).T).float()[None]
+    swing = kinematics.arm_acceleration(values, stride=1.0)
+    assert swing.shape == (1, walker.n_frames)
+    # +-4 degrees at 12.5 Hz: 16 degrees a frame squared.
+    trembling = kinematics.arm_acceleration(shaken_values, stride=1.0).mean()
+    assert trembling == pytest.approx(np.deg2rad(16) * walker.fps**2, rel=0.1)
+    coarse = kinematics.arm_acceleration(resample(values, walker.n_frames // 2), stride=2.0)
+    assert coarse.mean() == pytest.approx(float(swing.mean()), rel=0.1)
+    assert (kinematics.arm_acceleration(values[..., :2], stride=1.0) == 0).all()
 
 
 def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(representation, values):

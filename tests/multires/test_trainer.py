@@ -26,11 +26,12 @@ def weights(config):
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config):
-    config = make_config()
+    config = make_config(losses={"arm_acceleration": 3})
     folder = train(config)
     lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines] == [2, 4, 6, 8, 10]
-    assert {"critic", "adversarial", "contact", "smooth", "arm_speed", "rec"} <= set(lines[-1])
+    told = {"critic", "adversarial", "contact", "smooth", "arm_speed", "arm_acceleration", "rec"}
+    assert told <= set(lines[-1])
     for name in ("config.yaml", "command.txt", "versions.json", "checkpoints", "events"):
         assert (config.out / name).exists(), name
     model = gk.load(folder)
