@@ -29,7 +29,7 @@ from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.postprocess import lock_feet
+from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.device import prepare_device
 from gesturekit.training.model_folder import ModelParts, load_model, model_readme, save_model
@@ -53,6 +53,7 @@ class DiffusionModel:
         droppable: what the model was trained to do without at times: "styles", or "all" that it
             is told. Guidance leads away from that.
         window: frames of the longest motion that is made as a whole.
+        smooth: seconds, of `smooth_motion` on what is generated; None for none.
     """
 
     kind = "diffusion"
@@ -70,6 +71,7 @@ class DiffusionModel:
         speakers: Mapping[str, Skeleton],
         droppable: Collection[str] = (),
         window: int = LONGEST,
+        smooth: float | None = None,
     ) -> None:
         self.fps = fps
         self.representation = representation
@@ -82,6 +84,7 @@ class DiffusionModel:
         self.speakers = dict(speakers)
         self.droppable = tuple(droppable)
         self.window = window
+        self.smooth = smooth
 
     @property
     def skeleton(self) -> Skeleton:
@@ -110,6 +113,7 @@ class DiffusionModel:
         change: float = CHANGE,
         speaker: str | None = None,
         foot_lock: bool = True,
+        smooth: float | None = None,
         solver: Solver | None = None,
         steps: int | None = None,
         batch: int = 1,
@@ -142,6 +146,9 @@ class DiffusionModel:
             speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
             foot_lock: keep feet where they stand; see `gesturekit.postprocess`. False gives the
                 motion as it comes out of the network.
+            smooth: seconds; movements of the upper body that are shorter are smoothed away, but for
+                its beats, see `gesturekit.postprocess.smooth_motion`. None takes what the model was
+                trained to be given (its `smooth`), 0 smooths nothing.
             solver: "ancestral" as published, "ddim", or "dpm"; None takes "ancestral" for all
                 steps and "dpm" for fewer.
             steps: how many denoising steps; None for all that the model was trained with.
@@ -181,6 +188,12 @@ class DiffusionModel:
             begin, place = (start.clean(request.n_frames), start.step), start.place
             steps = None if steps is None else min(steps, start.step + 1)
         visited = len(chosen_steps(self.schedule, steps, None if start is None else start.step))
+
+        def finished(motion: Motion) -> Motion:
+            if seconds_smoothed := self.smooth if smooth is None else smooth:
+                motion = smooth_motion(motion, seconds_smoothed)
+            return lock_feet(motion, keep_path=request.path is not None) if foot_lock else motion
+
         motions: list[Motion] = []
         # One at a time unless asked otherwise: in a batch, sums are made in another order, and a
         # motion would depend on how many were asked for.
@@ -197,7 +210,7 @@ class DiffusionModel:
                 vectors = sample(
                     predict, noise, self.schedule, solver=solver, steps=steps, start=begin
                 )
-                motions += self._motions(vectors, request.path, place, speaker, foot_lock)
+                motions += map(finished, self._motions(vectors, request.path, place, speaker))
         return motions[0] if samples == 1 else motions
 
     @property
@@ -211,7 +224,6 @@ class DiffusionModel:
         path: RootPath | None,
         place: tuple[float, float, float],
         speaker: str | None,
-        foot_lock: bool,
     ) -> Iterator[Motion]:
         """Motions of standardised vectors (B, T, X), that begin at a place or follow a path."""
         body = None if speaker is None else self.speakers[speaker]
@@ -222,7 +234,7 @@ class DiffusionModel:
                     "the model gave NaN; its weights are damaged or it was trained badly"
                 )
             try:
-                motion = self.representation.decode(
+                yield self.representation.decode(
                     values, self.fps, skeleton=body, path=path, start=place
                 )
             except MotionError as error:
@@ -230,7 +242,6 @@ class DiffusionModel:
                     f"the model left the world ({error}); it was trained too little, or the "
                     "product's weights are too extreme"
                 ) from None
-            yield lock_feet(motion, keep_path=path is not None) if foot_lock else motion
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
@@ -241,6 +252,7 @@ class DiffusionModel:
             **self.conditions.to_values(),
             "droppable": list(self.droppable),
             "window": self.window,
+            "smooth": self.smooth,
             "noise": to_dict(self.noise_config),
             "network": to_dict(self.network_config),
         }
@@ -350,6 +362,7 @@ class DiffusionModel:
             speakers={name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
             droppable=tuple(map(str, config["droppable"])),
             window=int(config["window"]),
+            smooth=None if config.get("smooth") is None else float(config["smooth"]),
         )
 
 

@@ -260,6 +260,7 @@ class _Trainer:
             network=self.average.cpu().eval(),
             speakers=self.data.speakers,
             droppable=[name for name, share in droppable.items() if share],
+            smooth=self.config.smooth,
         )
         paired, unpaired = self.data.seconds
         last = self.folder.last_metrics()

@@ -159,10 +159,6 @@ class MultiresConfig(RunConfig):
     network: NetworkConfig = field(default_factory=NetworkConfig)
     losses: LossConfig = field(default_factory=LossConfig)
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
-    smooth: float | None = None
-    """Seconds; what the model makes has movements of the upper body that are shorter smoothed
-    away, but for its beats (`gesturekit.postprocess.smooth_motion`); null for none. Stored with the
-    model: it changes nothing in the training."""
     checkpoint_every: int = 250
     eval_every: int = 0
     """Iterations between cheap evaluations (`quick_figures`) on the training speech, written to
@@ -171,11 +167,6 @@ class MultiresConfig(RunConfig):
     training, and model/ is always what its last step left."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of convolutions in training; bfloat16 is for GPUs that are fast with it."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.smooth is not None:
-            check_positive(smooth=self.smooth)
 
     @property
     def uses_arm_speed(self) -> bool:

@@ -15,7 +15,6 @@ from gesturekit.errors import ConfigError, GestureKitError, ModelError
 from gesturekit.formats.rig import Rig
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion.motion import Motion
-from gesturekit.postprocess import smooth_motion
 
 FORMATS = ("bvh", "npz", "html", "png")
 
@@ -91,18 +90,12 @@ def render(
     _refuse_clashes(files, out)
     body = None if rig is None else Rig.load(rig, rig_parts)
     asked = {"samples": samples, "seed": seed, "speaker": speaker, "foot_lock": foot_lock}
-    asked |= controls or {}
-    # A model that smooths by itself is told how; what the others make is smoothed afterwards.
-    smooths = "smooth" in inspect.signature(model.generate).parameters
-    asked |= {"smooth": smooth} if smooths else {}
+    asked |= {"smooth": smooth, **(controls or {})}
     _refuse_controls(model, asked)
 
     def motions(speech: af.Wave | None) -> list[Motion]:
         made = model.generate(speech, seconds=None if sources else seconds, **asked)
-        made = made if isinstance(made, list) else [made]
-        if smooths or not smooth:
-            return made
-        return [smooth_motion(motion, smooth) for motion in made]
+        return made if isinstance(made, list) else [made]
 
     _make_folder(out)
     for path in files if sources else [None]:

@@ -46,6 +46,10 @@ class RunConfig:
     parts: dict[str, str] = field(default_factory=dict)
     """Parts of the body named by hand, such as {left_elbow: Joint12}, for rigs whose names and
     shape do not tell them."""
+    smooth: float | None = None
+    """Seconds; what the model makes has movements of the upper body that are shorter smoothed
+    away, but for its beats (`gesturekit.postprocess.smooth_motion`); null for none. Stored with the
+    model: it changes nothing in the training."""
     checkpoint_every: int
     """Steps between checkpoints."""
     log_every: int = 10
@@ -64,6 +68,8 @@ class RunConfig:
             fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every
         )
         check_not_negative(eval_every=self.eval_every)
+        if self.smooth is not None:
+            check_positive(smooth=self.smooth)
         for part, joint in self.parts.items():
             if part not in KNOWN_PARTS:
                 raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")

@@ -22,6 +22,7 @@ from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.inspection import inspect
 from gesturekit.motion.root_path import RootPath
+from gesturekit.postprocess import smooth_motion
 
 QUICK = {"seconds": 1.5, "steps": 4}
 STYLES = {"styles": ("old", "angry"), "droppable": ("styles",)}
@@ -218,6 +219,16 @@ def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
             "model.safetensors",
             "skeleton.json",
         ]
+
+
+def test_a_model_is_smoothed_as_it_was_trained_to_be_unless_told(untrained, tmp_path):
+    model = untrained()
+    model.smooth = 0.3
+    model.save(tmp_path / "model")
+    asked = QUICK | {"foot_lock": False}
+    plain = model.generate(**asked, smooth=0)
+    made = gk.load(tmp_path / "model").generate(**asked)
+    assert same(made, smooth_motion(plain, 0.3)) and not same(made, plain)
 
 
 def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
