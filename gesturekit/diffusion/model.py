@@ -142,7 +142,7 @@ class DiffusionModel:
                 manner of the model, where it was. It gives the length where nothing else does, and
                 the path, for a model that follows one.
             change: how much of it may change, from just above 0 (all but nothing) to 1 (all of
-                it): the share of noise in what the model begins with, see `Start`.
+                it): how far it is noised before the model goes on from it, see `Start`.
             speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
             foot_lock: keep feet where they stand; see `gesturekit.postprocess`. False gives the
                 motion as it comes out of the network.

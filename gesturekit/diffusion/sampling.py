@@ -25,6 +25,11 @@ PURE_NOISE = 1e-5
 """Share of the clean motion's variance below which solvers with few steps do not begin."""
 
 
+def last_audible(schedule: NoiseSchedule) -> int:
+    """The last step that has any of the motion in it."""
+    return int((schedule.alphas_bar > PURE_NOISE).sum()) - 1
+
+
 def chosen_steps(schedule: NoiseSchedule, count: int | None, start: int | None = None) -> list[int]:
     """The steps that a solver visits, most noisy first.
 
@@ -48,8 +53,7 @@ def chosen_steps(schedule: NoiseSchedule, count: int | None, start: int | None =
     if not 1 <= count <= last:
         raise ModelError(f"steps: {count} must be between 1 and {last + 1}")
     if start is None:
-        audible = int((schedule.alphas_bar > PURE_NOISE).sum()) - 1
-        last = max(audible, count - 1)
+        last = max(last_audible(schedule), count - 1)
     # Evenly in log signal-to-noise, but never twice at one step.
     level = schedule.log_snr()[: last + 1]
     wanted = torch.linspace(float(level[-1]), float(level[0]), count, dtype=torch.float64)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.diffusion.guidance import FARTHEST
-from gesturekit.diffusion.sampling import PURE_NOISE
+from gesturekit.diffusion.sampling import last_audible
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
@@ -53,7 +53,9 @@ class Start:
         Args:
             model: whose rig and schedule count.
             like: a motion of any rig of a person, or the file it is in.
-            change: above 0, at most 1: how much of the variance is noise.
+            change: above 0, at most 1: how far up it is noised, from the first step of the schedule
+                to the last that has any motion in it, evenly in log signal-to-noise. That is the
+                share of a quick solver's steps that are left to take.
 
         Raises:
             ModelError: a change out of range, or a motion that cannot be put on the rig.
@@ -67,10 +69,9 @@ class Start:
             # Where the floor of a foreign file lies nobody knows; where this rig's does, we do.
             lift = _floor_of_model(model) - float(np.quantile(_lowest(motion), _ON_THE_FLOOR))
         motion = motion.resample(model.fps)
-        noise = 1 - model.schedule.alphas_bar
-        # What is all but noise tells nothing of the motion, and few steps are not taken from it.
-        reached = int((noise < min(change, 1 - PURE_NOISE)).sum())
-        return cls(model, motion, lift, min(reached, model.schedule.steps - 1))
+        level = model.schedule.log_snr()[: last_audible(model.schedule) + 1]
+        wanted = level[0] + change * (level[-1] - level[0])
+        return cls(model, motion, lift, int((level - wanted).abs().argmin()))
 
     @property
     def path(self) -> RootPath:
