@@ -1,132 +1,139 @@
-"""How strong is a style? Guided interpolation and guidance, as motion and as numbers.
+"""How strong is a style? Guided interpolation and guidance, as motion, numbers and a plot.
 
-    python recipes/diffusion_styles/strength.py runs/styles/model styles.jsonl out/ --still tired \
-        --lively active
+    python recipes/diffusion_styles/strength.py runs/styles/model styles.jsonl out/ \
+        --still normal --lively active --steps 20
 
-Interpolation (eq. 7 of Alexanderson et al. 2023, their Fig. 9): weights 1 - gamma of the still
-style and gamma of the lively one, gamma from -0.25 to 1.25; the median of wrist speed. Guidance
-(eq. 6): gamma from 0 to 2 of one style at a time; how often a classifier hears that style in it.
+Interpolation (eq. 7 of Alexanderson et al. 2023, their Fig. 9): weights 1 - gamma of a still style
+and gamma of a lively one, gamma from -0.25 to 1.25; the median of wrist speed. Guidance (eq. 6):
+gamma from 0 to 2 of one style at a time; how often a classifier hears that style in it.
+
+Medians of the styles' recordings are printed first. A still style whose people do not stand all the
+time leaves room for less at gamma = -0.25; below one that stands there is nothing.
+
 Motions go to out/interpolation/ and out/guidance/, a folder for each gamma, under the name of a
 recording of the lively style, so that the report of
 
     cd out/interpolation
     gesturekit evaluate gamma_-0.25 recordings/ gamma_+0.00 ... --compare --out report.html
 
-has the violins. The classifier is a ridge regression onto styles of means and spreads over
-windows of 1.5 s of the corpus's recordings; the table begins with how it does on windows of
-recordings that it was not made from.
+has the violins; the plot of guidance is out/guidance.svg.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
 import numpy as np
+from classifier import fit_classifier, windows
 
 import gesturekit as gk
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.evaluation import wrist_speed
 
-WINDOW_SECONDS = 1.5
-RIDGE = 30.0
+INTERPOLATION = np.arange(-0.25, 1.26, 0.25)
+GUIDANCE = np.arange(0.0, 2.01, 0.5)
+
+Make = Callable[..., list[gk.Motion]]
+"""make(folder, style=..., ...): motions, which are in that folder then."""
 
 
-def windows(motion: gk.Motion) -> np.ndarray:
-    """(W, F): means and spreads of places about the root, half a window apart."""
-    places = motion.positions()
-    places = (places - places[:, :1]).reshape(len(places), -1)
-    size = round(WINDOW_SECONDS * motion.fps)
-    parts = [places[i : i + size] for i in range(0, len(places) - size + 1, size // 2)]
-    steps = [np.abs(np.diff(part, axis=0)) for part in parts]
-    return np.array(
-        [
-            np.concatenate([part.mean(0), part.std(0), step.mean(0)])
-            for part, step in zip(parts, steps, strict=True)
-        ]
-    )
-
-
-class Classifier:
-    """Ridge regression from standardised windows onto one-hot styles."""
-
-    def __init__(self, features: np.ndarray, styles: np.ndarray, count: int) -> None:
-        self.mean, self.scale = features.mean(0), features.std(0) + 1e-6
-        x = self._prepared(features)
-        target = np.eye(count)[styles]
-        self.weights = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ target)
-
-    def _prepared(self, features: np.ndarray) -> np.ndarray:
-        x = (features - self.mean) / self.scale
-        return np.concatenate([x, np.ones((len(x), 1))], axis=1)
-
-    def __call__(self, features: np.ndarray) -> np.ndarray:
-        return (self._prepared(features) @ self.weights).argmax(1)
-
-
-def fit_classifier(model, manifest: Manifest) -> tuple[Classifier, float]:
-    """The classifier of the model's styles, and the share of held-out windows it gets right."""
-    found, labels = [], []
+def medians(manifest: Manifest) -> dict[str, float]:
+    """Median wrist speed of each style's recordings, m/s, the stillest first."""
+    speeds: dict[str, list[np.ndarray]] = {}
     for item in manifest:
-        if item.motion is not None and item.style in model.styles:
-            # As the model would write it: the same joints move, and it faces the same way.
-            motion = item.load_motion().resample(model.fps)
-            values = model.representation.encode(motion)
-            motion = model.representation.decode(values, model.fps)
-            found.append(windows(motion))
-            labels.append(np.full(len(found[-1]), model.styles.index(item.style)))
-    features, styles = np.concatenate(found), np.concatenate(labels)
-    held = np.concatenate([np.arange(len(part)) >= 0.75 * len(part) for part in found])
-    count = len(model.styles)
-    right = Classifier(features[~held], styles[~held], count)(features[held]) == styles[held]
-    return Classifier(features, styles, count), float(right.mean())
+        if item.motion is not None and item.style is not None:
+            speeds.setdefault(item.style, []).append(wrist_speed(item.load_motion()))
+    found = {style: float(np.median(np.concatenate(parts))) for style, parts in speeds.items()}
+    return dict(sorted(found.items(), key=lambda pair: pair[1]))
 
 
-def main() -> None:
+def interpolation(make: Make, still: str, lively: str, out: Path) -> None:
+    """Print median and mean of wrist speed on the way from one style to the other."""
+    print(f"\nfrom {still} to {lively}\ngamma | median wrist speed, m/s | mean")
+    for gamma in INTERPOLATION:
+        style = f"{still}:{1 - gamma:g},{lively}:{gamma:g}"
+        motions = make(out / f"gamma_{gamma:+.2f}", style=style)
+        speeds = np.concatenate([wrist_speed(motion) for motion in motions])
+        print(f"{gamma:+.2f} | {np.median(speeds):.4f} | {speeds.mean():.3f}", flush=True)
+
+
+def guidance(make: Make, model, manifest: Manifest, out: Path) -> None:
+    """Print and draw how often each style is heard, the more it is asked for."""
+    classifier, right = fit_classifier(model, manifest)
+    chance = 1 / len(model.styles)
+    print(f"\nclassifier: {right:.2f} of held-out windows right, chance {chance:.2f}")
+    print("gamma | share of windows heard as their style")
+    heard = np.zeros((len(GUIDANCE), len(model.styles)))
+    for row, gamma in zip(heard, GUIDANCE, strict=True):
+        for number, style in enumerate(model.styles):
+            folder = out / f"gamma_{gamma:.2f}" / style
+            motions = make(folder, style=style, guidance=float(gamma))
+            styles = np.concatenate([classifier(windows(motion)) for motion in motions])
+            row[number] = (styles == number).mean()
+        print(f"{gamma:.2f} | {row.mean():.2f}", flush=True)
+    plot(heard, model.styles, right, out.with_suffix(".svg"))
+
+
+def plot(heard: np.ndarray, styles: Sequence[str], right: float, file: Path) -> None:
+    """Draw the shares (guidance, styles) that are heard, beside those of the recordings."""
+    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    place = -1.0
+    for number in np.argsort(heard[-1], kind="stable"):
+        ink = plt.get_cmap("tab20")(number)
+        axes.plot(GUIDANCE, heard[:, number], color=ink, lw=1)
+        place = max(heard[-1, number], place + 0.045)  # names do not lie on one another
+        axes.text(GUIDANCE[-1] + 0.03, place, styles[number], color=ink, fontsize=8, va="center")
+    axes.plot(GUIDANCE, heard.mean(axis=1), "o-", color="0.15", lw=2.5, label="mean of the styles")
+    axes.axhline(right, color="0.4", ls="--", label="held-out windows of the recordings")
+    axes.axhline(1 / len(styles), color="0.7", ls=":", label="chance")
+    axes.set_xlabel("guidance, gamma")
+    axes.set_ylabel("share of windows heard as their style")
+    axes.set_ylim(0, 1.04)
+    axes.set_xticks(GUIDANCE)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    figure.savefig(file)
+    plt.close(figure)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model")
     parser.add_argument("corpus", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--still", required=True)
-    parser.add_argument("--lively", required=True)
+    parser.add_argument("--still", required=True, help="style at gamma = 0")
+    parser.add_argument("--lively", required=True, help="style at gamma = 1")
+    parser.add_argument("--only", choices=["interpolation", "guidance"])
     parser.add_argument("--samples", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--steps", type=int, help="denoising steps; all by default")
-    asked = parser.parse_args()
+    asked = parser.parse_args(arguments)
     model = gk.load(asked.model)
     manifest = Manifest.load(asked.corpus)
+    told = ", ".join(f"{style} {speed:.3f}" for style, speed in medians(manifest).items())
+    print(f"recordings, median wrist speed, m/s: {told}")
     stem = next(item.motion.stem for item in manifest if item.motion and item.style == asked.lively)
 
-    def made(folder: Path, **told) -> list[gk.Motion]:
+    def make(folder: Path, **told) -> list[gk.Motion]:
         motions = model.generate(
-            seconds=asked.seconds, samples=asked.samples, batch=asked.samples, steps=asked.steps,
-            seed=0, **told,
+            seconds=asked.seconds, samples=asked.samples, batch=5, steps=asked.steps, seed=0, **told
         )  # fmt: skip
+        motions = motions if isinstance(motions, list) else [motions]
         folder.mkdir(parents=True, exist_ok=True)
         for number, motion in enumerate(motions, start=1):
             motion.save(folder / f"{stem}_s{number}.npz")
         return motions
 
-    print("gamma | median wrist speed, m/s | mean")
-    for gamma in np.arange(-0.25, 1.26, 0.25):
-        style = f"{asked.still}:{1 - gamma:g},{asked.lively}:{gamma:g}"
-        motions = made(asked.out / "interpolation" / f"gamma_{gamma:+.2f}", style=style)
-        speeds = np.concatenate([wrist_speed(motion) for motion in motions])
-        print(f"{gamma:+.2f} | {np.median(speeds):.3f} | {speeds.mean():.3f}", flush=True)
-
-    classifier, right = fit_classifier(model, manifest)
-    print(
-        f"\nclassifier: {right:.2f} of held-out windows right, chance {1 / len(model.styles):.2f}"
-    )
-    print("gamma | share of windows heard as their style")
-    for gamma in np.arange(0.0, 2.01, 0.5):
-        shares = []
-        for number, style in enumerate(model.styles):
-            folder = asked.out / "guidance" / f"gamma_{gamma:.2f}" / style
-            motions = made(folder, style=style, guidance=float(gamma))
-            heard = np.concatenate([classifier(windows(motion)) for motion in motions])
-            shares.append(float((heard == number).mean()))
-        print(f"{gamma:.2f} | {np.mean(shares):.2f}", flush=True)
+    if asked.only != "guidance":
+        interpolation(make, asked.still, asked.lively, asked.out / "interpolation")
+    if asked.only != "interpolation":
+        guidance(make, model, manifest, asked.out / "guidance")
 
 
 if __name__ == "__main__":
