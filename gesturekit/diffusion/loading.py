@@ -18,6 +18,7 @@ from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.events import Event
+from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.path_following import follow_path
@@ -207,6 +208,9 @@ def _unpaired(
                     f"{where}: item {item.id}: cannot be put onto the rig of {config.corpus}: "
                     f"{error}"
                 ) from None
+            # Where the floor of a foreign file lies nobody knows; that of the corpus counts.
+            lift = floor_height(usual) - floor_height(motion)
+            motion = replace(motion, translation=motion.translation + [0.0, lift, 0.0])
         found.append((item.id, motion))
     return found
 

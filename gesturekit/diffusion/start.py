@@ -17,6 +17,7 @@ from torch import Tensor
 from gesturekit.diffusion.guidance import FARTHEST
 from gesturekit.diffusion.sampling import last_audible
 from gesturekit.errors import ModelError
+from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.training.own_rig import on_rig
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 CHANGE = 0.5
 """How much of a motion changes unless something else is asked for."""
-_ON_THE_FLOOR = 0.05
-"""Share of frames whose lowest joint is on the floor at the least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ class Start:
         motion, lift = on_rig(model.representation, given), 0.0
         if motion is not given:
             # Where the floor of a foreign file lies nobody knows; where this rig's does, we do.
-            lift = _floor_of_model(model) - float(np.quantile(_lowest(motion), _ON_THE_FLOOR))
+            lift = _floor_of_model(model) - floor_height(motion)
         motion = motion.resample(model.fps)
         level = model.schedule.log_snr()[: last_audible(model.schedule) + 1]
         wanted = level[0] + change * (level[-1] - level[0])
@@ -97,9 +96,4 @@ def _floor_of_model(model: DiffusionModel) -> float:
     """Height of the lowest joint when the rig stands as it does on average."""
     own = model.representation
     place = np.array([[0.0, float(model.standardiser.mean[own.height_column]), 0.0]])
-    return float(_lowest(own.assemble(own.hold(1), place, model.fps, None))[0])
-
-
-def _lowest(motion: Motion) -> np.ndarray:
-    """(T,) height of the lowest joint."""
-    return motion.positions()[..., 1].min(axis=1)
+    return floor_height(own.assemble(own.hold(1), place, model.fps, None))

@@ -34,8 +34,9 @@ def styled(corpus, tmp_path):
 
 @pytest.fixture
 def idle(tmp_path, gesture, skeleton):
-    """A manifest of motion on a rig with other names, at another frame rate."""
+    """A manifest of motion on a rig with other names, at another frame rate, on another floor."""
     motion = gesture(3.0, 24.0, seed=5)
+    motion = replace(motion, translation=motion.translation - [0.0, 0.7, 0.0])
     rig = Skeleton(
         tuple(f"mixamorig:{name}" for name in skeleton.names),
         skeleton.parents,
@@ -135,6 +136,9 @@ def test_unpaired_motion_of_another_rig_comes_along_untold(make_config, idle):
     arm = data.representation.joint_columns("LeftArm")
     paired = data.recordings[0].motion[:, arm]
     assert np.abs(alone.motion[:, arm].mean(0) - paired.mean(0)).max() < 0.1
+    height = data.representation.height_column
+    paired = data.recordings[0].motion[:, height]
+    assert abs(alone.motion[:, height].mean() - paired.mean()) < 0.02
     untold = ~Batches(data, config).draw(0, slice(0, 200)).condition.flatten(1).any(1)
     assert 30 < untold.sum() < 70
     with pytest.raises(CorpusError, match=r"no item .* is motion alone; name a manifest"):
