@@ -19,6 +19,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.data import PairedSequence, TrainingData
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.noise import Recall
 from gesturekit.multires.styles import mixed_styles, style_levels
 
 
@@ -89,6 +90,7 @@ class Bank:
         self.network = network
         self.device = next(network.parameters()).device
         self.sigma = torch.stack([sequence.sigma for sequence in data.paired]).mean(dim=0)
+        self.recall = recall(data, config)
 
     def random(self, n_frames: int, first: int, count: int, rng: torch.Generator) -> Windows:
         """Windows for random-generation steps: unpaired speech, fresh noise, no recorded motion."""
@@ -105,6 +107,9 @@ class Bank:
         if self.config.styles is not None:
             levels, mixing = self.config.network.levels, self.config.styles.mixing
             styles = mixed_styles(self.data.style_shares, count, levels, mixing, rng)
+        if self.recall is not None:
+            coarsest = [0] * count if styles is None else styles[:, 0].tolist()
+            noises[0] = torch.cat([self.recall([own] * lengths[0], rng) for own in coarsest])
         return self._windows(n_frames, first, speech, styles, noises, None)
 
     def paired(
@@ -202,6 +207,14 @@ class Bank:
             if motion is None
             else tuple(resample(motion.to(to), n) for n in lengths[here]),
         )
+
+
+def recall(data: TrainingData, config: MultiresConfig) -> Recall | None:
+    """What random noise is put together from; None where it is drawn anew."""
+    if not config.recall:
+        return None
+    z_stars = [sequence.z_star for sequence in data.paired]
+    return Recall(z_stars, [sequence.style for sequence in data.paired], config.recall)
 
 
 def random_windows(

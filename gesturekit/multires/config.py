@@ -152,6 +152,9 @@ class MultiresConfig(RunConfig):
     """Bring motion to zero mean and comparable spread; GANimator does not."""
     z_star: Literal["shared", "full"] = "shared"
     """The noise of reconstructions: like all noise, or of each channel and unscaled (GANimator)."""
+    recall: int = 0
+    """Noise of random motions is put together from pieces of z* of so many coarsest frames at
+    most, in chance order, those of the style asked for; 0 draws it anew (both papers)."""
     features: PyramidFeatureConfig | None = field(default_factory=PyramidFeatureConfig)
     """What is heard; null for nothing."""
     styles: StyleConfig | None = None
@@ -167,6 +170,10 @@ class MultiresConfig(RunConfig):
     training, and model/ is always what its last step left."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of convolutions in training; bfloat16 is for GPUs that are fast with it."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_not_negative(recall=self.recall)
 
     @property
     def uses_arm_speed(self) -> bool:

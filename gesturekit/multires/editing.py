@@ -12,14 +12,18 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
-from gesturekit.motion.rotations import slerp
+from gesturekit.motion.rotations import rotate_vectors, slerp
 from gesturekit.multires.interpolation import resample
 from gesturekit.postprocess import lock_feet
 from gesturekit.training.own_rig import on_rig
 
+_EASE = 0.1
+"""Seconds; how softly a motion sets out for an edited place."""
 _UNTOUCHED = 0.01
 """Vectors nearer than this (6D entries, labels, m) differ by the rounding of a file alone."""
 
@@ -129,6 +133,58 @@ def lock_feet_but(
             for name, places in locked.joint_translations.items()
         },
     )
+
+
+def over_keyframes(
+    representation: MultiresRepresentation,
+    motion: Motion,
+    path: np.ndarray,
+    wanted: np.ndarray,
+    edited: np.ndarray,
+) -> Motion:
+    """A motion whose root is over the ground where it was put in edited frames.
+
+    Finer levels and foot locking lead the root elsewhere, little by little. The whole motion is
+    moved to meet what was edited: as much before the first such frame as at it, as much after the
+    last one, and in between from one to the next. Where nothing was edited, so that all is as free
+    as ever, it stays on `path`.
+
+    Args:
+        representation: its root is the one that moves.
+        motion: T frames.
+        path: (T, 2) where the root would be without keyframes, x and z, m.
+        wanted: (T_k, 2) where it was put.
+        edited: (T_k,) bool, in which frames.
+    """
+    offset = path - motion.positions()[:, representation.root][:, [0, 2]]
+    if edited.any():
+        frames = np.arange(len(path))
+        at = ((np.arange(len(wanted)) + 0.5) * len(path) / len(wanted) - 0.5)[edited]
+        missing = [
+            wanted[edited, i] - np.interp(at, frames, path[:, i]) for i in range(path.shape[1])
+        ]
+        led = np.stack([_through(frames, at, values) for values in missing], axis=-1)
+        offset += gaussian_filter1d(led, _EASE * motion.fps, axis=0, mode="nearest")
+    return moved(representation, motion, offset)
+
+
+def _through(frames: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A curve through values at certain frames that never overshoots; level before and after."""
+    if len(at) == 1:
+        return np.full(len(frames), values[0])
+    return PchipInterpolator(at, values)(frames.clip(at[0], at[-1]))
+
+
+def moved(representation: MultiresRepresentation, motion: Motion, offset: np.ndarray) -> Motion:
+    """A decoded motion with its root moved over the ground by (2,) or (T, 2) metres."""
+    offset = np.stack([offset[..., 0], np.zeros(offset.shape[:-1]), offset[..., 1]], axis=-1)
+    if representation.root == 0:
+        return replace(motion, translation=motion.translation + offset)
+    above = motion.skeleton.parents[representation.root]
+    local = rotate_vectors(motion.global_rotations()[:, above] * [-1, -1, -1, 1], offset)
+    name = representation.joints[0]
+    places = motion.joint_translations[name] + local
+    return replace(motion, joint_translations={**motion.joint_translations, name: places})
 
 
 def full_frames(motion: Motion, fps: float) -> int:

@@ -15,8 +15,9 @@ from gesturekit.errors import ModelError
 from gesturekit.motion.heading import heading
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
-from gesturekit.motion.rotations import rotate_vectors, slerp
+from gesturekit.motion.rotations import slerp
 from gesturekit.multires.data import Normaliser
+from gesturekit.multires.editing import moved
 from gesturekit.multires.holding import (
     believable_steps,
     normalised,
@@ -246,18 +247,6 @@ class _PartsHold:
             first = max(first, spans[-1][1]) if spans else first
             spans.append((int(first), max(int(first), int(last))))
         return spans
-
-
-def moved(representation: MultiresRepresentation, motion: Motion, offset: np.ndarray) -> Motion:
-    """A decoded motion with its root moved over the ground by (2,) metres."""
-    offset = np.array([offset[0], 0.0, offset[1]])
-    if representation.root == 0:
-        return replace(motion, translation=motion.translation + offset)
-    above = motion.skeleton.parents[representation.root]
-    local = rotate_vectors(motion.global_rotations()[:, above] * [-1, -1, -1, 1], offset)
-    name = representation.joints[0]
-    places = motion.joint_translations[name] + local
-    return replace(motion, joint_translations={**motion.joint_translations, name: places})
 
 
 def _ease(share: np.ndarray | float) -> np.ndarray | float:

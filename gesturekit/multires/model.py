@@ -30,6 +30,8 @@ from gesturekit.multires.editing import (
     level_motion,
     lock_feet_but,
     motion_level,
+    moved,
+    over_keyframes,
 )
 from gesturekit.multires.holding import (
     Hold,
@@ -40,9 +42,10 @@ from gesturekit.multires.holding import (
     plain_values,
 )
 from gesturekit.multires.interpolation import resample
-from gesturekit.multires.keeping import KeptParts, moved
+from gesturekit.multires.keeping import KeptParts
 from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
 from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.noise import Recall
 from gesturekit.multires.styles import asked_styles, level_track
 from gesturekit.postprocess import smooth_motion
 from gesturekit.training.device import prepare_device
@@ -71,6 +74,7 @@ class MultiresModel:
         normaliser: of motion vectors.
         network_config: how the pyramid is built.
         residual: whether finer levels hear only what the coarser ones lack.
+        recall: frames of the pieces of z* that noise is put together from; 0 draws it anew.
         network: the generators.
         sigma: (N, L) noise spread of each training sequence and level.
         z_star: the noise from which each training sequence is reconstructed, by its name.
@@ -92,6 +96,7 @@ class MultiresModel:
         normaliser: Normaliser,
         network_config: NetworkConfig,
         residual: bool,
+        recall: int = 0,
         network: MultiresGenerator,
         sigma: Tensor,
         z_star: Mapping[str, Tensor],
@@ -107,6 +112,7 @@ class MultiresModel:
         self.normaliser = normaliser
         self.network_config = network_config
         self.residual = residual
+        self.recall = recall
         self.network = network
         self.sigma = sigma
         self.z_star = dict(z_star)
@@ -250,14 +256,17 @@ class MultiresModel:
                 told = asked_styles(self.styles, style, level_style, lengths, self.fps, rng, margin)
             condition = self._condition(features, lengths, told)
             given = np.zeros(n_frames) if kept is None else kept.given(n_frames)
+            wanted, edited = None, np.zeros(0, bool)
             if start is not None:
-                values, edited = self._in_place(
+                values, touched = self._in_place(
                     start, keyframe_level - 1, condition, lengths, seed, number
                 )
                 coarse = normalised(self.normaliser, values)
                 hold = None
                 if like is None:
-                    hold = KeyframeHold(coarse, edited, self.representation)
+                    hold = KeyframeHold(coarse, touched, self.representation)
+                    edited = touched.any(axis=1)
+                    wanted = level_motion(self.representation, values, self.fps, n_frames)
                     given = hold.stepped(n_frames)
                 vectors = self._above(coarse, keyframe_level, condition, lengths, hold)
             else:
@@ -276,9 +285,16 @@ class MultiresModel:
                 made = moved(self.representation, made, path.positions[0])
             if seconds_smoothed:
                 made = smooth_motion(made, seconds_smoothed)
+            free = made
             if foot_lock:
                 labels = self.representation.contacts(values)
-                made = lock_feet_but(made, labels, given, keep_path=held is not None)
+                made = lock_feet_but(free, labels, given, keep_path=held is not None)
+            if edited.any():
+                made = over_keyframes(
+                    self.representation, free, self._path(made), self._path(wanted), edited
+                )
+                if foot_lock:
+                    made = lock_feet_but(made, labels, given, keep_path=True)
             return made if kept is None else kept.restored(made)
 
         # One motion at a time: in a batch, sums would be made in another order, and a motion
@@ -317,6 +333,10 @@ class MultiresModel:
         condition = self._condition(features, lengths, told)
         vectors = sample(self.network, noises, lengths, condition)
         return self.representation.decode(self._values(vectors), self.fps)
+
+    def _path(self, motion: Motion) -> np.ndarray:
+        """(T, 2) where the root is over the ground, x and z, m."""
+        return motion.positions()[:, self.representation.root][:, [0, 2]]
 
     def _check(
         self,
@@ -395,10 +415,20 @@ class MultiresModel:
     ) -> Tensor:
         """(1, D, T) normalised motion vectors of sample `number`, margins included."""
         rng = generator(seed, "sample", number, "level", 1)
-        spread = self.sigma[:, 0].mean()
-        noises: list[Tensor | None] = [torch.randn(1, 1, lengths[0], generator=rng) * spread]
-        noises += [None] * (len(lengths) - 1)
+        noises = [self._noise(condition, lengths[0], rng), *[None] * (len(lengths) - 1)]
         return sample(self.network, noises, lengths, condition, hold=hold)
+
+    def _noise(self, condition: Condition | None, n_frames: int, rng: torch.Generator) -> Tensor:
+        """(1, 1 or D, T_1) that a random motion begins with."""
+        if not self.recall:
+            return torch.randn(1, 1, n_frames, generator=rng) * self.sigma[:, 0].mean()
+        names = sorted(self.z_star)
+        owners, wanted = [0] * len(names), [0] * n_frames
+        if self.styles:
+            owners = [self.styles.index(self.sequences[name].style) for name in names]
+            told = condition(0, 0, n_frames)[0, -len(self.styles) :]
+            wanted = told.argmax(dim=0).tolist()
+        return Recall([self.z_star[name] for name in names], owners, self.recall)(wanted, rng)
 
     def _values(self, vectors: Tensor) -> np.ndarray:
         """(T, 6 K + C + 3) normalised vectors (1, D, T) in their own units."""

@@ -45,6 +45,7 @@ def model_parts(
             "residual": model.residual,
         },
         "styles": list(model.styles),
+        "recall": model.recall,
         "network": to_dict(model.network_config),
         "sequences": {name: asdict(about) for name, about in model.sequences.items()},
         "fastest": model.fastest,
@@ -105,6 +106,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         "normaliser": Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
         "network_config": network_config,
         "residual": bool(features and features["residual"]),
+        "recall": int(config.get("recall", 0)),
         "network": network.eval(),
         "sigma": tensors["sigma"],
         "z_star": {

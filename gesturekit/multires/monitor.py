@@ -15,7 +15,7 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.evaluation.quick import quick_figures
 from gesturekit.motion.motion import Motion
-from gesturekit.multires.bank import condition_levels
+from gesturekit.multires.bank import condition_levels, recall
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.data import PairedSequence, TrainingData
 from gesturekit.multires.holding import plain_values
@@ -49,6 +49,7 @@ class Monitor:
         ]
         self.recordings = [self._motion(self._recorded(i)) for i in range(len(self.clips))]
         self.samples: list[Motion] = []
+        self.recall = recall(data, config)
 
     def figures(self, network: MultiresGenerator, levels: int) -> dict[str, float]:
         """Cheap measures (`quick_figures`) of what the first `levels` levels generate.
@@ -135,6 +136,8 @@ class Monitor:
 
     def _noise(self, sequence: PairedSequence, n_frames: int, number: int) -> Tensor:
         rng = generator(self.config.seed, "monitor", number)
+        if self.recall is not None:
+            return self.recall([sequence.style] * n_frames, rng)
         return torch.randn(1, 1, n_frames, generator=rng) * sequence.sigma[0]
 
     def _motion(self, vectors: Tensor) -> Motion:

@@ -225,6 +225,7 @@ class _Trainer:
             normaliser=self.data.normaliser,
             network_config=self.config.network,
             residual=self.config.residual,
+            recall=self.config.recall,
             styles=self.data.styles,
             network=network.cpu().eval(),
             sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),

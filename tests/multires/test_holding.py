@@ -157,6 +157,7 @@ def test_an_edit_is_reached_and_the_rest_stays(model):
         moved = np.linalg.norm((wanted[wrist] - wanted[0]) - before)
         assert moved > 0.2
         assert np.linalg.norm(reached - (wanted[wrist] - wanted[0])) < 0.05
+        assert np.linalg.norm(place[wrist] - wanted[wrist]) < 0.05, "in the world too"
     # Far from the edit nothing changed.
     made = model.generate(keyframes=edit, seed=1, foot_lock=False)
     np.testing.assert_allclose(made.rotations[:50], free.rotations[:50], atol=1e-5)

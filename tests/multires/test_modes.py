@@ -17,29 +17,6 @@ from gesturekit.multires.styles import asked_styles, level_track, mixed_styles
 from gesturekit.multires.trainer import train
 from gesturekit.training.checkpoint import Checkpoints
 
-
-@pytest.fixture
-def motions(gesture, tmp_path):
-    """motions(old=[4.0, 3.0], angry=[4.0]): a manifest of motion alone, seconds by style."""
-
-    def make(**seconds: list[float]):
-        items = []
-        for style, lengths in seconds.items():
-            for i, length in enumerate(lengths):
-                name = f"{style}_{i}"
-                gesture(length, seed=len(items)).save(tmp_path / f"{name}.bvh")
-                items.append({"id": name, "motion": f"{name}.bvh", "duration": length})
-                items[-1] |= {"style": style if style != "none" else None, "split": "train"}
-        blank = {"audio": None, "audio_start": 0.0, "motion_start": 0.0, "speaker": None}
-        blank |= {"text": None, "mirror": False, "conditions": {}}
-        path = tmp_path / "motions.jsonl"
-        lines = [{"schema": 1}, *({**blank, **item} for item in items)]
-        path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-        return path
-
-    return make
-
-
 SINGLE = {"features": None, "schedule": {"window": None}}
 LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
 
