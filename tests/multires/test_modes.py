@@ -172,7 +172,7 @@ def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
         model.reconstruct("other")
 
 
-@pytest.mark.parametrize("mode", [SINGLE, LABELS], ids=["single", "labels"])
+@pytest.mark.parametrize("mode", [SINGLE, {**LABELS, "recall": 3}], ids=["single", "labels"])
 def test_each_mode_resumes_bitwise(mode, make_config, motions):
     """From the middle of a pair and of a bank, and from a checkpoint that was not the last."""
     changes = {**mode, "schedule": {"window": None, "further_pairs": 8}}
