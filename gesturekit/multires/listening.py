@@ -62,8 +62,9 @@ class ArmTarget(nn.Module):
     def fit(self, speeches: Sequence[Tensor], movements: Sequence[Tensor]) -> ArmTarget:
         """Fit on pairs of (S, T) speech and (2, T) `log_movement`, of one level.
 
-        The prediction's spread is set to that of the recording, as a regression always falls
-        short of it, and its range to what the recording reaches.
+        The range is set to what the recording reaches. The spread stays that of a regression, less
+        than the recording's: speech tells only a part, and what is added to seem as lively is
+        added at the wrong times and to calm speech.
         """
         rows = torch.cat([self._rows(speech[None])[0] for speech in speeches]).double()
         goal = torch.cat([movement.T for movement in movements]).double()
@@ -73,8 +74,6 @@ class ArmTarget(nn.Module):
         weights = torch.linalg.solve(
             rows.T @ rows + penalty * len(rows) ** 0.5, rows.T @ (goal - mean)
         )
-        gain = goal.std(dim=0) / (rows @ weights).std(dim=0).clamp(min=1e-6)
-        weights = weights * gain.clamp(max=3.0)
         weights[-1] += mean - (rows @ weights).mean(dim=0)
         self.register_buffer("weights", weights.float(), persistent=False)
         limits = torch.quantile(goal, goal.new_tensor([0.01, 0.99]), dim=0)

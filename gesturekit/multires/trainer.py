@@ -531,9 +531,10 @@ class _Pair:
     def _arm_targets(self) -> list[ArmTarget]:
         """One regression a level, from the paired speech to how the recorded arms move.
 
-        Speed is taken without trembling, of the recording as of what is generated
-        (`VectorKinematics.arm_speed`); acceleration of what is generated with all that trembles,
-        and of the recording without capture noise.
+        The recording's speed is taken raw, with all that is fast in it, and the generated one
+        without trembling (`VectorKinematics.arm_speed`): the arms shall be as fast as the
+        recorded ones by moving, not by shaking. Acceleration is the other way round: recorded
+        without capture noise, generated with all that trembles.
         """
         targets = []
         levels = self.config.network.levels
@@ -549,7 +550,7 @@ class _Pair:
                 motion = resample(sequence.motion[None].to(self.trainer.device), n)
                 values = self.trainer.normaliser.inverse(motion)
                 movement = log_movement(
-                    kinematics.arm_speed(values, stride),
+                    kinematics.arm_speed(values, stride, smoothing=0.0),
                     kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
                     stride / self.config.fps,
                 )
