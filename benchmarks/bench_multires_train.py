@@ -33,8 +33,9 @@ from gesturekit.motion import Motion
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.networks import SLOPE
+from gesturekit.multires.pair import Pair
 from gesturekit.multires.skeleton_conv import block_neighbours
-from gesturekit.multires.trainer import _Pair, _Trainer
+from gesturekit.multires.trainer import Trainer
 from gesturekit.training.config import load_config, to_dict
 from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
@@ -81,7 +82,7 @@ class MaskedConv(nn.Module):
 class Masked:
     """The same training, all of it under autograd and dense."""
 
-    def __init__(self, trainer: _Trainer, lengths: tuple[int, ...], first: int) -> None:
+    def __init__(self, trainer: Trainer, lengths: tuple[int, ...], first: int) -> None:
         torch.manual_seed(0)
         self.lengths, self.levels = lengths, range(first, min(first + 2, LEVELS))
         self.blocks = trainer.data.representation.block_sizes
@@ -188,8 +189,8 @@ class Masked:
 class Ours:
     """Iterations of a pair, one after the other, the bank's renewals among them."""
 
-    def __init__(self, trainer: _Trainer, first: int) -> None:
-        self.pair = _Pair(trainer, first, 15000)
+    def __init__(self, trainer: Trainer, first: int) -> None:
+        self.pair = Pair(trainer, first, 15000)
         self.iteration = 0
 
     def iterate(self) -> None:
@@ -207,7 +208,7 @@ def main() -> None:
         settings = [f"corpus={clip(folder)}", f"out={folder / 'run'}", f"fps={FPS}", "joints=all"]
         config = load_config(RECIPE, MultiresConfig, settings)
         run = Run(config.out, to_dict(config), resume=False)
-        trainer = _Trainer(config, run, torch.device("cpu"), Processes(), resume=False)
+        trainer = Trainer(config, run, torch.device("cpu"), Processes(), resume=False)
         own = tuple(af.level_lengths(FRAMES, LEVELS))
         for first, known in GANIMATOR.items():
             ours = Ours(trainer, first)

@@ -4,35 +4,26 @@ from __future__ import annotations
 
 import copy
 import logging
-import math
 import sys
-import time
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
-import torch.nn.functional as F
-from torch import Tensor, nn
 from tqdm import tqdm
 
-import audio_features as af
-from gesturekit.errors import ConfigError, ModelError
-from gesturekit.multires.bank import Bank, Windows
+from gesturekit.errors import ConfigError
+from gesturekit.multires.bank import Bank
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.critic import critic_gradients
 from gesturekit.multires.data import TrainingData, load_training_data
 from gesturekit.multires.holding import fastest_second, plain_values
-from gesturekit.multires.interpolation import resample
-from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
-from gesturekit.multires.listening import ArmTarget, log_movement
+from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.monitor import Monitor, distance_from_recordings
-from gesturekit.multires.networks import LevelDiscriminator, MultiresGenerator
+from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.pair import Pair
 from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
-from gesturekit.training.seeds import generator, seeded
+from gesturekit.training.seeds import seeded
 from gesturekit.training.session import session
 
 log = logging.getLogger(__name__)
@@ -56,10 +47,12 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
         ModelError: training left the realm of numbers.
     """
     with session(config, resume=resume) as (run, device, processes):
-        return _Trainer(config, run, device, processes, resume=resume).run()
+        return Trainer(config, run, device, processes, resume=resume).run()
 
 
-class _Trainer:
+class Trainer:
+    """A run: its data, its networks and its folder; pairs of levels are trained one by one."""
+
     def __init__(
         self,
         config: MultiresConfig,
@@ -148,6 +141,7 @@ class _Trainer:
         ]
 
     def run(self) -> Path:
+        """Train all pairs, or those that are left, and write the model."""
         done, state = self.folder.checkpoints.latest() or (0, None)
         if state is not None:
             self.network.load_state_dict(state["generator"])
@@ -175,7 +169,7 @@ class _Trainer:
                 progress.update(cost[first] * here)
                 if here < iterations:
                     own = state if state is not None and state["first"] == first else None
-                    pair = _Pair(self, first, iterations)
+                    pair = Pair(self, first, iterations)
                     if own is not None:
                         pair.load_state(own)
                     pair.train(here, start, progress, cost[first])
@@ -258,304 +252,3 @@ class _Trainer:
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },
         )
-
-
-class _Pair:
-    """Training of two levels; the ones below are finished, the ones above not begun."""
-
-    def __init__(self, trainer: _Trainer, first: int, iterations: int) -> None:
-        self.trainer = trainer
-        self.config = trainer.config
-        self.first = first
-        self.iterations = iterations
-        self.indices = range(first, min(first + 2, self.config.network.levels))
-        self.generators = nn.ModuleList(trainer.network.levels[i] for i in self.indices)
-        self.discriminators = nn.ModuleList(
-            seeded(
-                (self.config.seed, "discriminator", i),
-                lambda: LevelDiscriminator(trainer.data.representation, self.config.network),
-            )
-            for i in self.indices
-        ).to(trainer.device)
-        rate, betas = self.config.schedule.learning_rate, self.config.schedule.betas
-        self.optimisers = {
-            name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, fused=True)
-            for name, networks in (
-                ("generator", self.generators),
-                ("discriminator", self.discriminators),
-            )
-        }
-        self.targets = self._arm_targets() if self.config.uses_arm_speed else []
-        self._bank: dict[str, dict[int, Windows]] = {}
-
-    def state(self) -> dict[str, Any]:
-        return {
-            "first": self.first,
-            "generator": self.trainer.network.state_dict(),
-            "discriminators": self.discriminators.state_dict(),
-            "optimisers": {name: o.state_dict() for name, o in self.optimisers.items()},
-        }
-
-    def load_state(self, state: dict[str, Any]) -> None:
-        self.discriminators.load_state_dict(state["discriminators"])
-        for name, optimiser in self.optimisers.items():
-            optimiser.load_state_dict(state["optimisers"][name])
-
-    def train(self, begin: int, offset: int, progress: tqdm, cost: int) -> None:
-        """Run iterations `begin` to the last; `offset` iterations belong to earlier pairs."""
-        schedule = self.config.schedule
-        totals: dict[str, float] = {}
-        since, clock = 0, time.monotonic()
-        for iteration in range(begin, self.iterations):
-            late = iteration >= schedule.decay_at * self.iterations
-            for optimiser in self.optimisers.values():
-                for group in optimiser.param_groups:
-                    group["lr"] = schedule.learning_rate * (0.1 if late else 1.0)
-            for name, value in self.iterate(iteration).items():
-                totals[name] = totals.get(name, 0.0) + value
-            since += 1
-            step = offset + iteration + 1
-            self._check_finite(step, totals)
-            progress.update(cost)
-            last = iteration + 1 == self.iterations
-            first = self.trainer.processes.is_first
-            if first and (step % self.config.log_every == 0 or last):
-                means = {name: value / since for name, value in totals.items()}
-                pace = (time.monotonic() - clock) / since
-                self.trainer.folder.log(
-                    step, {**means, "seconds_per_iteration": pace}, level=self.first + 1
-                )
-                shown = ", ".join(f"{name} {value:.3g}" for name, value in means.items())
-                progress.set_postfix_str(f"level {self.first + 1}-{self.indices[-1] + 1}: {shown}")
-                totals, since, clock = {}, 0, time.monotonic()
-            if first and self.config.eval_every and (step % self.config.eval_every == 0 or last):
-                self.trainer.evaluate(step, self.first, self.indices[-1] + 1)
-            if step % self.config.checkpoint_every == 0 or last:
-                networks = nn.ModuleList([self.generators, self.discriminators])
-                norms = [weight.detach().norm() for weight in networks.parameters()]
-                self._check_finite(step, {"weights": float(torch.stack(norms).sum())})
-                if first:
-                    self.trainer.folder.checkpoints.save(step, self.state())
-
-    def _check_finite(self, step: int, values: dict[str, float]) -> None:
-        """Stop before a checkpoint is written over what can still be used."""
-        wrong = [name for name, value in values.items() if not math.isfinite(value)]
-        if wrong:
-            raise ModelError(
-                f"training diverged at step {step} ({', '.join(wrong)} are no numbers any more); "
-                "the last checkpoint stands. A lower schedule.learning_rate usually helps"
-            )
-
-    def _fill_bank(self, renewal: int) -> None:
-        """Draw and pre-generate windows for reconstruction and for random steps."""
-        trainer, bank = self.trainer, self.trainer.bank
-        self._bank = {"paired": {}, "random": {}}
-        rng = generator(self.config.seed, "bank", self.first, renewal)
-        total = sum(len(members) for members in trainer.groups.values())
-        schedule = self.config.schedule
-        for n_frames, members in trainer.groups.items():
-            sequences = [trainer.data.paired[i] for i in members]
-            count = max(1, schedule.bank * len(members) // total)
-            if schedule.reconstruction_steps:
-                self._bank["paired"][n_frames] = bank.paired(
-                    sequences, n_frames, self.first, count, rng
-                )
-            if schedule.discriminator_steps or schedule.generator_steps:
-                self._bank["random"][n_frames] = bank.random(n_frames, self.first, count, rng)
-
-    def _draw(self, kind: str, n_frames: int, rng: torch.Generator, batches: int = 1) -> Windows:
-        """My share of so many batches of windows, one batch after the other."""
-        windows = self._bank[kind][n_frames]
-        chosen = torch.randint(
-            len(windows.conditions[0]), (batches, self.trainer.batch), generator=rng
-        )
-        return windows.take(chosen[:, self._share].flatten())
-
-    @property
-    def _share(self) -> slice:
-        return self.trainer.processes.share(self.trainer.batch)
-
-    def iterate(self, iteration: int) -> dict[str, float]:
-        """One iteration: discriminator, random-generation and reconstruction steps."""
-        schedule = self.config.schedule
-        if iteration % schedule.renew == 0 or not self._bank:
-            self._fill_bank(iteration // schedule.renew)
-        rng = generator(self.config.seed, "iteration", self.first, iteration)
-        lengths = list(self.trainer.groups)
-        report: dict[str, float] = {}
-
-        def length() -> int:
-            return lengths[int(torch.multinomial(self.trainer.group_frames, 1, generator=rng))]
-
-        if schedule.discriminator_steps:
-            chosen = [length() for _ in range(schedule.discriminator_steps)]
-            report["critic"] = self._discriminator_steps(chosen, rng)
-        for _ in range(schedule.generator_steps):
-            report.update(self._random_step(length(), rng))
-        for _ in range(schedule.reconstruction_steps):
-            report["rec"] = self._reconstruction_step(length(), rng)
-        values = self.trainer.processes.mean(torch.tensor(list(report.values())))
-        return dict(zip(report, values.tolist(), strict=True))
-
-    def _precision(self) -> torch.autocast:
-        """What networks run under; losses and sums over time stay in float32."""
-        half = self.config.precision == "bfloat16"
-        return torch.autocast(self.trainer.device.type, torch.bfloat16, enabled=half)
-
-    def _generate(self, windows: Windows) -> list[Tensor]:
-        with self._precision():
-            made = self.trainer.network(
-                windows.noise,
-                windows.conditions,
-                first=self.first,
-                coarser=windows.coarser,
-                lengths=[level.shape[-1] for level in windows.conditions],
-            )
-        return [level.float() for level in made]
-
-    def _step(self, name: str, loss: Tensor) -> None:
-        optimiser = self.optimisers[name]
-        optimiser.zero_grad(set_to_none=True)
-        # Only the networks of this step get gradients; the other side's would be thrown away.
-        parameters = [p for group in optimiser.param_groups for p in group["params"]]
-        loss.backward(inputs=parameters)
-        self._update(name)
-
-    def _update(self, name: str) -> None:
-        """One step down the mean gradient of all processes."""
-        processes, share = self.trainer.processes, self._share
-        parameters = [p for group in self.optimisers[name].param_groups for p in group["params"]]
-        processes.average_gradients(parameters, (share.stop - share.start) / self.trainer.batch)
-        self.optimisers[name].step()
-        # A fused step does not count as a change of the weights, which convolutions go by.
-        for parameter in parameters:
-            torch.autograd.graph.increment_version(parameter)
-
-    def _discriminator_steps(self, lengths: Sequence[int], rng: torch.Generator) -> float:
-        """Steps on windows of these lengths; the generator stands, so fakes are made beforehand."""
-        fakes: dict[int, Iterator[Sequence[Tensor]]] = {}
-        for n_frames in dict.fromkeys(lengths):
-            count = lengths.count(n_frames)
-            with torch.no_grad():
-                made = self._generate(self._draw("random", n_frames, rng, count))
-            split = (level.chunk(count) for level in made)
-            fakes[n_frames] = iter(zip(*split, strict=True))
-        gap = 0.0
-        for n_frames in lengths:
-            gap = self._discriminator_step(n_frames, next(fakes[n_frames]), rng)
-        return gap
-
-    def _discriminator_step(
-        self, n_frames: int, fakes: Sequence[Tensor], rng: torch.Generator
-    ) -> float:
-        sequences = [self.trainer.data.paired[i] for i in self.trainer.groups[n_frames]]
-        batch, share = self.trainer.batch, self._share
-        reals = self.trainer.bank.reals(sequences, n_frames, self.first, batch, rng)
-        gaps = []
-        for critic, real, fake in zip(self.discriminators, reals, fakes, strict=True):
-            mix = torch.rand(batch, 1, 1, generator=rng).to(real.device)
-            with self._precision():
-                gaps.append(
-                    critic_gradients(critic, real[share], fake, mix[share], self.config.losses)
-                )
-        self._update("discriminator")
-        return float(torch.stack(gaps).mean())
-
-    def _random_step(self, n_frames: int, rng: torch.Generator) -> dict[str, float]:
-        """Random generation from unpaired speech; there is no recorded motion to compare with."""
-        weights = self.config.losses
-        windows = self._draw("random", n_frames, rng)
-        made = self._generate(windows)
-        parts: dict[str, list[Tensor]] = {}
-        for i, (critic, motion) in enumerate(zip(self.discriminators, made, strict=True)):
-            stride = n_frames / motion.shape[-1]
-            values = self.trainer.normaliser.inverse(motion)
-            if weights.adversarial:
-                with self._precision():
-                    score = -critic(motion).mean()
-                parts.setdefault("adversarial", []).append(weights.adversarial * score)
-            # One frame, the coarsest level of a very short recording, has no speed.
-            moves = motion.shape[-1] > 1
-            if weights.contact and moves:
-                squared = weights.contact_speed == "squared"
-                loss = self.trainer.kinematics.contact_loss(
-                    values, stride, weights.contact_slope, squared
-                )
-                parts.setdefault("contact", []).append(weights.contact * loss)
-            # Rounding makes strides of two levels straddle 2; half the full rate is meant.
-            if weights.smoothness and stride < 2.05:
-                loss = self.trainer.kinematics.smoothness_loss(values, stride)
-                parts.setdefault("smooth", []).append(weights.smoothness * loss)
-            if self.targets and moves:
-                kinematics = self.trainer.kinematics
-                arms = log_movement(
-                    kinematics.arm_speed(values, stride),
-                    kinematics.arm_acceleration(values, stride),
-                    stride / self.config.fps,
-                )
-                distances = (arms - self.targets[i](windows.speech[i])).abs().mean(dim=(0, 2))
-                for name, distance in zip(
-                    ("arm_speed", "arm_acceleration"), distances, strict=True
-                ):
-                    if weight := getattr(weights, name):
-                        parts.setdefault(name, []).append(weight * distance)
-        if not parts:
-            return {}
-        sums = {name: torch.stack(losses).sum() for name, losses in parts.items()}
-        self._step("generator", torch.stack(list(sums.values())).sum())
-        return {name: float(value.detach()) for name, value in sums.items()}
-
-    def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
-        """Reconstruction of paired motion from z* and its own speech (eq. 15)."""
-        windows = self._draw("paired", n_frames, rng)
-        if self.config.losses.rec_input == "real":
-            # Every level starts from the recorded motion below it, the pair's second one too.
-            below = (windows.coarser, *windows.targets)
-            with self._precision():
-                made = [
-                    self.trainer.network(
-                        windows.noise[i : i + 1],
-                        windows.conditions[i : i + 1],
-                        first=self.first + i,
-                        coarser=below[i],
-                        lengths=[target.shape[-1]],
-                    )[0].float()
-                    for i, target in enumerate(windows.targets)
-                ]
-        else:
-            made = self._generate(windows)
-        errors = [F.l1_loss(m, target) for m, target in zip(made, windows.targets, strict=True)]
-        self._step("generator", self.config.losses.reconstruction * torch.stack(errors).sum())
-        return float(torch.stack(errors).detach().mean())
-
-    def _arm_targets(self) -> list[ArmTarget]:
-        """One regression a level, from the paired speech to how the recorded arms move.
-
-        The recording's speed is taken raw, with all that is fast in it, and the generated one
-        without trembling (`VectorKinematics.arm_speed`): the arms shall be as fast as the
-        recorded ones by moving, not by shaking. Acceleration is the other way round: recorded
-        without capture noise, generated with all that trembles.
-        """
-        targets = []
-        levels = self.config.network.levels
-        kinematics = self.trainer.kinematics
-        for i in self.indices:
-            speeches, movements = [], []
-            stride = 1.0
-            for sequence in self.trainer.data.paired:
-                n = af.level_lengths(sequence.n_frames, levels)[i]
-                if n < 2:
-                    continue  # a single frame has no speed
-                stride = sequence.n_frames / n
-                motion = resample(sequence.motion[None].to(self.trainer.device), n)
-                values = self.trainer.normaliser.inverse(motion)
-                movement = log_movement(
-                    kinematics.arm_speed(values, stride, smoothing=0.0),
-                    kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
-                    stride / self.config.fps,
-                )
-                movements.append(movement[0])
-                speeches.append(resample(sequence.speech.to(self.trainer.device), n))
-            target = ArmTarget(stride / self.config.fps).to(self.trainer.device)
-            targets.append(target.fit(speeches, movements))
-        return targets

@@ -17,6 +17,7 @@ from gesturekit.multires import trainer
 from gesturekit.multires.bank import Bank
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
+from gesturekit.multires.pair import Pair
 from gesturekit.multires.trainer import train
 from gesturekit.training.checkpoint import Checkpoints
 
@@ -89,11 +90,11 @@ def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypat
 
         return run
 
-    load_training_data, whole_generate = trainer.load_training_data, trainer._Pair._generate
+    load_training_data, whole_generate = trainer.load_training_data, Pair._generate
     monkeypatch.setattr(trainer, "load_training_data", marked)
-    monkeypatch.setattr(trainer._Pair, "_generate", generate)
+    monkeypatch.setattr(Pair, "_generate", generate)
     for name in read:
-        monkeypatch.setattr(trainer._Pair, name, recorded(name, getattr(trainer._Pair, name)))
+        monkeypatch.setattr(Pair, name, recorded(name, getattr(Pair, name)))
     train(make_config(features={"residual": False}, schedule={"silence": 0.0}))
     assert set(read["_random_step"]) == {(2.0, False)}
     assert set(read["_discriminator_steps"]) == {(2.0, False)}
@@ -106,8 +107,8 @@ def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(
     upsampled, wanted = [], []
     forward, step, draw = (
         LevelGenerator.forward,
-        trainer._Pair._reconstruction_step,
-        trainer._Pair._draw,
+        Pair._reconstruction_step,
+        Pair._draw,
     )
 
     def record_input(self, up, noise, condition):
@@ -127,8 +128,8 @@ def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(
         return report
 
     monkeypatch.setattr(LevelGenerator, "forward", record_input)
-    monkeypatch.setattr(trainer._Pair, "_draw", record_windows)
-    monkeypatch.setattr(trainer._Pair, "_reconstruction_step", check)
+    monkeypatch.setattr(Pair, "_draw", record_windows)
+    monkeypatch.setattr(Pair, "_reconstruction_step", check)
     train(make_config(losses={"rec_input": "real"}))
 
 
@@ -157,7 +158,7 @@ def test_a_recording_of_one_frame_at_the_coarsest_level_trains(make_config, writ
 
 
 def test_no_checkpoint_is_written_of_what_is_no_number(make_config, monkeypatch):
-    step = trainer._Pair._random_step
+    step = Pair._random_step
 
     def broken(self, n_frames, rng):
         report = step(self, n_frames, rng)
@@ -165,7 +166,7 @@ def test_no_checkpoint_is_written_of_what_is_no_number(make_config, monkeypatch)
             next(self.generators.parameters()).fill_(float("nan"))
         return report
 
-    monkeypatch.setattr(trainer._Pair, "_random_step", broken)
+    monkeypatch.setattr(Pair, "_random_step", broken)
     config = make_config(schedule={"reconstruction_steps": 0}, checkpoint_every=1, log_every=100)
     with pytest.raises(ModelError, match="diverged at step 1 "):
         train(config)
