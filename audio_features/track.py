@@ -19,7 +19,7 @@ from audio_features.errors import FeatureError
 from audio_features.wave import exact_rate
 
 FORMAT = 1
-ALIGNMENTS = ("linear", "mean", "length_ratio")
+ALIGNMENTS = ("linear", "mean", "gaussian", "length_ratio")
 """How `to_rate` can put features on motion frames."""
 # What zipfile, numpy and json raise on a file that is damaged or something else.
 _UNREADABLE = (
@@ -91,7 +91,7 @@ class FeatureTrack:
         self,
         fps: float,
         n_frames: int | None = None,
-        method: Literal["linear", "mean", "length_ratio"] = "linear",
+        method: Literal["linear", "mean", "gaussian", "length_ratio"] = "linear",
     ) -> FeatureTrack:
         """The track on motion frames: frame k is at k/fps.
 
@@ -101,6 +101,8 @@ class FeatureTrack:
                 the frames that are not later than the last one of this track.
             method: "linear" interpolates by true time; "mean" averages the frames within half
                 a motion frame (and interpolates where there are none), which does not alias;
+                "gaussian" averages such means of the frames around with a standard deviation of a
+                motion frame, for models that tremble with what flickers from frame to frame;
                 "length_ratio" ignores time and stretches the first frame to the first and the
                 last to the last (torch's `interpolate(align_corners=True)`), which is up to a
                 frame of this track wrong at the ends: only to reproduce systems that did so.
@@ -130,6 +132,10 @@ class FeatureTrack:
         sums = np.add.reduceat(self.values[: first[-1]], first[full], axis=0) if len(full) else 0
         values = track.values.copy()
         values[full] = sums / (first[full + 1] - first[full])[:, None]
+        if method == "gaussian":
+            from scipy.ndimage import gaussian_filter1d
+
+            values = gaussian_filter1d(values, 1.0, axis=0, mode="nearest")
         return self._with(values, times)
 
     def save(self, path: str | os.PathLike[str]) -> None:

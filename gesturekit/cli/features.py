@@ -48,9 +48,10 @@ KINDS = {
 )
 @click.option(
     "--align",
-    type=click.Choice(["linear", "mean", "length_ratio"]),
-    help="How they get there: by true time, interpolated or averaged over the motion frame; "
-    "length_ratio only reproduces systems that ignored time.  [default: linear]",
+    type=click.Choice(["linear", "mean", "gaussian", "length_ratio"]),
+    help="How they get there: by true time, interpolated, or averaged over the motion frame; "
+    "gaussian averages more; length_ratio only reproduces systems that ignored time.  "
+    "[default: linear]",
 )
 @channel_option
 @click.option(

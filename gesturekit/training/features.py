@@ -25,8 +25,9 @@ class FeatureConfig:
     """Extractors by name and settings, side by side."""
     weights: Path | None = None
     """The WavLM weights, where an extractor asks for them."""
-    align: Literal["mean", "linear"] = "mean"
-    """How features reach the motion's frames: mean of each frame's span, or linear in time."""
+    align: Literal["mean", "gaussian", "linear"] = "mean"
+    """How features reach the motion's frames: mean of each frame's span, those means averaged with
+    a standard deviation of a frame, or linear in time."""
 
     def extractor(self) -> Any:
         """The extractor.

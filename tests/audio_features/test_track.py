@@ -20,6 +20,15 @@ def ramp() -> FeatureTrack:
     return FeatureTrack(np.stack([times, -times], 1), times, {"kind": "test"}, ("a", "b"))
 
 
+def test_gaussian_calms_what_flickers_from_frame_to_frame():
+    flicker = np.resize([0.0, 1.0], 200)
+    slow = np.sin(np.arange(200) / 20)
+    track = FeatureTrack(np.stack([flicker, slow], 1).astype(np.float32), np.arange(200) / 25, {})
+    calm = track.to_rate(25, method="gaussian").values[3:-3]
+    assert np.ptp(calm[:, 0]) < 0.02 and abs(calm[:, 0].mean() - 0.5) < 0.01
+    assert np.abs(calm[:, 1] - slow[3:-3]).max() < 0.01
+
+
 @pytest.mark.parametrize("fps", [25, 30, 29.97, 120])
 def test_frames_are_placed_by_true_time(ramp, fps):
     track = ramp.to_rate(fps)
