@@ -32,7 +32,7 @@ from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.training.seeds import generator
 
 N_MOTION, N_CONDITION, CLIP = 70, 35, 300
-FEW = 20
+FEW = 12
 SCHEDULE = NoiseSchedule.of(NoiseConfig())
 CONFIG = NetworkConfig()
 ALLOCATOR = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": str(2**40)}
