@@ -322,7 +322,7 @@ class DiffusionModel:
         """
         if dtype not in _DTYPES:
             raise ModelError(f"dtype={dtype!r}: choose one of {', '.join(_DTYPES)}")
-        place = prepare_device(device, None)
+        place = prepare_device(device)
         model = load_model(
             folder, cls.kind, lambda parts: cls._assemble(parts, weights, str(place))
         )

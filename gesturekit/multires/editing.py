@@ -146,25 +146,21 @@ def over_keyframes(
 
     Finer levels and foot locking lead the root elsewhere, little by little. The whole motion is
     moved to meet what was edited: as much before the first such frame as at it, as much after the
-    last one, and in between from one to the next. Where nothing was edited, so that all is as free
-    as ever, it stays on `path`.
+    last one, and in between from one to the next.
 
     Args:
         representation: its root is the one that moves.
         motion: T frames.
         path: (T, 2) where the root would be without keyframes, x and z, m.
         wanted: (T_k, 2) where it was put.
-        edited: (T_k,) bool, in which frames.
+        edited: (T_k,) bool, in which frames; in one at least.
     """
+    frames = np.arange(len(path))
+    at = ((np.arange(len(wanted)) + 0.5) * len(path) / len(wanted) - 0.5)[edited]
+    missing = [wanted[edited, i] - np.interp(at, frames, path[:, i]) for i in range(path.shape[1])]
+    led = np.stack([_through(frames, at, values) for values in missing], axis=-1)
     offset = path - motion.positions()[:, representation.root][:, [0, 2]]
-    if edited.any():
-        frames = np.arange(len(path))
-        at = ((np.arange(len(wanted)) + 0.5) * len(path) / len(wanted) - 0.5)[edited]
-        missing = [
-            wanted[edited, i] - np.interp(at, frames, path[:, i]) for i in range(path.shape[1])
-        ]
-        led = np.stack([_through(frames, at, values) for values in missing], axis=-1)
-        offset += gaussian_filter1d(led, _EASE * motion.fps, axis=0, mode="nearest")
+    offset += gaussian_filter1d(led, _EASE * motion.fps, axis=0, mode="nearest")
     return moved(representation, motion, offset)
 
 

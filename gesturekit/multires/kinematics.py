@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -76,10 +78,10 @@ class VectorKinematics(nn.Module):
             )
         self.arms = [representation.joints.index(name) for name in arm_joints(skeleton)]
 
-    def _rotations(self, values: Tensor) -> Tensor:
-        """(B, T, K, 3, 3) of the modelled joints."""
-        sixd = values[:, : 6 * self.n_joints].transpose(1, 2)
-        return sixd_to_matrix(sixd.unflatten(-1, (self.n_joints, 6)))
+    def _rotations(self, values: Tensor, joints: Sequence[int] | slice = slice(None)) -> Tensor:
+        """(B, T, K, 3, 3) of the modelled joints, all of them or some."""
+        sixd = values[:, : 6 * self.n_joints].unflatten(1, (self.n_joints, 6))[:, joints]
+        return sixd_to_matrix(sixd.permute(0, 3, 1, 2))
 
     def _positions(self, values: Tensor) -> tuple[Tensor, Tensor]:
         """Joints (B, T, K, 3) and foot points (B, T, F, 3), metres, the root above the origin."""
@@ -147,8 +149,7 @@ class VectorKinematics(nn.Module):
 
     def _arms(self, values: Tensor, stride: float, smoothing: float) -> Tensor:
         """(B, 4, 3, 3, T) rotations of shoulders and elbows, smoothed over so many seconds."""
-        sixd = values[:, : 6 * self.n_joints].unflatten(1, (self.n_joints, 6))[:, self.arms]
-        rotations = sixd_to_matrix(sixd.permute(0, 3, 1, 2))
+        rotations = self._rotations(values, self.arms)
         return smooth(rotations.movedim(1, -1), smoothing * self.fps / stride)
 
 

@@ -491,7 +491,7 @@ class MultiresModel:
         """
         if dtype != "fp32":
             raise ModelError(f"dtype={dtype!r}: {folder} is a multires model, which is fp32 only")
-        device = str(prepare_device(device, None))
+        device = str(prepare_device(device))
         return load_model(
             folder, cls.kind, lambda parts: cls(**model_arguments(parts, weights, device))
         )

@@ -1,4 +1,4 @@
-"""Where a training computes."""
+"""Where networks compute, in training and in rendering."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from gesturekit.errors import ConfigError
 
 
-def prepare_device(name: str, threads: int | None) -> torch.device:
+def prepare_device(name: str, threads: int | None = None) -> torch.device:
     """The device of that name, told to compute the same thing every time.
 
     Args:

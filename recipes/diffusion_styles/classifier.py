@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 import gesturekit as gk
@@ -43,19 +46,35 @@ class Classifier:
         return (self._prepared(features) @ self.weights).argmax(1)
 
 
-def fit_classifier(model, manifest: Manifest) -> tuple[Classifier, float]:
-    """The classifier of the model's styles, and the share of held-out windows it gets right."""
-    found, labels = [], []
+@dataclass(frozen=True)
+class Recording:
+    """What a model was trained on: a motion as the model would write it, and its style's number."""
+
+    motion: gk.Motion
+    style: int
+
+
+def styled_recordings(
+    model, manifest: Manifest, encode: Callable[[gk.Motion], np.ndarray]
+) -> list[Recording]:
+    """The manifest's motions of the model's styles: the same joints move, and it faces the same
+    way, as `encode` has it."""
+    found = []
     for item in manifest:
         if item.motion is not None and item.style in model.styles:
-            # As the model would write it: the same joints move, and it faces the same way.
-            motion = item.load_motion().resample(model.fps)
-            values = model.representation.encode(motion)
+            values = encode(item.load_motion().resample(model.fps))
             motion = model.representation.decode(values, model.fps)
-            found.append(windows(motion))
-            labels.append(np.full(len(found[-1]), model.styles.index(item.style)))
-    features, styles = np.concatenate(found), np.concatenate(labels)
+            found.append(Recording(motion, model.styles.index(item.style)))
+    return found
+
+
+def fit_classifier(known: Sequence[Recording], count: int) -> tuple[Classifier, float, int]:
+    """A classifier of all of `count` styles, what one without each recording's last quarter gets
+    right of it, and how many windows that quarter has."""
+    found = [windows(recording.motion) for recording in known]
+    features = np.concatenate(found)
+    labels = [np.full(len(part), r.style) for part, r in zip(found, known, strict=True)]
+    styles = np.concatenate(labels)
     held = np.concatenate([np.arange(len(part)) >= 0.75 * len(part) for part in found])
-    count = len(model.styles)
     right = Classifier(features[~held], styles[~held], count)(features[held]) == styles[held]
-    return Classifier(features, styles, count), float(right.mean())
+    return Classifier(features, styles, count), float(right.mean()), int(held.sum())

@@ -30,7 +30,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from classifier import fit_classifier, windows
+from classifier import fit_classifier, styled_recordings, windows
 
 import gesturekit as gk
 from gesturekit.corpus.manifest import Manifest
@@ -65,7 +65,8 @@ def interpolation(make: Make, still: str, lively: str, out: Path) -> None:
 
 def guidance(make: Make, model, manifest: Manifest, out: Path) -> None:
     """Print and draw how often each style is heard, the more it is asked for."""
-    classifier, right = fit_classifier(model, manifest)
+    known = styled_recordings(model, manifest, model.representation.encode)
+    classifier, right, _ = fit_classifier(known, len(model.styles))
     chance = 1 / len(model.styles)
     print(f"\nclassifier: {right:.2f} of held-out windows right, chance {chance:.2f}")
     print("gamma | share of windows heard as their style")

@@ -11,7 +11,7 @@ Second table: the coarse levels in one style, the fine ones in another, all pair
 their mean posture nearest to the coarse style's, and how strong is what moves faster than 3 Hz:
 r over pairs with that of the recordings of the coarse style, and of the fine one.
 
-The classifier is that of `recipes/diffusion_styles/strength.py`: a ridge regression of means and
+The classifier is that of `recipes/diffusion_styles`: a ridge regression of means and
 spreads over 1.5 s.
 """
 
@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
 
@@ -32,40 +31,9 @@ from gesturekit.evaluation import coverage, patch_features, patch_scores
 from gesturekit.motion.heading import heading
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "diffusion_styles"))
-from strength import Classifier, windows
+from classifier import fit_classifier, styled_recordings, windows
 
 HERTZ = 3.0
-
-
-@dataclass(frozen=True)
-class Recording:
-    """What a model was trained on: a motion as the model would write it, and its style's number."""
-
-    motion: gk.Motion
-    style: int
-
-
-def recordings(model, manifest: Manifest) -> list[Recording]:
-    """The manifest's motions with the joints that the model moves, facing +Z on the whole."""
-    found = []
-    for item in manifest:
-        if item.motion is not None and item.style in model.styles:
-            motion = item.load_motion().resample(model.fps)
-            values = model.representation.encode(motion, turn=-heading(motion))
-            motion = model.representation.decode(values, model.fps)
-            found.append(Recording(motion, model.styles.index(item.style)))
-    return found
-
-
-def classifier_of(known: list[Recording], count: int) -> tuple[Classifier, float, int]:
-    """A classifier of all, and what one without each recording's last quarter gets right of it."""
-    found = [windows(recording.motion) for recording in known]
-    features = np.concatenate(found)
-    labels = [np.full(len(part), r.style) for part, r in zip(found, known, strict=True)]
-    styles = np.concatenate(labels)
-    held = np.concatenate([np.arange(len(part)) >= 0.75 * len(part) for part in found])
-    right = Classifier(features[~held], styles[~held], count)(features[held]) == styles[held]
-    return Classifier(features, styles, count), float(right.mean()), int(held.sum())
 
 
 def places(motion: gk.Motion) -> np.ndarray:
@@ -98,9 +66,13 @@ def main() -> None:
     parser.add_argument("--foot-lock", action="store_true", help="the recordings have none")
     asked = parser.parse_args()
     model = gk.load(asked.model)
-    known = recordings(model, Manifest.load(asked.corpus))
+    known = styled_recordings(
+        model,
+        Manifest.load(asked.corpus),
+        lambda motion: model.representation.encode(motion, turn=-heading(motion)),
+    )
     count = len(model.styles)
-    classifier, right, held = classifier_of(known, count)
+    classifier, right, held = fit_classifier(known, count)
     print(f"classifier: {right:.2f} of {held} held-out windows right, chance {1 / count:.2f}\n")
 
     print("style | samples | windows | coverage | of the mean pose | local diversity")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +19,9 @@ from gesturekit.training.config import load_config, read_chain
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = sorted((ROOT / "recipes").glob("*/*.yaml"))
+SCRIPTS = sorted(
+    path for path in (ROOT / "recipes").glob("*/*.py") if "__main__" in path.read_text("utf-8")
+)
 
 # What makes a recipe of each system a matter of a second. What a recipe is about (features, losses,
 # steps, noise, FiLM, joints) stays as it is.
@@ -143,6 +148,13 @@ def test_every_recipe_has_a_page_that_names_its_configurations(folder):
     page = (folder / "README.md").read_text(encoding="utf-8")
     for path in folder.glob("*.yaml"):
         assert path.name in page, f"{folder.name}/README.md does not say what {path.name} is"
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
+def test_every_script_starts_and_says_what_it_wants(script):
+    asked = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True)
+    assert asked.returncode == 0, asked.stderr
+    assert "usage:" in asked.stdout
 
 
 def test_fine_tuning_goes_on_from_what_pretraining_made(corpus, idle, tmp_path):
