@@ -101,18 +101,19 @@ def keep_unedited(
 
 
 def lock_feet_but(
-    motion: Motion, contacts: np.ndarray, given: np.ndarray, *, keep_path: bool
+    motion: Motion, contacts: np.ndarray, given: np.ndarray | None, *, keep_path: bool
 ) -> Motion:
     """`lock_feet`, coming and going where feet are to stay as they were given.
 
     Args:
         motion: T frames.
         contacts: (T, C) labels.
-        given: (T,) 1 where the motion stays as it is, 0 where feet are locked.
+        given: (T,) 1 where the motion stays as it is, 0 where feet are locked; None locks them
+            everywhere.
         keep_path: see `lock_feet`.
     """
     locked = lock_feet(motion, contacts, keep_path=keep_path)
-    if not given.any():
+    if given is None or not given.any():
         return locked
     given = given[:, None]
 
@@ -138,8 +139,8 @@ def lock_feet_but(
 def over_keyframes(
     representation: MultiresRepresentation,
     motion: Motion,
-    path: np.ndarray,
-    wanted: np.ndarray,
+    led: Motion,
+    wanted: Motion,
     edited: np.ndarray,
 ) -> Motion:
     """A motion whose root is over the ground where it was put in edited frames.
@@ -151,16 +152,21 @@ def over_keyframes(
     Args:
         representation: its root is the one that moves.
         motion: T frames.
-        path: (T, 2) where the root would be without keyframes, x and z, m.
-        wanted: (T_k, 2) where it was put.
-        edited: (T_k,) bool, in which frames; in one at least.
+        led: T frames, its root where it would be without keyframes.
+        wanted: T_k frames, its root where it was put.
+        edited: (T_k,) bool, in which of them; in one at least.
     """
+    path, goals = ground_places(representation, led), ground_places(representation, wanted)
     frames = np.arange(len(path))
-    at = ((np.arange(len(wanted)) + 0.5) * len(path) / len(wanted) - 0.5)[edited]
-    missing = [wanted[edited, i] - np.interp(at, frames, path[:, i]) for i in range(path.shape[1])]
-    led = np.stack([_through(frames, at, values) for values in missing], axis=-1)
-    offset = path - motion.positions()[:, representation.root][:, [0, 2]]
-    offset += gaussian_filter1d(led, _EASE * motion.fps, axis=0, mode="nearest")
+    at = ((np.arange(len(goals)) + 0.5) * len(path) / len(goals) - 0.5)[edited]
+    missing = [goals[edited, i] - np.interp(at, frames, path[:, i]) for i in range(path.shape[1])]
+    offset = path - ground_places(representation, motion)
+    offset += gaussian_filter1d(
+        np.stack([_through(frames, at, values) for values in missing], axis=-1),
+        _EASE * motion.fps,
+        axis=0,
+        mode="nearest",
+    )
     return moved(representation, motion, offset)
 
 
@@ -169,6 +175,11 @@ def _through(frames: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarr
     if len(at) == 1:
         return np.full(len(frames), values[0])
     return PchipInterpolator(at, values)(frames.clip(at[0], at[-1]))
+
+
+def ground_places(representation: MultiresRepresentation, motion: Motion) -> np.ndarray:
+    """(T, 2) where the model's root is over the ground, x and z, m."""
+    return motion.positions()[:, representation.root][:, [0, 2]]
 
 
 def moved(representation: MultiresRepresentation, motion: Motion, offset: np.ndarray) -> Motion:

@@ -105,16 +105,21 @@ class KeyframeHold:
     """Holds what is slow in a motion to keyframes, and leaves to finer levels what is fast.
 
     Args:
-        given: (1, D, T_k) normalised, the coarse level that was edited.
+        given: (T_k, D) vectors of the coarse level that was edited.
         edited: (T_k, D) bool, what of it was edited; see `editing.keep_unedited`.
-        representation: contact labels are not held, as edited files have none.
+        representation: of the vectors; contact labels are not held, as edited files have none.
+        normaliser: of the vectors.
     """
 
     def __init__(
-        self, given: Tensor, edited: np.ndarray, representation: MultiresRepresentation
+        self,
+        given: np.ndarray,
+        edited: np.ndarray,
+        representation: MultiresRepresentation,
+        normaliser: Normaliser,
     ) -> None:
-        self.given = given
-        self.weight = _spread(edited.any(axis=1)).to(given.dtype)
+        self.given = normalised(normaliser, given)
+        self.weight = _spread(edited.any(axis=1)).to(self.given.dtype)
         self.channels = torch.ones(given.shape[1], 1)
         self.channels[representation.contact_columns] = 0
         free = np.ones(given.shape[1], bool)

@@ -17,7 +17,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.rotations import slerp
 from gesturekit.multires.data import Normaliser
-from gesturekit.multires.editing import moved
+from gesturekit.multires.editing import ground_places, moved
 from gesturekit.multires.holding import (
     believable_steps,
     normalised,
@@ -86,14 +86,17 @@ class KeptParts:
         """m/s that the body must travel over the ground between two parts, at the most."""
         speeds = [0.0]
         for (begin, part), (after, other) in zip(self.parts, self.parts[1:], strict=False):
-            way = self._places(other)[0] - self._places(part)[-1]
+            way = (
+                ground_places(self.representation, other)[0]
+                - ground_places(self.representation, part)[-1]
+            )
             frames = after - begin - part.n_frames + 1
             speeds.append(float(np.linalg.norm(way)) * self.fps / frames)
         return max(speeds)
 
-    def hold(self, normaliser: Normaliser, lengths: list[int], margin: int) -> _PartsHold:
+    def hold(self, normaliser: Normaliser, lengths: list[int], margin: int) -> PartsHold:
         """What holds each level to the parts; `lengths` include a margin before and after."""
-        return _PartsHold(self, normaliser, lengths, margin)
+        return PartsHold(self, normaliser, lengths, margin)
 
     def given(self, n_frames: int) -> np.ndarray:
         """(T,) 1 in the parts, falling to 0 beside them, over `_BLEND`."""
@@ -112,7 +115,10 @@ class KeptParts:
         """What the last level made (T, D) as a motion, in the parts' world."""
         motion = self.representation.decode(turned(values, self.facing), self.fps)
         begin, part = self.parts[0]
-        missing = self._places(part)[0] - self._places(motion)[begin]
+        missing = (
+            ground_places(self.representation, part)[0]
+            - ground_places(self.representation, motion)[begin]
+        )
         return moved(self.representation, motion, missing)
 
     def restored(self, motion: Motion) -> Motion:
@@ -150,12 +156,17 @@ class KeptParts:
         inside = any(begin <= frame < begin + part.n_frames for begin, part in self.parts)
         return 0 <= frame < n_frames and not inside
 
-    def _places(self, motion: Motion) -> np.ndarray:
-        """(T, 2) the model's root over the ground."""
-        return motion.positions()[:, self.representation.root][:, [0, 2]]
 
+class PartsHold:
+    """Holds each level to the parts (see `holding`), and draws what is beside them to their ends.
 
-class _PartsHold:
+    Args:
+        kept: the parts.
+        normaliser: of the vectors.
+        lengths: frames of each level, margins included.
+        margin: frames before the motion and after it.
+    """
+
     def __init__(
         self, kept: KeptParts, normaliser: Normaliser, lengths: list[int], margin: int
     ) -> None:
@@ -169,7 +180,7 @@ class _PartsHold:
             span = begin + margin, begin + margin + part.n_frames
             values[slice(*span)] = representation.encode(part, turn=-kept.facing)
             self.spans.append(span)
-            places.append(turned_plane(kept._places(part), -kept.facing))
+            places.append(turned_plane(ground_places(representation, part), -kept.facing))
         # Metres that the free frames between two parts must travel; a part's first frame makes
         # the step that leads into it.
         self.ways = [

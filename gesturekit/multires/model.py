@@ -3,64 +3,33 @@
 from __future__ import annotations
 
 import json
-import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-import torch
 from torch import Tensor
 
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner, hear
 from gesturekit.errors import ModelError
-from gesturekit.formats.root_path import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.chunks import Condition, LevelConditions, sample
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.data import Normaliser
-from gesturekit.multires.editing import (
-    full_frames,
-    keep_unedited,
-    level_motion,
-    lock_feet_but,
-    motion_level,
-    moved,
-    over_keyframes,
-)
-from gesturekit.multires.holding import (
-    Hold,
-    KeyframeHold,
-    PathHold,
-    fastest_second,
-    normalised,
-    plain_values,
-)
+from gesturekit.multires.generation import Generation
 from gesturekit.multires.interpolation import resample
-from gesturekit.multires.keeping import KeptParts
 from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
 from gesturekit.multires.networks import MultiresGenerator
-from gesturekit.multires.noise import Recall
-from gesturekit.multires.styles import asked_styles, level_track
-from gesturekit.postprocess import smooth_motion
+from gesturekit.multires.pyramid import Pyramid
+from gesturekit.multires.request import Request
+from gesturekit.multires.styles import level_track
 from gesturekit.training.device import prepare_device
 from gesturekit.training.model_folder import load_model, model_readme, save_model
-from gesturekit.training.seeds import generator
 
 _MARGIN_COARSE = 2
 """Frames of the first level that are made before a motion and after it, and cut off."""
-
-
-_TOO_FAST = 1.25
-_STROLL = 0.1
-"""Times the fastest second in training, and m/s: faster than both is worth a warning."""
-
-log = logging.getLogger(__name__)
 
 
 class MultiresModel:
@@ -199,107 +168,26 @@ class MultiresModel:
                 nor seconds.
             AudioError: the speech cannot be read.
         """
-        unknown = {"events": events, "guidance": guidance}
-        if not self.styles:
-            unknown |= {"style": style, "level_style": level_style}
-        self._check(unknown, speaker, samples, {"levels": levels, "keyframe_level": keyframe_level})
-        seconds_smoothed = self.smooth if smooth is None else smooth
-        n_levels = self.network_config.levels
-        controls = {"path": path, "keyframes": keyframes, "like": like, "keep": keep}
-        named = [name for name, value in controls.items() if value is not None]
-        # A coarse level is edited frame by frame: its own frames, and none around them.
-        whole = keyframes is None and like is None and levels in (None, n_levels)
-        if len(named) > 1 or (named in (["path"], ["keep"]) and not whole):
-            raise ModelError(f"{' and '.join(named)}: give one of them, and all levels with it")
-        if keep is not None and speaker is not None:
-            raise ModelError("keep goes without speaker: what is kept has a body of its own")
-        skeleton = None if speaker is None else self.speakers[speaker]
-        start = keyframes if like is None else like
-        if isinstance(start, (str, Path)):
-            start = Motion.load(start)
-        if start is not None and speech is None and seconds is None:
-            seconds = full_frames(start, self.fps) / self.fps
-        kept = None if keep is None else KeptParts(keep, self.representation, self.fps)
-        if kept is not None and speech is None and seconds is None:
-            seconds = kept.end / self.fps
-        if path is not None:
-            path = as_root_path(path)
-        if path is not None and speech is None and seconds is None:
-            seconds = path.frames_within(self.fps) / self.fps
-        features = hear(self.conditioner, speech, seconds, self.fps)
-        n_frames = len(features)
-        if kept is not None and kept.end > n_frames:
-            raise ModelError(
-                f"keep: the last part ends at {kept.end / self.fps:g} s, after the motion's end "
-                f"({n_frames / self.fps:g} s)"
-            )
-        margin = self.margin if whole else 0
-        # Mirrored, the speech goes on as it is at its ends: talking or silent.
-        features = np.pad(features, ((margin, margin), (0, 0)), mode="reflect")
-        lengths = af.level_lengths(len(features), n_levels)
-        along = held = None
-        if path is not None:
-            path = path.resample(self.fps, n_frames)
-            size = self.representation.size_of(skeleton)
-            own = replace(path, positions=path.positions / size)
-            held = along = PathHold(own, self.representation, self.normaliser, lengths, margin)
-            steps = np.diff(own.positions, axis=0)
-            self._warn_of_speed("the path", fastest_second(steps, self.fps))
-        elif kept is not None:
-            self._warn_of_speed("between the kept parts the body", kept.fastest_gap())
-            held = kept.hold(self.normaliser, lengths, margin)
-
-        def motion(number: int) -> Motion:
-            told: list[Tensor] = []
-            if self.styles:
-                rng = generator(seed, "sample", number, "style")
-                told = asked_styles(self.styles, style, level_style, lengths, self.fps, rng, margin)
-            condition = self._condition(features, lengths, told)
-            given = np.zeros(n_frames) if kept is None else kept.given(n_frames)
-            wanted, edited = None, np.zeros(0, bool)
-            if start is not None:
-                values, touched = self._in_place(
-                    start, keyframe_level - 1, condition, lengths, seed, number
-                )
-                coarse = normalised(self.normaliser, values)
-                hold = None
-                if like is None:
-                    hold = KeyframeHold(coarse, touched, self.representation)
-                    edited = touched.any(axis=1)
-                    wanted = level_motion(self.representation, values, self.fps, n_frames)
-                    given = hold.stepped(n_frames)
-                vectors = self._above(coarse, keyframe_level, condition, lengths, hold)
-            else:
-                vectors = self._sample(condition, lengths[:levels], seed, number, held)
-            values = self._values(vectors)
-            if along is not None:
-                values = along.placed(values)
-            values = values[margin : len(values) - margin]
-            if start is None and not whole:
-                return level_motion(self.representation, values, self.fps, lengths[-1])
-            if kept is not None:
-                made = kept.placed(values)
-            else:
-                made = self.representation.decode(values, self.fps, skeleton=skeleton)
-            if path is not None:
-                made = moved(self.representation, made, path.positions[0])
-            if seconds_smoothed:
-                made = smooth_motion(made, seconds_smoothed)
-            free = made
-            if foot_lock:
-                labels = self.representation.contacts(values)
-                made = lock_feet_but(free, labels, given, keep_path=held is not None)
-            if edited.any():
-                made = over_keyframes(
-                    self.representation, free, self._path(made), self._path(wanted), edited
-                )
-                if foot_lock:
-                    made = lock_feet_but(made, labels, given, keep_path=True)
-            return made if kept is None else kept.restored(made)
-
-        # One motion at a time: in a batch, sums would be made in another order, and a motion
-        # would depend on how many were asked for.
-        motions = [motion(number) for number in range(samples)]
+        request = Request.of(
+            self,
+            speech=speech,
+            seconds=seconds,
+            samples=samples,
+            seed=seed,
+            style=style,
+            level_style=level_style,
+            speaker=speaker,
+            levels=levels,
+            keyframes=keyframes,
+            keyframe_level=keyframe_level,
+            like=like,
+            path=path,
+            keep=keep,
+            foot_lock=foot_lock,
+            smooth=smooth,
+            unknown={"events": events, "guidance": guidance},
+        )
+        motions = Generation(self, request).motions()
         return motions[0] if samples == 1 else motions
 
     def reconstruct(self, name: str, speech: str | Path | af.Wave | None = None) -> Motion:
@@ -329,123 +217,9 @@ class MultiresModel:
         if self.styles:
             track = level_track(self.styles, sequence.style or "", lengths[-1], self.fps)
             told = [resample(track, n)[None] for n in lengths]
-        noises = [self.z_star[name].reshape(1, -1, lengths[0]), *[None] * (len(lengths) - 1)]
-        condition = self._condition(features, lengths, told)
-        vectors = sample(self.network, noises, lengths, condition)
-        return self.representation.decode(self._values(vectors), self.fps)
-
-    def _path(self, motion: Motion) -> np.ndarray:
-        """(T, 2) where the root is over the ground, x and z, m."""
-        return motion.positions()[:, self.representation.root][:, [0, 2]]
-
-    def _check(
-        self,
-        unknown: Mapping[str, Any],
-        speaker: str | None,
-        samples: int,
-        levels: Mapping[str, int | None],
-    ) -> None:
-        """Whether the model can do what it is asked."""
-        for name, value in unknown.items():
-            if value is not None:
-                raise ModelError(f"{name}={value!r}: this multires model knows no {name}")
-        if speaker is not None and speaker not in self.speakers:
-            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
-            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
-        if samples < 1:
-            raise ModelError(f"samples={samples}: ask for at least 1")
-        count = self.network_config.levels
-        for name, level in levels.items():
-            if level is not None and not 1 <= level <= count:
-                raise ModelError(f"{name}={level}: the model has levels 1 (coarse) to {count}")
-
-    def _in_place(
-        self,
-        motion: Motion,
-        level: int,
-        condition: Condition | None,
-        lengths: list[int],
-        seed: int,
-        number: int,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(T_i, D) vectors of a motion in the place of a level, and which of them were edited."""
-        values = motion_level(self.representation, motion, self.fps, lengths, level)
-        if motion.n_frames != lengths[level]:
-            return values, np.ones(values.shape, bool)
-        # Perhaps an edit of what this seed made.
-        made = self._values(self._sample(condition, lengths[: level + 1], seed, number))
-        unedited = level_motion(self.representation, made, self.fps, lengths[-1])
-        read = motion_level(self.representation, unedited, self.fps, lengths, level)
-        return keep_unedited(values, made, read)
-
-    def _above(
-        self,
-        coarse: Tensor,
-        above: int,
-        condition: Condition | None,
-        lengths: list[int],
-        hold: Hold | None,
-    ) -> Tensor:
-        """(1, D, T) what the levels from `above` on make of a level (1, D, T_i) below them."""
-        return sample(
-            self.network,
-            [None] * (len(lengths) - above),
-            lengths[above:],
-            condition,
-            first=above,
-            coarser=coarse,
-            hold=hold,
-        )
-
-    def _condition(
-        self, features: np.ndarray, lengths: Sequence[int], styles: Sequence[Tensor]
-    ) -> Condition | None:
-        """What each level is told; None where there is nothing to tell."""
-        if not features.shape[1] and not styles:
-            return None
-        return LevelConditions(features, lengths, self.residual, styles)
-
-    def _sample(
-        self,
-        condition: Condition | None,
-        lengths: list[int],
-        seed: int,
-        number: int,
-        hold: Hold | None = None,
-    ) -> Tensor:
-        """(1, D, T) normalised motion vectors of sample `number`, margins included."""
-        rng = generator(seed, "sample", number, "level", 1)
-        noises = [self._noise(condition, lengths[0], rng), *[None] * (len(lengths) - 1)]
-        return sample(self.network, noises, lengths, condition, hold=hold)
-
-    def _noise(self, condition: Condition | None, n_frames: int, rng: torch.Generator) -> Tensor:
-        """(1, 1 or D, T_1) that a random motion begins with."""
-        if not self.recall:
-            return torch.randn(1, 1, n_frames, generator=rng) * self.sigma[:, 0].mean()
-        names = sorted(self.z_star)
-        owners, wanted = [0] * len(names), [0] * n_frames
-        if self.styles:
-            owners = [self.styles.index(self.sequences[name].style) for name in names]
-            told = condition(0, 0, n_frames)[0, -len(self.styles) :]
-            wanted = told.argmax(dim=0).tolist()
-        return Recall([self.z_star[name] for name in names], owners, self.recall)(wanted, rng)
-
-    def _values(self, vectors: Tensor) -> np.ndarray:
-        """(T, 6 K + C + 3) normalised vectors (1, D, T) in their own units."""
-        values = plain_values(self.normaliser, vectors)
-        if not np.isfinite(values).all():
-            raise ModelError("the model gave NaN; its weights are damaged or it was trained badly")
-        return values
-
-    def _warn_of_speed(self, what: str, speed: float) -> None:
-        if self.fastest is not None and speed > max(_TOO_FAST * self.fastest, _STROLL):
-            log.warning(
-                "%s goes %.2f m/s; nothing in the training was faster than %.2f m/s, and feet will "
-                "slide",
-                what,
-                speed,
-                self.fastest,
-            )
+        noise = self.z_star[name].reshape(1, -1, lengths[0])
+        values = Pyramid(self, lengths, features, told).from_noise(noise)
+        return self.representation.decode(values, self.fps)
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
