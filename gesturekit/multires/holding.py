@@ -171,7 +171,8 @@ def fastest_second(steps: np.ndarray, fps: float) -> float:
     """m/s of the fastest second (or of all that there is) of steps over the ground, (T, 2)."""
     window = max(1, min(len(steps), round(fps)))
     way = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    return float(np.linalg.norm(way[window:] - way[:-window], axis=1).max() * fps / window)
+    far = np.linalg.norm(way[window:] - way[:-window], axis=1)
+    return float(far.max(initial=0.0) * fps / window)  # a single frame has no steps
 
 
 def turned_plane(plane: np.ndarray, angle: np.ndarray | float) -> np.ndarray:

@@ -77,6 +77,7 @@ def test_the_root_follows_a_path_and_faces_along_it(model):
     free = model.generate(seconds=10.0, seed=1)
     shorter = model.generate(path=path, seconds=2.0, seed=1)
     assert shorter.n_frames == 50
+    assert model.generate(path=path, seconds=0.04, seed=1).n_frames == 1
     arms = [made.skeleton.index(name) for name in ("LeftArm", "RightArm")]
     spread, own = (np.ptp(motion.rotations[:, arms], axis=0).mean() for motion in (made, free))
     assert 0.5 < spread / own < 2
