@@ -141,16 +141,18 @@ class MultiresModel:
                 and seconds it decides the length; past its end the body stays there.
             events: this kind of model has none.
             guidance: this kind of model has none.
-            speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
+            speaker: whose body to move: one of `speakers`; None takes the reference skeleton, as
+                does a motion of fewer `levels`, whoever is asked for.
             level_style: styles of single levels, 1 the coarsest, which go before `style`:
                 `1-4=describe,5-8=angry`.
             levels: stop after so many levels; the motion has their lower frame rate. Edited, it
                 comes back as `keyframes`. It is made without margins, and so is not the beginning
-                of what the same seed makes whole.
+                of what the same seed makes whole. With `keyframes` or `like` all are made.
             keyframes: a motion that takes the place of a coarse level; the finer levels add
-                detail, and what is slow stays as it is given. It decides the length, and all but
-                this: where it is what this `seed` made by `levels`, the untouched parts are taken
-                as they were made. Of the model's rig, or of another one that moves like it.
+                detail, and what is slow stays as it is given. Without speech and seconds it decides
+                the length, and always all but this: where it is what this `seed` made by `levels`,
+                the untouched parts are taken as they were made. Of the model's rig, or of another
+                one that moves like it.
             keyframe_level: which level that is, 1 the coarsest.
             like: as `keyframes`, but the finer levels may change all of it: a motion done in the
                 manner of the model (style transfer).
@@ -166,7 +168,8 @@ class MultiresModel:
         Raises:
             ModelError: a control, style or speaker this model does not have, or neither speech
                 nor seconds.
-            AudioError: the speech cannot be read.
+            AudioError, FormatError: a file cannot be read.
+            MotionError: a `smooth` below 0.
         """
         request = Request.of(
             self,
