@@ -26,6 +26,8 @@ _EASE = 0.1
 """Seconds; how softly a motion sets out for an edited place."""
 _UNTOUCHED = 0.01
 """Vectors nearer than this (6D entries, labels, m) differ by the rounding of a file alone."""
+_UNMOVED = 1e-4
+"""So do steps of the root, m per frame, that are nearer than this: they add up."""
 
 
 def level_motion(
@@ -94,7 +96,9 @@ def keep_unedited(
     Returns:
         the vectors, and (T_i, D) bool, what of them was edited.
     """
-    same = np.abs(edited - read) < _UNTOUCHED
+    near = np.full(edited.shape[1], _UNTOUCHED)
+    near[[-3, -1]] = _UNMOVED
+    same = np.abs(edited - read) < near
     if not same.all(axis=1).any():
         return edited, np.ones(edited.shape, bool)
     return np.where(same, made, edited), ~same

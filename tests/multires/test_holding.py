@@ -167,6 +167,19 @@ def test_an_edit_is_reached_and_the_rest_stays(model):
     assert np.abs(like.rotations - made.rotations).max() > 1e-3
 
 
+@pytest.mark.parametrize("speed", [0.1, 0.5])
+def test_a_body_that_was_moved_is_where_it_was_put(model, speed, tmp_path):
+    coarse = model.generate(seconds=8.0, seed=1, levels=2)
+    way = np.clip((coarse.times - 2.0) / 2.0, 0, 1)[:, None] * [2.0 * speed, 0.0, 0.0]
+    edit = replace(coarse, translation=coarse.translation + way)
+    edit.save(tmp_path / "edit.bvh")
+    made = model.generate(keyframes=tmp_path / "edit.bvh", keyframe_level=2, seed=1)
+    at = np.flatnonzero(coarse.times > 4.0)[0]
+    frame = round((at + 0.5) * made.n_frames / coarse.n_frames - 0.5)
+    apart = (made.positions()[frame, 0] - edit.positions()[at, 0])[[0, 2]]
+    assert np.linalg.norm(apart) < 0.05
+
+
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
