@@ -12,6 +12,9 @@ from gesturekit.corpus.manifest import Manifest
 
 WINDOW_SECONDS = 1.5
 RIDGE = 30.0
+LEAST = 0.01
+"""Metres. What differs by less than this between recordings counts as if it differed by so much:
+their feet stand still to a tenth of a millimetre, and a foot that moves by one is no style."""
 
 
 def windows(motion: gk.Motion) -> np.ndarray:
@@ -33,7 +36,7 @@ class Classifier:
     """Ridge regression from standardised windows onto one-hot styles."""
 
     def __init__(self, features: np.ndarray, styles: np.ndarray, count: int) -> None:
-        self.mean, self.scale = features.mean(0), features.std(0) + 1e-6
+        self.mean, self.scale = features.mean(0), np.maximum(features.std(0), LEAST)
         x = self._prepared(features)
         target = np.eye(count)[styles]
         self.weights = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ target)
