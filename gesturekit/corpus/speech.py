@@ -27,6 +27,9 @@ Heard = tuple[np.ndarray, np.ndarray]
 _ACTIVITY_HOP = 0.01
 """Seconds between two frames of speech activity."""
 
+_LONGEST_SECONDS = 86_400.0
+"""Of motion without speech: a slip of the keyboard shall not ask for all memory."""
+
 _FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in memory once
 
 
@@ -137,8 +140,8 @@ def hear(
         fps: frames per second of the motion.
 
     Raises:
-        ModelError: speech for a model that does not hear, neither speech nor seconds or both, or
-            less than a frame of them.
+        ModelError: speech for a model that does not hear, neither speech nor seconds or both, less
+            than a frame of them, or more than a day.
         AudioError: the speech cannot be read.
     """
     if speech is not None:
@@ -162,6 +165,8 @@ def hear(
     n_frames = int(np.floor(seconds * fps + 0.5)) if np.isfinite(seconds) else 0
     if n_frames < 1:
         raise ModelError(f"seconds={seconds}: must be at least one frame ({1 / fps:g} s)")
+    if seconds > _LONGEST_SECONDS:
+        raise ModelError(f"seconds={seconds:g}: at most {_LONGEST_SECONDS:g} (a day) at a time")
     if conditioner is None:
         return np.zeros((n_frames, 0), np.float32)
     return conditioner.silence(n_frames)

@@ -141,13 +141,12 @@ class MultiresModel:
                 and seconds it decides the length; past its end the body stays there.
             events: this kind of model has none.
             guidance: this kind of model has none.
-            speaker: whose body to move: one of `speakers`; None takes the reference skeleton, as
-                does a motion of fewer `levels`, whoever is asked for.
+            speaker: whose body to move: one of `speakers`; None takes the reference skeleton.
             level_style: styles of single levels, 1 the coarsest, which go before `style`:
                 `1-4=describe,5-8=angry`.
             levels: stop after so many levels; the motion has their lower frame rate. Edited, it
                 comes back as `keyframes`. It is made without margins, and so is not the beginning
-                of what the same seed makes whole. With `keyframes` or `like` all are made.
+                of what the same seed makes whole. Nothing but style and speech goes with it.
             keyframes: a motion that takes the place of a coarse level; the finer levels add
                 detail, and what is slow stays as it is given. Without speech and seconds it decides
                 the length, and always all but this: where it is what this `seed` made by `levels`,

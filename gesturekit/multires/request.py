@@ -99,7 +99,8 @@ class Request:
         n_levels = model.network_config.levels
         whole = start is None and levels in (None, n_levels)
         leads = {"path": path, "keyframes": keyframes, "like": like, "keep": keep}
-        _check_together([name for name, lead in leads.items() if lead is not None], whole, speaker)
+        named = [name for name, lead in leads.items() if lead is not None]
+        _check_together(named, levels not in (None, n_levels), speaker)
         if isinstance(start, (str, Path)):
             start = Motion.load(start)
         kept = None if keep is None else KeptParts(keep, model.representation, model.fps)
@@ -158,10 +159,14 @@ def _check_levels(model: MultiresModel, **levels: int | None) -> None:
             raise ModelError(f"{name}={level}: the model has levels 1 (coarse) to {count}")
 
 
-def _check_together(leads: list[str], whole: bool, speaker: str | None) -> None:
-    """Of what may lead a motion one at most, with all levels where they are made from noise."""
-    if len(leads) > 1 or (leads in (["path"], ["keep"]) and not whole):
-        raise ModelError(f"{' and '.join(leads)}: give one of them, and all levels with it")
+def _check_together(leads: list[str], fewer_levels: bool, speaker: str | None) -> None:
+    """Of what may lead a motion one at most, and with all levels."""
+    if len(leads) > 1:
+        raise ModelError(f"{' and '.join(leads)}: give one of them")
+    if fewer_levels and leads:
+        raise ModelError(f"{leads[0]} goes with all levels: leave levels away")
+    if fewer_levels and speaker is not None:
+        raise ModelError("speaker goes with all levels: coarse ones move the reference skeleton")
     if leads == ["keep"] and speaker is not None:
         raise ModelError("keep goes without speaker: what is kept has a body of its own")
 

@@ -188,12 +188,16 @@ def test_a_body_that_was_moved_is_where_it_was_put(model, speed, tmp_path):
         ({"keep": {-1.0: "clip"}}, "0 or later"),
         ({"keep": {0.0: "clip"}, "seconds": 1.0}, "after the motion's end"),
         ({"keep": {0.0: "clip"}, "path": circle(2.0)}, "path and keep: give one"),
-        ({"path": circle(2.0), "levels": 2}, "all levels"),
+        ({"path": circle(2.0), "levels": 2}, "path goes with all levels"),
+        ({"keyframes": "clip", "levels": 2}, "keyframes goes with all levels"),
+        ({"keep": {1e9: "clip"}}, "at most 86400"),
     ],
 )
 def test_what_cannot_be_held_is_told(model, gesture, asked, message):
     if "keep" in asked:
         asked = asked | {"keep": {second: gesture(2.0) for second in asked["keep"]}}
+    if "keyframes" in asked:
+        asked = asked | {"keyframes": gesture(2.0)}
     with pytest.raises(ModelError, match=message):
         model.generate(**asked)
 
