@@ -35,6 +35,7 @@ class Windows:
         speech: (N, S, T_i) the same speech, not residual, for the arm-speed loss of random steps;
             None where nothing asks for it.
         targets: (N, D, T_i) recorded motion; None on random steps, which have none.
+        styles: (N, L) number of the style at each level of all; 0 where there are none.
     """
 
     coarser: Tensor | None
@@ -42,6 +43,7 @@ class Windows:
     conditions: tuple[Tensor, ...]
     speech: tuple[Tensor, ...] | None
     targets: tuple[Tensor, ...] | None
+    styles: Tensor
 
     def take(self, index: Tensor) -> Windows:
         """The windows at these numbers, (B,)."""
@@ -55,6 +57,7 @@ class Windows:
             conditions=rows(self.conditions),
             speech=None if self.speech is None else rows(self.speech),
             targets=None if self.targets is None else rows(self.targets),
+            styles=self.styles[index],
         )
 
 
@@ -92,8 +95,18 @@ class Bank:
         self.sigma = torch.stack([sequence.sigma for sequence in data.paired]).mean(dim=0)
         self.recall = recall(data, config)
 
-    def random(self, n_frames: int, first: int, count: int, rng: torch.Generator) -> Windows:
-        """Windows for random-generation steps: unpaired speech, fresh noise, no recorded motion."""
+    def random(
+        self,
+        sequences: Sequence[PairedSequence],
+        n_frames: int,
+        first: int,
+        count: int,
+        rng: torch.Generator,
+    ) -> Windows:
+        """Windows for random-generation steps: unpaired speech, fresh noise, no recorded motion.
+
+        They begin with a style of one of these recordings, beside which a discriminator sees them.
+        """
         schedule = self.config.schedule
         speech = torch.stack([self.data.speech_window(n_frames, rng) for _ in range(count)])
         quiet = torch.rand(count, generator=rng) < schedule.silence
@@ -103,13 +116,21 @@ class Bank:
             torch.randn(count, 1, n, generator=rng) * sigma
             for n, sigma in zip(lengths, self.sigma, strict=True)
         ]
-        styles = None
+        styles = torch.zeros(count, len(lengths), dtype=torch.long)
         if self.config.styles is not None:
             levels, mixing = self.config.network.levels, self.config.styles.mixing
-            styles = mixed_styles(self.data.style_shares, count, levels, mixing, rng)
+            styles = mixed_styles(
+                self.data.style_shares(sequences),
+                self.data.style_shares(self.data.paired),
+                count,
+                levels,
+                mixing,
+                rng,
+            )
         if self.recall is not None:
-            coarsest = [0] * count if styles is None else styles[:, 0].tolist()
-            noises[0] = torch.cat([self.recall([own] * lengths[0], rng) for own in coarsest])
+            noises[0] = torch.cat(
+                [self.recall([own] * lengths[0], rng) for own in styles[:, 0].tolist()]
+            )
         return self._windows(n_frames, first, speech, styles, noises, None)
 
     def paired(
@@ -152,14 +173,19 @@ class Bank:
         first: int,
         count: int,
         rng: torch.Generator,
+        styles: Sequence[int] | None = None,
     ) -> list[Tensor]:
-        """Recorded motion (B, D, T_i) for the discriminators of the pair."""
+        """Recorded motion (B, D, T_i) for the discriminators of the pair, of these styles."""
         lengths = af.level_lengths(n_frames, self.config.network.levels)[first : first + 2]
+        if styles is None:
+            windows = list(random_windows(sequences, n_frames, count, rng))
+        else:
+            windows = []
+            for style in styles:
+                own = [sequence for sequence in sequences if sequence.style == style]
+                windows += random_windows(own, n_frames, 1, rng)
         motion = torch.stack(
-            [
-                sequence.motion[:, start : start + n_frames]
-                for sequence, start in random_windows(sequences, n_frames, count, rng)
-            ]
+            [sequence.motion[:, start : start + n_frames] for sequence, start in windows]
         ).to(self.device)
         return [resample(motion, n) for n in lengths]
 
@@ -169,13 +195,13 @@ class Bank:
         n_frames: int,
         first: int,
         speech: Tensor,
-        styles: Tensor | None,
+        styles: Tensor,
         noises: list[Tensor | None],
         motion: Tensor | None,
     ) -> Windows:
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         told = []
-        if styles is not None and self.data.styles:
+        if self.data.styles:
             told = style_levels(styles, len(self.data.styles), lengths)
         conditions = condition_levels(speech, lengths, self.config.residual, told)
         to = self.device
@@ -206,6 +232,7 @@ class Bank:
             targets=None
             if motion is None
             else tuple(resample(motion.to(to), n) for n in lengths[here]),
+            styles=styles.to(to),
         )
 
 

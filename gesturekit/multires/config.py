@@ -55,6 +55,10 @@ class LossConfig:
     reads off the speech. Not in the paper, where it is 0."""
     arm_acceleration: float = 0.0
     """The same of the change of arm speed: at one speed, arms that swing and arms that shake."""
+    detail: float = 0.0
+    """On random steps, energy distance between how much detail a level has at each joint, what the
+    level below cannot hold, and how much recordings of the level's style have. Not in the paper,
+    where it is 0."""
     rec_input: Literal["generated", "real"] = "generated"
     """What reconstruction steps upsample: the chain from z*, or the real motion as in eq. 15."""
     contact_speed: Literal["squared", "norm"] = "squared"
@@ -135,6 +139,9 @@ class StyleConfig:
 
     mixing: float = 0.9
     """Share of random motions that have one style up to a random level and another above it."""
+    told: bool = True
+    """Discriminators are told the style of a motion that has one, beside recordings of that style;
+    in the paper they are not."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.mixing <= 1:
@@ -155,6 +162,9 @@ class MultiresConfig(RunConfig):
     recall: int = 0
     """Noise of random motions is put together from pieces of z* of so many coarsest frames at
     most, in chance order, those of the style asked for; 0 draws it anew (both papers)."""
+    noise_levels: int = 1
+    """How many of the coarsest levels are given noise when the model generates (GANimator: the
+    first). In training all are (both papers), so that what finer ones make of it is left out."""
     features: PyramidFeatureConfig | None = field(default_factory=PyramidFeatureConfig)
     """What is heard; null for nothing."""
     styles: StyleConfig | None = None
@@ -174,6 +184,7 @@ class MultiresConfig(RunConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_not_negative(recall=self.recall)
+        check_positive(noise_levels=self.noise_levels)
 
     @property
     def uses_arm_speed(self) -> bool:

@@ -23,7 +23,12 @@ from gesturekit.multires.part_conv import Layout
 
 
 def critic_gradients(
-    critic: LevelDiscriminator, real: Tensor, fake: Tensor, mix: Tensor, losses: LossConfig
+    critic: LevelDiscriminator,
+    real: Tensor,
+    fake: Tensor,
+    mix: Tensor,
+    losses: LossConfig,
+    told: Tensor | None = None,
 ) -> Tensor:
     """Give the critic's parameters the gradients of its loss on these motions.
 
@@ -34,15 +39,17 @@ def critic_gradients(
         real: (B, D, T).
         fake: the same shape.
         mix: (B, 1, 1), uniform in [0, 1], where between them the penalty is taken.
+        told: (B, K) style of each recording and of the fake beside it; None where nothing is told.
 
     Returns:
         the gap, a number.
     """
     if all(conv.in_parts(real) for conv in critic.layers):
-        return _by_hand(critic, real, fake, mix, losses)
-    scores = critic(torch.cat([fake, real])).mean(dim=(1, 2))
+        return _by_hand(critic, real, fake, mix, losses, told)
+    twice = None if told is None else torch.cat([told, told])
+    scores = critic(torch.cat([fake, real]), twice).mean(dim=(1, 2))
     gap = scores[: len(fake)].mean() - scores[len(fake) :].mean()
-    penalty = gradient_penalty(critic, real, fake, mix, losses.penalty_on == "frame")
+    penalty = gradient_penalty(critic, real, fake, mix, losses.penalty_on == "frame", told)
     loss = losses.critic_scale * gap + losses.gradient_penalty * penalty
     parameters = list(critic.parameters())
     for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
@@ -52,7 +59,12 @@ def critic_gradients(
 
 @torch.no_grad()
 def _by_hand(
-    critic: LevelDiscriminator, real: Tensor, fake: Tensor, mix: Tensor, losses: LossConfig
+    critic: LevelDiscriminator,
+    real: Tensor,
+    fake: Tensor,
+    mix: Tensor,
+    losses: LossConfig,
+    told: Tensor | None,
 ) -> Tensor:
     count, _, n_frames = real.shape
     kernel = critic.score.kernel_size[0]
@@ -72,8 +84,11 @@ def _by_hand(
     # The mean over time of the last convolution is a weighted sum of what goes into it.
     taken = _taken(n_frames, kernel)
     order, back = parts[-1].order_out, parts[-1].back_out
-    one = Layout(1, n_frames, 0)
-    slope = one.windows(one.pack(critic.score.weight @ taken, order))
+    heads = critic.score.weight
+    if told is not None:
+        heads = heads + torch.einsum("bk,kct->bct", told.repeat(3, 1), critic.styled.weight)
+    heard = Layout(len(heads), n_frames, 0)
+    slope = heard.windows(heard.pack(heads @ taken, order))
     last = whole.windows(signals[-1])
     scores = (last * slope).sum(dim=(0, 1, 3)) + critic.score.bias
     seeds = torch.full((3 * count, 1), losses.critic_scale / count)
@@ -93,8 +108,9 @@ def _by_hand(
     gradient = parts[0].input_gradient(reverse, between, some)
 
     towards = _penalty_gradient(gradient, some, losses)
-    total = last[:, :, :count].sum(dim=2) - last[:, :, count : 2 * count].sum(dim=2)
-    total *= losses.critic_scale / count
+    total = some.empty(len(order))
+    torch.sub(last[:, :, :count], last[:, :, count : 2 * count], out=some.windows(total))
+    some.windows(total).mul_(losses.critic_scale / count)
     for i, (conv, part, weights) in enumerate(zip(critic.layers, parts, forward, strict=True)):
         towards, moved = part.forward(weights, None, some.mirror(towards), some)
         for own, other in zip(seen[i], moved, strict=True):
@@ -103,10 +119,10 @@ def _by_hand(
         _rectify(some.windows(towards), here)
         conv.weight.grad = part.weight_gradient(spreads[i], seen[i])
         conv.bias.grad = part.bias_gradient(spreads[i][..., :scored])[part.back_out]
-    total += some.windows(towards).sum(dim=2)
-    flat = one.empty(len(order))
-    one.windows(flat)[:, :, 0] = total
-    critic.score.weight.grad = one.unpack(flat, back) @ taken.T
+    of_each = some.unpack(total + towards, back) @ taken.T
+    critic.score.weight.grad = of_each.sum(dim=0, keepdim=True)
+    if told is not None:
+        critic.styled.weight.grad = torch.einsum("bk,bct->kct", told, of_each)
     critic.score.bias.grad = torch.zeros_like(critic.score.bias)
     return scores[:count].mean() - scores[count : 2 * count].mean()
 

@@ -255,11 +255,10 @@ class TrainingData:
         """S, the number of speech features; 0 where nothing is heard."""
         return self.silence.shape[0]
 
-    @property
-    def style_shares(self) -> Tensor:
-        """(K,) seconds of each style, in frames: how often random motions are given it."""
+    def style_shares(self, sequences: Sequence[PairedSequence]) -> Tensor:
+        """(K,) frames of each style in these: how often random motions are given it."""
         frames = torch.zeros(len(self.styles))
-        for sequence in self.paired:
+        for sequence in sequences:
             frames[sequence.style] += sequence.n_frames
         return frames
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from gesturekit.motion.motion import Motion
@@ -59,15 +58,20 @@ class Generation:
     def _motion(self, number: int) -> Motion:
         """Motion `number`: from a level in whose place one is given, else from noise."""
         request = self.request
-        pyramid = Pyramid(self.model, request.lengths, request.features, self._styles(number))
-        rng = generator(request.seed, "sample", number, "level", 1)
+        pyramid = Pyramid(
+            self.model,
+            request.lengths,
+            request.features,
+            self._styles(number),
+            lambda level: generator(request.seed, "sample", number, "level", level + 1),
+        )
         if request.start is not None:
-            return self._from_level(pyramid, rng)
+            return self._from_level(pyramid)
         if request.path is not None:
-            return self._along_path(pyramid, rng)
+            return self._along_path(pyramid)
         if request.kept is not None:
-            return self._around_parts(pyramid, rng)
-        values = self._cropped(pyramid.random(rng, levels=request.levels))
+            return self._around_parts(pyramid)
+        values = self._cropped(pyramid.random(levels=request.levels))
         if request.levels < len(request.lengths):
             return level_motion(self.representation, values, self.model.fps, request.n_frames)
         return self._finished(self._decoded(values), values)
@@ -115,23 +119,23 @@ class Generation:
             request.margin,
         )
 
-    def _along_path(self, pyramid: Pyramid, rng: torch.Generator) -> Motion:
-        values = self._cropped(self.hold.placed(pyramid.random(rng, hold=self.hold)))
+    def _along_path(self, pyramid: Pyramid) -> Motion:
+        values = self._cropped(self.hold.placed(pyramid.random(hold=self.hold)))
         motion = moved(self.representation, self._decoded(values), self.request.path.positions[0])
         return self._finished(motion, values, keep_path=True)
 
-    def _around_parts(self, pyramid: Pyramid, rng: torch.Generator) -> Motion:
+    def _around_parts(self, pyramid: Pyramid) -> Motion:
         kept = self.request.kept
-        values = self._cropped(pyramid.random(rng, hold=self.hold))
+        values = self._cropped(pyramid.random(hold=self.hold))
         given = kept.given(self.request.n_frames)
         return kept.restored(
             self._finished(kept.placed(values), values, given=given, keep_path=True)
         )
 
-    def _from_level(self, pyramid: Pyramid, rng: torch.Generator) -> Motion:
+    def _from_level(self, pyramid: Pyramid) -> Motion:
         """What finer levels make of keyframes, or of a motion to be like."""
         request = self.request
-        coarse, edited = self._start(pyramid, rng)
+        coarse, edited = self._start(pyramid)
         if not request.held_to_start:
             values = pyramid.above(request.start_level, coarse)
             return self._finished(self._decoded(values), values)
@@ -149,7 +153,7 @@ class Generation:
         over = over_keyframes(self.representation, free, locked, put, frames)
         return self._locked(over, values, given=given, keep_path=True)
 
-    def _start(self, pyramid: Pyramid, rng: torch.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def _start(self, pyramid: Pyramid) -> tuple[np.ndarray, np.ndarray]:
         """(T_i, D) vectors in the place of a level, and which of them were edited."""
         representation, fps, request = self.representation, self.model.fps, self.request
         level, lengths = request.start_level, request.lengths
@@ -157,7 +161,7 @@ class Generation:
         if request.start.n_frames != lengths[level]:
             return values, np.ones(values.shape, bool)
         # Perhaps an edit of what this seed made.
-        made = pyramid.random(rng, levels=level + 1)
+        made = pyramid.random(levels=level + 1)
         unedited = level_motion(representation, made, fps, lengths[-1])
         read = motion_level(representation, unedited, fps, lengths, level)
         return keep_unedited(values, made, read)

@@ -94,6 +94,11 @@ class VectorKinematics(nn.Module):
         n_points = self.contacts.stop - self.contacts.start
         return positions[:, :, self.wanted], positions[:, :, positions.shape[2] - n_points :]
 
+    def places(self, values: Tensor) -> Tensor:
+        """(B, K, 3, T) where the modelled joints are, metres, the root above the origin."""
+        joints, _ = self._positions(values)
+        return joints.permute(0, 2, 3, 1)
+
     def contact_loss(
         self, values: Tensor, stride: float, slope: float = 10.0, squared: bool = True
     ) -> Tensor:

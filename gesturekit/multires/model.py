@@ -44,6 +44,7 @@ class MultiresModel:
         network_config: how the pyramid is built.
         residual: whether finer levels hear only what the coarser ones lack.
         recall: frames of the pieces of z* that noise is put together from; 0 draws it anew.
+        noise_levels: how many of the coarsest levels are given noise.
         network: the generators.
         sigma: (N, L) noise spread of each training sequence and level.
         z_star: the noise from which each training sequence is reconstructed, by its name.
@@ -66,6 +67,7 @@ class MultiresModel:
         network_config: NetworkConfig,
         residual: bool,
         recall: int = 0,
+        noise_levels: int = 1,
         network: MultiresGenerator,
         sigma: Tensor,
         z_star: Mapping[str, Tensor],
@@ -82,6 +84,7 @@ class MultiresModel:
         self.network_config = network_config
         self.residual = residual
         self.recall = recall
+        self.noise_levels = noise_levels
         self.network = network
         self.sigma = sigma
         self.z_star = dict(z_star)

@@ -46,6 +46,7 @@ def model_parts(
         },
         "styles": list(model.styles),
         "recall": model.recall,
+        "noise_levels": model.noise_levels,
         "network": to_dict(model.network_config),
         "sequences": {name: asdict(about) for name, about in model.sequences.items()},
         "fastest": model.fastest,
@@ -107,6 +108,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         "network_config": network_config,
         "residual": bool(features and features["residual"]),
         "recall": int(config.get("recall", 0)),
+        "noise_levels": int(config.get("noise_levels", 1)),
         "network": network.eval(),
         "sigma": tensors["sigma"],
         "z_star": {

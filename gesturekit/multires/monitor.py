@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -99,9 +99,9 @@ class Monitor:
             same = torch.full((1, len(lengths)), sequence.style)
             styles = style_levels(same, len(self.data.styles), lengths)
         conditions = condition_levels(speech, lengths, self.config.residual, styles)
-        noise = self._noise(sequence, lengths[0], number).to(device)
+        noises = self._noises(sequence, lengths[:levels], number)
         made = network(
-            [noise, *[None] * (levels - 1)],
+            [None if noise is None else noise.to(device) for noise in noises],
             [level.to(device) for level in conditions[:levels]],
             lengths=lengths[:levels],
         )[-1]
@@ -134,11 +134,18 @@ class Monitor:
             return 0.0
         return float(torch.cat(patches).double().var(dim=0, correction=0).mean().sqrt())
 
-    def _noise(self, sequence: PairedSequence, n_frames: int, number: int) -> Tensor:
+    def _noises(
+        self, sequence: PairedSequence, lengths: Sequence[int], number: int
+    ) -> list[Tensor | None]:
+        """Of each level, as the model will be given it."""
         rng = generator(self.config.seed, "monitor", number)
+        noises: list[Tensor | None] = [
+            torch.randn(1, 1, n, generator=rng) * sigma if i < self.config.noise_levels else None
+            for i, (n, sigma) in enumerate(zip(lengths, sequence.sigma, strict=False))
+        ]
         if self.recall is not None:
-            return self.recall([sequence.style] * n_frames, rng)
-        return torch.randn(1, 1, n_frames, generator=rng) * sequence.sigma[0]
+            noises[0] = self.recall([sequence.style] * lengths[0], rng)
+        return noises
 
     def _motion(self, vectors: Tensor) -> Motion:
         values = plain_values(self.data.normaliser, vectors[None])

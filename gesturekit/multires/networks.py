@@ -113,9 +113,14 @@ class LevelGenerator(nn.Module):
 
 
 class LevelDiscriminator(nn.Module):
-    """D_i: a score for each patch of a motion; it does not hear the speech."""
+    """D_i: a score for each patch of a motion; it does not hear the speech, but may be told styles.
 
-    def __init__(self, representation: MultiresRepresentation, config: NetworkConfig) -> None:
+    A style adds a score of its own on the last features (projection, Miyato and Koyama 2018).
+    """
+
+    def __init__(
+        self, representation: MultiresRepresentation, config: NetworkConfig, n_styles: int = 0
+    ) -> None:
         super().__init__()
         near = block_neighbours(representation, config.neighbour_distance)
         sizes = [representation.block_sizes, *((w,) * len(near) for w in config.channels)]
@@ -124,13 +129,27 @@ class LevelDiscriminator(nn.Module):
             for i in range(len(sizes) - 1)
         )
         self.score = nn.Conv1d(sum(sizes[-1]), 1, config.kernel)
+        if n_styles:
+            self.styled = nn.Conv1d(sum(sizes[-1]), n_styles, config.kernel, bias=False)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """(B, D, T) to (B, 1, T): one score a frame, each of the patch around it."""
+    def forward(self, x: Tensor, told: Tensor | None = None) -> Tensor:
+        """One score a frame, each of the patch around it.
+
+        Args:
+            x: (B, D, T).
+            told: (B, K) one-hot styles; a row of zeros tells nothing.
+
+        Returns:
+            (B, 1, T).
+        """
         for layer in self.layers:
             x = F.leaky_relu(layer(x), SLOPE)
+        x = reflect(x, self.score.kernel_size[0] // 2)
+        score = self.score(x)
+        if told is not None:
+            score = score + (self.styled(x) * told[..., None]).sum(dim=1, keepdim=True)
         # Not in half precision: scores are small differences, and their means run over time.
-        return self.score(reflect(x, self.score.kernel_size[0] // 2)).float()
+        return score.float()
 
 
 class MultiresGenerator(nn.Module):
@@ -196,7 +215,12 @@ def modulated_blocks(representation: MultiresRepresentation, config: NetworkConf
 
 
 def gradient_penalty(
-    discriminator: nn.Module, real: Tensor, fake: Tensor, mix: Tensor, per_frame: bool = False
+    discriminator: nn.Module,
+    real: Tensor,
+    fake: Tensor,
+    mix: Tensor,
+    per_frame: bool = False,
+    told: Tensor | None = None,
 ) -> Tensor:
     """Mean of (||grad D|| - 1)^2 between real and fake motions (eq. 13, Gulrajani et al. 2017).
 
@@ -206,9 +230,10 @@ def gradient_penalty(
         fake: (B, D, T).
         mix: (B, 1, 1), uniform in [0, 1].
         per_frame: penalise the norm over the channels of each frame, as GANimator does.
+        told: (B, K) styles of both, for a discriminator that is told.
     """
     between = (mix * fake + (1 - mix) * real).requires_grad_(True)
-    score = discriminator(between).mean(dim=(1, 2)).sum()
+    score = discriminator(between, told).mean(dim=(1, 2)).sum()
     (gradient,) = torch.autograd.grad(score, between, create_graph=True)
     if per_frame:
         return ((gradient.norm(dim=1) - 1) ** 2).mean()

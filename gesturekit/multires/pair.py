@@ -16,10 +16,12 @@ import audio_features as af
 from gesturekit.errors import ModelError
 from gesturekit.multires.bank import Windows
 from gesturekit.multires.critic import critic_gradients
+from gesturekit.multires.detail import DetailTarget
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import CAPTURE_SECONDS
 from gesturekit.multires.listening import ArmTarget, log_movement
 from gesturekit.multires.networks import LevelDiscriminator
+from gesturekit.multires.styles import agreed_style
 from gesturekit.training.seeds import generator, seeded
 
 if TYPE_CHECKING:
@@ -45,7 +47,9 @@ class Pair:
         self.discriminators = nn.ModuleList(
             seeded(
                 (self.config.seed, "discriminator", i),
-                lambda: LevelDiscriminator(trainer.data.representation, self.config.network),
+                lambda: LevelDiscriminator(
+                    trainer.data.representation, self.config.network, self._n_told
+                ),
             )
             for i in self.indices
         ).to(trainer.device)
@@ -58,6 +62,7 @@ class Pair:
             )
         }
         self.targets = self._arm_targets() if self.config.uses_arm_speed else []
+        self.details = self._detail_targets() if self.config.losses.detail else {}
         self._bank: dict[str, dict[int, Windows]] = {}
 
     def state(self) -> dict[str, Any]:
@@ -135,15 +140,30 @@ class Pair:
                     sequences, n_frames, self.first, count, rng
                 )
             if schedule.discriminator_steps or schedule.generator_steps:
-                self._bank["random"][n_frames] = bank.random(n_frames, self.first, count, rng)
+                self._bank["random"][n_frames] = bank.random(
+                    sequences, n_frames, self.first, count, rng
+                )
 
-    def _draw(self, kind: str, n_frames: int, rng: torch.Generator, batches: int = 1) -> Windows:
-        """My share of so many batches of windows, one batch after the other."""
+    def _choose(self, windows: Windows, rng: torch.Generator, batches: int = 1) -> Tensor:
+        """(batches, B) numbers of windows, for all processes."""
+        size = (batches, self.trainer.batch)
+        return torch.randint(len(windows.conditions[0]), size, generator=rng)
+
+    def _draw(self, kind: str, n_frames: int, rng: torch.Generator) -> Windows:
+        """My share of a batch of windows."""
         windows = self._bank[kind][n_frames]
-        chosen = torch.randint(
-            len(windows.conditions[0]), (batches, self.trainer.batch), generator=rng
-        )
-        return windows.take(chosen[:, self._share].flatten())
+        return windows.take(self._choose(windows, rng)[0, self._share])
+
+    @property
+    def _n_told(self) -> int:
+        """K, how many styles discriminators are told of; 0 where they are told nothing."""
+        styles = self.config.styles
+        return len(self.trainer.data.styles) if styles is not None and styles.told else 0
+
+    def _told(self, styles: Tensor) -> list[Tensor | None]:
+        """What each discriminator is told of motions whose levels have these styles, (B, L)."""
+        count = self._n_told
+        return [agreed_style(styles, count, i) if count else None for i in self.indices]
 
     @property
     def _share(self) -> slice:
@@ -210,27 +230,35 @@ class Pair:
         fakes: dict[int, Iterator[Sequence[Tensor]]] = {}
         for n_frames in dict.fromkeys(lengths):
             count = lengths.count(n_frames)
+            windows = self._bank["random"][n_frames]
+            chosen = self._choose(windows, rng, count)
             with torch.no_grad():
-                made = self._generate(self._draw("random", n_frames, rng, count))
+                made = self._generate(windows.take(chosen[:, self._share].flatten()))
             split = (level.chunk(count) for level in made)
-            fakes[n_frames] = iter(zip(*split, strict=True))
+            fakes[n_frames] = iter(zip(windows.styles[chosen], *split, strict=True))
         gap = 0.0
         for n_frames in lengths:
-            gap = self._discriminator_step(n_frames, next(fakes[n_frames]), rng)
+            styles, *fake = next(fakes[n_frames])
+            gap = self._discriminator_step(n_frames, fake, styles, rng)
         return gap
 
     def _discriminator_step(
-        self, n_frames: int, fakes: Sequence[Tensor], rng: torch.Generator
+        self, n_frames: int, fakes: Sequence[Tensor], styles: Tensor, rng: torch.Generator
     ) -> float:
+        """Fakes are my share of a batch, styles (B, L) those of all of it."""
         sequences = [self.trainer.data.paired[i] for i in self.trainer.groups[n_frames]]
         batch, share = self.trainer.batch, self._share
-        reals = self.trainer.bank.reals(sequences, n_frames, self.first, batch, rng)
+        beside = styles[:, 0].tolist() if self._n_told else None
+        reals = self.trainer.bank.reals(sequences, n_frames, self.first, batch, rng, beside)
+        told = self._told(styles[share])
         gaps = []
-        for critic, real, fake in zip(self.discriminators, reals, fakes, strict=True):
+        for critic, real, fake, style in zip(self.discriminators, reals, fakes, told, strict=True):
             mix = torch.rand(batch, 1, 1, generator=rng).to(real.device)
             with self._precision():
                 gaps.append(
-                    critic_gradients(critic, real[share], fake, mix[share], self.config.losses)
+                    critic_gradients(
+                        critic, real[share], fake, mix[share], self.config.losses, style
+                    )
                 )
         self._update("discriminator")
         return float(torch.stack(gaps).mean())
@@ -241,12 +269,13 @@ class Pair:
         windows = self._draw("random", n_frames, rng)
         made = self._generate(windows)
         parts: dict[str, list[Tensor]] = {}
+        told = self._told(windows.styles)
         for i, (critic, motion) in enumerate(zip(self.discriminators, made, strict=True)):
             stride = n_frames / motion.shape[-1]
             values = self.trainer.normaliser.inverse(motion)
             if weights.adversarial:
                 with self._precision():
-                    score = -critic(motion).mean()
+                    score = -critic(motion, told[i]).mean()
                 parts.setdefault("adversarial", []).append(weights.adversarial * score)
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1
@@ -260,6 +289,9 @@ class Pair:
             if weights.smoothness and stride < 2.05:
                 loss = self.trainer.kinematics.smoothness_loss(values, stride)
                 parts.setdefault("smooth", []).append(weights.smoothness * loss)
+            if self.first + i in self.details:
+                loss = self.details[self.first + i](motion, windows.styles[:, self.first + i])
+                parts.setdefault("detail", []).append(weights.detail * loss)
             if self.targets and moves:
                 kinematics = self.trainer.kinematics
                 arms = log_movement(
@@ -301,6 +333,21 @@ class Pair:
         errors = [F.l1_loss(m, target) for m, target in zip(made, windows.targets, strict=True)]
         self._step("generator", self.config.losses.reconstruction * torch.stack(errors).sum())
         return float(torch.stack(errors).detach().mean())
+
+    def _detail_targets(self) -> dict[int, DetailTarget]:
+        """The detail of the pair's levels, by their index; the first of all has none below it."""
+        data, to = self.trainer.data, self.trainer.device
+        styles, levels = max(1, len(data.styles)), self.config.network.levels
+
+        def places(motion: Tensor) -> Tensor:
+            values = self.trainer.normaliser.inverse(motion.to(to))
+            return self.trainer.kinematics.places(values)
+
+        return {
+            i: DetailTarget(data.paired, i, levels, places, data.window, styles).to(to)
+            for i in self.indices
+            if i
+        }
 
     def _arm_targets(self) -> list[ArmTarget]:
         """One regression a level, from the paired speech to how the recorded arms move.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +27,8 @@ class Pyramid:
         features: (T, S) float32 of the speech at the finest level; no columns where nothing is
             heard.
         styles: (1, K, T_i) for each level, or none.
+        chance: where the noise of a level, counted from 0, is drawn from; None for a pyramid that
+            is only given noise.
     """
 
     def __init__(
@@ -35,34 +37,31 @@ class Pyramid:
         lengths: Sequence[int],
         features: np.ndarray,
         styles: Sequence[Tensor],
+        chance: Callable[[int], torch.Generator] | None = None,
     ) -> None:
-        self.model, self.lengths = model, lengths
+        self.model, self.lengths, self.chance = model, lengths, chance
         self.condition = None
         if features.shape[1] or styles:
             self.condition = LevelConditions(features, lengths, model.residual, styles)
 
-    def random(
-        self, rng: torch.Generator, *, levels: int | None = None, hold: Hold | None = None
-    ) -> np.ndarray:
+    def random(self, *, levels: int | None = None, hold: Hold | None = None) -> np.ndarray:
         """(T_i, D) what the first `levels` (all of them by default) make of noise that is drawn.
 
         Args:
-            rng: where chance comes from.
             levels: how many.
             hold: what each of them is held to, see `holding`.
 
         Raises:
             ModelError: the model gives no numbers.
         """
-        return self.from_noise(self._noise(rng), levels=levels, hold=hold)
-
-    def from_noise(
-        self, noise: Tensor, *, levels: int | None = None, hold: Hold | None = None
-    ) -> np.ndarray:
-        """As `random`, of given noise (1, 1 or D, T_1)."""
         lengths = self.lengths[:levels]
-        noises = [noise, *[None] * (len(lengths) - 1)]
+        noises = [self._noise(), *self._finer_noise(1, len(lengths))]
         return self._plain(sample(self.model.network, noises, lengths, self.condition, hold=hold))
+
+    def from_noise(self, noise: Tensor) -> np.ndarray:
+        """(T, D) what all levels make of noise (1, 1 or D, T_1) at the first and none above."""
+        noises = [noise, *[None] * (len(self.lengths) - 1)]
+        return self._plain(sample(self.model.network, noises, self.lengths, self.condition))
 
     def above(self, level: int, values: np.ndarray, hold: Hold | None = None) -> np.ndarray:
         """(T, D) what finer levels make of the vectors (T_i, D) in the place of a level.
@@ -78,7 +77,7 @@ class Pyramid:
         finer = self.lengths[level + 1 :]
         vectors = sample(
             self.model.network,
-            [None] * len(finer),
+            self._finer_noise(level + 1, len(self.lengths)),
             finer,
             self.condition,
             first=level + 1,
@@ -87,9 +86,19 @@ class Pyramid:
         )
         return self._plain(vectors)
 
-    def _noise(self, rng: torch.Generator) -> Tensor:
+    def _finer_noise(self, first: int, stop: int) -> list[Tensor | None]:
+        """(1, 1, T_i) for each of these levels, or none for those above `noise_levels`."""
+        model = self.model
+        return [
+            torch.randn(1, 1, self.lengths[i], generator=self.chance(i)) * model.sigma[:, i].mean()
+            if i < model.noise_levels
+            else None
+            for i in range(first, stop)
+        ]
+
+    def _noise(self) -> Tensor:
         """(1, 1 or D, T_1) that a random motion begins with."""
-        model, n_frames = self.model, self.lengths[0]
+        model, n_frames, rng = self.model, self.lengths[0], self.chance(0)
         if not model.recall:
             return torch.randn(1, 1, n_frames, generator=rng) * model.sigma[:, 0].mean()
         names = sorted(model.z_star)

@@ -25,22 +25,42 @@ def style_levels(styles: Tensor, n_styles: int, lengths: Sequence[int]) -> list[
     return [codes[:, i, :, None].expand(-1, -1, n) for i, n in enumerate(lengths)]
 
 
+def agreed_style(styles: Tensor, n_styles: int, level: int) -> Tensor:
+    """(B, K) one-hot style of motions whose levels up to this one all have it, else zeros.
+
+    Args:
+        styles: (B, L) numbers of styles.
+        n_styles: K.
+        level: its index.
+    """
+    first = styles[:, :1]
+    agreed = (styles[:, : level + 1] == first).all(dim=1)
+    return F.one_hot(first[:, 0], n_styles).float() * agreed[:, None]
+
+
 def mixed_styles(
-    shares: Tensor, count: int, levels: int, mixing: float, rng: torch.Generator
+    coarse_shares: Tensor,
+    fine_shares: Tensor,
+    count: int,
+    levels: int,
+    mixing: float,
+    rng: torch.Generator,
 ) -> Tensor:
     """(count, L) numbers of styles for random-generation steps (section 4.2 of the paper).
 
     A share `mixing` of them has one style up to a random level and another one above it.
 
     Args:
-        shares: (K,) how often each style is drawn.
+        coarse_shares: (K,) how often each style is drawn for the coarse levels.
+        fine_shares: the same for the levels above.
         count: how many motions.
         levels: L.
         mixing: share of motions with two styles.
         rng: where chance comes from.
     """
-    coarse, fine = torch.multinomial(shares, 2 * count, replacement=True, generator=rng).split(
-        count
+    coarse, fine = (
+        torch.multinomial(shares, count, replacement=True, generator=rng)
+        for shares in (coarse_shares, fine_shares)
     )
     crossover = torch.randint(1, max(levels, 2), (count,), generator=rng)
     unmixed = torch.rand(count, generator=rng) >= mixing

@@ -220,6 +220,7 @@ class Trainer:
             network_config=self.config.network,
             residual=self.config.residual,
             recall=self.config.recall,
+            noise_levels=self.config.noise_levels,
             styles=self.data.styles,
             network=network.cpu().eval(),
             sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),

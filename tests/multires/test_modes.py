@@ -13,6 +13,9 @@ from gesturekit.cli import main
 from gesturekit.corpus import Manifest
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
+from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from gesturekit.multires.interpolation import resample
+from gesturekit.multires.networks import LevelDiscriminator
 from gesturekit.multires.styles import asked_styles, level_track, mixed_styles
 from gesturekit.multires.trainer import train
 from gesturekit.training.checkpoint import Checkpoints
@@ -54,6 +57,30 @@ def test_styles_of_the_manifest_move_differently(make_config, motions):
     np.testing.assert_array_equal(rotations(style="angry", level_style="1-4=old"), old)
     with pytest.raises(ModelError, match="angry, old"):
         rotations(style="sad")
+
+
+def test_discriminators_tell_a_style_from_others(make_config, motions, tmp_path):
+    corpus = motions(high=[4.0], low=[4.0])
+    raised = gk.Motion.load(tmp_path / "high_0.bvh")
+    for side, turn in (("LeftArm", 0.8), ("RightArm", -0.8)):
+        arm = raised.rotations[:, raised.skeleton.index(side)]
+        about_z = quaternion_from_rotation_vector(np.array([0.0, 0.0, turn]))
+        arm[:] = multiply_quaternions(about_z, arm)
+    raised.save(tmp_path / "high_0.bvh")
+    mode = {"features": None, "styles": {}, "network": {"levels": 2}}
+    schedule = {"first_pair": 40, "generator_steps": 0}
+    folder = train(make_config(corpus=str(corpus), schedule=schedule, **mode))
+    model = gk.load(folder)
+    critic = LevelDiscriminator(model.representation, model.network_config, 2)
+    _, state = Checkpoints(folder.parent / "checkpoints").latest()
+    own = {k[2:]: v for k, v in state["discriminators"].items() if k.startswith("0.")}
+    critic.load_state_dict(own)
+    for i, style in enumerate(model.styles):
+        motion = gk.Motion.load(tmp_path / f"{style}_0.bvh").resample(model.fps)
+        vectors = torch.from_numpy(model.representation.encode(motion).T[None]).float()
+        coarsest = resample(model.normaliser.forward(vectors), 75)
+        told, otherwise = torch.eye(2)[[i]], torch.eye(2)[[1 - i]]
+        assert critic(coarsest, told).mean() > critic(coarsest, otherwise).mean()
 
 
 def test_label_mode_wants_a_style_for_every_item(make_config, motions):
@@ -107,20 +134,24 @@ def test_what_cannot_be_asked_is_told(style, level_style, message):
 
 def test_nine_in_ten_random_motions_mix_two_styles_at_one_level():
     rng = torch.Generator().manual_seed(0)
-    drawn = mixed_styles(torch.ones(50), 4000, 8, 0.9, rng)
+    drawn = mixed_styles(torch.ones(50), torch.ones(50), 4000, 8, 0.9, rng)
     changes = (drawn.diff(dim=1) != 0).sum(dim=1)
     assert changes.max() == 1
     # Of fifty styles one in fifty pairs is twice the same.
     assert 0.86 < (changes == 1).float().mean() < 0.9
     at = (drawn.diff(dim=1) != 0).float().sum(dim=0)
     assert (at > 400).all(), "every level is a crossover as often as the others"
-    unmixed = mixed_styles(torch.ones(50), 100, 8, 0.0, rng)
+    unmixed = mixed_styles(torch.ones(50), torch.ones(50), 100, 8, 0.0, rng)
     assert (unmixed == unmixed[:, :1]).all()
 
 
-def test_a_coarse_level_comes_back_as_keyframes(make_config, motions, tmp_path):
+@pytest.mark.parametrize("noise_levels", [1, 4])
+def test_a_coarse_level_comes_back_as_keyframes(make_config, motions, tmp_path, noise_levels):
     """Unedited it gives the motion that it was taken from."""
-    model = gk.load(train(make_config(corpus=str(motions(none=[4.0])), **SINGLE)))
+    config = make_config(
+        corpus=str(motions(none=[4.0])), noise_levels=noise_levels, eval_every=10, **SINGLE
+    )
+    model = gk.load(train(config))
     coarse = model.generate(seconds=6.0, seed=1, levels=1)
     assert coarse.n_frames == 63 and coarse.duration == pytest.approx(6.0)
     coarse.save(tmp_path / "coarse.bvh")
@@ -128,6 +159,21 @@ def test_a_coarse_level_comes_back_as_keyframes(make_config, motions, tmp_path):
     finer = model.generate(seconds=6.0, seed=1, levels=2)
     same = model.generate(keyframes=finer, keyframe_level=2, seed=1)
     np.testing.assert_allclose(again.positions(), same.positions(), atol=1e-5)
+
+
+def test_noise_enters_at_as_many_levels_as_wanted(make_config, motions):
+    config = make_config(corpus=str(motions(none=[4.0])), noise_levels=2, **SINGLE)
+    model = gk.load(train(config))
+    assert model.noise_levels == 2
+
+    def made(levels, noise_levels):
+        model.noise_levels = noise_levels
+        return model.generate(seconds=6.0, seed=1, levels=levels, foot_lock=False).rotations
+
+    np.testing.assert_array_equal(made(1, 1), made(1, 2))
+    assert np.abs(made(2, 2) - made(2, 1)).max() > 1e-4
+    np.testing.assert_array_equal(made(2, 2), made(2, 4))
+    assert np.abs(made(4, 4) - made(4, 2)).max() > 1e-4
 
 
 def test_keyframes_decide_the_pose_and_the_length(make_config, motions, gesture):

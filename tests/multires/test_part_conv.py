@@ -53,15 +53,24 @@ def test_a_layer_and_its_gradients(representation, n_frames, kernel):
 
 @pytest.mark.parametrize("penalty_on", ["window", "frame"])
 @pytest.mark.parametrize("n_frames", [8, 21])
-def test_a_discriminator_step_is_that_of_autograd(representation, penalty_on, n_frames):
+@pytest.mark.parametrize("told", [None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]], ids=["", "told"])
+def test_a_discriminator_step_is_that_of_autograd(representation, penalty_on, n_frames, told):
     torch.manual_seed(0)
-    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)))
+    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 3 if told else 0)
+    told = None if told is None else torch.tensor(told)
     losses = LossConfig(critic_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
     real, fake = torch.randn(2, 2, representation.n_features, n_frames)
     mix = torch.rand(2, 1, 1)
     exact = copy.deepcopy(critic).double()  # double precision goes by autograd
-    gap = critic_gradients(critic, real, fake, mix, losses)
-    expected = critic_gradients(exact, real.double(), fake.double(), mix.double(), losses)
+    gap = critic_gradients(critic, real, fake, mix, losses, told)
+    expected = critic_gradients(
+        exact,
+        real.double(),
+        fake.double(),
+        mix.double(),
+        losses,
+        None if told is None else told.double(),
+    )
     assert float(gap) == pytest.approx(float(expected), abs=1e-5)
     for ours, theirs in zip(critic.parameters(), exact.parameters(), strict=True):
         assert close(ours.grad.double(), theirs.grad, 2e-3)
