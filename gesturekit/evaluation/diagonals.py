@@ -7,22 +7,13 @@ sums, so that equal windows are exactly 0 apart. Compiled by numba, O(L N) time 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-from numba import njit
+
+from gesturekit.compiled import compiled
 
 # Squared distances below this share of the squared lengths are computed anew from the frames:
 # |a|² + |b|² - 2ab loses digits there. The rest keep a relative error below about 1e-9.
 _NEAR = 1e-6
-
-
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    try:
-        return njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # no folder that a compiled function could be kept in
-        return njit(nogil=True)(function)
 
 
 def frame_distances(a: np.ndarray, b: np.ndarray, *, squared: bool = False) -> np.ndarray:
@@ -44,7 +35,7 @@ def frame_distances(a: np.ndarray, b: np.ndarray, *, squared: bool = False) -> n
     return distances
 
 
-@_compiled
+@compiled()
 def _finish(
     products: np.ndarray,
     left: np.ndarray,
@@ -75,7 +66,7 @@ def _finish(
                 products[i, j] = np.sqrt(products[i, j])
 
 
-@_compiled
+@compiled()
 def _sum_windows(
     start: int, distances: np.ndarray, ends: np.ndarray, begins: np.ndarray, sums: np.ndarray
 ) -> None:
@@ -111,7 +102,7 @@ def _sum_windows(
         sums[column] = ends[into, column] + ending[column]
 
 
-@_compiled
+@compiled()
 def _memory(n_columns: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (
         np.empty((width, n_columns)),
@@ -120,7 +111,7 @@ def _memory(n_columns: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     )
 
 
-@_compiled
+@compiled()
 def window_sums(distances: np.ndarray, width: int) -> np.ndarray:
     """(L - w + 1, N - w + 1): entry (i, j) is the sum of distances[i + t, j + t] over t < w."""
     n_rows, n_columns = distances.shape
@@ -131,7 +122,7 @@ def window_sums(distances: np.ndarray, width: int) -> np.ndarray:
     return sums
 
 
-@_compiled
+@compiled()
 def least_window_sums(distances: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Minima of `window_sums` over its columns (L - w + 1) and over its rows (N - w + 1)."""
     n_rows, n_columns = distances.shape
@@ -148,7 +139,7 @@ def least_window_sums(distances: np.ndarray, width: int) -> tuple[np.ndarray, np
     return of_rows, of_columns
 
 
-@_compiled
+@compiled()
 def segmentation_cost(distances: np.ndarray, shortest: int) -> float:
     """Least sum of distances over all ways to lay the rows, in segments, along diagonals.
 

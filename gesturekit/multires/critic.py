@@ -13,13 +13,13 @@ from __future__ import annotations
 from functools import lru_cache
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from gesturekit.multires.config import LossConfig
 from gesturekit.multires.interpolation import reflect
+from gesturekit.multires.live_conv import Rows
 from gesturekit.multires.networks import SLOPE, LevelDiscriminator, gradient_penalty
-from gesturekit.multires.part_conv import Layout
+from gesturekit.multires.skeleton_conv import rectified
 
 
 def critic_gradients(
@@ -33,7 +33,7 @@ def critic_gradients(
     """Give the critic's parameters the gradients of its loss on these motions.
 
     The loss is `critic_scale` times the gap, score of fakes less score of recordings, plus the
-    gradient penalty (eqs. 12 and 13). By hand where `part_conv` runs, else by autograd.
+    gradient penalty (eqs. 12 and 13). By hand where `live_conv` runs, else by autograd.
 
     Args:
         real: (B, D, T).
@@ -44,7 +44,7 @@ def critic_gradients(
     Returns:
         the gap, a number.
     """
-    if all(conv.in_parts(real) for conv in critic.layers):
+    if all(conv.is_live(real) for conv in critic.layers):
         return _by_hand(critic, real, fake, mix, losses, told)
     twice = None if told is None else torch.cat([told, told])
     scores = critic(torch.cat([fake, real]), twice).mean(dim=(1, 2))
@@ -67,59 +67,50 @@ def _by_hand(
     told: Tensor | None,
 ) -> Tensor:
     count, _, n_frames = real.shape
-    kernel = critic.score.kernel_size[0]
-    whole, some = (Layout(n, n_frames, kernel // 2) for n in (3 * count, count))
-    scored = 2 * some.row  # columns of fakes and recordings; those between them follow
+    # Fakes, recordings and the points between them; the penalty is on the last ones alone.
+    whole, between = Rows(3 * count, n_frames), Rows(count, n_frames)
+    scored, penalised = whole.part(0, 2 * count), whole.part(2 * count, count)
     motion = torch.cat([fake, real, torch.lerp(real, fake, mix)])
-    parts = [conv.parts for conv in critic.layers]
-    forward = [conv.forward_weights() for conv in critic.layers]
+    weights = [conv.live_weights() for conv in critic.layers]
+    wirings = [conv.wiring for conv in critic.layers]
 
-    signals, seen = [whole.pack(motion, parts[0].order_in)], []
-    for conv, part, weights in zip(critic.layers, parts, forward, strict=True):
-        bias = conv.bias[part.order_out]
-        made, saw = part.forward(weights, bias, whole.mirror(signals[-1]), whole)
-        signals.append(F.leaky_relu_(made, SLOPE))
-        seen.append(saw)
+    signals = [whole.mirrored(motion)]
+    for conv, wiring, weight in zip(critic.layers, wirings, weights, strict=True):
+        signals.append(wiring.forward(weight, conv.bias, signals[-1], whole, SLOPE))
 
     # The mean over time of the last convolution is a weighted sum of what goes into it.
-    taken = _taken(n_frames, kernel)
-    order, back = parts[-1].order_out, parts[-1].back_out
+    taken = _taken(n_frames, critic.score.kernel_size[0])
     heads = critic.score.weight
     if told is not None:
         heads = heads + torch.einsum("bk,kct->bct", told.repeat(3, 1), critic.styled.weight)
-    heard = Layout(len(heads), n_frames, 0)
-    slope = heard.windows(heard.pack(heads @ taken, order))
-    last = whole.windows(signals[-1])
-    scores = (last * slope).sum(dim=(0, 1, 3)) + critic.score.bias
+    slope = (heads @ taken).transpose(0, 1)
+    last = whole.frames(signals[-1])
+    scores = (last * slope).sum(dim=(0, 2)) + critic.score.bias
     seeds = torch.full((3 * count, 1), losses.critic_scale / count)
     seeds[count : 2 * count] *= -1
     seeds[2 * count :] = 1
 
-    gradient = whole.empty(len(order))
-    torch.mul(slope, seeds, out=whole.windows(gradient))
-    spreads = []
-    for i in reversed(range(len(parts))):
-        gradient = _rectified(gradient, signals[i + 1])
-        spreads.insert(0, parts[i].spread(gradient, whole))
-        if i:
-            reverse = critic.layers[i].reverse_weights()
-            gradient = parts[i].input_gradient(reverse, spreads[0], whole)
-    reverse, between = critic.layers[0].reverse_weights(), spreads[0][..., scored:]
-    gradient = parts[0].input_gradient(reverse, between, some)
+    gradient = whole.zeros(len(slope))
+    torch.mul(slope, seeds, out=whole.frames(gradient))
+    gradients = [rectified(gradient, signals[-1], SLOPE)]
+    for i in reversed(range(1, len(weights))):
+        gradient = wirings[i].input_gradient(weights[i], gradient, whole, signals[i], SLOPE)
+        gradients.insert(0, gradient)
+    own = between.cut(gradient, whole, 2 * count)
+    gradient = wirings[0].input_gradient(weights[0], own, between)
 
-    towards = _penalty_gradient(gradient, some, losses)
-    total = some.empty(len(order))
-    torch.sub(last[:, :, :count], last[:, :, count : 2 * count], out=some.windows(total))
-    some.windows(total).mul_(losses.critic_scale / count)
-    for i, (conv, part, weights) in enumerate(zip(critic.layers, parts, forward, strict=True)):
-        towards, moved = part.forward(weights, None, some.mirror(towards), some)
-        for own, other in zip(seen[i], moved, strict=True):
-            own[..., scored:] = other
-        here = whole.windows(signals[i + 1])[:, :, 2 * count :]
-        _rectify(some.windows(towards), here)
-        conv.weight.grad = part.weight_gradient(spreads[i], seen[i])
-        conv.bias.grad = part.bias_gradient(spreads[i][..., :scored])[part.back_out]
-    of_each = some.unpack(total + towards, back) @ taken.T
+    towards = between.mirror(_penalty_gradient(gradient, between, losses))
+    total = last[:, :count] - last[:, count : 2 * count]
+    total *= losses.critic_scale / count
+    # What goes in is, for the penalty, the direction in which its gradient should grow.
+    for i, conv in enumerate(critic.layers):
+        signals[i][:, penalised] = towards[:, between.part(0, count)]
+        conv.weight.grad = conv.live_gradient(signals[i], gradients[i], whole)
+        conv.bias.grad = gradients[i][:, scored].sum(dim=1)
+        own = between.cut(signals[i + 1], whole, 2 * count)
+        towards = wirings[i].forward_along(weights[i], towards, between, own, SLOPE)
+    total += between.frames(towards)
+    of_each = total.transpose(0, 1) @ taken.T
     critic.score.weight.grad = of_each.sum(dim=0, keepdim=True)
     if told is not None:
         critic.styled.weight.grad = torch.einsum("bk,bct->kct", told, of_each)
@@ -127,29 +118,17 @@ def _by_hand(
     return scores[:count].mean() - scores[count : 2 * count].mean()
 
 
-def _penalty_gradient(gradient: Tensor, layout: Layout, losses: LossConfig) -> Tensor:
-    """Of the penalty, by the gradient that it is on; both in the layout."""
-    windows = layout.windows(gradient)
+def _penalty_gradient(gradient: Tensor, rows: Rows, losses: LossConfig) -> Tensor:
+    """Of the penalty, by the gradient that it is on; both in rows."""
+    frames = rows.frames(gradient)
     per_frame = losses.penalty_on == "frame"
-    norm = windows.square().sum(dim=1 if per_frame else (0, 1, 3), keepdim=True).sqrt()
-    scale = 1.0 if per_frame else layout.n_frames**0.5
-    terms = layout.batch * (layout.n_frames if per_frame else 1)
+    norm = frames.square().sum(dim=0 if per_frame else (0, 2), keepdim=True).sqrt()
+    scale = 1.0 if per_frame else rows.n_frames**0.5
+    terms = rows.batch * (rows.n_frames if per_frame else 1)
     # (s |g| - 1)^2; where g is zero any direction would do, and none is taken.
     factor = torch.where(norm > 0, 2 * scale * (scale * norm - 1) / norm, 0)
-    windows *= factor * (losses.gradient_penalty / terms)
+    frames *= factor * (losses.gradient_penalty / terms)
     return gradient
-
-
-def _rectified(gradient: Tensor, signal: Tensor) -> Tensor:
-    _rectify(gradient, signal)
-    return gradient
-
-
-def _rectify(gradient: Tensor, signal: Tensor) -> None:
-    """Back through a leaky rectifier that gave this signal, in place."""
-    torch.ops.aten.leaky_relu_backward.grad_input(
-        gradient, signal, SLOPE, True, grad_input=gradient
-    )
 
 
 @lru_cache(maxsize=64)

@@ -98,7 +98,7 @@ class LevelGenerator(nn.Module):
         )
         x = up + noise
         modulated = 0 if y is None else len(self.films)
-        if modulated <= 1 and not torch.is_grad_enabled() and self.layers[0].in_parts(x):
+        if modulated <= 1:
             x = self.films[0](x, y) if modulated else x
             return chained(self.layers, x, SLOPE) + up
         for i, layer in enumerate(self.layers):
@@ -142,8 +142,7 @@ class LevelDiscriminator(nn.Module):
         Returns:
             (B, 1, T).
         """
-        for layer in self.layers:
-            x = F.leaky_relu(layer(x), SLOPE)
+        x = chained(self.layers, x, SLOPE, SLOPE)
         x = reflect(x, self.score.kernel_size[0] // 2)
         score = self.score(x)
         if told is not None:

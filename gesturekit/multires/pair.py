@@ -221,9 +221,6 @@ class Pair:
         parameters = [p for group in self.optimisers[name].param_groups for p in group["params"]]
         processes.average_gradients(parameters, (share.stop - share.start) / self.trainer.batch)
         self.optimisers[name].step()
-        # A fused step does not count as a change of the weights, which convolutions go by.
-        for parameter in parameters:
-            torch.autograd.graph.increment_version(parameter)
 
     def _discriminator_steps(self, lengths: Sequence[int], rng: torch.Generator) -> float:
         """Steps on windows of these lengths; the generator stands, so fakes are made beforehand."""
@@ -274,8 +271,10 @@ class Pair:
             stride = n_frames / motion.shape[-1]
             values = self.trainer.normaliser.inverse(motion)
             if weights.adversarial:
+                critic.requires_grad_(False)  # what the score is by its weights is not asked for
                 with self._precision():
                     score = -critic(motion, told[i]).mean()
+                critic.requires_grad_(True)
                 parts.setdefault("adversarial", []).append(weights.adversarial * score)
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1

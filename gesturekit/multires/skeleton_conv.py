@@ -7,7 +7,7 @@ into blocks: one a modelled joint, one a foot contact, one for the root's displa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.interpolation import reflect
-from gesturekit.multires.part_conv import Layout, Parts
+from gesturekit.multires.live_conv import Rows, Wiring, narrowed, widened
 
 
 def block_neighbours(representation: MultiresRepresentation, distance: int) -> np.ndarray:
@@ -51,7 +51,8 @@ class SkeletonConv1d(nn.Module):
 
     Only live weights are parameters: some 80 % of the dense kernel is zero and costs neither
     memory, nor optimiser state, nor room in the model file. On a CPU the arithmetic is that of
-    `part_conv`; on other devices, and for a handful of frames, a dense convolution.
+    `live_conv`; on other devices, for kernels of more than five frames and for one or two frames, a
+    dense convolution.
 
     Args:
         neighbours: (B, B) bool, from `block_neighbours`.
@@ -81,7 +82,6 @@ class SkeletonConv1d(nn.Module):
         with torch.no_grad():
             self.weight.mul_(torch.from_numpy(per_weight.astype(np.float32)))
             self.bias.mul_(torch.from_numpy(bound.astype(np.float32)))
-        self._laid_out: dict[str, tuple[tuple, list[Tensor]]] = {}
 
     def dense_weight(self) -> Tensor:
         """(channels out, channels in, kernel), zero where blocks do not see one another."""
@@ -94,109 +94,118 @@ class SkeletonConv1d(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, channels in, T) to (B, channels out, T)."""
-        if not self.in_parts(x):
-            return self.dense(x)
-        return _PartFilter.apply(x, self.weight, self.bias, self)
+        return chained([self], x)
 
-    def in_parts(self, x: Tensor) -> bool:
-        """Whether a signal (..., T) is filtered part by part."""
+    def is_live(self, x: Tensor) -> bool:
+        """Whether a signal (..., T) is filtered by live weights alone."""
         exact = x.dtype == self.weight.dtype == torch.float32
         on_cpu = x.device.type == "cpu" and not torch.is_autocast_enabled("cpu")
-        return exact and on_cpu and Layout.fits(x.shape[-1], self.shape[-1])
+        return exact and on_cpu and Rows.fits(x.shape[-1], self.shape[-1])
 
     @property
-    def parts(self) -> Parts:
-        """How the layer is split."""
+    def wiring(self) -> Wiring:
+        """Which channels make which."""
         near = self.neighbours
-        return _split(near.tobytes(), len(near), *self.sizes, self.shape[-1])
+        return _wiring(near.tobytes(), len(near), *self.sizes)
 
-    def forward_weights(self) -> list[Tensor]:
-        """`Parts.forward_weights` of the weights as they are now."""
-        return self._transformed("forward", self.parts.forward_weights)
+    def live_weights(self) -> Tensor:
+        """The weights as `Wiring` wants them, not recorded."""
+        return widened(self.weight.detach(), self.shape[-1])
 
-    def reverse_weights(self) -> list[Tensor]:
-        """`Parts.reverse_weights` of the weights as they are now."""
-        return self._transformed("reverse", self.parts.reverse_weights)
-
-    @torch.no_grad()
-    def _transformed(self, way: str, make: Callable[[Tensor], list[Tensor]]) -> list[Tensor]:
-        """Made anew where the weights have changed."""
-        state = _version(self.weight), self.weight.data_ptr()
-        if way not in self._laid_out or self._laid_out[way][0] != state:
-            self._laid_out[way] = state, make(self.weight.detach())
-        return self._laid_out[way][1]
+    def live_gradient(self, signal: Tensor, gradient: Tensor, rows: Rows) -> Tensor:
+        """Of the weights, by what came in and the gradient of what went out."""
+        return narrowed(self.wiring.weight_gradient(signal, gradient, rows), self.shape[-1])
 
 
-@torch.no_grad()
-def chained(layers: Sequence[SkeletonConv1d], x: Tensor, slope: float) -> Tensor:
-    """Layers `in_parts` one after the other, with leaky rectifiers between them.
-
-    Between them the signal stays in its layout; nothing is recorded for gradients.
+def chained(
+    layers: Sequence[SkeletonConv1d], x: Tensor, slope: float = 1.0, last_slope: float = 1.0
+) -> Tensor:
+    """Layers one after the other, with leaky rectifiers between them.
 
     Args:
         layers: each reads the blocks that the one before it makes.
         x: (B, channels in, T).
         slope: of the rectifiers below zero.
+        last_slope: of the one behind the last layer; 1 for none.
 
     Returns:
         (B, channels out, T).
     """
-    layout = Layout(len(x), x.shape[-1], layers[0].padding)
-    signal = layout.pack(x, layers[0].parts.order_in)
-    for i, layer in enumerate(layers):
-        if i:
-            F.leaky_relu_(signal, slope)
-        parts = layer.parts
-        bias = layer.bias[parts.order_out]
-        signal, _ = parts.forward(layer.forward_weights(), bias, layout.mirror(signal), layout)
-    return layout.unpack(signal, layers[-1].parts.back_out)
+    slopes = (*(slope for _ in layers[1:]), last_slope)
+    if all(layer.is_live(x) for layer in layers):
+        weights = (part for layer in layers for part in (layer.weight, layer.bias))
+        return _LiveFilters.apply(x, layers, slopes, *weights)
+    return _dense(layers, slopes, x)
+
+
+def _dense(layers: Sequence[SkeletonConv1d], slopes: Sequence[float], x: Tensor) -> Tensor:
+    for layer, slope in zip(layers, slopes, strict=True):
+        x = layer.dense(x)
+        x = x if slope == 1 else F.leaky_relu(x, slope)
+    return x
 
 
 @lru_cache(maxsize=64)
-def _split(
-    neighbours: bytes,
-    n_blocks: int,
-    sizes_in: tuple[int, ...],
-    sizes_out: tuple[int, ...],
-    kernel: int,
-) -> Parts:
+def _wiring(
+    neighbours: bytes, n_blocks: int, sizes_in: tuple[int, ...], sizes_out: tuple[int, ...]
+) -> Wiring:
     near = np.frombuffer(neighbours, dtype=bool).reshape(n_blocks, n_blocks)
-    return Parts(near, sizes_in, sizes_out, kernel)
+    return Wiring(near, sizes_in, sizes_out)
 
 
-class _PartFilter(torch.autograd.Function):
-    """`part_conv` under autograd; a gradient of a gradient goes by the dense convolution."""
+class _LiveFilters(torch.autograd.Function):
+    """`live_conv` under autograd; a gradient of a gradient goes by dense convolutions."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, conv: SkeletonConv1d) -> Tensor:
-        parts, layout = conv.parts, Layout(len(x), x.shape[-1], conv.padding)
-        signal = layout.mirror(layout.pack(x, parts.order_in))
-        bias_here = bias[parts.order_out]
-        made, seen = parts.forward(conv.forward_weights(), bias_here, signal, layout)
-        ctx.conv, ctx.layout, ctx.seen = conv, layout, seen if weight.requires_grad else None
-        ctx.save_for_backward(x, weight, bias)
-        return layout.unpack(made, parts.back_out)
+    def forward(
+        ctx: Any,
+        x: Tensor,
+        layers: Sequence[SkeletonConv1d],
+        slopes: Sequence[float],
+        *parameters: Tensor,
+    ) -> Tensor:
+        rows = Rows(len(x), x.shape[-1])
+        signals = [rows.mirrored(x.detach())]
+        for layer, slope in zip(layers, slopes, strict=True):
+            weight, bias = layer.live_weights(), layer.bias.detach()
+            made = layer.wiring.forward(weight, bias, signals[-1], rows, slope)
+            if any(ctx.needs_input_grad):
+                signals.append(made)
+            else:
+                signals = [made]
+        ctx.layers, ctx.slopes, ctx.rows, ctx.signals = layers, slopes, rows, signals
+        ctx.save_for_backward(x, *parameters)
+        return rows.unpack(signals[-1])
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        x, weight, bias = ctx.saved_tensors
-        conv, layout, parts = ctx.conv, ctx.layout, ctx.conv.parts
+        layers, slopes, rows, signals = ctx.layers, ctx.slopes, ctx.rows, ctx.signals
+        x, *parameters = ctx.saved_tensors
+        wanted = (ctx.needs_input_grad[0], *ctx.needs_input_grad[3:])
         if torch.is_grad_enabled():
-            wanted = [part for part in (x, weight, bias) if part.requires_grad]
-            found = iter(torch.autograd.grad(conv.dense(x), wanted, gradient, create_graph=True))
-            return *(next(found) if p.requires_grad else None for p in (x, weight, bias)), None
-        spread = parts.spread(layout.pack(gradient, parts.order_out), layout)
-        by_input = by_weight = by_bias = None
-        if ctx.needs_input_grad[0]:
-            made = parts.input_gradient(conv.reverse_weights(), spread, layout)
-            by_input = layout.unpack(made, parts.back_in)
-        if ctx.needs_input_grad[1]:
-            by_weight = parts.weight_gradient(spread, ctx.seen)
-        if ctx.needs_input_grad[2]:
-            by_bias = parts.bias_gradient(spread)[parts.back_out]
-        return by_input, by_weight, by_bias, None
+            inputs = [part for part, want in zip((x, *parameters), wanted, strict=True) if want]
+            made = torch.autograd.grad(
+                _dense(layers, slopes, x), inputs, gradient, create_graph=True
+            )
+            found = iter(made)
+            by_input, *by_parameters = (next(found) if want else None for want in wanted)
+            return by_input, None, None, *by_parameters
+        gradient = rows.pack(gradient)
+        if slopes[-1] != 1:
+            gradient = rectified(gradient, signals[-1], slopes[-1])
+        found: list[Tensor | None] = []
+        for i in reversed(range(len(layers))):
+            layer, (by_weight, by_bias) = layers[i], wanted[1 + 2 * i : 3 + 2 * i]
+            found.insert(0, gradient.sum(dim=1) if by_bias else None)
+            found.insert(0, layer.live_gradient(signals[i], gradient, rows) if by_weight else None)
+            if any(wanted[: 1 + 2 * i]):
+                back = (signals[i], slopes[i - 1]) if i else (None, 1.0)
+                gradient = layer.wiring.input_gradient(layer.live_weights(), gradient, rows, *back)
+        return rows.unpack(gradient) if wanted[0] else None, None, None, *found
 
 
-def _version(parameter: Tensor) -> int:
-    """Grows with each change in place; a tensor made in inference mode does not count them."""
-    return 0 if parameter.is_inference() else parameter._version
+def rectified(gradient: Tensor, signal: Tensor, slope: float) -> Tensor:
+    """Back through a leaky rectifier that gave this signal, in place."""
+    return torch.ops.aten.leaky_relu_backward.grad_input(
+        gradient, signal, slope, True, grad_input=gradient
+    )
