@@ -1,8 +1,7 @@
-"""Skeleton-aware convolution: live weights scattered into a dense kernel, against gathering.
+"""Skeleton-aware convolution: live weights alone, against gathering.
 
 Forward and backward of one hidden layer at the sizes of the light recipe: 29 blocks of 6 channels,
-kernel 5. The other way gathers each block's neighbours and runs a grouped convolution, which
-does a fifth of the multiplications.
+kernel 5. The other way gathers each block's neighbours and runs torch's grouped convolution.
 """
 
 from __future__ import annotations

@@ -14,8 +14,9 @@ same to the bit, however many there are and whatever other windows or frames are
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -223,9 +224,31 @@ def _plan(places: np.ndarray, sizes: Sequence[int]) -> Plan:
     return Plan(np.array(steps), np.concatenate(reads))
 
 
+_row_threads: int | None = None
+
+
+@contextmanager
+def only_rows_in_threads() -> Iterator[None]:
+    """Within, torch's own operations stay on one thread, and rows have as many as torch had.
+
+    Training has thousands of operations too short to be shared. Between them torch's threads wait
+    busily, and where other programs want the processor one iteration took three times as long.
+    For one Python thread at a time.
+    """
+    global _row_threads
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    _row_threads = count
+    try:
+        yield
+    finally:
+        _row_threads = None
+        torch.set_num_threads(count)
+
+
 def _in_shares(function: Callable[..., None], plan: Plan, *arguments: Any, products: int) -> None:
     """Call a compiled function for all steps of a plan, on as many threads as torch may use."""
-    count = torch.get_num_threads() if products > _ALONE else 1
+    count = (_row_threads or torch.get_num_threads()) if products > _ALONE else 1
     own, *others = plan.shares(count)
     waiting = [
         _threads(count).submit(function, plan.steps[first:last], plan.reads, *arguments)

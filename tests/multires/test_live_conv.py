@@ -78,6 +78,10 @@ def test_a_frame_does_not_depend_on_who_else_is_filtered_nor_by_how_many(
             again = made(windows, gradient)
             for one, other in zip(again, (whole, by_input, by_weight), strict=True):
                 assert torch.equal(one, other)
+            with live_conv.only_rows_in_threads():
+                assert torch.get_num_threads() == 1
+                assert torch.equal(made(windows, gradient)[0], whole)
+            assert torch.get_num_threads() == count
     finally:
         torch.set_num_threads(before)
 
