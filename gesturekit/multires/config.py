@@ -59,6 +59,9 @@ class LossConfig:
     """On random steps, energy distance between how much detail a level has at each joint, what the
     level below cannot hold, and how much recordings of the level's style have. Not in the paper,
     where it is 0."""
+    coarse: float = 0.0
+    """On random steps, L1 between what a level was given and what it makes of it, at the frames of
+    the level below: finer levels add detail and leave the rest. Not in the paper."""
     rec_input: Literal["generated", "real"] = "generated"
     """What reconstruction steps upsample: the chain from z*, or the real motion as in eq. 15."""
     contact_speed: Literal["squared", "norm"] = "squared"

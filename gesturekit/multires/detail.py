@@ -17,7 +17,7 @@ from gesturekit.multires.data import PairedSequence
 from gesturekit.multires.interpolation import resample
 
 _FLOOR = 0.1
-"""Of the detail of all joints; stiller ones are as good as still."""
+"""Of the RMS detail of all styles; joints that have less are as good as still."""
 _WINDOWS = 64
 """Of each style, evenly chosen, that stand for all."""
 

@@ -301,6 +301,10 @@ class Pair:
             if weights.smoothness and stride < 2.05:
                 loss = self.trainer.kinematics.smoothness_loss(values, stride)
                 parts.setdefault("smooth", []).append(weights.smoothness * loss)
+            if weights.coarse and self.first + i:
+                given = windows.coarser if i == 0 else made[i - 1].detach()
+                loss = F.l1_loss(resample(motion, given.shape[-1]), given)
+                parts.setdefault("coarse", []).append(weights.coarse * loss)
             if self.first + i in self.details:
                 loss = self.details[self.first + i](motion, windows.styles[:, self.first + i])
                 parts.setdefault("detail", []).append(weights.detail * loss)

@@ -56,6 +56,17 @@ def test_training_moves_towards_the_recording(make_config):
     assert first[-1] < 0.6 * first[0]
 
 
+def test_finer_levels_learn_to_leave_what_is_coarse(make_config):
+    schedule = {"first_pair": 60, "discriminator_steps": 0, "reconstruction_steps": 0}
+    losses = {"adversarial": 0, "arm_speed": 0, "coarse": 20, "detail": 1}
+    config = make_config(schedule=schedule, losses=losses, log_every=10)
+    train(config)
+    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
+    pair = [line for line in lines if line["level"] == 1]
+    assert pair[-1]["coarse"] < 0.6 * pair[0]["coarse"]
+    assert pair[-1]["detail"] < pair[0]["detail"]
+
+
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(make_config, tmp_path):
     one = make_config()
     same = make_config(out=str(tmp_path / "same"))
