@@ -105,8 +105,10 @@ class Bank:
     ) -> Windows:
         """Windows for random-generation steps: unpaired speech, fresh noise, no recorded motion.
 
-        They begin with a style of one of these recordings, beside which a discriminator sees them.
+        They begin with a style of one of these recordings, beside which a discriminator sees them,
+        and are `random_margin` longer at either end.
         """
+        n_frames += 2 * self.config.random_margin
         schedule = self.config.schedule
         speech = torch.stack([self.data.speech_window(n_frames, rng) for _ in range(count)])
         quiet = torch.rand(count, generator=rng) < schedule.silence

@@ -13,6 +13,9 @@ from gesturekit.errors import ConfigError
 from gesturekit.training.features import FeatureConfig
 from gesturekit.training.run_config import RunConfig, check_not_negative, check_positive
 
+_MARGIN_COARSE = 2
+"""Frames of the first level that are made before a motion and after it."""
+
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -39,6 +42,16 @@ class NetworkConfig:
             raise ConfigError(f"kernel: {self.kernel} must be odd")
         if not self.channels or min(self.channels) <= 0:
             raise ConfigError(f"channels: {list(self.channels)} must be numbers above 0")
+
+    @property
+    def margin(self) -> int:
+        """Frames made before a motion and after it, and cut off.
+
+        At its ends a pyramid moves less: levels hold their end frames when they are upsampled,
+        and convolutions see the motion mirrored. With a margin that happens outside of what is
+        kept, and a motion of a single frame is no special case.
+        """
+        return round(_MARGIN_COARSE * (4 / 3) ** (self.levels - 1))
 
 
 @dataclass(frozen=True)
@@ -100,6 +113,10 @@ class ScheduleConfig:
     """Windows whose coarser levels are generated beforehand ..."""
     renew: int = 50
     """... and renewed every so many iterations."""
+    margins: bool = False
+    """Random motions are made with the margins that `generate` cuts off, and judged without. Else
+    what is judged is nearer to its mirrored ends than what is generated later, and stiller. Not in
+    the papers."""
     silence: float = 0.1
     """Share of random windows whose speech is replaced by silence."""
 
@@ -194,6 +211,11 @@ class MultiresConfig(RunConfig):
         """Whether random steps are told how the arms should move."""
         told = self.losses.arm_speed or self.losses.arm_acceleration
         return bool(self.features and told and self.schedule.generator_steps)
+
+    @property
+    def random_margin(self) -> int:
+        """Frames that random motions of the training are made longer at either end."""
+        return self.network.margin if self.schedule.margins else 0
 
     @property
     def residual(self) -> bool:

@@ -355,7 +355,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             f"network.levels: {config.network.levels} levels leave one frame of the longest "
             f"recording ({longest / config.fps:.1f} s) at the coarsest; take fewer levels"
         )
-    silent = frames or longest
+    silent = (frames or longest) + 2 * config.random_margin
     hears = conditioner is not None
     return TrainingData(
         paired=tuple(paired),

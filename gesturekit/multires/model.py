@@ -28,9 +28,6 @@ from gesturekit.multires.styles import level_track
 from gesturekit.training.device import prepare_device
 from gesturekit.training.model_folder import load_model, model_readme, save_model
 
-_MARGIN_COARSE = 2
-"""Frames of the first level that are made before a motion and after it, and cut off."""
-
 
 class MultiresModel:
     """Motion by a pyramid of small generators: for speech, for a style, for both or for nothing.
@@ -97,16 +94,6 @@ class MultiresModel:
     def skeleton(self) -> Skeleton:
         """The rig, with all the joints of the training files."""
         return self.representation.skeleton
-
-    @property
-    def margin(self) -> int:
-        """Frames made before a motion and after it, and cut off.
-
-        At its ends a pyramid moves less: levels hold their end frames when they are upsampled,
-        and convolutions see the motion mirrored. With a margin that happens outside of what is
-        kept, and a motion of a single frame is no special case.
-        """
-        return round(_MARGIN_COARSE * (4 / 3) ** (self.network_config.levels - 1))
 
     def generate(
         self,

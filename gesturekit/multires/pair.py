@@ -220,6 +220,17 @@ class Pair:
             )
         return [level.float() for level in made]
 
+    def _within(self, made: Sequence[Tensor], n_frames: int, first: int = 0) -> list[Tensor]:
+        """Levels of the pair, from its `first` on, (B, C, T_i) without the margins."""
+        if not self.config.random_margin:
+            return list(made)
+        lengths = af.level_lengths(n_frames, self.config.network.levels)[self.first + first :]
+        kept = []
+        for level, length in zip(made, lengths, strict=False):
+            start = (level.shape[-1] - length) // 2
+            kept.append(level[..., start : start + length].contiguous())
+        return kept
+
     def _step(self, name: str, loss: Tensor) -> None:
         optimiser = self.optimisers[name]
         optimiser.zero_grad(set_to_none=True)
@@ -244,7 +255,7 @@ class Pair:
             chosen = self._choose(windows, rng, count)
             with torch.no_grad():
                 made = self._generate(windows.take(chosen[:, self._share].flatten()))
-            split = (level.chunk(count) for level in made)
+            split = (level.chunk(count) for level in self._within(made, n_frames))
             fakes[n_frames] = iter(zip(windows.styles[chosen], *split, strict=True))
         gap = 0.0
         for n_frames in lengths:
@@ -278,9 +289,10 @@ class Pair:
         weights = self.config.losses
         windows = self._draw("random", n_frames, rng)
         made = self._generate(windows)
+        within = self._within(made, n_frames)
         parts: dict[str, list[Tensor]] = {}
         told = self._told(windows.styles)
-        for i, (critic, motion) in enumerate(zip(self.discriminators, made, strict=True)):
+        for i, (critic, motion) in enumerate(zip(self.discriminators, within, strict=True)):
             stride = n_frames / motion.shape[-1]
             values = self.trainer.normaliser.inverse(motion)
             if weights.adversarial:
@@ -303,7 +315,7 @@ class Pair:
                 parts.setdefault("smooth", []).append(weights.smoothness * loss)
             if weights.coarse and self.first + i:
                 given = windows.coarser if i == 0 else made[i - 1].detach()
-                loss = F.l1_loss(resample(motion, given.shape[-1]), given)
+                loss = F.l1_loss(resample(made[i], given.shape[-1]), given)
                 parts.setdefault("coarse", []).append(weights.coarse * loss)
             if self.first + i in self.details:
                 loss = self.details[self.first + i](motion, windows.styles[:, self.first + i])
@@ -315,7 +327,8 @@ class Pair:
                     kinematics.arm_acceleration(values, stride),
                     stride / self.config.fps,
                 )
-                distances = (arms - self.targets[i](windows.speech[i])).abs().mean(dim=(0, 2))
+                aims = self._within([self.targets[i](windows.speech[i])], n_frames, i)[0]
+                distances = (arms - aims).abs().mean(dim=(0, 2))
                 for name, distance in zip(
                     ("arm_speed", "arm_acceleration"), distances, strict=True
                 ):

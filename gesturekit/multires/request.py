@@ -112,7 +112,7 @@ class Request:
         if kept is not None:
             _check_within(kept, n_frames)
         # A coarse level is edited frame by frame: its own frames, and none around them.
-        margin = model.margin if whole else 0
+        margin = model.network_config.margin if whole else 0
         return cls(
             samples=samples,
             seed=seed,

@@ -16,7 +16,7 @@ from gesturekit.errors import ConfigError, ModelError
 from gesturekit.multires import trainer
 from gesturekit.multires.bank import Bank
 from gesturekit.multires.interpolation import resample
-from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
+from gesturekit.multires.networks import LevelDiscriminator, LevelGenerator, MultiresGenerator
 from gesturekit.multires.pair import Pair
 from gesturekit.multires.trainer import train
 from gesturekit.training.checkpoint import Checkpoints
@@ -156,6 +156,31 @@ def test_a_bank_holds_a_whole_sequence_once(make_config):
         assert torch.equal(windows.targets[-1], torch.stack([s.motion for s in sequences]))
 
 
+def test_with_margins_longer_motions_are_judged_by_their_middle(make_config, monkeypatch):
+    config = make_config(schedule={"margins": True, "window": 2.0, "first_pair": 1})
+    seen = set()
+    original = LevelDiscriminator.forward
+
+    def forward(self, x, told=None):
+        seen.add(x.shape[-1])
+        return original(self, x, told)
+
+    generated = set()
+    generate = Pair._generate
+
+    def longer(self, windows):
+        made = generate(self, windows)
+        if windows.targets is None:
+            generated.update(level.shape[-1] for level in made)
+        return made
+
+    monkeypatch.setattr(LevelDiscriminator, "forward", forward)
+    monkeypatch.setattr(Pair, "_generate", longer)
+    train(config)
+    assert config.network.margin == 5
+    assert seen == {21, 28, 38, 50} and generated == {25, 34, 45, 60}
+
+
 def test_a_recording_of_one_frame_at_the_coarsest_level_trains(make_config, write_pair, tmp_path):
     for stem, seconds in {"long": 1.0, "short": 0.5}.items():
         write_pair(tmp_path / "pairs", stem, seconds)
@@ -211,6 +236,7 @@ def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path
     "changes",
     [
         {"schedule": {"window": None}},
+        {"schedule": {"margins": True}},
         {"schedule": {"discriminator_steps": 0, "generator_steps": 0}},
         {"schedule": {"reconstruction_steps": 0}},
         {"features": {"residual": False}, "network": {"film": "input"}},
