@@ -66,10 +66,10 @@ class DetailTarget(nn.Module):
             self.register_buffer(f"recorded{style}", logs[few])
 
     def _power(self, motion: Tensor) -> Tensor:
-        """(B, D, T) to (B, K), m^2, of what three quarters of the frames cannot hold."""
+        """(B, D, T) to (B, K), m^2, of what as many frames as the level below has cannot hold."""
         places = self.places(motion)
         n_frames = places.shape[-1]
-        coarser = resample(places, max(1, round(0.75 * n_frames)))
+        coarser = resample(places, af.level_lengths(n_frames, 2)[0])
         return (places - resample(coarser, n_frames)).square().mean(dim=(2, 3))
 
     def _log(self, power: Tensor) -> Tensor:

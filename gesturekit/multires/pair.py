@@ -220,13 +220,14 @@ class Pair:
             )
         return [level.float() for level in made]
 
-    def _within(self, made: Sequence[Tensor], n_frames: int, first: int = 0) -> list[Tensor]:
-        """Levels of the pair, from its `first` on, (B, C, T_i) without the margins."""
+    def _within(self, made: Sequence[Tensor], n_frames: int) -> list[Tensor]:
+        """The levels of the pair, (B, C, T_i), without the margins."""
         if not self.config.random_margin:
             return list(made)
-        lengths = af.level_lengths(n_frames, self.config.network.levels)[self.first + first :]
+        lengths = af.level_lengths(n_frames, self.config.network.levels)
         kept = []
-        for level, length in zip(made, lengths, strict=False):
+        for level, i in zip(made, self.indices, strict=True):
+            length = lengths[i]
             start = (level.shape[-1] - length) // 2
             kept.append(level[..., start : start + length].contiguous())
         return kept
@@ -292,6 +293,10 @@ class Pair:
         within = self._within(made, n_frames)
         parts: dict[str, list[Tensor]] = {}
         told = self._told(windows.styles)
+        aims: list[Tensor] = []
+        if self.targets:
+            heard = zip(self.targets, windows.speech, strict=True)
+            aims = self._within([target(speech) for target, speech in heard], n_frames)
         for i, (critic, motion) in enumerate(zip(self.discriminators, within, strict=True)):
             stride = n_frames / motion.shape[-1]
             values = self.trainer.normaliser.inverse(motion)
@@ -320,15 +325,14 @@ class Pair:
             if self.first + i in self.details:
                 loss = self.details[self.first + i](motion, windows.styles[:, self.first + i])
                 parts.setdefault("detail", []).append(weights.detail * loss)
-            if self.targets and moves:
+            if aims and moves:
                 kinematics = self.trainer.kinematics
                 arms = log_movement(
                     kinematics.arm_speed(values, stride),
                     kinematics.arm_acceleration(values, stride),
                     stride / self.config.fps,
                 )
-                aims = self._within([self.targets[i](windows.speech[i])], n_frames, i)[0]
-                distances = (arms - aims).abs().mean(dim=(0, 2))
+                distances = (arms - aims[i]).abs().mean(dim=(0, 2))
                 for name, distance in zip(
                     ("arm_speed", "arm_acceleration"), distances, strict=True
                 ):
