@@ -12,15 +12,15 @@ from __future__ import annotations
 import copy
 import json
 import os
+import statistics
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
 import torch.nn.functional as F
-from harness import arguments, compare, report
+from harness import arguments, compare, report, timed
 from torch import Tensor
 
 from gesturekit.diffusion.attention import Attention
@@ -129,12 +129,8 @@ def clip(n_frames: int, runs: int) -> None:
     """In a process of its own: median seconds of a step and peak MiB of all, as JSON."""
     predict, noisy = network().listening(condition(n_frames), [50]), noise_at(0, n_frames)
     predict(noisy, 50)
-    times = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        predict(noisy, 50)
-        times.append(time.perf_counter() - start)
-    print(json.dumps([sorted(times)[runs // 2], peak_mib()]))
+    times = timed(lambda: predict(noisy, 50), runs)
+    print(json.dumps([statistics.median(times), peak_mib()]))
 
 
 def measured_clip(n_frames: int, runs: int) -> tuple[float, float]:
@@ -206,12 +202,8 @@ def once(
     ours: Callable[[], object], other: Callable[[], object], note: str
 ) -> dict[str, float | str]:
     """As `compare`, for work of a minute that needs no warming up."""
-    times = []
-    for work in (ours, other):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return {"ours": times[0], "other": times[1], "ratio": times[1] / times[0], "note": note}
+    one, two = (timed(work, 1)[0] for work in (ours, other))
+    return {"ours": one, "other": two, "ratio": two / one, "note": note}
 
 
 if __name__ == "__main__":

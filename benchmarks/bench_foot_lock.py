@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from harness import arguments, report
+from harness import arguments, report, timed
 
 import gesturekit as gk
 from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
@@ -86,11 +86,8 @@ def main() -> None:
     runs = 3 if options.quick else 7
     figures: dict[str, dict[str, float | str]] = {}
     for name, clip in (("demo", motion), ("drift", drifting)):
-        times = []
-        for _ in range(runs):
-            start = time.perf_counter()
-            locked = lock_feet(clip, labels)
-            times.append(time.perf_counter() - start)
+        locked = lock_feet(clip, labels)
+        times = timed(lambda clip=clip: lock_feet(clip, labels), runs)
         start = time.perf_counter()
         fit = fitted(clip, labels, STEPS)
         other = time.perf_counter() - start

@@ -12,10 +12,9 @@ from __future__ import annotations
 import resource
 import statistics
 import time
-from collections.abc import Callable
 
 import numpy as np
-from harness import arguments, compare, report
+from harness import arguments, compare, report, timed
 from numba import njit
 
 from gesturekit.evaluation import coverage, global_diversity, local_diversity, patch_scores
@@ -63,16 +62,6 @@ def walk(rng: np.random.Generator, n_frames: int) -> np.ndarray:
     return frames
 
 
-def repeated(work: Callable[[], object], times: int = 50) -> float:
-    """Median seconds where nothing else comes between, as in training."""
-    took = []
-    for _ in range(times):
-        start = time.perf_counter()
-        work()
-        took.append(time.perf_counter() - start)
-    return statistics.median(took)
-
-
 def main() -> None:
     options = arguments(__doc__.splitlines()[0])
     rng = np.random.default_rng(0)
@@ -109,7 +98,7 @@ def main() -> None:
     np.testing.assert_allclose(ours(), other(), rtol=1e-6)
     np.testing.assert_allclose(at_once(), other(), rtol=1e-6)
     for name, work in (("three calls", ours), ("one call", at_once)):
-        print(f"{name}, one after the other: {1e3 * repeated(work):.2f} ms")
+        print(f"{name}, one after the other: {1e3 * statistics.median(timed(work, 50)):.2f} ms")
     runs = 3 if options.quick else 15
     note = "742 × 371 × 168; other: all window pairs"
     figures = {

@@ -10,12 +10,11 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 import soundfile
-from harness import arguments, report
+from harness import arguments, report, timed
 
 import audio_features as af
 import gesturekit as gk
@@ -37,18 +36,12 @@ def main() -> None:
         model = gk.load("demo")
         model.generate(wav).save(bvh)
 
-        def timed(work) -> float:
-            times = []
-            for _ in range(runs):
-                start = time.perf_counter()
-                work()
-                times.append(time.perf_counter() - start)
-            return statistics.median(times)
-
-        warm = timed(lambda: model.generate(wav).save(bvh))
+        warm = statistics.median(timed(lambda: model.generate(wav).save(bvh), runs))
         command = [sys.executable, "-m", "gesturekit", "render", str(wav)]
         command += ["--model", "demo", "--out", folder]
-        cold = timed(lambda: subprocess.run(command, check=True, capture_output=True))
+        cold = statistics.median(
+            timed(lambda: subprocess.run(command, check=True, capture_output=True), runs)
+        )
     figures = {
         "render_in_process": {
             "ours": warm,

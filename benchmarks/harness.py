@@ -17,17 +17,28 @@ def arguments(description: str) -> argparse.Namespace:
     return parser.parse_args()
 
 
+def timed(work: Callable[[], object], runs: int) -> list[float]:
+    """Seconds of each of some runs with nothing between them."""
+    times = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return times
+
+
 def compare(
-    ours: Callable[[], object], other: Callable[[], object], runs: int, note: str
+    ours: Callable[[], object], other: Callable[[], object], runs: int, note: str, turn: int = 1
 ) -> dict[str, float | str]:
-    """Median seconds of both, run in turn so that a busy machine slows both alike."""
+    """Median seconds of both, run in turn so that a busy machine slows both alike.
+
+    Each has `turn` runs before it is the other's turn.
+    """
     times: dict[str, list[float]] = {"ours": [], "other": []}
     ours(), other()
     for _ in range(runs):
         for name, work in (("ours", ours), ("other", other)):
-            start = time.perf_counter()
-            work()
-            times[name].append(time.perf_counter() - start)
+            times[name] += timed(work, turn)
     one, two = statistics.median(times["ours"]), statistics.median(times["other"])
     return {"ours": one, "other": two, "ratio": two / one, "note": note}
 

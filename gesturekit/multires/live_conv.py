@@ -14,11 +14,12 @@ same to the bit, however many there are and whatever other windows or frames are
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -224,7 +225,14 @@ def _plan(places: np.ndarray, sizes: Sequence[int]) -> Plan:
     return Plan(np.array(steps), np.concatenate(reads))
 
 
-_row_threads: int | None = None
+class _Allowance(threading.local):
+    """How many threads this Python thread's rows may use, where that is not torch's business."""
+
+    rows: int | None = None
+
+
+_allowance = _Allowance()
+T = TypeVar("T")
 
 
 @contextmanager
@@ -233,25 +241,50 @@ def only_rows_in_threads() -> Iterator[None]:
 
     Training has thousands of operations too short to be shared. Between them torch's threads wait
     busily, and where other programs want the processor one iteration took three times as long.
-    For one Python thread at a time.
     """
-    global _row_threads
     count = torch.get_num_threads()
     torch.set_num_threads(1)
-    _row_threads = count
+    _allowance.rows = count
     try:
         yield
     finally:
-        _row_threads = None
+        _allowance.rows = None
         torch.set_num_threads(count)
 
 
+def side_by_side(*tasks: Callable[[], T]) -> list[T]:
+    """What independent tasks give, within `only_rows_in_threads` made on threads of their own.
+
+    The threads that rows may have are shared out among the tasks. Where there is one for all, or
+    without `only_rows_in_threads`, tasks are done in turn. A task finds torch's modes (gradients,
+    half precision) as a new thread does and sets those that it needs.
+    """
+    count = (_allowance.rows or 1) // len(tasks)
+    if count == 0 or len(tasks) == 1:
+        return [task() for task in tasks]
+
+    def with_rows(task: Callable[[], T]) -> T:
+        before, _allowance.rows = _allowance.rows, count
+        try:
+            return task()
+        finally:
+            _allowance.rows = before
+
+    own, *others = tasks
+    waiting = [_threads("tasks").submit(with_rows, task) for task in others]
+    try:
+        made = with_rows(own)
+    finally:
+        wait(waiting)  # whatever happened here: nothing goes on unseen
+    return [made, *(one.result() for one in waiting)]
+
+
 def _in_shares(function: Callable[..., None], plan: Plan, *arguments: Any, products: int) -> None:
-    """Call a compiled function for all steps of a plan, on as many threads as torch may use."""
-    count = (_row_threads or torch.get_num_threads()) if products > _ALONE else 1
+    """Call a compiled function for all steps of a plan, on as many threads as rows may use."""
+    count = (_allowance.rows or torch.get_num_threads()) if products > _ALONE else 1
     own, *others = plan.shares(count)
     waiting = [
-        _threads(count).submit(function, plan.steps[first:last], plan.reads, *arguments)
+        _threads("rows").submit(function, plan.steps[first:last], plan.reads, *arguments)
         for first, last in others
     ]
     function(plan.steps[slice(*own)], plan.reads, *arguments)
@@ -259,9 +292,10 @@ def _in_shares(function: Callable[..., None], plan: Plan, *arguments: Any, produ
         one.result()
 
 
-@lru_cache(maxsize=1)
-def _threads(count: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(count - 1, thread_name_prefix="live_conv")
+@lru_cache(maxsize=2)
+def _threads(work: str) -> ThreadPoolExecutor:
+    """Of tasks or of rows, as many as were ever wanted at once; a task waits for rows."""
+    return ThreadPoolExecutor(thread_name_prefix=work)
 
 
 if hasattr(os, "register_at_fork"):  # threads do not come along into a forked process

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -21,7 +22,7 @@ from gesturekit.multires.detail import DetailTarget
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import CAPTURE_SECONDS
 from gesturekit.multires.listening import ArmTarget, log_movement
-from gesturekit.multires.live_conv import only_rows_in_threads
+from gesturekit.multires.live_conv import only_rows_in_threads, side_by_side
 from gesturekit.multires.networks import LevelDiscriminator
 from gesturekit.multires.styles import agreed_style
 from gesturekit.training.seeds import generator, seeded
@@ -232,13 +233,34 @@ class Pair:
             kept.append(level[..., start : start + length].contiguous())
         return kept
 
-    def _step(self, name: str, loss: Tensor) -> None:
-        optimiser = self.optimisers[name]
-        optimiser.zero_grad(set_to_none=True)
-        # Only the networks of this step get gradients; the other side's would be thrown away.
-        parameters = [p for group in optimiser.param_groups for p in group["params"]]
-        loss.backward(inputs=parameters)
-        self._update(name)
+    def _descend(self, losses: Callable[[int], dict[str, Tensor]]) -> dict[str, float]:
+        """One step of the generators, each down the sum of its level's losses.
+
+        No gradient runs from a level into the one below, so levels go side by side.
+
+        Args:
+            losses: by name, of the level of this number in the pair.
+
+        Returns:
+            the sum over levels of each loss.
+        """
+        self.optimisers["generator"].zero_grad(set_to_none=True)
+
+        def level(i: int) -> dict[str, Tensor]:
+            parts = losses(i)
+            if parts:
+                # Only this level gets gradients; its discriminator's would be thrown away.
+                own = list(self.generators[i].parameters())
+                torch.stack(list(parts.values())).sum().backward(inputs=own)
+            return {name: value.detach() for name, value in parts.items()}
+
+        sums: dict[str, float] = {}
+        for parts in side_by_side(*(partial(level, i) for i in range(len(self.indices)))):
+            for name, value in parts.items():
+                sums[name] = sums.get(name, 0.0) + float(value)
+        if sums:
+            self._update("generator")
+        return sums
 
     def _update(self, name: str) -> None:
         """One step down the mean gradient of all processes."""
@@ -273,15 +295,20 @@ class Pair:
         beside = styles[:, 0].tolist() if self._n_told else None
         reals = self.trainer.bank.reals(sequences, n_frames, self.first, batch, rng, beside)
         told = self._told(styles[share])
-        gaps = []
-        for critic, real, fake, style in zip(self.discriminators, reals, fakes, told, strict=True):
-            mix = torch.rand(batch, 1, 1, generator=rng).to(real.device)
+        mixes = [torch.rand(batch, 1, 1, generator=rng).to(self.trainer.device) for _ in reals]
+
+        def level(i: int) -> Tensor:
             with self._precision():
-                gaps.append(
-                    critic_gradients(
-                        critic, real[share], fake, mix[share], self.config.losses, style
-                    )
+                return critic_gradients(
+                    self.discriminators[i],
+                    reals[i][share],
+                    fakes[i],
+                    mixes[i][share],
+                    self.config.losses,
+                    told[i],
                 )
+
+        gaps = side_by_side(*(partial(level, i) for i in range(len(self.indices))))
         self._update("discriminator")
         return float(torch.stack(gaps).mean())
 
@@ -291,42 +318,42 @@ class Pair:
         windows = self._draw("random", n_frames, rng)
         made = self._generate(windows)
         within = self._within(made, n_frames)
-        parts: dict[str, list[Tensor]] = {}
         told = self._told(windows.styles)
         aims: list[Tensor] = []
         if self.targets:
             heard = zip(self.targets, windows.speech, strict=True)
             aims = self._within([target(speech) for target, speech in heard], n_frames)
-        for i, (critic, motion) in enumerate(zip(self.discriminators, within, strict=True)):
+
+        def losses(i: int) -> dict[str, Tensor]:
+            motion, kinematics = within[i], self.trainer.kinematics
             stride = n_frames / motion.shape[-1]
             values = self.trainer.normaliser.inverse(motion)
+            parts: dict[str, Tensor] = {}
             if weights.adversarial:
+                critic = self.discriminators[i]
                 critic.requires_grad_(False)  # what the score is by its weights is not asked for
                 with self._precision():
                     score = -critic(motion, told[i]).mean()
                 critic.requires_grad_(True)
-                parts.setdefault("adversarial", []).append(weights.adversarial * score)
+                parts["adversarial"] = weights.adversarial * score
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1
             if weights.contact and moves:
                 squared = weights.contact_speed == "squared"
-                loss = self.trainer.kinematics.contact_loss(
-                    values, stride, weights.contact_slope, squared
-                )
-                parts.setdefault("contact", []).append(weights.contact * loss)
+                loss = kinematics.contact_loss(values, stride, weights.contact_slope, squared)
+                parts["contact"] = weights.contact * loss
             # Rounding makes strides of two levels straddle 2; half the full rate is meant.
             if weights.smoothness and stride < 2.05:
-                loss = self.trainer.kinematics.smoothness_loss(values, stride)
-                parts.setdefault("smooth", []).append(weights.smoothness * loss)
+                loss = kinematics.smoothness_loss(values, stride)
+                parts["smooth"] = weights.smoothness * loss
             if weights.coarse and self.first + i:
                 given = windows.coarser if i == 0 else made[i - 1].detach()
                 loss = F.l1_loss(resample(made[i], given.shape[-1]), given)
-                parts.setdefault("coarse", []).append(weights.coarse * loss)
+                parts["coarse"] = weights.coarse * loss
             if self.first + i in self.details:
                 loss = self.details[self.first + i](motion, windows.styles[:, self.first + i])
-                parts.setdefault("detail", []).append(weights.detail * loss)
+                parts["detail"] = weights.detail * loss
             if aims and moves:
-                kinematics = self.trainer.kinematics
                 arms = log_movement(
                     kinematics.arm_speed(values, stride),
                     kinematics.arm_acceleration(values, stride),
@@ -337,12 +364,10 @@ class Pair:
                     ("arm_speed", "arm_acceleration"), distances, strict=True
                 ):
                     if weight := getattr(weights, name):
-                        parts.setdefault(name, []).append(weight * distance)
-        if not parts:
-            return {}
-        sums = {name: torch.stack(losses).sum() for name, losses in parts.items()}
-        self._step("generator", torch.stack(list(sums.values())).sum())
-        return {name: float(value.detach()) for name, value in sums.items()}
+                        parts[name] = weight * distance
+            return parts
+
+        return self._descend(losses)
 
     def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
         """Reconstruction of paired motion from z* and its own speech (eq. 15)."""
@@ -364,7 +389,7 @@ class Pair:
         else:
             made = self._generate(windows)
         errors = [F.l1_loss(m, target) for m, target in zip(made, windows.targets, strict=True)]
-        self._step("generator", self.config.losses.reconstruction * torch.stack(errors).sum())
+        self._descend(lambda i: {"rec": self.config.losses.reconstruction * errors[i]})
         return float(torch.stack(errors).detach().mean())
 
     def _detail_targets(self) -> dict[int, DetailTarget]:

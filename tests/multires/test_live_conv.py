@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import threading
+from functools import partial
 
 import numpy as np
 import pytest
@@ -82,6 +84,40 @@ def test_a_frame_does_not_depend_on_who_else_is_filtered_nor_by_how_many(
                 assert torch.get_num_threads() == 1
                 assert torch.equal(made(windows, gradient)[0], whole)
             assert torch.get_num_threads() == count
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_tasks_side_by_side_share_the_threads_and_leave_none_behind():
+    def task(result, wait_for=None, then=None):
+        if wait_for is not None:
+            assert wait_for.wait(10), "the other task did not run beside this one"
+        if then is not None:
+            then.set()
+        if isinstance(result, Exception):
+            raise result
+        return result, live_conv._allowance.rows
+
+    def both(one, two):
+        begun = threading.Event()
+        return live_conv.side_by_side(
+            partial(task, one, wait_for=begun), partial(task, two, then=begun)
+        )
+
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(5)
+        with live_conv.only_rows_in_threads():
+            assert both("one", "two") == [("one", 2), ("two", 2)]
+            assert live_conv.side_by_side(partial(task, "alone")) == [("alone", 5)]
+            for one, two in ((ValueError("wrong"), "two"), ("one", ValueError("wrong"))):
+                with pytest.raises(ValueError, match="wrong"):
+                    both(one, two)
+            assert both("one", "two") == [("one", 2), ("two", 2)]
+        torch.set_num_threads(1)
+        with live_conv.only_rows_in_threads():
+            here = live_conv.side_by_side(threading.get_ident, threading.get_ident)
+            assert here == [threading.get_ident()] * 2
     finally:
         torch.set_num_threads(before)
 

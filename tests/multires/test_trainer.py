@@ -13,7 +13,7 @@ import gesturekit as gk
 from audio_features import WeightsError
 from gesturekit.corpus import prepare
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.multires import trainer
+from gesturekit.multires import pair, trainer
 from gesturekit.multires.bank import Bank
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import LevelDiscriminator, LevelGenerator, MultiresGenerator
@@ -54,6 +54,18 @@ def test_training_moves_towards_the_recording(make_config):
     lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
     first = [line["rec"] for line in lines if line["level"] == 1]
     assert first[-1] < 0.6 * first[0]
+
+
+def test_levels_side_by_side_train_as_one_after_the_other(make_config, monkeypatch):
+    changes = {"threads": 2, "losses": {"coarse": 1.0, "arm_acceleration": 3}}
+    beside = make_config(**changes)
+    train(beside)
+    monkeypatch.setattr(pair, "side_by_side", lambda *tasks: [task() for task in tasks])
+    in_turn = make_config(**changes, out=str(beside.out) + "_in_turn")
+    train(in_turn)
+    ours, theirs = weights(beside), weights(in_turn)
+    assert ours.keys() == theirs.keys()
+    assert all(torch.equal(ours[name], theirs[name]) for name in ours)
 
 
 def test_finer_levels_learn_to_leave_what_is_coarse(make_config):
