@@ -84,12 +84,21 @@ class ForwardKinematics(nn.Module):
             rotations: (..., J, 3, 3) local rotation matrices.
             translation: (..., 3) world position of the root.
         """
+        return self.from_inner(rotations.index_select(-3, self.inner), translation)
+
+    def from_inner(self, rotations: Tensor, translation: Tensor) -> Tensor:
+        """The same by the rotations of `inner` alone, the joints that others hang on.
+
+        Args:
+            rotations: (..., I, 3, 3) local rotation matrices, in the order of `inner`.
+            translation: (..., 3) world position of the root.
+        """
         root = translation.unsqueeze(-2)
         if not self.level_sizes:
             return root
         # Entries of the matrices first, joints last, (3, 3, ..., joints): the products are then
         # a few operations on long arrays, not thousands of tiny ones.
-        local = rotations.movedim((-2, -1), (0, 1)).index_select(-1, self.inner)
+        local = rotations.movedim((-2, -1), (0, 1))
         turned = []
         for level, matrices in enumerate(local.split(self.level_sizes, dim=-1)):
             if level:

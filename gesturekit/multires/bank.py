@@ -186,10 +186,8 @@ class Bank:
             for style in styles:
                 own = [sequence for sequence in sequences if sequence.style == style]
                 windows += random_windows(own, n_frames, 1, rng)
-        motion = torch.stack(
-            [sequence.motion[:, start : start + n_frames] for sequence, start in windows]
-        ).to(self.device)
-        return [resample(motion, n) for n in lengths]
+        motions = [sequence.motion[:, start : start + n_frames] for sequence, start in windows]
+        return [torch.stack([resample(m, n) for m in motions]).to(self.device) for n in lengths]
 
     @torch.no_grad()
     def _windows(

@@ -2,52 +2,80 @@
 
 The gradient penalty wants the derivative of a gradient, which autograd finds by going through the
 networks six times, two of them with zeros: leaky rectifiers bend only at a point, so that the
-network is linear around every input. Here one pass forward and one back over fakes, recordings and
-the points between them serve both the score and the penalty; the penalty's own derivative is one
-more pass forward, of the direction in which the gradient should grow; and all gradients of weights
-are one product.
+network is linear around every input. Here one pass forward and one back serve the score and the
+penalty alike, and the penalty's own derivative is one more pass forward, of the direction in which
+the gradient should grow. Motions that are scored and those that the penalty is on are tasks of
+their own, a few windows at a time, which threads do side by side.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from gesturekit.multires.config import LossConfig
-from gesturekit.multires.interpolation import reflect
-from gesturekit.multires.live_conv import Rows
-from gesturekit.multires.networks import SLOPE, LevelDiscriminator, gradient_penalty
-from gesturekit.multires.skeleton_conv import rectified
+from gesturekit.multires.live_conv import Rows, narrowed
+from gesturekit.multires.networks import SLOPE, LevelDiscriminator, gradient_penalty, taken
+from gesturekit.multires.row_kernels import (
+    mirror_rows,
+    penalty_gradient,
+    score_rows,
+    sums_over_time,
+)
+from gesturekit.multires.row_threads import side_by_side
+
+TOGETHER = 4
+"""Windows of a task; however many threads there are, sums over windows have one order."""
 
 
 def critic_gradients(
-    critic: LevelDiscriminator,
-    real: Tensor,
-    fake: Tensor,
-    mix: Tensor,
+    critics: Sequence[LevelDiscriminator],
+    reals: Sequence[Tensor],
+    fakes: Sequence[Tensor],
+    mixes: Sequence[Tensor],
     losses: LossConfig,
-    told: Tensor | None = None,
+    told: Sequence[Tensor | None],
 ) -> Tensor:
-    """Give the critic's parameters the gradients of its loss on these motions.
+    """Give critics' parameters the gradients of their losses on these motions.
 
     The loss is `critic_scale` times the gap, score of fakes less score of recordings, plus the
     gradient penalty (eqs. 12 and 13). By hand where `live_conv` runs, else by autograd.
 
     Args:
-        real: (B, D, T).
-        fake: the same shape.
-        mix: (B, 1, 1), uniform in [0, 1], where between them the penalty is taken.
+        critics: of some levels; the following have an entry for each.
+        reals: (B, D, T).
+        fakes: the same shapes.
+        mixes: (B, 1, 1), uniform in [0, 1], where between them the penalty is taken.
+        losses: of all of them.
         told: (B, K) style of each recording and of the fake beside it; None where nothing is told.
 
     Returns:
-        the gap, a number.
+        (levels,) gaps.
     """
-    if all(conv.is_live(real) for conv in critic.layers):
-        return _by_hand(critic, real, fake, mix, losses, told)
+    levels = list(zip(critics, reals, fakes, mixes, told, strict=True))
+    if not all(conv.is_live(real) for critic, real, *_ in levels for conv in critic.layers):
+        return torch.stack([_by_autograd(*level, losses) for level in levels])
+    steps = [_Step(*level, losses) for level in levels]
+    tasks = [task for step in steps for task in step.tasks()]
+    side_by_side(*(run for _, run in sorted(tasks, key=lambda task: -task[0])))
+    return torch.stack([step.finish() for step in steps])
+
+
+def _by_autograd(
+    critic: LevelDiscriminator,
+    real: Tensor,
+    fake: Tensor,
+    mix: Tensor,
+    told: Tensor | None,
+    losses: LossConfig,
+) -> Tensor:
     twice = None if told is None else torch.cat([told, told])
-    scores = critic(torch.cat([fake, real]), twice).mean(dim=(1, 2))
+    scores = critic(torch.cat([fake, real]), twice)
     gap = scores[: len(fake)].mean() - scores[len(fake) :].mean()
     penalty = gradient_penalty(critic, real, fake, mix, losses.penalty_on == "frame", told)
     loss = losses.critic_scale * gap + losses.gradient_penalty * penalty
@@ -57,83 +85,145 @@ def critic_gradients(
     return gap.detach()
 
 
-@torch.no_grad()
-def _by_hand(
-    critic: LevelDiscriminator,
-    real: Tensor,
-    fake: Tensor,
-    mix: Tensor,
-    losses: LossConfig,
-    told: Tensor | None,
-) -> Tensor:
-    count, _, n_frames = real.shape
-    # Fakes, recordings and the points between them; the penalty is on the last ones alone.
-    whole, between = Rows(3 * count, n_frames), Rows(count, n_frames)
-    scored, penalised = whole.part(0, 2 * count), whole.part(2 * count, count)
-    motion = torch.cat([fake, real, torch.lerp(real, fake, mix)])
-    weights = [conv.live_weights() for conv in critic.layers]
-    wirings = [conv.wiring for conv in critic.layers]
+class _Step:
+    """A step of one critic in parts that do not wait for one another. Arguments as above."""
 
-    signals = [whole.mirrored(motion)]
-    for conv, wiring, weight in zip(critic.layers, wirings, weights, strict=True):
-        signals.append(wiring.forward(weight, conv.bias, signals[-1], whole, SLOPE))
+    def __init__(
+        self,
+        critic: LevelDiscriminator,
+        real: Tensor,
+        fake: Tensor,
+        mix: Tensor,
+        told: Tensor | None,
+        losses: LossConfig,
+    ) -> None:
+        self.critic, self.losses, self.told = critic, losses, told
+        self.windows = (real, fake, mix)
+        self.count, _, self.n_frames = real.shape
+        self.parts = [
+            slice(start, min(start + TOGETHER, self.count))
+            for start in range(0, self.count, TOGETHER)
+        ]
+        self.wirings = [conv.wiring for conv in critic.layers]
+        self.weights = [conv.live_weights() for conv in critic.layers]
+        self.biases = [conv.bias.detach().numpy() for conv in critic.layers]
+        with torch.no_grad():
+            self.slopes = critic.slopes(self.n_frames, told).numpy()
+        self.taken = taken(self.n_frames, critic.score.kernel_size[0]).numpy()
+        self.made: list[_Gradients | None] = [None] * (2 * len(self.parts))
 
-    # The mean over time of the last convolution is a weighted sum of what goes into it.
-    taken = _taken(n_frames, critic.score.kernel_size[0])
-    heads = critic.score.weight
-    if told is not None:
-        heads = heads + torch.einsum("bk,kct->bct", told.repeat(3, 1), critic.styled.weight)
-    slope = (heads @ taken).transpose(0, 1)
-    last = whole.frames(signals[-1])
-    scores = (last * slope).sum(dim=(0, 2)) + critic.score.bias
-    seeds = torch.full((3 * count, 1), losses.critic_scale / count)
-    seeds[count : 2 * count] *= -1
-    seeds[2 * count :] = 1
+    def tasks(self) -> list[tuple[int, Callable[[], None]]]:
+        """Each with how much there is to do."""
+        # Of a scored window one pass forward, back and for weights each, of two; of the others two
+        # forward and one of the rest.
+        kinds = ((6, self._scored), (4, self._penalised))
+        work = [(times, of, part) for times, of in kinds for part in self.parts]
 
-    gradient = whole.zeros(len(slope))
-    torch.mul(slope, seeds, out=whole.frames(gradient))
-    gradients = [rectified(gradient, signals[-1], SLOPE)]
-    for i in reversed(range(1, len(weights))):
-        gradient = wirings[i].input_gradient(weights[i], gradient, whole, signals[i], SLOPE)
-        gradients.insert(0, gradient)
-    own = between.cut(gradient, whole, 2 * count)
-    gradient = wirings[0].input_gradient(weights[0], own, between)
+        def task(number: int) -> None:
+            _, of, part = work[number]
+            self.made[number] = of(part)
 
-    towards = between.mirror(_penalty_gradient(gradient, between, losses))
-    total = last[:, :count] - last[:, count : 2 * count]
-    total *= losses.critic_scale / count
-    # What goes in is, for the penalty, the direction in which its gradient should grow.
-    for i, conv in enumerate(critic.layers):
-        signals[i][:, penalised] = towards[:, between.part(0, count)]
-        conv.weight.grad = conv.live_gradient(signals[i], gradients[i], whole)
-        conv.bias.grad = gradients[i][:, scored].sum(dim=1)
-        own = between.cut(signals[i + 1], whole, 2 * count)
-        towards = wirings[i].forward_along(weights[i], towards, between, own, SLOPE)
-    total += between.frames(towards)
-    of_each = total.transpose(0, 1) @ taken.T
-    critic.score.weight.grad = of_each.sum(dim=0, keepdim=True)
-    if told is not None:
-        critic.styled.weight.grad = torch.einsum("bk,bct->kct", told, of_each)
-    critic.score.bias.grad = torch.zeros_like(critic.score.bias)
-    return scores[:count].mean() - scores[count : 2 * count].mean()
+        return [
+            (times * (part.stop - part.start) * self.n_frames, partial(task, number))
+            for number, (times, _, part) in enumerate(work)
+        ]
+
+    def finish(self) -> Tensor:
+        """Hand out the gradients; the gap."""
+        scored, others = self.made[: len(self.parts)], self.made[len(self.parts) :]
+        for i, conv in enumerate(self.critic.layers):
+            by_weight, *others_by_weight = (made.weights[i] for made in self.made)
+            for more in others_by_weight:
+                by_weight += more
+            conv.weight.grad = narrowed(by_weight, conv.shape[-1])
+            conv.bias.grad = torch.from_numpy(sum(made.biases[i] for made in scored))
+        of_each = [
+            np.concatenate([made.heads for made in kind], axis=1) for kind in (scored, others)
+        ]
+        of_each = torch.from_numpy(of_each[0].sum(axis=0) + of_each[1].sum(axis=0))
+        self.critic.score.weight.grad = of_each.sum(dim=0, keepdim=True)
+        self.critic.score.bias.grad = torch.zeros_like(self.critic.score.bias)
+        if self.told is not None:
+            self.critic.styled.weight.grad = torch.einsum("bk,bct->kct", self.told, of_each)
+        fake, real = np.concatenate([made.scores for made in scored], axis=1).mean(axis=1)
+        return torch.tensor(fake - real)
+
+    def _slopes(self, part: slice) -> np.ndarray:
+        """(1 or B, C, T): one for all windows where nothing is told."""
+        return self.slopes if self.told is None else self.slopes[part]
+
+    def _heard(self, rows: Rows, windows: Tensor) -> list[np.ndarray]:
+        """What goes into the first layer and comes out of each, rectified."""
+        signals = [rows.mirrored(windows)]
+        for wiring, weight, bias in zip(self.wirings, self.weights, self.biases, strict=True):
+            signals.append(wiring.forward(weight, bias, signals[-1], rows, SLOPE))
+        return signals
+
+    def _scored(self, part: slice) -> _Gradients:
+        """Of the gap."""
+        real, fake, _ = (of[part] for of in self.windows)
+        windows = torch.cat([fake, real])
+        share = self.losses.critic_scale / self.count
+        seeds = np.repeat(np.array([share, -share], dtype=np.float32), len(real))
+        rows = Rows(len(windows), self.n_frames)
+        signals = self._heard(rows, windows)
+        gradient = rows.empty(len(signals[-1]))
+        slopes = self._slopes(part)
+        if len(slopes) > 1:
+            slopes = np.concatenate([slopes, slopes])
+        scores = score_rows(signals[-1], slopes, seeds, np.float32(SLOPE), gradient)
+        by_weight, by_bias = [], []
+        for i in reversed(range(len(self.wirings))):
+            wiring = self.wirings[i]
+            by_weight.insert(0, wiring.weight_gradient(signals[i], gradient, rows))
+            by_bias.insert(0, gradient.sum(axis=1))
+            if i:
+                gradient = wiring.input_gradient(self.weights[i], gradient, rows, signals[i], SLOPE)
+        heads = sums_over_time(signals[-1], seeds, self.taken)
+        two = (2, len(real))
+        return _Gradients(
+            by_weight, by_bias, heads.reshape(*two, *heads.shape[1:]), scores.reshape(two)
+        )
+
+    def _penalised(self, part: slice) -> _Gradients:
+        """Of the penalty: of its gradient's length, in the direction in which that should grow."""
+        windows = torch.lerp(*(of[part] for of in self.windows))
+        rows = Rows(len(windows), self.n_frames)
+        signals = self._heard(rows, windows)
+        gradient = rows.empty(len(signals[-1]))
+        ones = np.ones(len(windows), dtype=np.float32)
+        score_rows(signals[-1], self._slopes(part), ones, np.float32(SLOPE), gradient)
+        gradients = [gradient]
+        for i in reversed(range(len(self.wirings))):
+            back = (signals[i], SLOPE) if i else (None, 1.0)
+            gradient = self.wirings[i].input_gradient(self.weights[i], gradient, rows, *back)
+            gradients.insert(0, gradient)
+        towards = gradients[0]
+        penalty = self.losses.gradient_penalty / self.count
+        per_frame = self.losses.penalty_on == "frame"
+        penalty_gradient(towards, rows.batch, rows.n_frames, penalty, per_frame)
+        mirror_rows(towards, rows.batch, rows.n_frames)
+        by_weight = []
+        for i, wiring in enumerate(self.wirings):
+            by_weight.append(wiring.weight_gradient(towards, gradients[i + 1], rows))
+            towards = wiring.forward_along(self.weights[i], towards, rows, signals[i + 1], SLOPE)
+        # Biases do not matter to a gradient by what comes in.
+        heads = sums_over_time(towards, ones, self.taken)
+        return _Gradients(by_weight, [], heads[None], np.empty((0, 0)))
 
 
-def _penalty_gradient(gradient: Tensor, rows: Rows, losses: LossConfig) -> Tensor:
-    """Of the penalty, by the gradient that it is on; both in rows."""
-    frames = rows.frames(gradient)
-    per_frame = losses.penalty_on == "frame"
-    norm = frames.square().sum(dim=0 if per_frame else (0, 2), keepdim=True).sqrt()
-    scale = 1.0 if per_frame else rows.n_frames**0.5
-    terms = rows.batch * (rows.n_frames if per_frame else 1)
-    # (s |g| - 1)^2; where g is zero any direction would do, and none is taken.
-    factor = torch.where(norm > 0, 2 * scale * (scale * norm - 1) / norm, 0)
-    frames *= factor * (losses.gradient_penalty / terms)
-    return gradient
+@dataclass(frozen=True)
+class _Gradients:
+    """Of some windows.
 
+    Attributes:
+        weights: of each layer's live weights, (n,).
+        biases: (C,) of each layer; none at all where they are zero.
+        heads: (kinds of windows, B, C, K) of the weights of the score, by window.
+        scores: (kinds, B), without bias.
+    """
 
-@lru_cache(maxsize=64)
-def _taken(n_frames: int, kernel: int) -> Tensor:
-    """(taps, T): how often the mean over time of a mirrored convolution takes a frame by a tap."""
-    frames = torch.eye(n_frames)
-    windows = reflect(frames, kernel // 2).unfold(-1, kernel, 1)
-    return windows.sum(dim=1).T / n_frames
+    weights: list[Tensor]
+    biases: list[np.ndarray]
+    heads: np.ndarray
+    scores: np.ndarray

@@ -22,15 +22,74 @@ CAPTURE_SECONDS = 0.03
 """Of recorded rotations before acceleration is read off them: capture noise is none."""
 
 
+class _Places(nn.Module):
+    """Where joints of the rig are, or points that hang on them, by the rotations above them."""
+
+    fixed: Tensor
+    rows: Tensor
+    turned: Tensor
+
+    def __init__(
+        self,
+        representation: MultiresRepresentation,
+        joints: Sequence[int],
+        points: np.ndarray | None = None,
+    ) -> None:
+        """Of these joints of the skeleton, or of a point (F, 3) on each, metres from it."""
+        super().__init__()
+        skeleton = representation.skeleton
+        modelled = [skeleton.index(name) for name in representation.joints]
+        # Joints between the root and what is wanted; nothing below, above or beside them.
+        needed = {modelled[0]}
+        for joint in joints:
+            while joint not in needed and joint >= 0:
+                needed.add(joint)
+                joint = skeleton.parents[joint]
+        order = sorted(needed, key=lambda j: (j != modelled[0], j))
+        place = {joint: i for i, joint in enumerate(order)}
+        still = representation.fixed_translations
+        offsets = [still.get(skeleton.names[j], skeleton.offsets[j]) for j in order]
+        parents = [-1, *(place[skeleton.parents[j]] for j in order[1:])]
+        self.wanted = [place[joint] for joint in joints]
+        if points is not None:
+            parents, offsets = [*parents, *self.wanted], [*offsets, *points]
+            self.wanted = list(range(len(order), len(parents)))
+        self.n_places = len(parents)
+        self.chain = ForwardKinematics(parents, np.array(offsets))
+        turning = [order[i] for i in self.chain.inner.tolist()]
+        held = [joint for joint in turning if joint not in modelled]
+        matrices = matrix_from_quaternion(representation.fixed_rotations[held])
+        self.register_buffer("fixed", torch.from_numpy(matrices).float(), persistent=False)
+        # Where each finds its rotation: among the modelled that turn, or behind them those held.
+        turned = [joint for joint in turning if joint in modelled]
+        rows = [[*turned, *held].index(joint) for joint in turning]
+        self.register_buffer("rows", torch.tensor(rows, dtype=torch.long), persistent=False)
+        turned = torch.tensor([modelled.index(joint) for joint in turned], dtype=torch.long)
+        self.register_buffer("turned", turned, persistent=False)
+
+    def forward(self, sixd: Tensor, height: Tensor) -> Tensor:
+        """(B, T, n, 3) metres, the root above the origin.
+
+        Args:
+            sixd: (B, K, 6, T) rotations of the modelled joints.
+            height: (B, T) of the root.
+        """
+        rotations = sixd_to_matrix(sixd.index_select(1, self.turned).permute(0, 3, 1, 2))
+        if len(self.fixed):
+            fixed = self.fixed.expand(*rotations.shape[:2], -1, -1, -1)
+            rotations = torch.cat([rotations, fixed], dim=2).index_select(2, self.rows)
+        root = torch.stack([torch.zeros_like(height), height, torch.zeros_like(height)], dim=-1)
+        places = self.chain.from_inner(rotations, root)
+        everything = self.wanted == list(range(self.n_places))
+        return places if everything else places[:, :, self.wanted]
+
+
 class VectorKinematics(nn.Module):
     """Reads positions and speeds off motion vectors (B, D, T) in their own units.
 
     Root displacement, contact speed and smoothness count per full-rate frame at every level:
     `stride` is how many full-rate frames lie between two frames of the level at hand.
     """
-
-    fixed: Tensor
-    rows: Tensor
 
     def __init__(
         self, representation: MultiresRepresentation, fps: float, arms: bool = True
@@ -42,32 +101,12 @@ class VectorKinematics(nn.Module):
         self.contacts = representation.contact_columns
         modelled = [skeleton.index(name) for name in representation.joints]
         points = representation.foot_points
-        feet = [skeleton.index(point.joint) for point in points]
-        # Joints between the root and what is wanted; nothing below, above or beside them.
-        needed = {modelled[0]}
-        for joint in [*modelled, *feet]:
-            while joint not in needed and joint >= 0:
-                needed.add(joint)
-                joint = skeleton.parents[joint]
-        order = sorted(needed, key=lambda j: (j != modelled[0], j))
-        place = {joint: i for i, joint in enumerate(order)}
-        still = representation.fixed_translations
-        offsets = [still.get(skeleton.names[j], skeleton.offsets[j]) for j in order]
-        parents = [-1, *(place[skeleton.parents[j]] for j in order[1:])]
-        # Foot points hang on the chain as joints of their own that never turn.
-        self.chain = ForwardKinematics(
-            [*parents, *(place[j] for j in feet)],
-            np.array([*offsets, *(point.offset for point in points)]),
+        self.joints = _Places(representation, modelled)
+        self.feet = _Places(
+            representation,
+            [skeleton.index(point.joint) for point in points],
+            np.array([point.offset for point in points]),
         )
-        fixed = matrix_from_quaternion(representation.fixed_rotations[order])
-        fixed = np.concatenate([fixed, np.tile(np.eye(3), (len(points), 1, 1))])
-        self.register_buffer("fixed", torch.from_numpy(fixed).float(), persistent=False)
-        # Where each joint of the chain finds its rotation: among the modelled, or the fixed.
-        rows = [self.n_joints + i for i in range(len(fixed))]
-        for k, joint in enumerate(modelled):
-            rows[place[joint]] = k
-        self.register_buffer("rows", torch.tensor(rows), persistent=False)
-        self.wanted = [place[joint] for joint in modelled]
         self.arms: list[int] = []
         if not arms:
             return
@@ -78,26 +117,21 @@ class VectorKinematics(nn.Module):
             )
         self.arms = [representation.joints.index(name) for name in arm_joints(skeleton)]
 
-    def _rotations(self, values: Tensor, joints: Sequence[int] | slice = slice(None)) -> Tensor:
-        """(B, T, K, 3, 3) of the modelled joints, all of them or some."""
-        sixd = values[:, : 6 * self.n_joints].unflatten(1, (self.n_joints, 6))[:, joints]
-        return sixd_to_matrix(sixd.permute(0, 3, 1, 2))
+    def _sixd(self, values: Tensor) -> Tensor:
+        """(B, K, 6, T) rotations of the modelled joints."""
+        return values[:, : 6 * self.n_joints].unflatten(1, (self.n_joints, 6))
 
-    def _positions(self, values: Tensor) -> tuple[Tensor, Tensor]:
-        """Joints (B, T, K, 3) and foot points (B, T, F, 3), metres, the root above the origin."""
-        rotations = self._rotations(values)
-        fixed = self.fixed.expand(*rotations.shape[:2], -1, -1, -1)
-        rotations = torch.cat([rotations, fixed], dim=2).index_select(2, self.rows)
-        height = values[:, -2]
-        root = torch.stack([torch.zeros_like(height), height, torch.zeros_like(height)], dim=-1)
-        positions = self.chain(rotations, root)
-        n_points = self.contacts.stop - self.contacts.start
-        return positions[:, :, self.wanted], positions[:, :, positions.shape[2] - n_points :]
+    def _joint_places(self, values: Tensor) -> Tensor:
+        """(B, T, K, 3) of the modelled joints, metres, the root above the origin."""
+        return self.joints(self._sixd(values), values[:, -2])
+
+    def _foot_places(self, values: Tensor) -> Tensor:
+        """(B, T, F, 3) of the foot points, metres, the root above the origin."""
+        return self.feet(self._sixd(values), values[:, -2])
 
     def places(self, values: Tensor) -> Tensor:
         """(B, K, 3, T) where the modelled joints are, metres, the root above the origin."""
-        joints, _ = self._positions(values)
-        return joints.permute(0, 2, 3, 1)
+        return self._joint_places(values).permute(0, 2, 3, 1)
 
     def contact_loss(
         self, values: Tensor, stride: float, slope: float = 10.0, squared: bool = True
@@ -106,7 +140,7 @@ class VectorKinematics(nn.Module):
 
         GANimator has the speed itself, m/s, and a slope of 12.
         """
-        _, feet = self._positions(values)
+        feet = self._foot_places(values)
         drift = _root_drift(values)
         speed = ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
         labels = values[:, self.contacts, 1:].transpose(1, 2)
@@ -117,7 +151,7 @@ class VectorKinematics(nn.Module):
 
     def smoothness_loss(self, values: Tensor, stride: float) -> Tensor:
         """Eq. 16: distance (m) of each joint from the mean of three frames, a full-rate frame."""
-        joints, _ = self._positions(values)
+        joints = self._joint_places(values)
         drift = _root_drift(values)[:, :, None]
         bend = joints[:, 2:] - 2 * joints[:, 1:-1] + joints[:, :-2]
         bend = bend / stride**2 + (drift[:, 2:] - drift[:, 1:-1]) / stride
@@ -154,7 +188,7 @@ class VectorKinematics(nn.Module):
 
     def _arms(self, values: Tensor, stride: float, smoothing: float) -> Tensor:
         """(B, 4, 3, 3, T) rotations of shoulders and elbows, smoothed over so many seconds."""
-        rotations = self._rotations(values, self.arms)
+        rotations = sixd_to_matrix(self._sixd(values)[:, self.arms].permute(0, 3, 1, 2))
         return smooth(rotations.movedim(1, -1), smoothing * self.fps / stride)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -132,23 +133,38 @@ class LevelDiscriminator(nn.Module):
         if n_styles:
             self.styled = nn.Conv1d(sum(sizes[-1]), n_styles, config.kernel, bias=False)
 
+    def slopes(self, n_frames: int, told: Tensor | None = None) -> Tensor:
+        """(1 or B, C, T) what each frame of the last features adds to the score of a motion.
+
+        The mean over time of a mirrored convolution is a weighted sum of what goes into it.
+        """
+        heads = self.score.weight
+        if told is not None:
+            heads = heads + torch.einsum("bk,kct->bct", told, self.styled.weight)
+        return heads @ taken(n_frames, heads.shape[-1]).to(heads)
+
     def forward(self, x: Tensor, told: Tensor | None = None) -> Tensor:
-        """One score a frame, each of the patch around it.
+        """The mean score of all patches of a motion, one around each frame.
 
         Args:
             x: (B, D, T).
             told: (B, K) one-hot styles; a row of zeros tells nothing.
 
         Returns:
-            (B, 1, T).
+            (B,).
         """
         x = chained(self.layers, x, SLOPE, SLOPE)
-        x = reflect(x, self.score.kernel_size[0] // 2)
-        score = self.score(x)
-        if told is not None:
-            score = score + (self.styled(x) * told[..., None]).sum(dim=1, keepdim=True)
         # Not in half precision: scores are small differences, and their means run over time.
-        return score.float()
+        with torch.autocast(x.device.type, enabled=False):
+            x = x.to(self.score.weight.dtype)
+            return (x * self.slopes(x.shape[-1], told)).sum(dim=(1, 2)) + self.score.bias
+
+
+@lru_cache(maxsize=64)
+def taken(n_frames: int, kernel: int) -> Tensor:
+    """(taps, T): how often the mean over time of a mirrored convolution takes a frame by a tap."""
+    windows = reflect(torch.eye(n_frames), kernel // 2).unfold(-1, kernel, 1)
+    return windows.sum(dim=1).T.contiguous() / n_frames
 
 
 class MultiresGenerator(nn.Module):
@@ -224,7 +240,7 @@ def gradient_penalty(
     """Mean of (||grad D|| - 1)^2 between real and fake motions (eq. 13, Gulrajani et al. 2017).
 
     Args:
-        discriminator: gives patch scores, whose mean over time is the score of a motion.
+        discriminator: gives a score of each motion, the mean of its patches'.
         real: (B, D, T).
         fake: (B, D, T).
         mix: (B, 1, 1), uniform in [0, 1].
@@ -232,7 +248,7 @@ def gradient_penalty(
         told: (B, K) styles of both, for a discriminator that is told.
     """
     between = (mix * fake + (1 - mix) * real).requires_grad_(True)
-    score = discriminator(between, told).mean(dim=(1, 2)).sum()
+    score = discriminator(between, told).sum()
     (gradient,) = torch.autograd.grad(score, between, create_graph=True)
     if per_frame:
         return ((gradient.norm(dim=1) - 1) ** 2).mean()

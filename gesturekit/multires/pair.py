@@ -22,8 +22,8 @@ from gesturekit.multires.detail import DetailTarget
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import CAPTURE_SECONDS
 from gesturekit.multires.listening import ArmTarget, log_movement
-from gesturekit.multires.live_conv import only_rows_in_threads, side_by_side
 from gesturekit.multires.networks import LevelDiscriminator
+from gesturekit.multires.row_threads import only_rows_in_threads, side_by_side
 from gesturekit.multires.styles import agreed_style
 from gesturekit.training.seeds import generator, seeded
 
@@ -296,21 +296,17 @@ class Pair:
         reals = self.trainer.bank.reals(sequences, n_frames, self.first, batch, rng, beside)
         told = self._told(styles[share])
         mixes = [torch.rand(batch, 1, 1, generator=rng).to(self.trainer.device) for _ in reals]
-
-        def level(i: int) -> Tensor:
-            with self._precision():
-                return critic_gradients(
-                    self.discriminators[i],
-                    reals[i][share],
-                    fakes[i],
-                    mixes[i][share],
-                    self.config.losses,
-                    told[i],
-                )
-
-        gaps = side_by_side(*(partial(level, i) for i in range(len(self.indices))))
+        with self._precision():
+            gaps = critic_gradients(
+                self.discriminators,
+                [real[share] for real in reals],
+                fakes,
+                [mix[share] for mix in mixes],
+                self.config.losses,
+                told,
+            )
         self._update("discriminator")
-        return float(torch.stack(gaps).mean())
+        return float(gaps.mean())
 
     def _random_step(self, n_frames: int, rng: torch.Generator) -> dict[str, float]:
         """Random generation from unpaired speech; there is no recorded motion to compare with."""

@@ -108,11 +108,11 @@ class SkeletonConv1d(nn.Module):
         near = self.neighbours
         return _wiring(near.tobytes(), len(near), *self.sizes)
 
-    def live_weights(self) -> Tensor:
-        """The weights as `Wiring` wants them, not recorded."""
-        return widened(self.weight.detach(), self.shape[-1])
+    def live_weights(self) -> np.ndarray:
+        """The weights as `Wiring` wants them."""
+        return widened(self.weight.detach(), self.shape[-1]).numpy()
 
-    def live_gradient(self, signal: Tensor, gradient: Tensor, rows: Rows) -> Tensor:
+    def live_gradient(self, signal: np.ndarray, gradient: np.ndarray, rows: Rows) -> Tensor:
         """Of the weights, by what came in and the gradient of what went out."""
         return narrowed(self.wiring.weight_gradient(signal, gradient, rows), self.shape[-1])
 
@@ -167,7 +167,7 @@ class _LiveFilters(torch.autograd.Function):
         rows = Rows(len(x), x.shape[-1])
         signals = [rows.mirrored(x.detach())]
         for layer, slope in zip(layers, slopes, strict=True):
-            weight, bias = layer.live_weights(), layer.bias.detach()
+            weight, bias = layer.live_weights(), layer.bias.detach().numpy()
             made = layer.wiring.forward(weight, bias, signals[-1], rows, slope)
             if any(ctx.needs_input_grad):
                 signals.append(made)
@@ -192,20 +192,13 @@ class _LiveFilters(torch.autograd.Function):
             return by_input, None, None, *by_parameters
         gradient = rows.pack(gradient)
         if slopes[-1] != 1:
-            gradient = rectified(gradient, signals[-1], slopes[-1])
+            gradient[signals[-1] <= 0] *= slopes[-1]
         found: list[Tensor | None] = []
         for i in reversed(range(len(layers))):
             layer, (by_weight, by_bias) = layers[i], wanted[1 + 2 * i : 3 + 2 * i]
-            found.insert(0, gradient.sum(dim=1) if by_bias else None)
+            found.insert(0, torch.from_numpy(gradient.sum(axis=1)) if by_bias else None)
             found.insert(0, layer.live_gradient(signals[i], gradient, rows) if by_weight else None)
             if any(wanted[: 1 + 2 * i]):
                 back = (signals[i], slopes[i - 1]) if i else (None, 1.0)
                 gradient = layer.wiring.input_gradient(layer.live_weights(), gradient, rows, *back)
         return rows.unpack(gradient) if wanted[0] else None, None, None, *found
-
-
-def rectified(gradient: Tensor, signal: Tensor, slope: float) -> Tensor:
-    """Back through a leaky rectifier that gave this signal, in place."""
-    return torch.ops.aten.leaky_relu_backward.grad_input(
-        gradient, signal, slope, True, grad_input=gradient
-    )

@@ -35,7 +35,8 @@ def values(representation, walker):
 
 
 def test_feet_and_joints_are_where_the_motion_core_says(representation, walker, values):
-    joints, feet = VectorKinematics(representation, walker.fps)._positions(values)
+    kinematics = VectorKinematics(representation, walker.fps)
+    joints, feet = kinematics._joint_places(values), kinematics._foot_places(values)
     index = [walker.skeleton.index(name) for name in representation.joints]
     root = walker.translation[:, None] * [1, 0, 1]
     np.testing.assert_allclose(joints[0], walker.positions()[:, index] - root, atol=1e-5)

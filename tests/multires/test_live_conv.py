@@ -12,10 +12,11 @@ import torch
 
 from gesturekit.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
-from gesturekit.multires import live_conv
+from gesturekit.multires import live_conv, row_threads
 from gesturekit.multires.config import LossConfig, NetworkConfig
 from gesturekit.multires.critic import critic_gradients
-from gesturekit.multires.networks import LevelDiscriminator
+from gesturekit.multires.interpolation import reflect
+from gesturekit.multires.networks import SLOPE, LevelDiscriminator
 from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours
 
 
@@ -80,7 +81,7 @@ def test_a_frame_does_not_depend_on_who_else_is_filtered_nor_by_how_many(
             again = made(windows, gradient)
             for one, other in zip(again, (whole, by_input, by_weight), strict=True):
                 assert torch.equal(one, other)
-            with live_conv.only_rows_in_threads():
+            with row_threads.only_rows_in_threads():
                 assert torch.get_num_threads() == 1
                 assert torch.equal(made(windows, gradient)[0], whole)
             assert torch.get_num_threads() == count
@@ -96,51 +97,71 @@ def test_tasks_side_by_side_share_the_threads_and_leave_none_behind():
             then.set()
         if isinstance(result, Exception):
             raise result
-        return result, live_conv._allowance.rows
+        return result, row_threads.row_threads()
 
     def both(one, two):
         begun = threading.Event()
-        return live_conv.side_by_side(
+        return row_threads.side_by_side(
             partial(task, one, wait_for=begun), partial(task, two, then=begun)
         )
 
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(5)
-        with live_conv.only_rows_in_threads():
+        with row_threads.only_rows_in_threads():
             assert both("one", "two") == [("one", 2), ("two", 2)]
-            assert live_conv.side_by_side(partial(task, "alone")) == [("alone", 5)]
+            assert row_threads.side_by_side(partial(task, "alone")) == [("alone", 5)]
             for one, two in ((ValueError("wrong"), "two"), ("one", ValueError("wrong"))):
                 with pytest.raises(ValueError, match="wrong"):
                     both(one, two)
             assert both("one", "two") == [("one", 2), ("two", 2)]
         torch.set_num_threads(1)
-        with live_conv.only_rows_in_threads():
-            here = live_conv.side_by_side(threading.get_ident, threading.get_ident)
+        with row_threads.only_rows_in_threads():
+            here = row_threads.side_by_side(threading.get_ident, threading.get_ident)
             assert here == [threading.get_ident()] * 2
     finally:
         torch.set_num_threads(before)
 
 
+@pytest.mark.parametrize("n_frames", [1, 2, 21])
+def test_a_score_is_the_mean_of_a_convolution_over_the_last_features(representation, n_frames):
+    torch.manual_seed(0)
+    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 2)
+    motions = torch.randn(2, representation.n_features, n_frames)
+    told = torch.tensor([[0.0, 1.0], [0.0, 0.0]])
+    features = motions
+    for conv in critic.layers:
+        features = torch.nn.functional.leaky_relu(conv.dense(features), SLOPE)
+    features = reflect(features, 2)
+    plain = critic.score(features).mean(dim=(1, 2))
+    assert torch.allclose(critic(motions), plain, atol=1e-6)
+    styled = critic.styled(features)[0, 1].mean()
+    expected = plain + torch.stack([styled, torch.tensor(0.0)])
+    assert torch.allclose(critic(motions, told), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("batch", [2, 6])
 @pytest.mark.parametrize("penalty_on", ["window", "frame"])
 @pytest.mark.parametrize("n_frames", [4, 21])
 @pytest.mark.parametrize("told", [None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]], ids=["", "told"])
-def test_a_discriminator_step_is_that_of_autograd(representation, penalty_on, n_frames, told):
+def test_a_discriminator_step_is_that_of_autograd(
+    representation, penalty_on, n_frames, told, batch
+):
     torch.manual_seed(0)
     critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 3 if told else 0)
-    told = None if told is None else torch.tensor(told)
+    told = None if told is None else torch.tensor(told).repeat(batch // 2, 1)
     losses = LossConfig(critic_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
-    real, fake = torch.randn(2, 2, representation.n_features, n_frames)
-    mix = torch.rand(2, 1, 1)
+    real, fake = torch.randn(2, batch, representation.n_features, n_frames)
+    mix = torch.rand(batch, 1, 1)
     exact = copy.deepcopy(critic).double()  # double precision goes by autograd
-    gap = critic_gradients(critic, real, fake, mix, losses, told)
+    gap = critic_gradients([critic], [real], [fake], [mix], losses, [told])
     expected = critic_gradients(
-        exact,
-        real.double(),
-        fake.double(),
-        mix.double(),
+        [exact],
+        [real.double()],
+        [fake.double()],
+        [mix.double()],
         losses,
-        None if told is None else told.double(),
+        [None if told is None else told.double()],
     )
     assert float(gap) == pytest.approx(float(expected), abs=1e-5)
     for ours, theirs in zip(critic.parameters(), exact.parameters(), strict=True):

@@ -10,7 +10,7 @@ from audio_features import level_lengths
 from gesturekit.motion.parts import upper_body
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.interpolation import reflect, resample
+from gesturekit.multires.interpolation import reflect, resample, resample_part
 from gesturekit.multires.networks import Film, MultiresGenerator, modulated_blocks
 from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours
 
@@ -22,11 +22,18 @@ def representation(gesture) -> MultiresRepresentation:
     return MultiresRepresentation.fit([gesture(2.0)])
 
 
-def test_resampling_is_torchs_own_linear_interpolation():
-    x = torch.randn(2, 3, 40)
+@pytest.mark.parametrize("exact", [torch.float32, torch.float64])
+def test_resampling_is_torchs_own_linear_interpolation(exact):
+    x = torch.randn(2, 3, 50, dtype=exact)[..., 5:-5].requires_grad_(True)
     for n in (7, 30, 40, 53):
         want = torch.nn.functional.interpolate(x, size=n, mode="linear", align_corners=False)
-        torch.testing.assert_close(resample(x, n), want)
+        made, by = resample(x, n), torch.randn_like(want)
+        torch.testing.assert_close(made, want)
+        gradients = [torch.autograd.grad(each, x, by)[0] for each in (made, want)]
+        torch.testing.assert_close(*gradients)
+        if exact == torch.float32:
+            part = resample_part(x.detach(), n, 2, n - 1)
+            assert torch.equal(made[..., 2 : n - 1].detach(), part)
 
 
 def test_reflection_is_torchs_own_and_goes_on_where_that_stops():
