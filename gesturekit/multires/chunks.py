@@ -8,6 +8,7 @@ that many more frames at both sides (its halo), which are thrown away. A short m
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.multires.interpolation import resample_part
 from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
+from gesturekit.multires.row_threads import only_rows_in_threads
 
 CHUNK = 2048
 """Frames of a level made at a time: 16 of halo are little beside it, and they need some 50 MB."""
@@ -57,19 +59,23 @@ def sample(
         coarser = noises[0].new_zeros(
             len(noises[0]), network.levels[0].layers[0].shape[1], lengths[0]
         )
-    batch, width, _ = coarser.shape
     levels = network.levels[first : first + len(lengths)]
-    for i, (level, noise, n_frames) in enumerate(zip(levels, noises, lengths, strict=True), first):
-        made = coarser.new_empty(batch, width, n_frames)
-        reach = halo(level)
-        for start, stop in pieces(n_frames, chunk):
-            begin, end = max(0, start - reach), min(n_frames, stop + reach)
-            up = resample_part(coarser, n_frames, begin, end)
-            shaken = up.new_zeros(batch, 1, 1) if noise is None else noise[..., begin:end]
-            told = None if condition is None else condition(i, begin, end)
-            piece = level(up, shaken, told)
-            made[..., start:stop] = piece[..., start - begin : stop - begin]
-        coarser = made if hold is None else hold(i, made)
+    # Dense convolutions share their own work among torch's threads.
+    is_live = len(levels) > 0 and levels[0].layers[0].is_live(coarser.new_empty(8))
+    with only_rows_in_threads() if is_live else nullcontext():
+        for i, (level, noise, n_frames) in enumerate(
+            zip(levels, noises, lengths, strict=True), first
+        ):
+            made = coarser.new_empty(*coarser.shape[:2], n_frames)
+            reach = halo(level)
+            for start, stop in pieces(n_frames, chunk):
+                begin, end = max(0, start - reach), min(n_frames, stop + reach)
+                up = resample_part(coarser, n_frames, begin, end)
+                shaken = up.new_zeros(len(up), 1, 1) if noise is None else noise[..., begin:end]
+                told = None if condition is None else condition(i, begin, end)
+                piece = level(up, shaken, told)
+                made[..., start:stop] = piece[..., start - begin : stop - begin]
+            coarser = made if hold is None else hold(i, made)
     return coarser
 
 

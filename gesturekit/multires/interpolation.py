@@ -30,34 +30,49 @@ def resample(x: Tensor, n_frames: int) -> Tensor:
     """(..., T) to (..., n_frames), linear, align_corners=False."""
     if x.shape[-1] == n_frames:
         return x
+    return _between(x, *_weights(x.shape[-1], n_frames))
+
+
+def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:
+    """Frames `start` to `stop` of `resample(x, n_frames)`, to the bit, without the others."""
+    if x.shape[-1] == n_frames:
+        return x[..., start:stop]
+    if (start, stop) == (0, n_frames):
+        return resample(x, n_frames)
+    low, high, weight = map(
+        torch.from_numpy, interpolation_weights(x.shape[-1], n_frames, start, stop)
+    )
+    return _between(x, low, high, weight.float())
+
+
+def _between(x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
+    """Between frames `low` and `high` of (..., T), as far as `weight` says."""
     if x.device.type == "cpu" and x.dtype == torch.float32:
-        return _Resampled.apply(x, n_frames)
-    low, high, weight = (part.to(x.device) for part in _weights(x.shape[-1], n_frames))
+        return _Between.apply(x, low, high, weight)
+    low, high, weight = (part.to(x.device) for part in (low, high, weight))
     below = x.index_select(-1, low)
     return below + weight.to(x.dtype) * (x.index_select(-1, high) - below)
 
 
-class _Resampled(torch.autograd.Function):
-    """`resample` of float32 on a CPU, to the bit, and its transpose."""
+class _Between(torch.autograd.Function):
+    """`_between` of float32 on a CPU, to the bit, and its transpose."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, n_frames: int) -> Tensor:
+    def forward(ctx: Any, x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
         ctx.n_frames = x.shape[-1]
-        made = x.new_empty(*x.shape[:-1], n_frames)
-        places = [part.numpy() for part in _weights(x.shape[-1], n_frames)]
+        ctx.places = [part.numpy() for part in (low, high, weight)]
+        made = x.new_empty(*x.shape[:-1], len(low))
         flat = x.reshape(-1, x.shape[-1]).contiguous().numpy()
-        _resample(flat, *places, made.view(-1, n_frames).numpy())
+        _resample(flat, *ctx.places, made.view(-1, len(low)).numpy())
         return made
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        n_frames = gradient.shape[-1]
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None, None]:
         made = gradient.new_zeros(*gradient.shape[:-1], ctx.n_frames)
-        places = [part.numpy() for part in _weights(ctx.n_frames, n_frames)]
-        flat = gradient.reshape(-1, n_frames).contiguous().numpy()
-        _resample_back(flat, *places, made.view(-1, ctx.n_frames).numpy())
-        return made, None
+        flat = gradient.reshape(-1, gradient.shape[-1]).contiguous().numpy()
+        _resample_back(flat, *ctx.places, made.view(-1, ctx.n_frames).numpy())
+        return made, None, None, None
 
 
 @compiled()
@@ -79,18 +94,6 @@ def _resample_back(
             above = weight[t] * gradient[c, t]
             made[c, low[t]] += gradient[c, t] - above
             made[c, high[t]] += above
-
-
-def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:
-    """Frames `start` to `stop` of `resample(x, n_frames)`, to the bit, without the others."""
-    if x.shape[-1] == n_frames:
-        return x[..., start:stop]
-    if (start, stop) == (0, n_frames):
-        return resample(x, n_frames)
-    low, high, weight = interpolation_weights(x.shape[-1], n_frames, start, stop)
-    below = x.index_select(-1, torch.from_numpy(low).to(x.device))
-    above = x.index_select(-1, torch.from_numpy(high).to(x.device))
-    return below + torch.from_numpy(weight).float().to(x.device, x.dtype) * (above - below)
 
 
 @lru_cache(maxsize=4096)

@@ -35,7 +35,7 @@ from gesturekit.multires.row_kernels import (
 )
 from gesturekit.multires.row_threads import row_threads, submit
 
-_ALONE = 4_000_000
+_ALONE = 16_000_000
 """Products that one thread makes sooner than others would come to help."""
 
 

@@ -1,4 +1,4 @@
-"""Threads of training on a CPU: for rows of frames, and for tasks that stand side by side."""
+"""Threads on a CPU: for rows of frames, and for tasks that stand side by side."""
 
 from __future__ import annotations
 
@@ -28,9 +28,12 @@ T = TypeVar("T")
 def only_rows_in_threads() -> Iterator[None]:
     """Within, torch's own operations stay on one thread, and rows have as many as torch had.
 
-    Training has thousands of operations too short to be shared. Between them torch's threads wait
-    busily, and where other programs want the processor one iteration took three times as long.
+    Training and sampling have thousands of operations too short to be shared. Between them torch's
+    threads wait busily, on processors that rows could use.
     """
+    if _allowance.rows is not None:
+        yield
+        return
     count = torch.get_num_threads()
     torch.set_num_threads(1)
     _allowance.rows = count
