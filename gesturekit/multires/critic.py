@@ -10,7 +10,7 @@ their own, a few windows at a time, which threads do side by side.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -62,8 +62,11 @@ def critic_gradients(
         return torch.stack([_by_autograd(*level, losses) for level in levels])
     steps = [_Step(*level, losses) for level in levels]
     tasks = [task for step in steps for task in step.tasks()]
-    side_by_side(*(run for _, run in sorted(tasks, key=lambda task: -task[0])))
-    return torch.stack([step.finish() for step in steps])
+    longest_first = sorted(range(len(tasks)), key=lambda i: -tasks[i][0])
+    made = side_by_side(*(tasks[i][1] for i in longest_first))
+    made = dict(zip(longest_first, made, strict=True))
+    found = iter(made[i] for i in range(len(tasks)))
+    return torch.stack([step.finish(found) for step in steps])
 
 
 def _by_autograd(
@@ -110,42 +113,33 @@ class _Step:
         with torch.no_grad():
             self.slopes = critic.slopes(self.n_frames, told).numpy()
         self.taken = taken(self.n_frames, critic.score.kernel_size[0]).numpy()
-        self.made: list[_Gradients | None] = [None] * (2 * len(self.parts))
 
-    def tasks(self) -> list[tuple[int, Callable[[], None]]]:
-        """Each with how much there is to do."""
-        # Of a scored window one pass forward, back and for weights each, of two; of the others two
-        # forward and one of the rest.
-        kinds = ((6, self._scored), (4, self._penalised))
-        work = [(times, of, part) for times, of in kinds for part in self.parts]
-
-        def task(number: int) -> None:
-            _, of, part = work[number]
-            self.made[number] = of(part)
-
+    def tasks(self) -> list[tuple[int, Callable[[], _Gradients]]]:
+        """Each with how much there is to do: first what is scored, then what is penalised."""
+        # Of a scored window a pass forward, one back and one for weights, and there are two; of
+        # those between them one pass forward more.
         return [
-            (times * (part.stop - part.start) * self.n_frames, partial(task, number))
-            for number, (times, _, part) in enumerate(work)
+            (times * (part.stop - part.start) * self.n_frames, partial(task, part))
+            for times, task in ((6, self._scored), (4, self._penalised))
+            for part in self.parts
         ]
 
-    def finish(self) -> Tensor:
-        """Hand out the gradients; the gap."""
-        scored, others = self.made[: len(self.parts)], self.made[len(self.parts) :]
+    def finish(self, made: Iterator[_Gradients]) -> Tensor:
+        """Hand out the gradients that the tasks gave, in their order; the gap."""
+        scored, others = ([next(made) for _ in self.parts] for _ in range(2))
         for i, conv in enumerate(self.critic.layers):
-            by_weight, *others_by_weight = (made.weights[i] for made in self.made)
+            by_weight, *others_by_weight = (one.weights[i] for one in (*scored, *others))
             for more in others_by_weight:
                 by_weight += more
             conv.weight.grad = narrowed(by_weight, conv.shape[-1])
-            conv.bias.grad = torch.from_numpy(sum(made.biases[i] for made in scored))
-        of_each = [
-            np.concatenate([made.heads for made in kind], axis=1) for kind in (scored, others)
-        ]
+            conv.bias.grad = torch.from_numpy(sum(one.biases[i] for one in scored))
+        of_each = [np.concatenate([one.heads for one in kind], axis=1) for kind in (scored, others)]
         of_each = torch.from_numpy(of_each[0].sum(axis=0) + of_each[1].sum(axis=0))
         self.critic.score.weight.grad = of_each.sum(dim=0, keepdim=True)
         self.critic.score.bias.grad = torch.zeros_like(self.critic.score.bias)
         if self.told is not None:
             self.critic.styled.weight.grad = torch.einsum("bk,bct->kct", self.told, of_each)
-        fake, real = np.concatenate([made.scores for made in scored], axis=1).mean(axis=1)
+        fake, real = np.concatenate([one.scores for one in scored], axis=1).mean(axis=1)
         return torch.tensor(fake - real)
 
     def _slopes(self, part: slice) -> np.ndarray:

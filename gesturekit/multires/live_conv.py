@@ -31,7 +31,7 @@ from gesturekit.multires.row_kernels import (
     pack_rows,
     unpack_rows,
     weight_gradients,
-    whole_lines,
+    whole,
 )
 from gesturekit.multires.row_threads import row_threads, submit
 
@@ -50,7 +50,7 @@ class Rows:
         self.batch, self.n_frames = batch, n_frames
         self.pitch = n_frames + GAP
         # Whole lines are made, and two numbers behind them read.
-        self.width = LEAD - EDGE + whole_lines(batch * self.pitch) + LINE
+        self.width = LEAD - EDGE + whole(batch * self.pitch, LINE) + LINE
 
     @staticmethod
     def fits(n_frames: int, kernel: int) -> bool:

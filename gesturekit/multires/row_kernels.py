@@ -20,6 +20,8 @@ LINE = 16
 """Numbers that a processor loads and stores together; what is made begins with such a lot."""
 LEAD = LINE + EDGE
 """Columns before the first frame."""
+VECTOR = 8
+"""Numbers that most loops make at a time; those over a single row make a line."""
 BLOCK = 2048
 """Numbers of a row that are made at a time, so that those of all rows read stay at hand."""
 SUMS = frozenset({"contract", "reassoc", "nsz"})
@@ -27,9 +29,9 @@ SUMS = frozenset({"contract", "reassoc", "nsz"})
 
 
 @compiled()
-def whole_lines(n: int) -> int:
-    """At least n numbers; a loop that ends within a line is slow on its last ones."""
-    return (n + LINE - 1) // LINE * LINE
+def whole(n: int, size: int) -> int:
+    """At least n numbers in lots of this size; a loop is slow on those beyond its last lot."""
+    return (n + size - 1) // size * size
 
 
 @compiled(fastmath={"contract"})
@@ -165,17 +167,18 @@ def filter_rows(
     pitch, begin = n_frames + GAP, LEAD - EDGE
     stop = begin + batch * pitch
     for start in range(begin, stop, BLOCK):
-        n = whole_lines(min(BLOCK, stop - start))
+        length = min(BLOCK, stop - start)
+        n, n_one = whole(length, VECTOR), whole(length, LINE)
         for i in range(len(steps)):
             row, count, first, last, apart = steps[i]
             for c in range(row, row + count):
-                made[c, start : start + n] = bias[c]
+                made[c, start : start + n_one] = bias[c]
             here, seen, before = made[row, start:], reads[first:last], start - EDGE
             if count == 2:
                 also = made[row + 1, start:]
                 _add_two(here, also, signal, weight, seen, apart, before, n, reverse)
             else:
-                _add_one(here, signal, weight, seen, before, n, reverse)
+                _add_one(here, signal, weight, seen, before, n_one, reverse)
     for i in range(len(steps)):
         for c in range(steps[i, 0], steps[i, 0] + steps[i, 1]):
             made[c, :begin] = 0
@@ -204,7 +207,7 @@ def weight_gradients(
     """Sums over n frames of products; beyond the ends of windows the gradient is zero."""
     one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
     begin = LEAD - EDGE
-    n = whole_lines(n)
+    n = whole(n, VECTOR)
     for i in range(len(steps)):
         row, count, first, last, apart = steps[i]
         g, h = gradient[row, begin:], gradient[row + count - 1, begin:]
