@@ -121,17 +121,13 @@ class VectorKinematics(nn.Module):
         """(B, K, 6, T) rotations of the modelled joints."""
         return values[:, : 6 * self.n_joints].unflatten(1, (self.n_joints, 6))
 
-    def _joint_places(self, values: Tensor) -> Tensor:
-        """(B, T, K, 3) of the modelled joints, metres, the root above the origin."""
-        return self.joints(self._sixd(values), values[:, -2])
-
     def _foot_places(self, values: Tensor) -> Tensor:
         """(B, T, F, 3) of the foot points, metres, the root above the origin."""
         return self.feet(self._sixd(values), values[:, -2])
 
     def places(self, values: Tensor) -> Tensor:
         """(B, K, 3, T) where the modelled joints are, metres, the root above the origin."""
-        return self._joint_places(values).permute(0, 2, 3, 1)
+        return self.joints(self._sixd(values), values[:, -2]).permute(0, 2, 3, 1)
 
     def contact_loss(
         self, values: Tensor, stride: float, slope: float = 10.0, squared: bool = True
@@ -149,14 +145,16 @@ class VectorKinematics(nn.Module):
             speed = (speed + 1e-12).sqrt()
         return (speed * torch.sigmoid(slope * labels - slope / 2)).mean()
 
-    def smoothness_loss(self, values: Tensor, stride: float) -> Tensor:
-        """Eq. 16: distance (m) of each joint from the mean of three frames, a full-rate frame."""
-        joints = self._joint_places(values)
-        drift = _root_drift(values)[:, :, None]
-        bend = joints[:, 2:] - 2 * joints[:, 1:-1] + joints[:, :-2]
-        bend = bend / stride**2 + (drift[:, 2:] - drift[:, 1:-1]) / stride
+    def smoothness_loss(self, values: Tensor, places: Tensor, stride: float) -> Tensor:
+        """Eq. 16: distance (m) of each joint from the mean of three frames, a full-rate frame.
+
+        `places` are those of `values`.
+        """
+        drift = _root_drift(values).transpose(1, 2)[:, None]
+        bend = places[..., 2:] - 2 * places[..., 1:-1] + places[..., :-2]
+        bend = bend / stride**2 + (drift[..., 2:] - drift[..., 1:-1]) / stride
         # The small number keeps the gradient of the norm finite where nothing moves.
-        return (bend.square().sum(dim=-1) + 1e-12).sqrt().mean() / 3
+        return (bend.square().sum(dim=2) + 1e-12).sqrt().mean() / 3
 
     def arm_speed(
         self, values: Tensor, stride: float, smoothing: float = SMOOTHING_SECONDS

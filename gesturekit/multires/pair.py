@@ -339,15 +339,17 @@ class Pair:
                 loss = kinematics.contact_loss(values, stride, weights.contact_slope, squared)
                 parts["contact"] = weights.contact * loss
             # Rounding makes strides of two levels straddle 2; half the full rate is meant.
-            if weights.smoothness and stride < 2.05:
-                loss = kinematics.smoothness_loss(values, stride)
+            smooth, detailed = weights.smoothness and stride < 2.05, self.first + i in self.details
+            places = kinematics.places(values) if smooth or detailed else None
+            if smooth:
+                loss = kinematics.smoothness_loss(values, places, stride)
                 parts["smooth"] = weights.smoothness * loss
             if weights.coarse and self.first + i:
                 given = windows.coarser if i == 0 else made[i - 1].detach()
                 loss = F.l1_loss(resample(made[i], given.shape[-1]), given)
                 parts["coarse"] = weights.coarse * loss
-            if self.first + i in self.details:
-                loss = self.details[self.first + i](motion, windows.styles[:, self.first + i])
+            if detailed:
+                loss = self.details[self.first + i](places, windows.styles[:, self.first + i])
                 parts["detail"] = weights.detail * loss
             if aims and moves:
                 arms = log_movement(

@@ -24,6 +24,11 @@ def windows(style):
     return recording(style, 9).motion.unfold(-1, 50, 10).transpose(0, 1)
 
 
+def places(motion):
+    """Three joints, whose places are the motion itself."""
+    return motion.unflatten(1, (3, 3))
+
+
 @pytest.fixture
 def target():
     sequences = [recording(style, seed) for style in (0, 1) for seed in (1, 2)]
@@ -31,7 +36,8 @@ def target():
         PairedSequence(s.name, s.motion, s.speech, s.sigma, s.z_star, int(s.name[0]))
         for s in sequences
     ]
-    return DetailTarget(sequences, LEVEL, LEVELS, lambda x: x.unflatten(1, (3, 3)), 50, 2)
+    detail = DetailTarget(sequences, LEVEL, LEVELS, places, 50, 2)
+    return lambda motion, styles: detail(places(motion), styles)
 
 
 def test_as_much_as_the_recordings_of_the_style_is_best(target):
