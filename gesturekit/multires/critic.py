@@ -57,10 +57,12 @@ def critic_gradients(
     Returns:
         (levels,) gaps.
     """
-    levels = list(zip(critics, reals, fakes, mixes, told, strict=True))
-    if not all(conv.is_live(real) for critic, real, *_ in levels for conv in critic.layers):
-        return torch.stack([_by_autograd(*level, losses) for level in levels])
-    steps = [_Step(*level, losses) for level in levels]
+    levels = [
+        _Level(*parts, losses) for parts in zip(critics, reals, fakes, mixes, told, strict=True)
+    ]
+    if not all(level.is_live for level in levels):
+        return torch.stack([_by_autograd(level) for level in levels])
+    steps = [_Step(level) for level in levels]
     tasks = [task for step in steps for task in step.tasks()]
     longest_first = sorted(range(len(tasks)), key=lambda i: -tasks[i][0])
     made = side_by_side(*(tasks[i][1] for i in longest_first))
@@ -69,19 +71,33 @@ def critic_gradients(
     return torch.stack([step.finish(found) for step in steps])
 
 
-def _by_autograd(
-    critic: LevelDiscriminator,
-    real: Tensor,
-    fake: Tensor,
-    mix: Tensor,
-    told: Tensor | None,
-    losses: LossConfig,
-) -> Tensor:
+@dataclass(frozen=True)
+class _Level:
+    """What `critic_gradients` is given, for one level."""
+
+    critic: LevelDiscriminator
+    real: Tensor
+    fake: Tensor
+    mix: Tensor
+    told: Tensor | None
+    losses: LossConfig
+
+    @property
+    def is_live(self) -> bool:
+        return all(conv.is_live(self.real) for conv in self.critic.layers)
+
+    @property
+    def per_frame(self) -> bool:
+        return self.losses.penalty_on == "frame"
+
+
+def _by_autograd(level: _Level) -> Tensor:
+    critic, real, fake, told = level.critic, level.real, level.fake, level.told
     twice = None if told is None else torch.cat([told, told])
     scores = critic(torch.cat([fake, real]), twice)
     gap = scores[: len(fake)].mean() - scores[len(fake) :].mean()
-    penalty = gradient_penalty(critic, real, fake, mix, losses.penalty_on == "frame", told)
-    loss = losses.critic_scale * gap + losses.gradient_penalty * penalty
+    penalty = gradient_penalty(critic, real, fake, level.mix, level.per_frame, told)
+    loss = level.losses.critic_scale * gap + level.losses.gradient_penalty * penalty
     parameters = list(critic.parameters())
     for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
         parameter.grad = gradient
@@ -89,30 +105,21 @@ def _by_autograd(
 
 
 class _Step:
-    """A step of one critic in parts that do not wait for one another. Arguments as above."""
+    """A step of one critic in parts that do not wait for one another."""
 
-    def __init__(
-        self,
-        critic: LevelDiscriminator,
-        real: Tensor,
-        fake: Tensor,
-        mix: Tensor,
-        told: Tensor | None,
-        losses: LossConfig,
-    ) -> None:
-        self.critic, self.losses, self.told = critic, losses, told
-        self.windows = (real, fake, mix)
-        self.count, _, self.n_frames = real.shape
+    def __init__(self, level: _Level) -> None:
+        self.level, self.critic, self.told = level, level.critic, level.told
+        self.count, _, self.n_frames = level.real.shape
         self.parts = [
             slice(start, min(start + TOGETHER, self.count))
             for start in range(0, self.count, TOGETHER)
         ]
-        self.wirings = [conv.wiring for conv in critic.layers]
-        self.weights = [conv.live_weights() for conv in critic.layers]
-        self.biases = [conv.bias.detach().numpy() for conv in critic.layers]
+        self.wirings = [conv.wiring for conv in self.critic.layers]
+        self.weights = [conv.live_weights() for conv in self.critic.layers]
+        self.biases = [conv.bias.detach().numpy() for conv in self.critic.layers]
         with torch.no_grad():
-            self.slopes = critic.slopes(self.n_frames, told).numpy()
-        self.taken = taken(self.n_frames, critic.score.kernel_size[0]).numpy()
+            self.slopes = self.critic.slopes(self.n_frames, self.told).numpy()
+        self.taken = taken(self.n_frames, self.critic.score.kernel_size[0]).numpy()
 
     def tasks(self) -> list[tuple[int, Callable[[], _Gradients]]]:
         """Each with how much there is to do: first what is scored, then what is penalised."""
@@ -155,9 +162,9 @@ class _Step:
 
     def _scored(self, part: slice) -> _Gradients:
         """Of the gap."""
-        real, fake, _ = (of[part] for of in self.windows)
+        real, fake = self.level.real[part], self.level.fake[part]
         windows = torch.cat([fake, real])
-        share = self.losses.critic_scale / self.count
+        share = self.level.losses.critic_scale / self.count
         seeds = np.repeat(np.array([share, -share], dtype=np.float32), len(real))
         rows = Rows(len(windows), self.n_frames)
         signals = self._heard(rows, windows)
@@ -181,7 +188,8 @@ class _Step:
 
     def _penalised(self, part: slice) -> _Gradients:
         """Of the penalty: of its gradient's length, in the direction in which that should grow."""
-        windows = torch.lerp(*(of[part] for of in self.windows))
+        level = self.level
+        windows = torch.lerp(level.real[part], level.fake[part], level.mix[part])
         rows = Rows(len(windows), self.n_frames)
         signals = self._heard(rows, windows)
         gradient = rows.empty(len(signals[-1]))
@@ -193,9 +201,8 @@ class _Step:
             gradient = self.wirings[i].input_gradient(self.weights[i], gradient, rows, *back)
             gradients.insert(0, gradient)
         towards = gradients[0]
-        penalty = self.losses.gradient_penalty / self.count
-        per_frame = self.losses.penalty_on == "frame"
-        penalty_gradient(towards, rows.batch, rows.n_frames, penalty, per_frame)
+        penalty = level.losses.gradient_penalty / self.count
+        penalty_gradient(towards, rows.batch, rows.n_frames, penalty, level.per_frame)
         mirror_rows(towards, rows.batch, rows.n_frames)
         by_weight = []
         for i, wiring in enumerate(self.wirings):

@@ -104,13 +104,12 @@ class Wiring:
     def forward(
         self,
         weight: np.ndarray,
-        bias: np.ndarray | None,
+        bias: np.ndarray,
         signal: np.ndarray,
         rows: Rows,
-        slope: float = 1.0,
+        slope: float,
     ) -> np.ndarray:
         """Filter a mirrored signal, rectify it with this slope below zero, and mirror it."""
-        bias = np.zeros(self.n_out, np.float32) if bias is None else bias
         return self._filter(self.forward_plan, weight, bias, signal, rows, signal[:0], slope, False)
 
     def forward_along(
