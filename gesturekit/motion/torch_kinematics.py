@@ -84,7 +84,9 @@ class ForwardKinematics(nn.Module):
             rotations: (..., J, 3, 3) local rotation matrices.
             translation: (..., 3) world position of the root.
         """
-        return self.from_inner(rotations.index_select(-3, self.inner), translation)
+        # Gathered as `from_inner` goes on with them: entries first, joints last.
+        inner = rotations.movedim((-2, -1), (0, 1)).index_select(-1, self.inner)
+        return self.from_inner(inner.movedim((0, 1), (-2, -1)), translation)
 
     def from_inner(self, rotations: Tensor, translation: Tensor) -> Tensor:
         """The same by the rotations of `inner` alone, the joints that others hang on.

@@ -8,7 +8,6 @@ that many more frames at both sides (its halo), which are thrown away. A short m
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
 
 import numpy as np
 import torch
@@ -17,7 +16,7 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.multires.interpolation import resample_part
 from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
-from gesturekit.multires.row_threads import only_rows_in_threads
+from gesturekit.multires.skeleton_conv import threads_for
 
 CHUNK = 2048
 """Frames of a level made at a time: 16 of halo are little beside it, and they need some 50 MB."""
@@ -60,9 +59,7 @@ def sample(
             len(noises[0]), network.levels[0].layers[0].shape[1], lengths[0]
         )
     levels = network.levels[first : first + len(lengths)]
-    # Dense convolutions share their own work among torch's threads.
-    is_live = len(levels) > 0 and levels[0].layers[0].is_live(coarser.new_empty(8))
-    with only_rows_in_threads() if is_live else nullcontext():
+    with threads_for(network.levels[0].layers[0], coarser):
         for i, (level, noise, n_frames) in enumerate(
             zip(levels, noises, lengths, strict=True), first
         ):

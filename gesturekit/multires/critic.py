@@ -10,7 +10,7 @@ their own, a few windows at a time, which threads do side by side.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -63,12 +63,18 @@ def critic_gradients(
     if not all(level.is_live for level in levels):
         return torch.stack([_by_autograd(level) for level in levels])
     steps = [_Step(level) for level in levels]
-    tasks = [task for step in steps for task in step.tasks()]
-    longest_first = sorted(range(len(tasks)), key=lambda i: -tasks[i][0])
-    made = side_by_side(*(tasks[i][1] for i in longest_first))
-    made = dict(zip(longest_first, made, strict=True))
-    found = iter(made[i] for i in range(len(tasks)))
-    return torch.stack([step.finish(found) for step in steps])
+    # The longest first: the finer level, and two windows to score for each that is penalised.
+    parts = [(step, part) for step in reversed(steps) for part in step.parts]
+    made = side_by_side(
+        *(partial(step.score, part) for step, part in parts),
+        *(partial(step.penalise, part) for step, part in parts),
+    )
+    for (step, _), scored, penalised in zip(
+        parts, made[: len(parts)], made[len(parts) :], strict=True
+    ):
+        step.scored.append(scored)
+        step.penalised.append(penalised)
+    return torch.stack([step.finish() for step in steps])
 
 
 @dataclass(frozen=True)
@@ -120,33 +126,29 @@ class _Step:
         with torch.no_grad():
             self.slopes = self.critic.slopes(self.n_frames, self.told).numpy()
         self.taken = taken(self.n_frames, self.critic.score.kernel_size[0]).numpy()
+        self.scored: list[_Gradients] = []
+        self.penalised: list[_Gradients] = []
 
-    def tasks(self) -> list[tuple[int, Callable[[], _Gradients]]]:
-        """Each with how much there is to do: first what is scored, then what is penalised."""
-        # Of a scored window a pass forward, one back and one for weights, and there are two; of
-        # those between them one pass forward more.
-        return [
-            (times * (part.stop - part.start) * self.n_frames, partial(task, part))
-            for times, task in ((6, self._scored), (4, self._penalised))
-            for part in self.parts
-        ]
-
-    def finish(self, made: Iterator[_Gradients]) -> Tensor:
-        """Hand out the gradients that the tasks gave, in their order; the gap."""
-        scored, others = ([next(made) for _ in self.parts] for _ in range(2))
+    def finish(self) -> Tensor:
+        """Hand out the gradients of all parts, in their order; the gap."""
         for i, conv in enumerate(self.critic.layers):
-            by_weight, *others_by_weight = (one.weights[i] for one in (*scored, *others))
+            by_weight, *others_by_weight = (
+                one.weights[i] for one in (*self.scored, *self.penalised)
+            )
             for more in others_by_weight:
                 by_weight += more
             conv.weight.grad = narrowed(by_weight, conv.shape[-1])
-            conv.bias.grad = torch.from_numpy(sum(one.biases[i] for one in scored))
-        of_each = [np.concatenate([one.heads for one in kind], axis=1) for kind in (scored, others)]
+            conv.bias.grad = torch.from_numpy(sum(one.biases[i] for one in self.scored))
+        of_each = [
+            np.concatenate([one.heads for one in kind], axis=1)
+            for kind in (self.scored, self.penalised)
+        ]
         of_each = torch.from_numpy(of_each[0].sum(axis=0) + of_each[1].sum(axis=0))
         self.critic.score.weight.grad = of_each.sum(dim=0, keepdim=True)
         self.critic.score.bias.grad = torch.zeros_like(self.critic.score.bias)
         if self.told is not None:
             self.critic.styled.weight.grad = torch.einsum("bk,bct->kct", self.told, of_each)
-        fake, real = np.concatenate([one.scores for one in scored], axis=1).mean(axis=1)
+        fake, real = np.concatenate([one.scores for one in self.scored], axis=1).mean(axis=1)
         return torch.tensor(fake - real)
 
     def _slopes(self, part: slice) -> np.ndarray:
@@ -160,7 +162,7 @@ class _Step:
             signals.append(wiring.forward(weight, bias, signals[-1], rows, SLOPE))
         return signals
 
-    def _scored(self, part: slice) -> _Gradients:
+    def score(self, part: slice) -> _Gradients:
         """Of the gap."""
         real, fake = self.level.real[part], self.level.fake[part]
         windows = torch.cat([fake, real])
@@ -186,7 +188,7 @@ class _Step:
             by_weight, by_bias, heads.reshape(*two, *heads.shape[1:]), scores.reshape(two)
         )
 
-    def _penalised(self, part: slice) -> _Gradients:
+    def penalise(self, part: slice) -> _Gradients:
         """Of the penalty: of its gradient's length, in the direction in which that should grow."""
         level = self.level
         windows = torch.lerp(level.real[part], level.fake[part], level.mix[part])

@@ -50,11 +50,11 @@ class _Places(nn.Module):
         still = representation.fixed_translations
         offsets = [still.get(skeleton.names[j], skeleton.offsets[j]) for j in order]
         parents = [-1, *(place[skeleton.parents[j]] for j in order[1:])]
-        self.wanted = [place[joint] for joint in joints]
+        at = [place[joint] for joint in joints]
+        self.wanted: list[int] | slice = slice(None) if at == list(range(len(order))) else at
         if points is not None:
-            parents, offsets = [*parents, *self.wanted], [*offsets, *points]
-            self.wanted = list(range(len(order), len(parents)))
-        self.n_places = len(parents)
+            parents, offsets = [*parents, *at], [*offsets, *points]
+            self.wanted = slice(len(order), None)
         self.chain = ForwardKinematics(parents, np.array(offsets))
         turning = [order[i] for i in self.chain.inner.tolist()]
         held = [joint for joint in turning if joint not in modelled]
@@ -79,9 +79,7 @@ class _Places(nn.Module):
             fixed = self.fixed.expand(*rotations.shape[:2], -1, -1, -1)
             rotations = torch.cat([rotations, fixed], dim=2).index_select(2, self.rows)
         root = torch.stack([torch.zeros_like(height), height, torch.zeros_like(height)], dim=-1)
-        places = self.chain.from_inner(rotations, root)
-        everything = self.wanted == list(range(self.n_places))
-        return places if everything else places[:, :, self.wanted]
+        return self.chain.from_inner(rotations, root)[:, :, self.wanted]
 
 
 class VectorKinematics(nn.Module):

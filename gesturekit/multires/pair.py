@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,8 @@ from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import CAPTURE_SECONDS
 from gesturekit.multires.listening import ArmTarget, log_movement
 from gesturekit.multires.networks import LevelDiscriminator
-from gesturekit.multires.row_threads import only_rows_in_threads, side_by_side
+from gesturekit.multires.row_threads import side_by_side
+from gesturekit.multires.skeleton_conv import threads_for
 from gesturekit.multires.styles import agreed_style
 from gesturekit.training.seeds import generator, seeded
 
@@ -169,19 +169,15 @@ class Pair:
         return [agreed_style(styles, count, i) if count else None for i in self.indices]
 
     @property
-    def _is_live(self) -> bool:
-        """Whether convolutions are `live_conv`'s, but for a level of hardly any frames."""
-        with self._precision():
-            return self.generators[0].layers[0].is_live(torch.empty(8, device=self.trainer.device))
-
-    @property
     def _share(self) -> slice:
         return self.trainer.processes.share(self.trainer.batch)
 
     def iterate(self, iteration: int) -> dict[str, float]:
         """One iteration: discriminator, random-generation and reconstruction steps."""
-        # Dense convolutions, on a GPU or in half precision, share their own work.
-        with only_rows_in_threads() if self._is_live else nullcontext():
+        layer = self.generators[0].layers[0]
+        with self._precision():
+            threads = threads_for(layer, layer.weight)
+        with threads:
             return self._iterate(iteration)
 
     def _iterate(self, iteration: int) -> dict[str, float]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache
 from typing import Any
 
@@ -19,6 +20,8 @@ from torch import Tensor, nn
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.interpolation import reflect
 from gesturekit.multires.live_conv import Rows, Wiring, narrowed, widened
+from gesturekit.multires.row_kernels import TAPS
+from gesturekit.multires.row_threads import only_rows_in_threads
 
 
 def block_neighbours(representation: MultiresRepresentation, distance: int) -> np.ndarray:
@@ -115,6 +118,15 @@ class SkeletonConv1d(nn.Module):
     def live_gradient(self, signal: np.ndarray, gradient: np.ndarray, rows: Rows) -> Tensor:
         """Of the weights, by what came in and the gradient of what went out."""
         return narrowed(self.wiring.weight_gradient(signal, gradient, rows), self.shape[-1])
+
+
+def threads_for(layer: SkeletonConv1d, like: Tensor) -> AbstractContextManager[None]:
+    """Threads for rows alone where this layer filters live weights in tensors such as this one.
+
+    Dense convolutions, on a GPU or in half precision, share their own work.
+    """
+    is_live = layer.is_live(like.new_empty(TAPS))
+    return only_rows_in_threads() if is_live else nullcontext()
 
 
 def chained(
