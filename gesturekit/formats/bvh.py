@@ -17,7 +17,8 @@ from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import file_axes, to_law
 from gesturekit.formats.bvh_grammar import ParsedBvh, ParsedJoint, parse_bvh
-from gesturekit.formats.units import METRES, first_fork, guess_unit
+from gesturekit.formats.units import METRES, guess_unit
+from gesturekit.motion.body_size import first_fork
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler
 from gesturekit.motion.skeleton import ROTATION_ORDERS, Skeleton

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import first_fork, stature
 from gesturekit.motion.kinematics import forward_kinematics
-from gesturekit.motion.parts import find_parts, leg_length
 from gesturekit.motion.skeleton import Skeleton
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
@@ -26,7 +26,7 @@ def guess_unit(skeleton: Skeleton, rotations: np.ndarray) -> tuple[str, bool]:
             cannot be told from the names.
     """
     try:
-        stature = leg_length(skeleton) + _spine_length(skeleton)
+        height = stature(skeleton)
     except MotionError:
         # Below the first fork: joints above it may lie anywhere between the origin and the body.
         positions = forward_kinematics(rotations, np.zeros(3), skeleton)
@@ -34,25 +34,9 @@ def guess_unit(skeleton: Skeleton, rotations: np.ndarray) -> tuple[str, bool]:
         reach = np.ptp(positions[[fork, *skeleton.descendants(fork)]], axis=0).max()
         return "m" if reach < 8 else "cm" if reach < 500 else "mm", False
     for unit in ("m", "cm", "mm", "inch", "cmu"):
-        if _SHORTEST <= stature * METRES[unit] <= _TALLEST:
+        if _SHORTEST <= height * METRES[unit] <= _TALLEST:
             return unit, True
     middle = np.log((_SHORTEST * _TALLEST) ** 0.5)
     usual = ("m", "cm", "mm")
-    off = [abs(np.log(max(stature, 1e-12) * METRES[unit]) - middle) for unit in usual]
+    off = [abs(np.log(max(height, 1e-12) * METRES[unit]) - middle) for unit in usual]
     return usual[int(np.argmin(off))], False
-
-
-def first_fork(skeleton: Skeleton) -> int:
-    """Index of the first joint with more than one child: joints above it hold no bone."""
-    return next((j for j in range(skeleton.n_joints) if len(skeleton.children(j)) > 1), 0)
-
-
-def _spine_length(skeleton: Skeleton) -> float:
-    """From the pelvis to the head (or what comes nearest it) along the bones."""
-    parts = find_parts(skeleton)
-    pelvis = skeleton.index(parts.pelvis)
-    joint, length = skeleton.index(parts.head or parts.spine[-1]), 0.0
-    while joint not in (pelvis, -1):
-        length += float(np.linalg.norm(skeleton.offsets[joint]))
-        joint = skeleton.parents[joint]
-    return length

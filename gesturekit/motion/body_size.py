@@ -1,0 +1,67 @@
+"""Body size: the length by which speeds, distances and thresholds are scaled to a body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.parts import find_parts, leg_length
+from gesturekit.motion.skeleton import Skeleton
+
+REFERENCE_SIZE = 1.4
+"""Metres; size of the body that every constant in metres or m/s is given for, an adult of 1.7 m."""
+
+# Longest chain of bones between two leaves over legs and spine, on adults without fingers.
+_CHAIN_PER_STATURE = 1.54
+
+
+def stature(skeleton: Skeleton) -> float:
+    """Return the length of the bones from the ankles (mean of both) to the head, metres.
+
+    Raises:
+        MotionError: legs or spine cannot be identified; see `gesturekit.motion.parts.find_parts`.
+    """
+    parts = find_parts(skeleton)
+    pelvis = skeleton.index(parts.pelvis)
+    joint, length = skeleton.index(parts.head or parts.spine[-1]), leg_length(skeleton)
+    while joint not in (pelvis, -1):
+        length += float(np.linalg.norm(skeleton.offsets[joint]))
+        joint = skeleton.parents[joint]
+    return length
+
+
+def body_size(skeleton: Skeleton) -> float:
+    """Return the size of any rig, metres: its stature, or a length like it for other trees.
+
+    Rigs whose legs or spine cannot be identified (a crab, a snake, a lone arm) are measured by
+    their longest chain of bones between two leaves, divided by what that chain is to stature on an
+    adult. Joints above the first fork hold no bone and do not count, nor do end sites. A rig
+    scaled by c has c times the size; a rig without any bone has `REFERENCE_SIZE`.
+    """
+    try:
+        size = stature(skeleton)
+    except MotionError:
+        size = _longest_chain(skeleton) / _CHAIN_PER_STATURE
+    return size if size > 0 else REFERENCE_SIZE
+
+
+def body_scale(skeleton: Skeleton) -> float:
+    """Return `body_size` over `REFERENCE_SIZE`: multiply a length or speed threshold by it."""
+    return body_size(skeleton) / REFERENCE_SIZE
+
+
+def first_fork(skeleton: Skeleton) -> int:
+    """Return the first joint with more than one child (0 if none): joints above hold no bone."""
+    return next((j for j in range(skeleton.n_joints) if len(skeleton.children(j)) > 1), 0)
+
+
+def _longest_chain(skeleton: Skeleton) -> float:
+    """Return the length of the longest path along bones between two joints below the first fork."""
+    bones = np.linalg.norm(skeleton.offsets, axis=1)
+    depth = np.zeros(skeleton.n_joints)  # of the longest branch found so far below each joint
+    longest, fork = 0.0, first_fork(skeleton)
+    for joint in reversed(range(fork + 1, skeleton.n_joints)):
+        parent, branch = skeleton.parents[joint], depth[joint] + bones[joint]
+        longest = max(longest, depth[parent] + branch)
+        depth[parent] = max(depth[parent], branch)
+    return float(longest)

@@ -1,0 +1,44 @@
+"""Progress of long work: a bar on a terminal, a plain line every few seconds anywhere else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tqdm import tqdm
+
+SECONDS_BETWEEN_LINES = 10.0
+
+_LINE = "{percentage:3.0f}%, {n_fmt} of {total_fmt} {unit}, {elapsed} passed, {remaining} left"
+_LINE_WITHOUT_TOTAL = "{n_fmt} {unit}, {elapsed} passed"
+
+
+class Progress(tqdm):
+    """A tqdm bar that is fit for log files: outside a terminal it prints whole lines.
+
+    Takes tqdm's arguments and is used like tqdm. On a terminal the bar disappears when it is
+    done, unless `leave` is set. Elsewhere a line with count and time left is printed every
+    `SECONDS_BETWEEN_LINES`, none for work that takes less, and never a carriage return.
+    """
+
+    def __init__(self, *args: Any, leave: bool = False, **options: Any) -> None:
+        super().__init__(*args, leave=leave, delay=1e-3, **options)
+        self._in_place = self.disable or self.fp.isatty()
+        if not self._in_place:
+            line = _LINE if self.total is not None else _LINE_WITHOUT_TOTAL
+            self.bar_format = f"{'{desc}: ' if self.desc else ''}{line}{{postfix}}"
+            self._next_line = self.start_t + SECONDS_BETWEEN_LINES
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> bool:
+        """Draw the bar; outside a terminal, print a line if it is time for one."""
+        if self._in_place:
+            return super().display(msg, pos)
+        if msg is None and self._time() >= self._next_line:
+            self._next_line = self._time() + SECONDS_BETWEEN_LINES
+            self.fp.write(f"{str(self).strip()}\n")
+            self.fp.flush()
+        return False
+
+    def clear(self, nolock: bool = False) -> None:
+        """Make room for a message; outside a terminal nothing is in its way."""
+        if self._in_place:
+            super().clear(nolock)

@@ -1,0 +1,35 @@
+import numpy as np
+import pytest
+
+from gesturekit.motion.body_size import REFERENCE_SIZE, body_scale, body_size
+from gesturekit.motion.skeleton import Skeleton
+
+
+def tree(parents, lengths):
+    """A rig with bones of these lengths along x, the root's own offset included."""
+    offsets = np.array([[length, 0.0, 0.0] for length in lengths])
+    return Skeleton(tuple(f"j{i}" for i in range(len(parents))), tuple(parents), offsets)
+
+
+def test_other_trees_are_measured_by_their_longest_chain_below_the_first_fork():
+    # A mast of 9 m up to the fork; below it branches of 1 + 2 m, 4 m and 0.5 m.
+    rig = tree([-1, 0, 1, 2, 1, 1], [5.0, 9.0, 1.0, 2.0, 4.0, 0.5])
+    assert body_size(rig) == pytest.approx((1 + 2 + 4) / 1.54)
+
+
+def test_a_chain_without_forks_is_measured_whole():
+    assert body_size(tree([-1, 0, 1, 2], [5.0, 1.0, 1.0, 1.0])) == pytest.approx(3 / 1.54)
+
+
+def test_a_rig_without_bones_has_the_reference_size():
+    assert body_size(tree([-1], [0.0])) == REFERENCE_SIZE
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.5, 2.0, 10.0])
+def test_scale_grows_with_the_rig(factor, skeleton):
+    assert body_scale(skeleton.scaled(factor)) == pytest.approx(factor * body_scale(skeleton))
+
+
+def test_a_person_is_measured_from_ankle_to_head(skeleton):
+    legs, spine = 0.42 + 0.42, 0.1 + 0.2 + 0.2 + 0.1
+    assert body_size(skeleton) == pytest.approx(legs + spine)

@@ -1,0 +1,32 @@
+import io
+
+import gesturekit.progress
+from gesturekit.progress import Progress
+
+
+def counted(seconds_per_item, **options):
+    """What the log file holds after five items, on a clock of our own."""
+    now = [0.0]
+    file = io.StringIO()
+    bar = Progress(range(5), file=file, unit="file", **options)
+    bar._time = lambda: now[0]
+    bar.start_t = bar.last_print_t = 0.0
+    bar._next_line = gesturekit.progress.SECONDS_BETWEEN_LINES
+    bar.mininterval = 0.0
+    for _ in bar:
+        now[0] += seconds_per_item
+    return file.getvalue()
+
+
+def test_a_log_file_gets_whole_lines_with_count_and_time_left():
+    lines = counted(16.0, desc="Rendering", smoothing=0).splitlines()
+    assert len(lines) in (4, 5)
+    assert lines[0] == "Rendering:  20%, 1 of 5 file, 00:16 passed, 01:04 left"
+
+
+def test_a_log_file_gets_no_carriage_return():
+    assert "\r" not in counted(12.0)
+
+
+def test_short_work_leaves_no_trace_in_a_log_file():
+    assert counted(0.1) == ""
