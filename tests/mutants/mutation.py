@@ -64,36 +64,42 @@ class Mutant:
             StaleMutantError: there is no such function, or `before` is not in it exactly once.
         """
         lines = source.splitlines(keepends=True)
-        name = self.function.partition(":")[2]
-        first, last = _lines_of(ast.parse(source), name) if name else (1, len(lines))
-        if first is None:
-            raise StaleMutantError(f"{self.path} has no function or class {name}")
-        body = "".join(lines[first - 1 : last])
-        if (count := body.count(self.before)) != 1:
-            raise StaleMutantError(
-                f"{self.function}: {self.before!r} occurs {count} times, not once"
-            )
-        body = body.replace(self.before, self.after)
-        return "".join([*lines[: first - 1], body, *lines[last:]])
+        parts = _code_of(ast.parse(source), self.function.partition(":")[2], len(lines))
+        if not parts:
+            raise StaleMutantError(f"{self.path} has no {self.function.partition(':')[2]}")
+        texts = {part: "".join(lines[part.start : part.stop]) for part in parts}
+        holding = [part for part, text in texts.items() if self.before in text]
+        count = sum(text.count(self.before) for text in texts.values())
+        if count != 1:
+            raise StaleMutantError(f"{self.function}: {self.before!r} occurs {count} times")
+        (part,) = holding
+        changed = texts[part].replace(self.before, self.after)
+        return "".join([*lines[: part.start], changed, *lines[part.stop :]])
 
     def __str__(self) -> str:
         short = " ".join(f"{self.before} -> {self.after}".split())
         return f"{self.function}: {short[:90]}"
 
 
-def _lines_of(tree: ast.AST, name: str) -> tuple[int | None, int]:
-    """First and last line of a function or class by its qualified name, its decorators included."""
+def _code_of(tree: ast.Module, name: str, n_lines: int) -> list[range]:
+    """Return the lines of a function or class by its qualified name, without its docstring.
+
+    They are counted from 0; nothing where there is no such function, the whole file for no name.
+    """
+    if not name:
+        return [range(n_lines)]
+    node: ast.AST = tree
     for part in name.split("."):
-        found = [
-            node
-            for node in ast.iter_child_nodes(tree)
-            if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == part
-        ]
-        if not found:
-            return None, 0
-        tree = found[0]
-    first = min([tree.lineno, *(decorator.lineno for decorator in tree.decorator_list)])
-    return first, tree.end_lineno
+        kinds = ast.FunctionDef | ast.ClassDef
+        inside = (n for n in ast.iter_child_nodes(node) if isinstance(n, kinds) and n.name == part)
+        node = next(inside, None)
+        if node is None:
+            return []
+    first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)]) - 1
+    if ast.get_docstring(node) is None:
+        return [range(first, node.end_lineno)]
+    docstring = node.body[0]
+    return [range(first, docstring.lineno - 1), range(docstring.end_lineno, node.end_lineno)]
 
 
 def read_mutants() -> list[Mutant]:
