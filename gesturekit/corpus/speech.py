@@ -49,6 +49,7 @@ class SpeechConditioner:
         align: how features reach the motion frames, see `FeatureTrack.to_rate`.
         centre: (S,) mean of active speech in training.
         scale: (S,) standard deviation of centred active speech in training.
+        normalises: False leaves level and features as they are, as both papers do.
     """
 
     extractor: Any
@@ -56,6 +57,7 @@ class SpeechConditioner:
     align: str
     centre: np.ndarray
     scale: np.ndarray
+    normalises: bool = True
 
     @classmethod
     def fit(
@@ -91,10 +93,14 @@ class SpeechConditioner:
 
     def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
         """(T, S) float32 normalised features; T follows from the wave's length unless given."""
-        return self.normalise(*extract(wave, self.extractor, self.fps, self.align, n_frames))
+        return self.normalise(
+            *extract(wave, self.extractor, self.fps, self.align, n_frames, level=self.normalises)
+        )
 
     def normalise(self, values: np.ndarray, active: np.ndarray) -> np.ndarray:
         """(T, S) float32 from what `extract` gives for a clip."""
+        if not self.normalises:
+            return values.astype(np.float32)
         prior = _PRIOR_SECONDS * self.fps
         own = values[active].sum(axis=0, dtype=np.float64)
         centre = (own + prior * self.centre) / (active.sum() + prior)
@@ -114,11 +120,20 @@ class SpeechConditioner:
 
 
 def extract(
-    wave: af.Wave, extractor: Any, fps: float, align: str, n_frames: int | None = None
+    wave: af.Wave,
+    extractor: Any,
+    fps: float,
+    align: str,
+    n_frames: int | None = None,
+    *,
+    level: bool = True,
 ) -> Heard:
-    """Features (T, S) float32 of a wave on motion frames, and where speech is active (T,)."""
+    """Features (T, S) float32 of a wave on motion frames, and where speech is active (T,).
+
+    The wave is brought to one level first (`Wave.at_level`), unless `level` is False.
+    """
     n_frames = wave.n_frames(fps) if n_frames is None else n_frames
-    track = af.cache_from_environment().extract(extractor, wave.at_level())
+    track = af.cache_from_environment().extract(extractor, wave.at_level() if level else wave)
     values = track.to_rate(fps, n_frames=n_frames, method=align).values
     activity = wave.active(hop=_ACTIVITY_HOP)
     nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)

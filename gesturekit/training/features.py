@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,6 +28,9 @@ class FeatureConfig:
     align: Literal["mean", "gaussian", "linear"] = "mean"
     """How features reach the motion's frames: mean of each frame's span, those means averaged with
     a standard deviation of a frame, or linear in time."""
+    normalise: bool = True
+    """Bring speech to one level, and the features of each clip to zero mean and comparable spread;
+    false takes both as they are, as the papers do."""
 
     def extractor(self) -> Any:
         """The extractor.
@@ -45,7 +48,7 @@ def listen(
     most: Sequence[int | None],
     extractor: Any,
     fps: float,
-    align: str,
+    settings: FeatureConfig,
 ) -> tuple[SpeechConditioner, list[np.ndarray]]:
     """What a model hears of each item, (T, S) float32, and what makes it of a wave.
 
@@ -54,14 +57,16 @@ def listen(
         most: frames of each that are wanted, or None for all.
         extractor: see `FeatureConfig.extractor`.
         fps: frames per second of the motion.
-        align: see `FeatureConfig`.
+        settings: how features reach the motion's frames, and whether they are normalised.
 
     Raises:
         AudioError: a file cannot be read.
     """
     progress = tqdm(items, desc="Listening", unit="file", leave=False)
-    heard = [extract(item.load_wave(), extractor, fps, align) for item in progress]
+    align, level = settings.align, settings.normalise
+    heard = [extract(item.load_wave(), extractor, fps, align, level=level) for item in progress]
     conditioner = SpeechConditioner.fit(heard, extractor, fps, align)
+    conditioner = replace(conditioner, normalises=settings.normalise)
     # From the first to the last, each making room for what becomes of it.
     heard.reverse()
     speeches = []
@@ -81,23 +86,34 @@ def conditioner_tensors(conditioner: SpeechConditioner | None) -> dict[str, Tens
     }
 
 
+def conditioner_values(conditioner: SpeechConditioner) -> dict[str, Any]:
+    """Return what a model's configuration holds of a conditioner; see `load_conditioner`."""
+    return {
+        "spec": conditioner.extractor.spec,
+        "align": conditioner.align,
+        "normalise": conditioner.normalises,
+    }
+
+
 def load_conditioner(
-    spec: dict[str, Any],
-    align: str,
+    values: Mapping[str, Any],
     tensors: Mapping[str, Tensor],
     fps: float,
     weights: str | Path | None,
     device: str = "cpu",
 ) -> SpeechConditioner:
-    """A conditioner of its extractor's spec, which knows its weights, and of what it has learnt.
+    """Return the conditioner of which these are `conditioner_values` and `conditioner_tensors`.
+
+    The extractor's spec knows its weights. Values without `normalise` are older than the setting.
 
     Raises:
         WeightsError: WavLM weights are asked for, or are not those of training.
     """
     return SpeechConditioner(
-        af.extractor_from_spec(spec, weights=weights, device=device),
+        af.extractor_from_spec(values["spec"], weights=weights, device=device),
         fps,
-        align,
+        values["align"],
         tensors["features.centre"].numpy(),
         tensors["features.scale"].numpy(),
+        bool(values.get("normalise", True)),
     )
