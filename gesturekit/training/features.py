@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 import audio_features as af
 from gesturekit.corpus.manifest import Item
-from gesturekit.corpus.speech import SpeechConditioner, extract
+from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,10 @@ class FeatureConfig:
     align: Literal["mean", "gaussian", "linear"] = "mean"
     """How features reach the motion's frames: mean of each frame's span, those means averaged with
     a standard deviation of a frame, or linear in time."""
-    normalise: bool = True
-    """Bring speech to one level, and the features of each clip to zero mean and comparable spread;
-    false takes both as they are, as the papers do."""
+    normalise: Normalisation = "clip"
+    """clip brings speech to one level, and the features of each clip to zero mean and comparable
+    spread; corpus brings features to zero mean and unit variance over all training speech; none
+    takes them as they are. Without clip, quieter speech gives another motion."""
 
     def extractor(self) -> Any:
         """The extractor.
@@ -63,10 +64,9 @@ def listen(
         AudioError: a file cannot be read.
     """
     progress = tqdm(items, desc="Listening", unit="file", leave=False)
-    align, level = settings.align, settings.normalise
+    align, level = settings.align, settings.normalise == "clip"
     heard = [extract(item.load_wave(), extractor, fps, align, level=level) for item in progress]
-    conditioner = SpeechConditioner.fit(heard, extractor, fps, align)
-    conditioner = replace(conditioner, normalises=settings.normalise)
+    conditioner = SpeechConditioner.fit(heard, extractor, fps, align, settings.normalise)
     # From the first to the last, each making room for what becomes of it.
     heard.reverse()
     speeches = []
@@ -91,7 +91,7 @@ def conditioner_values(conditioner: SpeechConditioner) -> dict[str, Any]:
     return {
         "spec": conditioner.extractor.spec,
         "align": conditioner.align,
-        "normalise": conditioner.normalises,
+        "normalise": conditioner.normalisation,
     }
 
 
@@ -115,5 +115,5 @@ def load_conditioner(
         values["align"],
         tensors["features.centre"].numpy(),
         tensors["features.scale"].numpy(),
-        bool(values.get("normalise", True)),
+        values.get("normalise", "clip"),
     )

@@ -169,6 +169,23 @@ def test_a_bank_holds_a_whole_sequence_once(make_config):
         assert torch.equal(windows.targets[-1], torch.stack([s.motion for s in sequences]))
 
 
+@pytest.mark.parametrize(("bank", "repeats"), [(2, True), (None, False)])
+def test_without_a_bank_every_random_window_is_drawn_anew(make_config, monkeypatch, bank, repeats):
+    config = make_config(schedule={"bank": bank, "renew": 50})
+    generate, noises = Pair._generate, []
+
+    def record(self, windows):
+        if windows.targets is None and self.first == 0:
+            noises.extend(tuple(row.tolist()) for row in windows.noise[0][:, 0])
+        return generate(self, windows)
+
+    monkeypatch.setattr(Pair, "_generate", record)
+    train(config)
+    # Six iterations of a discriminator and a generator step, two windows each.
+    assert len(noises) == 24
+    assert (len(set(noises)) < 24) == repeats
+
+
 def test_with_margins_longer_motions_are_judged_by_their_middle(make_config, monkeypatch):
     config = make_config(schedule={"margins": True, "window": 2.0, "first_pair": 1})
     seen = set()

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.multires.config import MultiresConfig
 from gesturekit.training.config import load_config
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
@@ -32,6 +33,7 @@ ZEROEGGS = {
     "features.extractors": (({"kind": "mfcc", "n": 16},), "Table 1: 16 audio features"),
     "features.weights": (None, "no WavLM"),
     "features.align": ("mean", "ours"),
+    "features.normalise": ("corpus", "A.1"),
     "path": (False, "4.1: root motion is an output"),
     "events": (False, "4.1"),
     "styles.handed": ((), "A.1: locomotion only"),
@@ -114,6 +116,95 @@ DIFFUSION = {
     },
 }  # fmt: skip
 
+# Moreno-Villamarín, Hilsmann and Eisert 2024; "GANimator" is Li et al. 2022, whose architecture
+# section 4.2 takes over, or its released code.
+SPEECH = {
+    "fps": (25.0, "5"),
+    "joints": ("body", "4.1: 23 joints and the root, no fingers"),
+    "smooth": (None, "no post-processing of the upper body"),
+    "normalise": (False, "GANimator: none"),
+    "face_forward": (False, "GANimator: none"),
+    "z_star": ("shared", "3.2: shared along the channel axis"),
+    "recall": (0, "3.2: noise is drawn anew"),
+    "noise_levels": (1, "GANimator: noise at level 1 only when sampling"),
+    "features.extractors": (({"kind": "wavlm", "layer": "last"},), "5; layer ours"),
+    "features.weights": (None, "given on the command line"),
+    "features.align": ("linear", "5: interpolated to 25 fps"),
+    "features.normalise": ("none", "5: none is mentioned"),
+    "features.residual": (True, "5"),
+    "styles": (None, "5: speech only"),
+    "network.levels": (10, "3.2"),
+    "network.channels": ((5, 9, 9), "GANimator: 128, 256, 256 over some 30 blocks"),
+    "network.kernel": (5, "GANimator"),
+    "network.neighbour_distance": (2, "GANimator"),
+    "network.film": ("input", "eq. 10"),
+    "network.embedding": (8, "4.2, the only width that is given"),
+    "network.rectify_embedding": (False, "3.3: a fully connected layer"),
+    "network.modulate": ("upper", "5"),
+    "losses.adversarial": (1.0, "4.2"),
+    "losses.gradient_penalty": (1.0, "GANimator"),
+    "losses.reconstruction": (50.0, "4.2"),
+    "losses.contact": (5.0, "4.2"),
+    "losses.smoothness": (5.0, "4.2"),
+    "losses.arm_speed": (0.0, "eq. 11 has none"),
+    "losses.arm_acceleration": (0.0, "eq. 11 has none"),
+    "losses.detail": (0.0, "eq. 11 has none"),
+    "losses.coarse": (0.0, "eq. 11 has none"),
+    "losses.rec_input": ("real", "eq. 15"),
+    "losses.contact_speed": ("squared", "eq. 14"),
+    "losses.contact_slope": (10.0, "eq. 14"),
+    "losses.critic_scale": (1.0, "eq. 12"),
+    "losses.penalty_on": ("printed", "eq. 13"),
+    "schedule.first_pair": (15_000, "4.2"),
+    "schedule.further_pairs": (25_000, "4.2"),
+    "schedule.discriminator_steps": (5, "GANimator"),
+    "schedule.generator_steps": (1, "GANimator"),
+    "schedule.reconstruction_steps": (1, "GANimator"),
+    "schedule.learning_rate": (1e-4, "4.2"),
+    "schedule.betas": ((0.9, 0.999), "GANimator: Adam's own"),
+    "schedule.decay_at": (1.0, "no decay is mentioned"),
+    "schedule.batch": (1, "GANimator"),
+    "schedule.window": (None, "GANimator: whole sequences"),
+    "schedule.bank": (None, "3.2: fresh noise"),
+    "schedule.renew": (50, "unused where bank is null"),
+    "schedule.margins": (False, "not in the paper"),
+    "schedule.silence": (0.0, "not in the paper"),
+    "precision": ("float32", "GANimator"),
+}
+NO_SPEECH = {"features": (None, "4: labels only")}
+LABELS = {name: SPEECH[name] for name in SPEECH if name != "styles"} | NO_SPEECH | {
+    "losses.arm_speed": (3.0, "unused without speech"),
+    "schedule.silence": (0.1, "unused without speech"),
+    "styles.mixing": (0.9, "4.2"),
+    "styles.told": (False, "eq. 12: D sees the motion alone"),
+    "network.levels": (8, "3.2"),
+    "network.modulate": ("all", "4"),
+    "schedule.renew": (80, "unused where bank is null"),
+}  # fmt: skip
+GANIMATOR = SPEECH | {
+    "features": (None, "no condition"),
+    "z_star": ("full", "code: of each channel, unscaled"),
+    "network.levels": (7, "code: 7 at ratio 1/5"),
+    "network.film": ("all", "unused without a condition"),
+    "network.embedding": (64, "unused without a condition"),
+    "network.rectify_embedding": (True, "unused without a condition"),
+    "losses.arm_speed": (3.0, "unused without speech"),
+    "losses.rec_input": ("generated", "code"),
+    "losses.smoothness": (0.0, "code: none"),
+    "losses.contact_speed": ("norm", "code"),
+    "losses.contact_slope": (12.0, "code"),
+    "losses.critic_scale": (0.5, "code"),
+    "losses.penalty_on": ("frame", "code"),
+    "schedule.further_pairs": (15_000, "code"),
+    "schedule.renew": (80, "unused where bank is null"),
+    "schedule.silence": (0.1, "unused without speech"),
+}
+MULTIRES = {
+    "multires_speech/config.yaml": SPEECH,
+    "multires_labels/published.yaml": LABELS,
+    "ganimator/published.yaml": GANIMATOR,
+}
+
 
 def settings(config: Any, prefix: str = "") -> dict[str, Any]:
     """Every setting by its dotted name, the defaults included."""
@@ -136,3 +227,9 @@ def test_diffusion_settings_are_those_of_the_paper(name):
     path = RECIPES / "diffusion_speech" / name
     config = load_config(path, DiffusionConfig, ["corpus=corpus.jsonl"])
     assert settings(config) == without_sections_left_out(DIFFUSION[name])
+
+
+@pytest.mark.parametrize("name", MULTIRES)
+def test_multires_settings_are_those_of_the_paper(name):
+    config = load_config(RECIPES / name, MultiresConfig, ["corpus=corpus.jsonl"])
+    assert settings(config) == without_sections_left_out(MULTIRES[name])
