@@ -22,8 +22,8 @@ _PRIOR_SECONDS = 1.0
 """How much active speech the training mean is worth when a clip's own mean is taken."""
 
 Normalisation = Literal["clip", "corpus", "none"]
-"""Speech at one level and features centred clip by clip; zero mean and unit variance over all training
-frames (Alexanderson et al. 2023, A.1); or level and features as they are."""
+"""Speech at one level and features centred clip by clip; features at zero mean and unit variance
+over all training frames (Alexanderson et al. 2023, A.1); or level and features as they are."""
 
 Heard = tuple[np.ndarray, np.ndarray]
 """What `extract` gives: features (T, S), not normalised, and where speech is active (T,)."""
