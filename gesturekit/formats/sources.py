@@ -78,7 +78,7 @@ def plan(
         jobs = [Job(sources[0], (out,))]
     else:
         jobs = _into_folder(sources, out, formats)
-        _refuse_leaving(jobs, out)
+        refuse_leaving(jobs, out)
     _refuse_clashes(jobs)
     jobs = _without_existing(jobs, existing)
     _refuse_locked(jobs, out)
@@ -268,8 +268,12 @@ def _refuse_clashes(jobs: Sequence[Job]) -> None:
             taken[where] = job.source
 
 
-def _refuse_leaving(jobs: Sequence[Job], out: Path) -> None:
-    """A link inside the folder must not lead writing out of it."""
+def refuse_leaving(jobs: Sequence[Job], out: Path) -> None:
+    """Refuse to write out of a folder through a link inside it.
+
+    Raises:
+        ConfigError: a target whose folder is a link that leaves `out`.
+    """
     inside = Path(os.path.realpath(out))
     for job in jobs:
         for target in job.targets:
@@ -286,17 +290,30 @@ def _refuse_locked(jobs: Sequence[Job], out: Path) -> None:
         raise ConfigError(f"{out}: {folder} cannot be written to; give another place")
 
 
+def refuse_existing(there: Sequence[Path], reason: str = "") -> None:
+    """Refuse to write over files that are there already.
+
+    Args:
+        there: the files, one at least.
+        reason: further words, such as ", made with another seed".
+
+    Raises:
+        ConfigError: always; it names the options that let it through.
+    """
+    more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
+    verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
+    raise ConfigError(
+        f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already{reason}; --existing replace "
+        f"writes over {object_}, --existing skip leaves {object_}"
+    )
+
+
 def _without_existing(jobs: list[Job], existing: str) -> list[Job]:
     there = [target for job in jobs for target in job.targets if os.path.lexists(target)]
     if not there or existing == "replace":
         return jobs
     if existing == "refuse":
-        more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
-        verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
-        raise ConfigError(
-            f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already; --existing replace "
-            f"writes over {object_}, --existing skip leaves {object_}"
-        )
+        refuse_existing(there)
     gone = set(there)
     return [
         Job(job.source, tuple(t for t in job.targets if t not in gone), job.error) for job in jobs
