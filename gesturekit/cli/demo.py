@@ -32,6 +32,12 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
 
     speech = bundled_speech()
     output = Output(("bvh", "npz", "html", "png"), existing=existing)
+    # Beside the motion, to play with it in Blender.
+    wav = out / speech.name
+    is_there = wav.is_file() and wav.read_bytes() == speech.read_bytes()
+    if not is_there and not is_left([wav], existing):
+        with atomic_write(wav) as temporary:
+            temporary.write_bytes(speech.read_bytes())
     model = load("demo")
     click.echo(f"Rendering its speech into {out} ...", err=True)
     with resumable(lambda: "The same command goes on."):
@@ -39,11 +45,6 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     if outcome.error is not None:
         click.echo(f"Failed: {outcome.error}", err=True)
         ctx.exit(1)
-    wav = out / speech.name
-    if not (wav.is_file() and wav.read_bytes() == speech.read_bytes()):
-        if not is_left([wav], existing):
-            with atomic_write(wav) as temporary:
-                temporary.write_bytes(speech.read_bytes())
     uses = {
         ".wav": "the speech; Blender: Add > Sound in the Video Sequencer",
         ".bvh": "Blender: File > Import > Motion Capture (.bvh); Scale 0.01, Forward -Z, Up Y,\n"

@@ -76,17 +76,18 @@ def comma_separated(text: str | None) -> list[str]:
     return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
-def existing_option(default: str, *, alias: bool = False) -> Callable[..., Any]:
+def existing_option(default: str, *, alias: bool = False, note: str = "") -> Callable[..., Any]:
     """Add --existing, with --skip-existing as another name of `--existing skip`.
 
     Args:
         default: refuse, skip or replace.
         alias: whether there is --skip-existing.
+        note: what else the help says of it.
     """
 
-    skip_by_alias = "gesturekit.skip_existing"
+    skip_by_alias = "--skip-existing"
 
-    def note(ctx: click.Context, _: click.Parameter, given: bool) -> None:
+    def remember(ctx: click.Context, _: click.Parameter, given: bool) -> None:
         ctx.meta[skip_by_alias] = given
 
     def choose(ctx: click.Context, _: click.Parameter, value: str) -> str:
@@ -99,7 +100,7 @@ def existing_option(default: str, *, alias: bool = False) -> Callable[..., Any]:
                 is_flag=True,
                 is_eager=True,
                 expose_value=False,
-                callback=note,
+                callback=remember,
                 help="The same as --existing skip.",
             )(command)
         return click.option(
@@ -107,7 +108,7 @@ def existing_option(default: str, *, alias: bool = False) -> Callable[..., Any]:
             type=click.Choice(["refuse", "skip", "replace"]),
             default=default,
             callback=choose,
-            help=f"What to do where an output exists.  [default: {default}]",
+            help=f"What to do where an output exists{note}.  [default: {default}]",
         )(command)
 
     return add
