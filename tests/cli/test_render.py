@@ -24,6 +24,7 @@ from gesturekit.cli.render import GROUPS
 from gesturekit.cli.render import command as render
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.manifest import SPLITS
+from gesturekit.multires.model import MultiresModel
 
 FPS = 25
 
@@ -461,6 +462,36 @@ def test_a_split_of_a_corpus(gesturekit, model, corpus, tmp_path):
         assert done.status == 2 and "--corpus says which sound" in done.err
     done = gesturekit("render", "--model", model, "--out", out, "--split", "test")
     assert done.status == 2 and "--corpus" in done.err
+
+
+def test_another_rate_than_the_models_is_said_once(gesturekit, model, wav, tmp_path, monkeypatch):
+    generate = MultiresModel.generate
+
+    def at_rate(self, speech=None, *, seconds=None, samples=1, seed=0, foot_lock=True, fps=None):
+        return generate(self, speech, seconds=seconds, seed=seed).resample(fps or self.fps)
+
+    monkeypatch.setattr(MultiresModel, "generate", at_rate)
+    make_sound(tmp_path / "in" / "more.wav", 16_000, 16_000)
+    made = ("render", wav.parent, "--model", model, "--out", tmp_path / "out")
+    done = gesturekit(*made, "--fps", 30)
+    assert (done.status, problems(done.err)) == (
+        0,
+        ["Written at 30 fps; the model's own rate is 25 fps (--fps chooses)."],
+    )
+    assert frames_in(tmp_path / "out" / "speech.bvh") == 46
+    assert problems(gesturekit(*made, "--existing", "replace").err) == []
+
+
+def test_a_sound_that_cannot_be_read_is_named_with_what_to_do(gesturekit, model, tmp_path):
+    for name, content, says in (
+        ("talk.m4a", b"\0\0\0\x20ftypM4A " + bytes(100), "ffmpeg"),
+        ("none.wav", None, "no such file"),
+    ):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        done = gesturekit("render", tmp_path / name, "--model", model, "--out", tmp_path / "out")
+        (line,) = problems(done.err)
+        assert done.status == 1 and line.startswith("Failed: ") and name in line and says in line
 
 
 def test_help_shows_examples_first_and_every_option_in_one_group(gesturekit):

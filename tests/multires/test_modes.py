@@ -183,7 +183,7 @@ def test_keyframes_that_do_not_fit_are_said(make_config, motions, tmp_path, gest
     _, words = said(model.generate(seconds=6.0, seed=1, levels=2))
     assert "14 fps, but level 1 has 10.5 fps: it would fit level 2" in words
     _, words = said(replace(coarse, fps=24.0))
-    assert "24 fps, but level 1 has 10.67 fps: no level has" in words
+    assert "24 fps, but level 1 has 10.61 fps: no level has" in words
     assert said(replace(coarse, fps=1.005 * coarse.fps))[1] == ""
     assert "the rest is left out" in said(coarse, seconds=4.0)[1]
     assert "the last pose is held to the end" in said(coarse, seconds=8.0)[1]

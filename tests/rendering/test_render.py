@@ -21,7 +21,7 @@ from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering.record import RECORD, described
 from gesturekit.rendering.render import FORMATS, Output, render
-from gesturekit.rendering.sampling import sample_multires
+from gesturekit.rendering.sampling import sample_lda, sample_multires
 
 
 @pytest.fixture
@@ -380,3 +380,13 @@ def test_bvh_in_another_unit(model, sounds, tmp_path):
     np.testing.assert_allclose(ratio[metres.skeleton.offsets[1:] > 1e-3], 100, rtol=1e-3)
     with pytest.raises(ConfigError, match=r"up is an option of \.npz"):
         next(render(model, sounds[:1], tmp_path, output=Output(up="z")))
+
+
+def test_sampling_for_an_evaluation_goes_on_where_it_was(model, tmp_path, write_speech):
+    write_speech(tmp_path / "in" / "a.wav", 10.0)
+    out = tmp_path / "out"
+    files = list(sample_lda(model, tmp_path / "in", out, samples=2))
+    files[1].unlink()
+    before = files[0].stat().st_mtime_ns
+    assert list(sample_lda(model, tmp_path / "in", out, samples=2, skip=True)) == files
+    assert files[0].stat().st_mtime_ns == before and files[1].is_file()
