@@ -25,7 +25,7 @@ _FORMAT = 1
 
 
 class Record:
-    """What the files of a folder were made with.
+    """Record of the model, settings and input of each file of a folder.
 
     Args:
         out: the folder; it need not exist.

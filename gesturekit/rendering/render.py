@@ -167,7 +167,7 @@ class _Run:
         )
 
     def made_with(self, task: Task) -> dict[str, Any]:
-        """All that the motions of a task depend on, as the record holds it."""
+        """Everything that the motions of a task depend on, as the record holds it."""
         made_with = dict(self.settings)
         if task.audio is not None:
             made_with["input"] = self.input_digest(task.audio)
@@ -248,7 +248,7 @@ class _Run:
         try:
             made_with = self.made_with(task)
             wave, motions = self.generate(task)
-            # Where all channels are heard, players get the file as it is.
+            # Players get the file as it is, unless only a part of it was used.
             whole = task.item is None and self.channel is None
             sound = task.audio if whole else wave
             for motion, name in zip(motions, self.names(task), strict=True):
@@ -271,7 +271,7 @@ class _Run:
         return Outcome(task.source, tuple(files), left, fps)
 
     def generate(self, task: Task) -> tuple[af.Wave | None, list[Motion]]:
-        """The sound of a task, and its motions."""
+        """Return the sound of a task, and its motions."""
         wave, item = task.load_wave(self.channel), task.item
         controls, seconds = self.controls, self.seconds
         if item is not None:
@@ -320,7 +320,7 @@ def _given(model: Any, controls: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _reason(error: Exception, source: str) -> str:
-    """Why an input failed, in one line that names it."""
+    """Return the reason of a failure, in one line that names the input."""
     reason = str(error) or "not enough memory"
     # Not every reason names the input: a model that gives NaN, a disk that is full.
     reason = reason if source in reason else f"{source}: {reason}"

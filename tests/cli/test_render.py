@@ -67,12 +67,12 @@ def frames_in(bvh: Path) -> int:
 
 
 def names(folder: Path) -> list[str]:
-    """What is in a folder, but for hidden files."""
+    """Names in a folder, but for hidden files."""
     return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
 
 
 def problems(err: str) -> list[str]:
-    """What is said on stderr beside progress and the summary, which is the last line."""
+    """Lines on stderr beside progress and the summary, which is the last line."""
     *lines, summary = err.splitlines()
     assert re.match(r"\d+ rendered.* in .*: ", summary), summary
     return [line for line in lines if not line.startswith("Rendering: ")]
