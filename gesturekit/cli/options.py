@@ -62,7 +62,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def read_from(reading: dict[str, Any]) -> dict[str, Any]:
-    """What `reading_options` were given, under the names that readers have for them."""
+    """Return the `reading_options` that were given, under the names that readers have for them."""
     return given(**{name.removeprefix("in_"): value for name, value in reading.items()})
 
 

@@ -27,7 +27,7 @@ _FAILURES = (GestureKitError, af.AudioFeaturesError, OSError, MemoryError, Runti
 
 @dataclass(frozen=True)
 class Output:
-    """How results are written.
+    """Settings of the files that are written.
 
     Attributes:
         formats: of bvh, npz, html (a player with sound), png (a picture).
