@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from gesturekit.cli.options import existing_option, is_left, resumable
+
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation
 
@@ -69,6 +71,7 @@ if TYPE_CHECKING:
     help="Distance below which a patch is covered.  [default: 2.0; none for paper]",
 )
 @click.option("--seed", default=0, show_default=True, help="Of samples and intervals.")
+@existing_option("replace", note="; samples of an earlier run are only skipped or refused")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -88,6 +91,7 @@ def command(
     variant: str,
     threshold: float | None,
     seed: int,
+    existing: str,
 ) -> None:
     """Measure generated motion (GENERATED: folder or file, npz or BVH) against recordings.
 
@@ -109,10 +113,21 @@ def command(
         raise click.UsageError(f"what is {others[0]}? Add --compare to compare with it")
     if compare and not others:
         raise click.UsageError("--compare needs folders to compare with, named last")
+    out, json_out = (
+        None if path is None or is_left([path], existing) else path for path in (out, json_out)
+    )
     for path in filter(None, (out, json_out)):
         _require_writable(path)
     folders = _folders(
-        (generated, *others), reference, audio, protocol, samples, samples_dir, weights, seed
+        (generated, *others),
+        reference,
+        audio,
+        protocol,
+        samples,
+        samples_dir,
+        weights,
+        seed,
+        existing,
     )
     found = evaluate(
         folders,
@@ -166,10 +181,10 @@ def _folders(
     samples_dir: Path,
     weights: Path | None,
     seed: int,
+    existing: str,
 ) -> dict[str, Path]:
     """Label to folder of motion; models are sampled."""
-    from tqdm import tqdm
-
+    from gesturekit.progress import Progress
     from gesturekit.systems import bundled_models, load
 
     folders: dict[str, Path] = {}
@@ -197,22 +212,25 @@ def _folders(
 
         count = {} if samples is None else {"samples": samples}
         folders[label] = samples_dir / label.replace("/", "_")
-        if folders[label].is_dir() and any(folders[label].iterdir()):
+        skip = existing == "skip"
+        if not skip and folders[label].is_dir() and any(folders[label].iterdir()):
             raise click.UsageError(
                 f"{folders[label]} holds samples of an earlier run, which would be measured too: "
-                "name another --samples-dir, or measure that folder in place of the model"
+                "name another --samples-dir, measure that folder in place of the model, or go on "
+                "with the sampling by --existing skip"
             )
         model = load(name, weights=weights)
         if protocol == "lda":
             if audio is None:
                 raise click.UsageError("--protocol lda samples models on speech: give --audio")
-            files = sampling.sample_lda(model, audio, folders[label], seed=seed, **count)
+            files = sampling.sample_lda(model, audio, folders[label], seed=seed, skip=skip, **count)
         else:
             files = sampling.sample_multires(
-                model, reference, folders[label], audio=audio, seed=seed, **count
+                model, reference, folders[label], audio=audio, seed=seed, skip=skip, **count
             )
-        for _ in tqdm(files, desc=f"sampling {label}", unit="clip", disable=None, leave=False):
-            pass
+        with resumable(lambda: "With --existing skip the same command goes on."):
+            for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
+                pass
     return folders
 
 

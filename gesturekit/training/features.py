@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 import audio_features as af
 from gesturekit.corpus.manifest import Item
 from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract
+from gesturekit.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def listen(
     Raises:
         AudioError: a file cannot be read.
     """
-    progress = tqdm(items, desc="Listening", unit="file", leave=False)
+    progress = Progress(items, desc="Extracting speech features", unit="file")
     align, level = settings.align, settings.normalise == "clip"
     heard = [extract(item.load_wave(), extractor, fps, align, level=level) for item in progress]
     conditioner = SpeechConditioner.fit(heard, extractor, fps, align, settings.normalise)
