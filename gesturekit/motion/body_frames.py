@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.end_sites import real_end_sites
 from gesturekit.motion.fingers import finger_chains
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
@@ -169,7 +170,7 @@ def body_frames(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> BodyF
 class _Builder:
     def __init__(self, skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> None:
         self.skeleton, self.parts, self.pose = skeleton, parts, pose
-        self.scale = body_scale(skeleton)
+        self.scale, self.ends = body_scale(skeleton), real_end_sites(skeleton)
         self.places = forward_kinematics(pose, np.zeros(3), skeleton)
         self.turned = global_rotations(pose, skeleton)
         self.body = body_frame(skeleton, parts, pose)
@@ -281,7 +282,7 @@ class _Builder:
 
     def _end(self, joint: int) -> np.ndarray:
         """(3,) from a joint to the end of what hangs on it, in the world."""
-        sites = self.skeleton.end_sites.get(self.skeleton.names[joint], ())
+        sites = self.ends.get(self.skeleton.names[joint], ())
         ends = [rotate_vectors(self.turned[joint], site) for site in sites]
         ends += [self.places[j] - self.places[joint] for j in self.skeleton.children(joint)]
         return max(ends, key=np.linalg.norm, default=np.zeros(3))
