@@ -41,8 +41,8 @@ def real_end_sites(skeleton: Skeleton) -> dict[str, tuple[np.ndarray, ...]]:
     too_long = length > np.maximum(_LONGEST * body_size(skeleton), _LONGER * bone)
     real: dict[str, tuple[np.ndarray, ...]] = {}
     for (name, site), made_up in zip(named, (off & copied) | too_long):
-        is_root = name == skeleton.names[0]
-        marks_end = skeleton.is_leaf(skeleton.index(name)) and bare_name(name, "").endswith(_MARKERS)
-        if is_root or not (made_up or marks_end):
+        joint = skeleton.index(name)
+        marks_end = skeleton.is_leaf(joint) and bare_name(name, "").endswith(_MARKERS)
+        if joint == 0 or not (made_up or marks_end):
             real[name] = (*real.get(name, ()), site)
     return real
