@@ -120,6 +120,21 @@ def test_rigs_of_any_kind_are_judged_alike_at_any_size(name, tmp_path):
     assert_judged_alike(flawed(rig(RIGS[name])), tmp_path)
 
 
+def test_limbs_are_found_by_shape_at_any_size(skeleton):
+    names = tuple(f"Joint{j}" for j in range(skeleton.n_joints))
+    ends = {names[skeleton.index(name)]: sites for name, sites in skeleton.end_sites.items()}
+    # Feet of 9 cm, and collar bones that differ by 3 cm.
+    offsets = skeleton.offsets.copy()
+    offsets[skeleton.index("LeftShoulder"), 1] += 0.033
+    for side in ("Left", "Right"):
+        ends[names[skeleton.index(f"{side}Foot")]] = (np.array([0.0, -0.02, 0.06]),)
+    nameless = Skeleton(names, skeleton.parents, offsets, ends)
+    parts = find_parts(nameless)
+    assert parts.legs["left"].knee == names[skeleton.index("LeftLeg")]
+    for scale in SCALES:
+        assert find_parts(nameless.scaled(scale)) == parts
+
+
 def test_a_quadruped_is_judged_alike_at_any_size(quadruped, tmp_path):
     assert_judged_alike(flawed(quadruped), tmp_path)
 

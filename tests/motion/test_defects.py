@@ -70,8 +70,11 @@ def test_jitter_cannot_be_told_at_a_low_frame_rate(moving_person):
 
 def test_a_pop_next_to_a_jump_is_counted_once(moving_person):
     off = np.zeros(60)
-    off[[20, 41]] = [2.8, -0.6]
-    motion = turned(moving_person, "LeftArm", off)
+    off[41] = 0.6
+    motion = turned(moving_person, "LeftForeArm", off)
+    places = motion.translation.copy()
+    places[20] += [0.6, 0.0, 0.0]
+    motion = replace(motion, translation=places)
     jumps = find_jumps(motion)
     assert jumps.frames == (20, 21)
     assert find_pops(motion).frames == (20, 41) and find_pops(motion, jumps).frames == (41,)
