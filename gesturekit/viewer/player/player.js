@@ -57,7 +57,7 @@ function arrange(bodies, page) {
 
 async function main() {
   const page = await read($("motion"));
-  const bodies = page.figures.map((figure, i) => new Body(figure, i));
+  const bodies = page.figures.map((figure, i) => new Body(figure, i, page.height));
   arrange(bodies, page);
   const [first] = page.figures;
   const duration = Math.max(...page.figures.map((f) => f.n_frames / f.fps), page.speech?.duration ?? 0);
