@@ -13,7 +13,20 @@ from gesturekit.formats.easymocap import SUBFOLDERS
 
 MOTION_SUFFIXES = (".bvh", ".npz")
 """What is looked for in folders, beside EasyMocap's sequences."""
-SPEECH_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
+SPEECH_SUFFIXES = (
+    *(".wav", ".flac", ".mp3", ".ogg", ".oga", ".opus"),
+    *(".aiff", ".aif", ".aifc", ".au"),
+)
+OTHER_SPEECH_SUFFIXES = (
+    *(".m4a", ".aac", ".wma", ".amr", ".ac3", ".mp2", ".caf", ".w64", ".ape", ".wv"),
+    *(".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".3gp"),
+)
+"""Sound, and video with sound, that is not read; ffmpeg makes a wav of it."""
+OTHER_MOTION_SUFFIXES = (
+    *(".fbx", ".c3d", ".glb", ".gltf", ".trc", ".mot", ".asf", ".amc", ".vrma", ".vmd"),
+    *(".usd", ".usda", ".usdc", ".usdz", ".dae", ".blend"),
+)
+"""Motion that is not read; Blender and others export BVH of most of it."""
 WRITABLE = ("bvh", "npz", "html", "png", "obj")
 EXISTING = ("refuse", "skip", "replace")
 _SHOWN = 3
@@ -111,6 +124,20 @@ def visible_folders(
         visited.add((status.st_dev, status.st_ino))
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         yield here, folders, [here / name for name in sorted(files) if not name.startswith(".")]
+
+
+def unreadable_media(path: Path) -> str | None:
+    """Return why a file that looks like sound or motion is not read, and what to do; None for all
+    other files.
+
+    Equal for all files of one suffix, so that a listing can name the reason once.
+    """
+    kind = path.suffix.lower()[1:]
+    if path.suffix.lower() in OTHER_SPEECH_SUFFIXES:
+        return f"{kind} is not read; make a wav of it: ffmpeg -i x.{kind} x.wav"
+    if path.suffix.lower() in OTHER_MOTION_SUFFIXES:
+        return f"{kind} is not read; export it as bvh, for example from Blender"
+    return None
 
 
 def is_sequence(path: Path) -> bool:
