@@ -55,7 +55,7 @@ from gesturekit.cli.options import channel_option, part_option
 @click.option(
     "--tolerance",
     type=click.FloatRange(0),
-    default=0.5,
+    default=1.0,
     show_default=True,
     help="Seconds by which sound and motion may differ in length; they are cut to the shorter.",
 )

@@ -32,7 +32,7 @@ def prepare(
     speaker: str | None = None,
     style: str | None = None,
     style_pattern: str | None = None,
-    tolerance: float = 0.5,
+    tolerance: float = 1.0,
     channel: int | None = None,
     parts: Mapping[str, str] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,

@@ -139,8 +139,9 @@ def _check_lengths(
             Problem(
                 "error",
                 file,
-                f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: "
-                "cut both files to the same stretch",
+                f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: cut both files to "
+                f"the same stretch, or use what they share with --tolerance "
+                f"{math.ceil(10 * apart) / 10:g}",
             )
         )
     elif apart > 1.0 / motion.fps:

@@ -67,13 +67,23 @@ def test_each_bad_file_is_told_once_and_the_others_are_still_done(
 
 def test_a_small_difference_in_length_is_trimmed_to_the_shorter(tmp_path, write_pair, write_speech):
     write_pair(tmp_path, "a", 4.0)
-    write_speech(tmp_path / "a.wav", 3.7)
+    write_speech(tmp_path / "a.wav", 3.1)
     report = prepare(tmp_path, holdout=0.0)
     (item,) = report.manifest
-    assert item.duration == pytest.approx(3.7, abs=1e-5)
-    assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 111
-    assert "trimmed to the shorter" in texts(report, "warning")[0]
-    assert errors(prepare(tmp_path, holdout=0.0, tolerance=0.2))
+    assert item.duration == pytest.approx(3.1, abs=1e-5)
+    assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 93
+    assert "trimmed to the shorter" in texts(report, "warning")[0] and report.is_complete
+
+
+def test_a_larger_difference_in_length_names_the_tolerance_that_lets_it_through(
+    tmp_path, write_pair, write_speech
+):
+    write_pair(tmp_path, "a", 4.0)
+    write_speech(tmp_path / "a.wav", 5.23)
+    (problem,) = errors(prepare(tmp_path, holdout=0.0))
+    tolerance = float(re.search(r"--tolerance (\S+)$", problem.message)[1])
+    assert tolerance == 1.3
+    assert not errors(prepare(tmp_path, holdout=0.0, tolerance=tolerance))
 
 
 def test_a_leading_t_pose_is_trimmed_from_sound_and_motion(tmp_path, write_pair, gesture):
