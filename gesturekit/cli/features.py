@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.options import channel_option
+from gesturekit.wording import counted
 
 if TYPE_CHECKING:
     from audio_features import Extractor
@@ -149,7 +150,9 @@ def command(
             reason = f"{target}: {error.strerror}" if isinstance(error, OSError) else error
             click.echo(f"Error: {reason}", err=True)
         else:
-            click.echo(f"{target}: {track.values.shape[0]} frames × {track.values.shape[1]}")
+            click.echo(
+                f"{target}: {counted(track.values.shape[0], 'frame')} × {track.values.shape[1]}"
+            )
     if failed:
         click.echo(f"{failed} of {len(wavs)} files failed.", err=True)
     return 1 if failed else 0

@@ -16,6 +16,7 @@ from gesturekit.formats.changes import Changes
 from gesturekit.formats.smpl import is_smpl
 from gesturekit.formats.sources import Job, plan
 from gesturekit.motion.motion import Motion
+from gesturekit.wording import counted
 
 # Which options each format's reader and writer has.
 _SEQUENCE = {"up", "fps", "person", "body_model"}
@@ -133,8 +134,8 @@ def describe(motion: Motion) -> str:
     """A motion in a few words: unit, axes, rate, frames, joints; ? marks what is but guessed."""
     words = axes_in_words(motion.info, "?")
     words.append(f"{motion.fps:.6g} fps")
-    words.append(f"{motion.n_frames} frame{'s' * (motion.n_frames != 1)}")
-    words.append(f"{motion.skeleton.n_joints} joint{'s' * (motion.skeleton.n_joints != 1)}")
+    words.append(counted(motion.n_frames, "frame"))
+    words.append(counted(motion.skeleton.n_joints, "joint"))
     return ", ".join(words)
 
 

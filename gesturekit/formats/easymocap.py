@@ -28,6 +28,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     slerp,
 )
+from gesturekit.wording import counted
 
 _MAX_BYTES = 16 << 20
 """Of one frame's file; a person takes two or three thousand."""
@@ -81,8 +82,10 @@ def read_easymocap(
     frames = {number: _people(file) for number, file in _files(path).items()}
     seen = Counter(name for people in frames.values() for name in people)
     if not seen:
-        raise FormatError(f"{path}: nobody in {len(frames)} frames")
-    listing = ", ".join(f"{name} ({count} frames)" for name, count in sorted(seen.items()))
+        raise FormatError(f"{path}: nobody in {counted(len(frames), 'frame')}")
+    listing = ", ".join(
+        f"{name} ({counted(count, 'frame')})" for name, count in sorted(seen.items())
+    )
     if person is None:
         person = min(seen, key=lambda name: (-seen[name], name))
         if len(seen) > 1:
@@ -101,8 +104,7 @@ def read_easymocap(
         raise FormatError(f"{path}: {error}") from None
     filled = motion.n_frames - len(numbers)
     if filled:
-        lacking = "1 missing frame is" if filled == 1 else f"{filled} missing frames are"
-        warnings.warn(f"{path}: {lacking} filled in", stacklevel=2)
+        warnings.warn(f"{path}: {counted(filled, 'missing frame')} filled in", stacklevel=2)
     motion.info.update(
         source=str(path),
         person=person,

@@ -10,9 +10,11 @@ from typing import Any
 from gesturekit.corpus.manifest import SPLITS, Item, Manifest
 from gesturekit.corpus.preparation import prepare
 from gesturekit.corpus.problem import printed
+from gesturekit.corpus.report import amount
 from gesturekit.errors import CorpusError, GestureKitError
-from gesturekit.inspection.sheet import Sheet, counted, listed, span
+from gesturekit.inspection.sheet import Sheet, span
 from gesturekit.motion.motion import Motion
+from gesturekit.wording import counted, listed
 
 _SHOWN = 5
 
@@ -50,14 +52,16 @@ def inspect_manifest(path: Path) -> Sheet:
         elif name != "conditions":
             rows.append((name, "none named"))
     if facts["mirrored"]:
-        rows.append(("mirrored", counted(facts["mirrored"], "item")))
+        rows.append(("mirrored", f"{facts['mirrored']} of {len(manifest)}"))
     rig, trouble = _rig(manifest)
     if rig:
         facts["rig"] = rig
-        rows.append(("rig", f"{rig['joints']} joints, {rig['fps']:.6g} fps (of {rig['of']})"))
+        rows.append(
+            ("rig", f"{counted(rig['joints'], 'joint')}, {rig['fps']:.6g} fps (of {rig['of']})")
+        )
     return Sheet(
         kind="corpus",
-        title=f"{path}: corpus, {counted(len(manifest), 'item')}, {span(facts['seconds'])}",
+        title=f"{path}: corpus, {amount(manifest.items)}, {span(facts['seconds'])}",
         facts=facts,
         rows=tuple(rows),
         problems=(*_missing(manifest), *_leaks(manifest), *trouble),
@@ -95,7 +99,7 @@ def inspect_recordings(
     rows = [row for row in rows if row[0] not in ("speakers", "styles")]
     return Sheet(
         kind="corpus",
-        title=f"{folder}: recordings, {counted(len(manifest), 'item')}, {span(seconds)}",
+        title=f"{folder}: {amount(manifest.items)}, {span(seconds)}",
         facts=facts,
         rows=tuple(rows),
         problems=tuple(printed(dict.fromkeys(report.problems))),
@@ -119,7 +123,7 @@ def _amount(items: Sequence[Item]) -> str:
         for split, part in _by_split(items).items()
     ]
     total = span(sum(item.duration for item in items))
-    return f"{counted(len(items), 'item')}, {total}: {', '.join(parts)}"
+    return f"{amount(items)}, {total}: {', '.join(parts)}"
 
 
 def _counts(values: Iterable[Any]) -> dict[str, int]:

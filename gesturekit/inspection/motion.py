@@ -14,7 +14,7 @@ import numpy as np
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
 from gesturekit.errors import MotionError
 from gesturekit.formats.conversion import axes_in_words, load
-from gesturekit.inspection.sheet import Sheet, counted, listed, size, span
+from gesturekit.inspection.sheet import Sheet, size, span
 from gesturekit.inspection.tree import tree
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.defects import find_jumps, find_pops, frozen_runs, jitter_share
@@ -23,6 +23,7 @@ from gesturekit.motion.parts import SIDES, part_labels
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.viewer.figure import Figure
+from gesturekit.wording import counted, listed
 
 _STILL = np.deg2rad(0.5)
 """A joint that never turns further from where it is at first does not move."""

@@ -380,7 +380,7 @@ def test_the_report_reads_as_a_table_with_every_problem(tmp_path, write_pair, wr
     for i in range(5):
         write_speech(tmp_path / "talk" / f"s{i}.wav", 1.0, rate=22050)
     text = str(prepare(tmp_path, style="calm"))
-    assert "paired        3 items, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in text
+    assert "paired        3 recordings, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in text
     assert "frame rates   30 fps (3)" in text
     assert "styles        calm (3)" in text
     assert (
@@ -439,3 +439,11 @@ def test_a_table_that_cannot_be_read_leaves_its_recording_out(tmp_path, write_pa
     assert [problem.text for problem in errors(report)] == [
         f"{tmp_path / 'b.events.csv'}, line 2: time is 'soon'; expected seconds, 0 or more"
     ]
+
+
+def test_a_single_pair_that_is_split_is_counted_as_one_recording_in_two_parts(tmp_path, write_pair):
+    write_pair(tmp_path, "a", 6.0)
+    report = prepare(tmp_path)
+    assert len(report.manifest) == 2
+    (paired,) = (text for label, text in report.rows() if label == "paired")
+    assert paired == "1 recording in 2 parts, 6.0 s: train 1 (4.8 s), test 1 (1.2 s)"

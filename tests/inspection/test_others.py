@@ -109,8 +109,8 @@ def test_a_damaged_model_names_what_is_wrong(tmp_path):
 
 def test_a_manifest(corpus):
     sheet = inspect(corpus)
-    assert row(sheet, "paired").startswith("2 items, 8.50 s: train 2")
-    assert row(sheet, "speech alone").startswith("1 item, 5.00 s")
+    assert row(sheet, "paired").startswith("2 recordings, 8.50 s: train 2")
+    assert row(sheet, "speech alone").startswith("1 recording, 5.00 s")
     assert row(sheet, "rig").startswith("19 joints, 30 fps") and not sheet.problems
 
 
@@ -148,9 +148,9 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
     gesture(2.0).save(tmp_path / "more" / "c.bvh")
     (tmp_path / "broken.bvh").write_text("Dear diary,\n")
     sheet = inspect(tmp_path)
-    assert row(sheet, "paired") == "1 item, 4.0 s"
-    assert row(sheet, "speech alone") == "1 item, 3.0 s"
-    assert row(sheet, "motion alone") == "1 item, 2.0 s"
+    assert row(sheet, "paired") == "1 recording, 4.0 s"
+    assert row(sheet, "speech alone") == "1 recording, 3.0 s"
+    assert row(sheet, "motion alone") == "1 recording, 2.0 s"
     assert any("broken.bvh:1" in problem for problem in sheet.problems)
     assert plain(sheet)["paired"] == 1
 
