@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import channel_option, part_option
+from gesturekit.cli.options import (
+    RECORDING_OPTIONS,
+    channel_option,
+    part_option,
+    read_from,
+    recording_options,
+)
 
 
 @click.command(
@@ -60,6 +66,7 @@ from gesturekit.cli.options import channel_option, part_option
     help="Seconds by which sound and motion may differ in length; they are cut to the shorter.",
 )
 @channel_option
+@recording_options
 @part_option
 def command(
     folders: tuple[Path, ...],
@@ -90,6 +97,7 @@ def command(
         out,
         hold_out_seconds=parse_intervals(hold_out_seconds) if hold_out_seconds else (),
         parts=parse_parts(parts),
+        read=read_from({name: options.pop(name) for name in RECORDING_OPTIONS}),
         # On a terminal only: a bar in a log file is noise.
         progress=lambda tasks: tqdm(tasks, unit="file", desc="checking", disable=None, leave=False),
         **options,

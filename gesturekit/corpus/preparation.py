@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.corpus import checks, splits
-from gesturekit.corpus.manifest import Item, Manifest, absolute
+from gesturekit.corpus.manifest import READING, Item, Manifest, absolute
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan
 from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError
+from gesturekit.formats.conversion import reading_of, refuse_idle_reading
 
 
 def prepare(
@@ -35,6 +36,7 @@ def prepare(
     tolerance: float = 1.0,
     channel: int | None = None,
     parts: Mapping[str, str] | None = None,
+    read: Mapping[str, Any] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
 ) -> Report:
     """Find, check and split recordings, and write the manifest where any are usable.
@@ -62,10 +64,13 @@ def prepare(
         channel: which channel of every sound file to hear, counted from 1; None for their mean.
         parts: parts of the body named by hand, such as {"left_elbow": "Joint12"}, for rigs whose
             names and shape do not tell them; see `gesturekit.motion.parts.find_parts`.
+        read: how motion files are read where that is not left to detection, see
+            `gesturekit.formats.conversion.load`; the manifest keeps it.
         progress: wraps the list of recordings while they are checked, as tqdm does.
 
     Raises:
         CorpusError: a folder does not exist, or an argument is out of range.
+        ConfigError: an option of `read` that no motion found here has a use for.
     """
     if isinstance(folders, str | os.PathLike):
         folders = [folders]
@@ -76,9 +81,20 @@ def prepare(
     label = _labeller(style, style_pattern)
 
     tasks, left_over, problems = _find(folders, unpaired, unpaired_motion)
+    if unknown := sorted(set(read or {}) - set(READING)):
+        raise CorpusError(f"{unknown[0]!r} is nothing a manifest keeps; read has {list(READING)}")
+    refuse_idle_reading(
+        read or {}, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
+    )
     recordings: list[Recording] = []
     for recording, is_alone in progress(tasks):
-        checked, found = examine(replace(recording, channel=channel), tolerance, parts)
+        recording = replace(recording, channel=channel)
+        if recording.motion is not None:
+            reading = reading_of(recording.motion, read or {})
+            if parts and "height" in reading:  # which depends on them
+                reading["parts"] = dict(parts)
+            recording = replace(recording, reading=reading)
+        checked, found = examine(recording, tolerance, parts)
         if checked is not None:
             checked, unlabelled = label(checked, None if is_alone else speaker)
             recordings.append(checked)
@@ -271,4 +287,5 @@ def _item(recording: Recording, split: str) -> Item:
         split=split,
         channel=recording.channel if recording.audio else None,
         conditions={name: absolute(file) for name, file in recording.conditions.items()},
+        reading=recording.reading,
     )

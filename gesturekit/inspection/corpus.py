@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,8 @@ from gesturekit.corpus.preparation import prepare
 from gesturekit.corpus.problem import printed
 from gesturekit.corpus.report import amount
 from gesturekit.errors import CorpusError, GestureKitError
+from gesturekit.formats.conversion import load
 from gesturekit.inspection.sheet import Sheet, span
-from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted, listed
 
 _SHOWN = 5
@@ -69,15 +69,31 @@ def inspect_manifest(path: Path) -> Sheet:
 
 
 def inspect_recordings(
-    folder: Path, *, progress: Callable[[list[Any]], Iterable[Any]] = iter
+    folder: Path,
+    *,
+    parts: Mapping[str, str] | None = None,
+    read: Mapping[str, Any] | None = None,
+    progress: Callable[[list[Any]], Iterable[Any]] = iter,
 ) -> Sheet:
     """A folder of recordings: what `gesturekit prepare` would find in it. All are read.
+
+    Args:
+        folder: where they are.
+        parts: joints named by hand, {"left_elbow": "Joint12"}.
+        read: how motion is read, see `gesturekit.corpus.prepare`.
+        progress: wraps the list of recordings while they are read, as tqdm does.
 
     Raises:
         CorpusError: there is no recording in it.
     """
     report = prepare(
-        [folder], unpaired=[folder], unpaired_motion=[folder], holdout=0.0, progress=progress
+        [folder],
+        unpaired=[folder],
+        unpaired_motion=[folder],
+        holdout=0.0,
+        parts=parts,
+        read=read,
+        progress=progress,
     )
     if not report.manifest.items and not report.problems:
         raise CorpusError(f"{folder}: no recordings in it, neither motion nor sound")
@@ -137,7 +153,7 @@ def _rig(manifest: Manifest) -> tuple[dict[str, Any], list[str]]:
     if item is None:
         return {}, []
     try:
-        motion = Motion.load(item.motion)
+        motion = load(item.motion, item.reading)
     except GestureKitError as error:
         return {}, [str(error)]
     names = list(motion.skeleton.names)

@@ -196,9 +196,9 @@ def _rows(
 def _axes(facts: Mapping[str, Any]) -> str:
     """Of the file, and where the body faces once it is read."""
     words = axes_in_words(facts, " (guessed)")
-    turn = facts["facing_degrees"]
+    turn = round(facts["facing_degrees"])
     side = ("+Z", "+X", "-Z", "-X")[round(turn / 90) % 4]
-    words.append(f"the body faces {side} ({turn:.0f}° about Y) on average")
+    words.append(f"the body faces {side} ({turn}° about Y) on average")
     return ", ".join(words)
 
 

@@ -52,8 +52,12 @@ def inspect(
         from gesturekit.inspection.motion import inspect_motion
 
         return inspect_motion(Path(path), parts=parts, **dict(read or {}))
+    if kind == "corpus" and Path(path).is_dir():
+        from gesturekit.inspection.corpus import inspect_recordings
+
+        return inspect_recordings(Path(path), parts=parts, read=read, progress=progress)
     if parts or read:
-        raise ConfigError(f"{path}: a {kind}; only motion has parts, axes and units")
+        raise ConfigError(f"{path}: a {kind}; only motion has parts, axes, a unit and a height")
     if kind == "model":
         from gesturekit.inspection.model import inspect_model
 
@@ -70,10 +74,8 @@ def inspect(
         from gesturekit.inspection.features import inspect_features
 
         return inspect_features(Path(path))
-    from gesturekit.inspection.corpus import inspect_manifest, inspect_recordings
+    from gesturekit.inspection.corpus import inspect_manifest
 
-    if Path(path).is_dir():
-        return inspect_recordings(Path(path), progress=progress)
     return inspect_manifest(Path(path))
 
 

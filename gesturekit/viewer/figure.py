@@ -9,13 +9,14 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import body_height
 from gesturekit.motion.parts import BodyParts, find_parts
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.viewer import anatomy
 from gesturekit.viewer.anatomy import Shape
 
 if TYPE_CHECKING:
-    from gesturekit.motion import Motion
+    from gesturekit.motion import Motion, Skeleton
 
 SPEED_SMOOTHING = 0.1
 """Standard deviation of the Gaussian that hand speed is smoothed with, in seconds."""
@@ -100,7 +101,7 @@ class Figure:
         except MotionError:
             parts = None
         points = _Points(motion)
-        height = _height(points, parts)
+        height = _height(motion.skeleton)
         head = _head(points, parts, height) if parts and parts.head else None
         limbs = _limbs(points, parts, height)
         drawn = points.stacked()
@@ -158,21 +159,12 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
 
 
-def _height(points: _Points, parts: BodyParts | None) -> float:
-    """Sole to crown along the bones, which a bow or a bent knee does not change."""
-    if parts is None:
-        across = np.ptp(points.joints, axis=1).max(axis=1)
-        return max(float(np.median(across)), 1e-3)
-    leg = parts.legs["left"]
-    reach = 0.0
-    for chain in (
-        (leg.ankle, leg.knee, leg.hip),
-        (parts.pelvis, *parts.spine, parts.neck, parts.head),
-    ):
-        places = np.stack([points.at(joint) for joint in chain if joint])
-        steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
-        reach += float(np.median(steps.sum(axis=0)))
-    return max(reach / (1 - anatomy.ABOVE_AND_BELOW), 1e-3)
+def _height(skeleton: Skeleton) -> float:
+    """Return the height to draw a body with, metres; of a rig without bones, a millimetre."""
+    try:
+        return max(body_height(skeleton), 1e-3)
+    except MotionError:
+        return 1e-3
 
 
 def _axes(points: _Points, parts: BodyParts) -> tuple[np.ndarray, np.ndarray]:

@@ -70,3 +70,11 @@ def test_nothing_usable(tmp_path):
     assert done.returncode == 2
     assert "no usable recording" in done.stderr
     assert not (tmp_path / "corpus.jsonl").exists()
+
+
+def test_the_height_asked_for_is_kept_in_the_manifest(recordings, tmp_path):
+    done = run(recordings, "--out", tmp_path / "corpus.jsonl", "--height", "1.2", "--in-up", "y")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert '"reading": {"up": "y", "height": 1.2}' in (tmp_path / "corpus.jsonl").read_text()
+    run(recordings, "--out", tmp_path / "corpus.jsonl")
+    assert "reading" not in (tmp_path / "corpus.jsonl").read_text()

@@ -10,7 +10,8 @@ import pytest
 import soundfile
 
 from gesturekit.corpus import Manifest, prepare
-from gesturekit.errors import CorpusError
+from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.motion.body_size import body_height
 
 
 def errors(report):
@@ -447,3 +448,52 @@ def test_a_single_pair_that_is_split_is_counted_as_one_recording_in_two_parts(tm
     assert len(report.manifest) == 2
     (paired,) = (text for label, text in report.rows() if label == "paired")
     assert paired == "1 recording in 2 parts, 6.0 s: train 1 (4.8 s), test 1 (1.2 s)"
+
+
+def test_what_is_said_of_a_files_unit_and_height_reaches_those_who_load_its_items(
+    tmp_path, write_speech, gesture, save_as_others
+):
+    big = gesture(4.0).with_height(3.4)
+    save_as_others(big, tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 4.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert "read in cm, a guess" in texts(report, "note")[0]
+    for read, height in (({"height": 1.75}, 1.75), ({"unit": "mm"}, 0.34)):
+        report = prepare(tmp_path, tmp_path / "corpus.jsonl", holdout=0.0, read=read)
+        assert not report.problems
+        (item,) = Manifest.load(tmp_path / "corpus.jsonl")
+        assert item.reading == read
+        motion = item.load_motion()
+        assert body_height(motion.skeleton) == pytest.approx(height)
+        assert np.ptp(motion.positions()) == pytest.approx(np.ptp(big.positions()) * height / 3.4)
+    prepare(tmp_path, tmp_path / "corpus.jsonl", holdout=0.0, tolerance=2.0, read={"fps": 60})
+    (item,) = Manifest.load(tmp_path / "corpus.jsonl")
+    assert item.load_motion().fps == 60 and item.duration == pytest.approx(2.0)
+
+
+def test_a_height_that_depends_on_parts_named_by_hand_is_the_same_in_training(
+    tmp_path, write_speech, gesture
+):
+    motion = gesture(4.0)
+    names = tuple(f"Joint{i}" for i in range(motion.skeleton.n_joints))
+    joints = {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "shoulder": "Arm", "elbow": "ForeArm"}
+    parts = {
+        f"{side}_{part}": names[motion.skeleton.index(f"{side.title()}{joint}")]
+        for side in ("left", "right")
+        for part, joint in joints.items()
+    }
+    nameless = replace(motion, skeleton=replace(motion.skeleton, names=names, end_sites={}))
+    nameless.save(tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 4.0)
+    prepare(tmp_path, tmp_path / "m.jsonl", holdout=0.0, parts=parts, read={"height": 1.75})
+    (item,) = Manifest.load(tmp_path / "m.jsonl")
+    named = nameless.with_parts(parts).skeleton
+    assert body_height(named) != pytest.approx(body_height(nameless.skeleton))
+    assert body_height(item.load_motion().skeleton.with_parts(parts)) == pytest.approx(1.75)
+
+
+def test_an_option_that_no_file_here_has_a_use_for_is_refused(tmp_path, write_speech, gesture):
+    gesture(4.0).save(tmp_path / "a.npz")
+    write_speech(tmp_path / "a.wav", 4.0)
+    with pytest.raises(ConfigError, match=r"unit is an option of \.bvh; only \.npz"):
+        prepare(tmp_path, read={"unit": "cm"})
