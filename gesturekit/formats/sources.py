@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 from gesturekit.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.easymocap import SUBFOLDERS
+from gesturekit.wording import listed
 
 MOTION_SUFFIXES = (".bvh", ".npz")
 """What is looked for in folders, beside EasyMocap's sequences."""
@@ -55,7 +57,10 @@ def plan(
 
     `out` is a file where there is one source, no folder of motions, and `out` ends in the suffix
     of a format. Otherwise it is a folder, filled with the `formats`; what is found in a folder
-    keeps its path within it.
+    keeps its path within it. Of a motion that lies there as STEM.bvh and STEM.npz, one is read.
+
+    Warns:
+        UserWarning: which of the two that is, and why.
 
     Raises:
         ConfigError: nothing to read, an unknown format, two sources for one target, a target that
@@ -75,11 +80,12 @@ def plan(
                 f"{out} is written as {out.suffix.lower()[1:]}, not {', '.join(formats)}; "
                 "give a folder to write several formats"
             )
-        jobs = [Job(sources[0], (out,))]
+        jobs = found = [Job(sources[0], (out,))]
     else:
-        jobs = _into_folder(sources, out, formats)
+        found = _into_folder(sources, out, formats)
+        jobs = _one_of_two_formats(found)
         _refuse_leaving(jobs, out)
-    _refuse_clashes(jobs)
+    _refuse_clashes(jobs, {os.path.realpath(job.source) for job in found})
     jobs = _without_existing(jobs, existing)
     _refuse_locked(jobs, out)
     return jobs
@@ -252,8 +258,31 @@ def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
             yield path, path.relative_to(source).with_suffix("").as_posix()
 
 
-def _refuse_clashes(jobs: Sequence[Job]) -> None:
-    sources = {os.path.realpath(job.source) for job in jobs}
+def _one_of_two_formats(jobs: list[Job]) -> list[Job]:
+    """Return the jobs without the copies: of STEM.bvh and STEM.npz the one that holds more."""
+    there = {(job.source, job.targets) for job in jobs}
+    kept: dict[str, list[str]] = {".npz": [], ".bvh": []}
+    copies = set()
+    for job in jobs:
+        bvh, npz = job.source, job.source.with_suffix(".npz")
+        if bvh.suffix.lower() == ".bvh" and (npz, job.targets) in there:
+            one, other = (npz, bvh) if _has_keys(npz, "gk_version") else (bvh, npz)
+            kept[one.suffix.lower()].append(str(one))
+            copies.add((other, job.targets))
+    for suffix, why in (
+        (".npz", "the npz is gesturekit's own and holds all of it, unrounded"),
+        (".bvh", "the bvh has the rig that was recorded; the npz may have another"),
+    ):
+        if kept[suffix]:
+            warnings.warn(
+                f"of a bvh and an npz of one name, one is read: {listed(kept[suffix], _SHOWN)} "
+                f"({why})",
+                stacklevel=2,
+            )
+    return [job for job in jobs if (job.source, job.targets) not in copies]
+
+
+def _refuse_clashes(jobs: Sequence[Job], sources: set[str]) -> None:
     taken: dict[str, Path] = {}
     for job in jobs:
         for target in job.targets:
