@@ -19,6 +19,7 @@ import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import to_y_up
+from gesturekit.formats.signatures import json_in_words
 from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
@@ -145,10 +146,13 @@ def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
         raise
     except (OSError, ValueError, RecursionError) as error:
         raise FormatError(f"{file}: not a readable JSON file: {error}") from None
-    if isinstance(content, dict):
-        content = content.get("annots")
-    if not isinstance(content, list):
-        raise FormatError(f"{file}: no list of people, as EasyMocap writes it")
+    people = content.get("annots") if isinstance(content, dict) else content
+    if not isinstance(people, list):
+        raise FormatError(
+            f"{file}: {json_in_words(content)}; of JSON, motion is read from EasyMocap's lists of "
+            "people"
+        )
+    content = people
     people = {}
     for place, entry in enumerate(content):
         if not isinstance(entry, dict):
