@@ -75,7 +75,7 @@ def command(
     parts: tuple[str, ...],
     **options: object,
 ) -> int:
-    """Pair speech (wav, flac, mp3, ogg) with motion (bvh, npz) and write a manifest.
+    """Pair speech (wav, flac, mp3, ogg, opus, aiff) with motion (bvh, npz) and write a manifest.
 
     Files go together by path within FOLDER without extension, then by unique name. Tables beside
     a recording go with it: STEM.events.csv (time,name[,duration]: what happens when) and

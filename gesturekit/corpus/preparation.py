@@ -13,12 +13,13 @@ from typing import Any
 
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.manifest import READING, Item, Manifest, absolute
-from gesturekit.corpus.pairing import Found, pair, recording_ids, scan
+from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError
 from gesturekit.formats.conversion import reading_of, refuse_idle_reading
+from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES
 
 
 def prepare(
@@ -114,6 +115,7 @@ def _find(
     folders: Iterable[Any], unpaired: Iterable[Any], unpaired_motion: Iterable[Any]
 ) -> tuple[list[tuple[Recording, bool]], list[Path], list[Problem]]:
     """Recordings to check (with whether each is alone), files left over, problems."""
+    folders, unpaired, unpaired_motion = map(list, (folders, unpaired, unpaired_motion))
     problems: list[Problem] = []
     seen: set[Path] = set()
 
@@ -146,6 +148,16 @@ def _find(
     left_over = [
         file.path for file in [*pairing.speech, *pairing.motion] if absolute(file.path) not in used
     ]
+    every = [*folders, *unpaired, *unpaired_motion]
+    sounds = {task.audio.with_suffix("") for task, _ in tasks if task.audio}
+    motions = {task.motion.with_suffix("") for task, _ in tasks if task.motion}
+    for path in {absolute(path): path for folder in every for path in unread(folder)}.values():
+        is_sound = path.suffix.lower() in OTHER_SPEECH_SUFFIXES
+        if path.with_suffix("") in (sounds if is_sound else motions):
+            text = f"{path.suffix.lower()[1:]} is not read; a file of the same name is"
+            problems.append(Problem("note", path, text))
+        else:
+            left_over.append(path)
     return tasks, left_over, problems
 
 

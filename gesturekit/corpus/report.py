@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from gesturekit.corpus.manifest import SPLITS, Item, Manifest
 from gesturekit.corpus.problem import Problem, printed
-from gesturekit.formats.sources import SPEECH_SUFFIXES
+from gesturekit.formats.sources import SPEECH_SUFFIXES, unreadable_media
 from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
@@ -25,7 +25,8 @@ class Report:
         manifest: the usable items.
         recordings: the recordings that they are of, with frame rate, skeleton, sample rate.
         problems: everything found wrong, errors being recordings left out.
-        left_over: speech without motion and motion without speech, not used.
+        left_over: speech without motion, motion without speech, and files that look like either
+            and are not read; not used.
     """
 
     manifest: Manifest
@@ -66,11 +67,14 @@ class Report:
         for path in self.left_over:
             is_speech = path.suffix.lower() in SPEECH_SUFFIXES
             what = "speech without motion" if is_speech else "motion without speech"
-            folders[path.parent, what].append(path)
+            folders[path.parent, unreadable_media(path) or what].append(path)
         lines = printed(self.problems)
         for (folder, what), paths in sorted(folders.items()):
             option = "--unpaired" if what.startswith("speech") else "--unpaired-motion"
             names = listed([path.name for path in paths], 3)
+            if unreadable_media(paths[0]):
+                lines.append(f"left out: {folder}: {names}: {what}")
+                continue
             lines.append(
                 f"left out: {what} in {folder}: {names} (to use it alone: {option} {folder})"
             )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gesturekit.corpus.manifest import SPLITS, Item, Manifest
 from gesturekit.corpus.preparation import prepare
-from gesturekit.corpus.problem import printed
 from gesturekit.corpus.report import amount
 from gesturekit.errors import CorpusError, GestureKitError
 from gesturekit.formats.conversion import load
@@ -95,7 +95,8 @@ def inspect_recordings(
         read=read,
         progress=progress,
     )
-    if not report.manifest.items and not report.problems:
+    report = replace(report, problems=tuple(dict.fromkeys(report.problems)))
+    if not (report.manifest.items or report.problems or report.left_over):
         raise CorpusError(f"{folder}: no recordings in it, neither motion nor sound")
     manifest = report.manifest
     seconds = sum(item.duration for item in manifest)
@@ -118,7 +119,7 @@ def inspect_recordings(
         title=f"{folder}: {amount(manifest.items)}, {span(seconds)}",
         facts=facts,
         rows=tuple(rows),
-        problems=tuple(printed(dict.fromkeys(report.problems))),
+        problems=tuple(report.problem_lines()),
     )
 
 

@@ -497,3 +497,30 @@ def test_an_option_that_no_file_here_has_a_use_for_is_refused(tmp_path, write_sp
     write_speech(tmp_path / "a.wav", 4.0)
     with pytest.raises(ConfigError, match=r"unit is an option of \.bvh; only \.npz"):
         prepare(tmp_path, read={"unit": "cm"})
+
+
+def test_every_file_that_looks_like_sound_or_motion_is_used_or_named(tmp_path, write_pair):
+    write_pair(tmp_path, "a")
+    for name in ("a.mp4", "a.fbx", "b.m4a", "deep/c.m4a", "d.c3d", "notes.txt", ".hidden.m4a"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    report = prepare([tmp_path], unpaired=[tmp_path], holdout=0.0)
+    assert [path.name for path in report.left_over] == ["b.m4a", "d.c3d", "c.m4a"]
+    assert not report.is_complete
+    lines = report.problem_lines()
+    assert (
+        f"left out: {tmp_path}: b.m4a: m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav"
+        in lines
+    )
+    assert (
+        f"left out: {tmp_path}: d.c3d: c3d is not read; export it as bvh, for example from Blender"
+        in lines
+    )
+    for name in ("a.mp4", "a.fbx"):
+        (tmp_path / name).unlink()
+        assert any(
+            f"{name}: {name[2:]} is not read; a file of the same name is" in line for line in lines
+        )
+    for path in report.left_over:
+        path.unlink()
+    assert prepare(tmp_path, holdout=0.0).is_complete
