@@ -20,6 +20,7 @@ from gesturekit.formats.events import load_events
 from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts import find_parts
+from gesturekit.wording import counted
 
 MIN_DURATION = 0.5
 """Seconds; anything shorter is too little to learn from."""
@@ -162,7 +163,7 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
         return 0, motion.n_frames
     for count, where in ((lead, "start"), (trail, "end")):
         if count:
-            what = f"{count} frames ({count / motion.fps:.2f} s) of T-pose or rest pose"
+            what = f"{counted(count, 'frame')} ({count / motion.fps:.2f} s) of T-pose or rest pose"
             problems.append(Problem("warning", file, f"{what} at the {where} trimmed"))
     first, stop = lead, motion.n_frames - trail
     if stop - first < 2:

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.errors import ConfigError, FormatError, GestureKitError
 from gesturekit.formats.changes import Changes
 from gesturekit.formats.smpl import is_smpl
-from gesturekit.formats.sources import Job, plan
+from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, Job, plan, unreadable_media
 from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted
 
@@ -125,6 +125,8 @@ def load(
         FormatError: it cannot be read.
         MotionError: `parts` names a joint that is not there.
     """
+    if _format(source) in OTHER_MOTION_SUFFIXES:
+        raise FormatError(f"{source}: {unreadable_media(source)}")
     known = _READS.get(_format(source), ())
     motion = Motion.load(source, **{name: options[name] for name in options if name in known})
     motion = motion.with_parts(parts or {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,7 +60,8 @@ def plan(
     keeps its path within it. Of a motion that lies there as STEM.bvh and STEM.npz, one is read.
 
     Warns:
-        UserWarning: which of the two that is, and why.
+        UserWarning: which of the two that is, and why; motion in a folder of a kind that is not
+            read.
 
     Raises:
         ConfigError: nothing to read, an unknown format, two sources for one target, a target that
@@ -232,12 +233,28 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
             targets = tuple(out / f"{key}.{kind}" for kind in formats)
             # A file that is named twice is converted once; a link to it beside it is not it.
             jobs.setdefault((os.path.realpath(path), key), Job(path, targets))
+    _warn_of_unread(sources, jobs.values())
     if not jobs:
         raise ConfigError(
             f"{sources[0]}: no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap "
             "folders"
         )
     return list(jobs.values())
+
+
+def _warn_of_unread(sources: Sequence[Path], jobs: Iterable[Job]) -> None:
+    read = {job.source.with_suffix("") for job in jobs}
+    unread: dict[str, list[str]] = {}
+    for folder in filter(Path.is_dir, sources):
+        for _, _, files in visible_folders(folder, lambda error: None):  # named already
+            for path in files:
+                if (
+                    path.suffix.lower() in OTHER_MOTION_SUFFIXES
+                    and path.with_suffix("") not in read
+                ):
+                    unread.setdefault(unreadable_media(path) or "", []).append(str(path))
+    for reason, paths in unread.items():
+        warnings.warn(f"{listed(paths, _SHOWN)}: {reason}", stacklevel=2)
 
 
 def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:

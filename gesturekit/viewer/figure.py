@@ -162,7 +162,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 def _height(skeleton: Skeleton) -> float:
     """Return the height to draw a body with, metres; of a rig without bones, a millimetre."""
     try:
-        return max(body_height(skeleton), 1e-3)
+        return body_height(skeleton)
     except MotionError:
         return 1e-3
 

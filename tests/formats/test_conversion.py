@@ -177,6 +177,12 @@ def test_of_a_bvh_and_an_npz_of_one_name_the_one_that_holds_more_is_read(
     said = [str(warning.message) for warning in recwarn]
     assert len(said) == 2 and "ours.npz (the npz is gesturekit's own" in said[0]
     assert "theirs.bvh (the bvh has the rig that was recorded" in said[1]
+    for name in ("take.fbx", "ours.fbx"):
+        (folder / name).write_bytes(b"x")
+    with pytest.warns(UserWarning, match=rf"^{folder / 'take.fbx'}: fbx is not read; export it"):
+        outcomes(folder, tmp_path / "out", formats=["npz"], dry_run=True)
+    (done,) = outcomes(folder / "take.fbx", tmp_path / "x.bvh")
+    assert "take.fbx: fbx is not read; export it as bvh" in done.error
     # What was passed over is an input all the same, never written over.
     with pytest.raises(ConfigError, match="is one of the inputs"):
         outcomes(folder, folder, formats=["bvh"], existing="replace")
