@@ -39,6 +39,10 @@ class Archive:
     def __contains__(self, key: str) -> bool:
         return f"{key}.npy" in self._members.NameToInfo
 
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names of all arrays."""
+        return (name[:-4] for name in self._members.NameToInfo if name.endswith(".npy"))
+
     def __getitem__(self, key: str) -> np.ndarray:
         """The array called `key`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -128,6 +129,20 @@ def gesture(skeleton: Skeleton) -> Callable[..., Motion]:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def save_as_others() -> Callable[..., Path]:
+    """save_as_others(motion, path, **options): a BVH without our mark, as other programs write."""
+
+    def write(motion: Motion, path: Path, **options: Any) -> Path:
+        motion.save(path, **options)
+        text = path.read_text(encoding="utf-8")
+        zeros = re.compile(r"(?<=OFFSET) 0[.0 ]+$", re.MULTILINE)
+        path.write_text(zeros.sub(" 0 0 0", text, count=1), encoding="utf-8")
+        return path
+
+    return write
 
 
 @pytest.fixture(scope="session")

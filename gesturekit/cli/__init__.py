@@ -6,6 +6,7 @@ start (bad usage, bad config); 130 on Ctrl-C.
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import sys
 import warnings
@@ -40,6 +41,17 @@ class VerbGroup(click.Group):
         if name not in VERBS:
             return None
         return importlib.import_module(f"gesturekit.cli.{name.replace('-', '_')}").command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the verb, or name the one that was probably meant."""
+        name = args[0]
+        if name in VERBS or name.startswith("-"):
+            return super().resolve_command(ctx, args)
+        near = difflib.get_close_matches(name.lower(), VERBS, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"it is one of {', '.join(VERBS)}."
+        raise click.UsageError(f"{name!r} is no command: {hint}", ctx)
 
 
 @click.group(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.options import channel_option, existing_option, is_left, resumable
+from gesturekit.wording import counted
 
 if TYPE_CHECKING:
     from audio_features import Extractor
@@ -164,7 +165,7 @@ def command(
                 Progress.write(f"Error: {reason}", file=sys.stderr)
             else:
                 n_frames, width = track.values.shape
-                Progress.write(f"{target}: {n_frames} frames × {width}")
+                Progress.write(f"{target}: {counted(n_frames, 'frame')} × {width}")
     if failed:
         click.echo(f"{failed} of {len(wavs)} files failed.", err=True)
     return 1 if failed else 0

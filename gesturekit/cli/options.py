@@ -15,13 +15,24 @@ AXES = ("x", "y", "z", "-x", "-y", "-z")
 RATE = click.FloatRange(min=0, min_open=True, max=1000)
 
 
-_OPTIONS = (
+_RECORDING = (
     click.option("--in-unit", type=click.Choice(UNITS), help="Unit of a BVH that is read."),
     click.option("--in-up", type=click.Choice(AXES), help="Its axis that points up."),
     click.option("--in-forward", type=click.Choice(AXES), help="Its axis that points forward."),
     click.option(
         "--in-fps", type=RATE, metavar="RATE", help="Its true frame rate, whatever it says."
     ),
+    click.option(
+        "--height",
+        type=click.FloatRange(min=0, min_open=True, max=1000),
+        metavar="METRES",
+        help="Scale the body to this height, sole to crown, whatever its file says: 1.75.",
+    ),
+)
+RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height")
+"""Names of the parameters that `recording_options` adds."""
+_OPTIONS = (
+    *_RECORDING,
     click.option("--person", type=int, metavar="ID", help="Whom to read, of several (EasyMocap)."),
     click.option(
         "--body-model",
@@ -57,6 +68,13 @@ rig_part_option = click.option(
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that overrule what is detected in a motion file; see `read_from`."""
     for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add those of `reading_options` that recordings of a corpus (BVH and npz) can need."""
+    for option in reversed(_RECORDING):
         command = option(command)
     return command
 

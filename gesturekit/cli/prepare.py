@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import channel_option, existing_option, is_left, part_option
+from gesturekit.cli.options import (
+    RECORDING_OPTIONS,
+    channel_option,
+    existing_option,
+    is_left,
+    part_option,
+    read_from,
+    recording_options,
+)
 
 
 @click.command(
@@ -55,11 +63,12 @@ from gesturekit.cli.options import channel_option, existing_option, is_left, par
 @click.option(
     "--tolerance",
     type=click.FloatRange(0),
-    default=0.5,
+    default=1.0,
     show_default=True,
     help="Seconds by which sound and motion may differ in length; they are cut to the shorter.",
 )
 @channel_option
+@recording_options
 @part_option
 @existing_option("replace")
 def command(
@@ -70,7 +79,7 @@ def command(
     parts: tuple[str, ...],
     **options: object,
 ) -> int:
-    """Pair speech (wav, flac, mp3, ogg) with motion (bvh, npz) and write a manifest.
+    """Pair speech (wav, flac, mp3, ogg, opus, aiff) with motion (bvh, npz) and write a manifest.
 
     Files go together by path within FOLDER without extension, then by unique name. Tables beside
     a recording go with it: STEM.events.csv (time,name[,duration]: what happens when) and
@@ -93,6 +102,7 @@ def command(
         out,
         hold_out_seconds=parse_intervals(hold_out_seconds) if hold_out_seconds else (),
         parts=parse_parts(parts),
+        read=read_from({name: options.pop(name) for name in RECORDING_OPTIONS}),
         progress=lambda tasks: Progress(tasks, unit="file", desc="checking"),
         **options,
     )

@@ -29,6 +29,12 @@ SCHEMA = 1
 SPLITS = ("train", "valid", "test")
 CONDITIONS = ("events", "path")
 """What conditions a model can be told, beside what it hears and its style."""
+READING: dict[str, type | tuple[type, ...]] = {
+    **dict.fromkeys(("unit", "up", "forward"), str),
+    **dict.fromkeys(("fps", "height"), (int, float)),
+    "parts": Mapping,
+}
+"""What an item can say of how its motion file is read, and the types of it."""
 
 # A line holds a handful of names and numbers; far more than that is not a manifest.
 _MAX_LINE_BYTES = 1 << 20
@@ -54,6 +60,9 @@ class Item:
         conditions: further files that go with the whole recording, {name: absolute path}:
             `events`, a table of what happens (`gesturekit.formats.events`), and `path`, where the
             root goes (`gesturekit.formats.root_path`; else it goes where the motion does).
+        reading: how the motion file is read where that was not left to detection: `unit`, `up`,
+            `forward` of its axes, its true `fps`, the `height` in metres to which its body is
+            scaled, and the `parts` named by hand that its height depends on.
 
     Raises:
         CorpusError: a field holds something it cannot hold.
@@ -72,6 +81,7 @@ class Item:
     mirror: bool = False
     conditions: Mapping[str, Path] = field(default_factory=dict)
     channel: int | None = None
+    reading: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _check_id(self.id)
@@ -83,6 +93,13 @@ class Item:
                 raise CorpusError(f"item {self.id!r}: {name} is {seconds}, not a length in seconds")
         if self.channel is not None and self.channel < 1:
             raise CorpusError(f"item {self.id!r}: channel is {self.channel}; they count from 1")
+        for name, value in self.reading.items():
+            if name not in READING:
+                raise CorpusError(
+                    f"item {self.id!r}: reading has {name!r}; it holds {', '.join(READING)}"
+                )
+            if not isinstance(value, READING[name]) or isinstance(value, bool):
+                raise CorpusError(f"item {self.id!r}: reading.{name} is {value!r}")
         if self.split not in SPLITS:
             raise CorpusError(
                 f"item {self.id!r}: split is {self.split!r}; it must be one of {', '.join(SPLITS)}"
@@ -123,9 +140,10 @@ class Item:
         """
         if self.motion is None:
             raise CorpusError(f"item {self.id!r} has no motion: it is speech alone")
-        from gesturekit.motion import Motion
+        from gesturekit.formats.conversion import load
 
-        motion = Motion.load(self.motion).with_parts(parts or {})
+        named = {**self.reading.get("parts", {}), **(parts or {})}
+        motion = load(self.motion, self.reading, named)
         start = math.floor(self.motion_start * motion.fps + 0.5)
         stop = start + math.floor(self.duration * motion.fps + 0.5)
         if stop > motion.n_frames + 1 or start >= min(stop, motion.n_frames):
@@ -324,7 +342,7 @@ def _check_header(record: dict[str, Any], where: str) -> None:
 
 _FIELDS = tuple(f.name for f in fields(Item))
 # Left out of lines that do not need them: manifests from before there was a choice stay valid.
-_OPTIONAL = ("channel",)
+_OPTIONAL = ("channel", "reading")
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "id": ((str,), "a string"),
     "audio": ((str, type(None)), "a path or null"),
@@ -339,6 +357,7 @@ _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "mirror": ((bool,), "true or false"),
     "conditions": ((dict,), "an object {name: path}"),
     "channel": ((int, type(None)), "a whole number or null"),
+    "reading": ((dict,), "an object {unit, up, forward, fps, height}"),
 }
 
 
@@ -390,7 +409,7 @@ def _record_from_item(item: Item, folder: Path) -> dict[str, Any]:
         return Path(os.path.relpath(absolute(path), folder)).as_posix()
 
     record = {name: getattr(item, name) for name in _FIELDS}
-    record = {name: v for name, v in record.items() if v is not None or name not in _OPTIONAL}
+    record = {name: v for name, v in record.items() if v or name not in _OPTIONAL}
     for name in ("audio", "motion"):
         record[name] = None if record[name] is None else relative(record[name])
     record["conditions"] = {

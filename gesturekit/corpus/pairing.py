@@ -14,6 +14,7 @@ from gesturekit.formats.sources import (
     MOTION_SUFFIXES,
     SPEECH_SUFFIXES,
     is_motion,
+    unreadable_media,
     visible_folders,
 )
 
@@ -48,7 +49,7 @@ class Pairing:
 
 
 def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
-    """All speech (wav, flac, mp3, ogg) and motion (bvh, npz) files below a folder, sorted.
+    """All speech (`SPEECH_SUFFIXES`) and motion (bvh, npz) files below a folder, sorted.
 
     Hidden files and folders are passed over, and so are npz files of features, which may lie
     beside the speech that they came from, and of body models. Links to folders are followed once.
@@ -87,6 +88,12 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
             elif is_speech or is_motion(path):
                 found.append(Found(key, path, folder))
     return sorted(found), problems
+
+
+def unread(folder: str | os.PathLike[str]) -> list[Path]:
+    """Return the files below a folder that look like sound or motion and are not read, sorted."""
+    below = visible_folders(Path(folder), lambda error: None)  # which `scan` reports
+    return sorted(path for _, _, files in below for path in files if unreadable_media(path))
 
 
 def pair(scans: Sequence[Iterable[Found]]) -> Pairing:

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.corpus import checks, splits
-from gesturekit.corpus.manifest import Item, Manifest, absolute
-from gesturekit.corpus.pairing import Found, pair, recording_ids, scan
+from gesturekit.corpus.manifest import READING, Item, Manifest, absolute
+from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError
+from gesturekit.formats.conversion import reading_of, refuse_idle_reading
+from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES
 
 
 def prepare(
@@ -32,9 +34,10 @@ def prepare(
     speaker: str | None = None,
     style: str | None = None,
     style_pattern: str | None = None,
-    tolerance: float = 0.5,
+    tolerance: float = 1.0,
     channel: int | None = None,
     parts: Mapping[str, str] | None = None,
+    read: Mapping[str, Any] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
 ) -> Report:
     """Find, check and split recordings, and write the manifest where any are usable.
@@ -62,10 +65,13 @@ def prepare(
         channel: which channel of every sound file to hear, counted from 1; None for their mean.
         parts: parts of the body named by hand, such as {"left_elbow": "Joint12"}, for rigs whose
             names and shape do not tell them; see `gesturekit.motion.parts.find_parts`.
+        read: how motion files are read where that is not left to detection, see
+            `gesturekit.formats.conversion.load`; the manifest keeps it.
         progress: wraps the list of recordings while they are checked, as tqdm does.
 
     Raises:
         CorpusError: a folder does not exist, or an argument is out of range.
+        ConfigError: an option of `read` that no motion found here has a use for.
     """
     if isinstance(folders, str | os.PathLike):
         folders = [folders]
@@ -76,9 +82,20 @@ def prepare(
     label = _labeller(style, style_pattern)
 
     tasks, left_over, problems = _find(folders, unpaired, unpaired_motion)
+    if unknown := sorted(set(read or {}) - set(READING)):
+        raise CorpusError(f"{unknown[0]!r} is nothing a manifest keeps; read has {list(READING)}")
+    refuse_idle_reading(
+        read or {}, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
+    )
     recordings: list[Recording] = []
     for recording, is_alone in progress(tasks):
-        checked, found = examine(replace(recording, channel=channel), tolerance, parts)
+        recording = replace(recording, channel=channel)
+        if recording.motion is not None:
+            reading = reading_of(recording.motion, read or {})
+            if parts and "height" in reading:  # which depends on them
+                reading["parts"] = dict(parts)
+            recording = replace(recording, reading=reading)
+        checked, found = examine(recording, tolerance, parts)
         if checked is not None:
             checked, unlabelled = label(checked, None if is_alone else speaker)
             recordings.append(checked)
@@ -98,6 +115,7 @@ def _find(
     folders: Iterable[Any], unpaired: Iterable[Any], unpaired_motion: Iterable[Any]
 ) -> tuple[list[tuple[Recording, bool]], list[Path], list[Problem]]:
     """Recordings to check (with whether each is alone), files left over, problems."""
+    folders, unpaired, unpaired_motion = map(list, (folders, unpaired, unpaired_motion))
     problems: list[Problem] = []
     seen: set[Path] = set()
 
@@ -130,6 +148,16 @@ def _find(
     left_over = [
         file.path for file in [*pairing.speech, *pairing.motion] if absolute(file.path) not in used
     ]
+    every = [*folders, *unpaired, *unpaired_motion]
+    sounds = {task.audio.with_suffix("") for task, _ in tasks if task.audio}
+    motions = {task.motion.with_suffix("") for task, _ in tasks if task.motion}
+    for path in {absolute(path): path for folder in every for path in unread(folder)}.values():
+        is_sound = path.suffix.lower() in OTHER_SPEECH_SUFFIXES
+        if path.with_suffix("") in (sounds if is_sound else motions):
+            text = f"{path.suffix.lower()[1:]} is not read; a file of the same name is"
+            problems.append(Problem("note", path, text))
+        else:
+            left_over.append(path)
     return tasks, left_over, problems
 
 
@@ -271,4 +299,5 @@ def _item(recording: Recording, split: str) -> Item:
         split=split,
         channel=recording.channel if recording.audio else None,
         conditions={name: absolute(file) for name, file in recording.conditions.items()},
+        reading=recording.reading,
     )

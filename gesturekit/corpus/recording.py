@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +15,12 @@ from gesturekit.corpus import checks
 from gesturekit.corpus.manifest import CONDITIONS
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import FormatError, GestureKitError, MotionError
+from gesturekit.formats.conversion import load
 from gesturekit.formats.events import load_events
 from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts import find_parts
+from gesturekit.wording import counted
 
 MIN_DURATION = 0.5
 """Seconds; anything shorter is too little to learn from."""
@@ -45,6 +48,7 @@ class Recording:
     speaker: str | None = None
     style: str | None = None
     conditions: Mapping[str, Path] = field(default_factory=dict)
+    reading: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def file(self) -> Path:
@@ -78,6 +82,9 @@ def examine(
         problems += [Problem("warning", recording.audio, fault) for fault in wave.faults()]
     if motion is not None:
         recording = replace(recording, fps=motion.fps, skeleton=motion.skeleton)
+        if "unit" in motion.info.get("guessed", ()) and "height" not in recording.reading:
+            text = f"read in {motion.info['unit']}, a guess; --in-unit or --height settles it"
+            problems.append(Problem("note", recording.motion, text))
         try:
             find_parts(motion.skeleton)
         except MotionError as error:
@@ -106,7 +113,7 @@ def _loaded(
             problems.append(Problem("error", recording.audio, str(error)))
     if recording.motion is not None:
         try:
-            motion = Motion.load(recording.motion).with_parts(parts)
+            motion = load(recording.motion, recording.reading, parts)
         except GestureKitError as error:
             problems.append(Problem("error", recording.motion, str(error)))
     return wave, motion
@@ -139,8 +146,9 @@ def _check_lengths(
             Problem(
                 "error",
                 file,
-                f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: "
-                "cut both files to the same stretch",
+                f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: cut both files to "
+                f"the same stretch, or use what they share with --tolerance "
+                f"{math.ceil(10 * apart) / 10:g}",
             )
         )
     elif apart > 1.0 / motion.fps:
@@ -156,7 +164,7 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
         lead = trail = 0
     for count, where in ((lead, "start"), (trail, "end")):
         if count:
-            what = f"{count} frames ({count / motion.fps:.2f} s) of T-pose or rest pose"
+            what = f"{counted(count, 'frame')} ({count / motion.fps:.2f} s) of T-pose or rest pose"
             problems.append(Problem("warning", file, f"{what} at the {where} trimmed"))
     first, stop = lead, motion.n_frames - trail
     if stop - first < 2:

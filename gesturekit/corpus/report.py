@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gesturekit.corpus.manifest import SPLITS, Item, Manifest
 from gesturekit.corpus.problem import Problem, printed
-from gesturekit.formats.sources import SPEECH_SUFFIXES
+from gesturekit.formats.sources import SPEECH_SUFFIXES, unreadable_media
+from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.corpus.recording import Recording
@@ -24,7 +25,8 @@ class Report:
         manifest: the usable items.
         recordings: the recordings that they are of, with frame rate, skeleton, sample rate.
         problems: everything found wrong, errors being recordings left out.
-        left_over: speech without motion and motion without speech, not used.
+        left_over: speech without motion, motion without speech, and files that look like either
+            and are not read; not used.
     """
 
     manifest: Manifest
@@ -48,9 +50,9 @@ class Report:
         """What the corpus holds: (label, text) of each fact."""
         manifest = self.manifest
         rows = [
-            ("paired", _amount(manifest.paired())),
-            ("speech alone", _amount(manifest.unpaired())),
-            ("motion alone", _amount(manifest.motion_alone())),
+            ("paired", _by_split(manifest.paired())),
+            ("speech alone", _by_split(manifest.unpaired())),
+            ("motion alone", _by_split(manifest.motion_alone())),
             ("frame rates", _counted(f"{r.fps:.6g} fps" for r in self._moving)),
             ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving)),
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
@@ -65,14 +67,16 @@ class Report:
         for path in self.left_over:
             is_speech = path.suffix.lower() in SPEECH_SUFFIXES
             what = "speech without motion" if is_speech else "motion without speech"
-            folders[path.parent, what].append(path)
+            folders[path.parent, unreadable_media(path) or what].append(path)
         lines = printed(self.problems)
         for (folder, what), paths in sorted(folders.items()):
             option = "--unpaired" if what.startswith("speech") else "--unpaired-motion"
-            names = ", ".join(path.name for path in paths[:3])
-            more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
+            names = listed([path.name for path in paths], 3)
+            if unreadable_media(paths[0]):
+                lines.append(f"left out: {folder}: {names}: {what}")
+                continue
             lines.append(
-                f"left out: {what} in {folder}: {names}{more} (to use it alone: {option} {folder})"
+                f"left out: {what} in {folder}: {names} (to use it alone: {option} {folder})"
             )
         return lines
 
@@ -81,7 +85,14 @@ class Report:
         return [recording for recording in self.recordings if recording.fps is not None]
 
 
-def _amount(items: Iterable[Item]) -> str:
+def amount(items: Collection[Item]) -> str:
+    """Return "3 recordings", or "1 recording in 2 parts" where items share one."""
+    n_recordings = len({(item.audio, item.motion) for item in items})
+    parts = f" in {len(items)} parts" if len(items) != n_recordings else ""
+    return counted(n_recordings, "recording") + parts
+
+
+def _by_split(items: Collection[Item]) -> str:
     by_split: dict[str, list[float]] = defaultdict(list)
     for item in items:
         by_split[item.split].append(item.duration)
@@ -93,7 +104,7 @@ def _amount(items: Iterable[Item]) -> str:
         for split in SPLITS
         if split in by_split
     )
-    return f"{len(every)} item{'s' * (len(every) != 1)}, {_length(sum(every))}: {parts}"
+    return f"{amount(items)}, {_length(sum(every))}: {parts}"
 
 
 def _length(seconds: float) -> str:

@@ -26,6 +26,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
+from gesturekit.wording import listed
 
 RATES = ("mocap_frame_rate", "mocap_framerate", "fps")
 """Keys that the frame rate goes by."""
@@ -41,6 +42,13 @@ def from_amass(archive: Archive, up: str) -> Motion:
     Raises:
         FormatError: a key is missing, pickled, or of a shape that cannot be.
     """
+    if lacking := [key for key in ("poses", "trans") if key not in archive]:
+        held = [ascii(key)[1:-1][:40] for key in archive]
+        raise FormatError(
+            f"{archive.path}: no motion that is read here: there is no key {lacking[0]!r}. An npz "
+            "of motion is gesturekit's own or has the keys poses, trans and mocap_frame_rate of "
+            f"AMASS and BEAT2; this one has {listed(held, 8) or 'none'}"
+        )
     poses = archive.numbers("poses")
     if poses.ndim == 3:  # some keep the joints apart: (T, J, 3)
         poses = poses.reshape(len(poses), -1)

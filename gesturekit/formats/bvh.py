@@ -3,6 +3,9 @@
 How we read what writers disagree on: a joint's position channels replace its OFFSET (as in
 Blender; three.js adds them); translation comes before rotation whatever the order of channels;
 Euler angles are intrinsic, in degrees, in the order of the channels.
+
+Files that we write carry their unit and axes (`bvh_mark`) and their exact frame rate. What the
+caller names comes first, then the mark, then detection.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import numpy as np
 
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats import bvh_mark
 from gesturekit.formats.axes import file_axes, to_law
 from gesturekit.formats.bvh_grammar import ParsedBvh, ParsedJoint, parse_bvh
 from gesturekit.formats.units import METRES, guess_unit
@@ -41,10 +45,10 @@ def read_bvh(
 
     Args:
         path: the file.
-        unit: of its lengths, one of `units.METRES`; "auto" takes the one that makes the body of
-            a person's size.
-        up: its axis that points up, "x" to "z" or "-x" to "-z"; "auto" looks at the rest pose
-            and where the body stands.
+        unit: of its lengths, one of `units.METRES`; "auto" takes that of our mark, or else the
+            one that makes the body of a person's size.
+        up: its axis that points up, "x" to "z" or "-x" to "-z"; "auto" takes "y" in files that
+            we wrote, else looks at the rest pose and where the body stands.
         forward: its axis that a body at rest faces; "auto" looks at the rest pose, and takes
             what is usual with `up` where that is none. Where people walk and look is left as it
             is: only a file's axes are turned, to Y up, +Z forward.
@@ -62,6 +66,10 @@ def read_bvh(
     if unit != "auto" and unit not in METRES:
         raise FormatError(f"unit {unit!r}; expected auto, {', '.join(METRES)}")
     parsed = parse_bvh(path)
+    if parsed.unit is not None:
+        unit = parsed.unit if unit == "auto" else unit
+        if up in ("auto", bvh_mark.UP) and forward in ("auto", bvh_mark.FORWARD):
+            up, forward = bvh_mark.UP, bvh_mark.FORWARD
     try:
         motion = _to_motion(parsed, unit)
         axes = file_axes(motion, up, forward)
@@ -82,8 +90,9 @@ def write_bvh(
     """Write a BVH file, Y up.
 
     Position channels stand on the root, and on the joints that the motion moves. Their OFFSET is
-    0 0 0: programs that add positions to it and those that replace it by them then agree. Angles
-    are unwrapped, so that curves do not jump by 360 degrees.
+    0 0 0: programs that add positions to it and those that replace it by them then agree. The
+    root's is our mark as well, see `bvh_mark`. Angles are unwrapped, so that curves do not jump by
+    360 degrees.
 
     Args:
         motion: what to write.
@@ -100,12 +109,14 @@ def write_bvh(
         if set("{}") & set(name) or name != " ".join(name.split()):
             raise FormatError(f"{path}: a BVH file cannot hold the joint name {name!r}")
     places = decimals + int(np.ceil(np.log10(METRES[unit] / METRES["cm"])))
-    hierarchy = _hierarchy(motion, METRES[unit], places)
+    hierarchy = _hierarchy(motion, unit, places)
     values, lengths = _channels(motion, METRES[unit])
     row = " ".join(f"%.{places if is_length else decimals}f" for is_length in lengths) + "\n"
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as out:
         out.write(f"{hierarchy}MOTION\nFrames: {motion.n_frames}\n")
-        out.write(f"Frame Time: {1 / motion.fps:.10f}\n")
+        # All digits: the rate is then read back exactly.
+        frame_time = np.format_float_positional(1 / motion.fps, min_digits=10)
+        out.write(f"Frame Time: {frame_time}\n")
         for frame in values:
             out.write(row % tuple(frame.tolist()))
 
@@ -214,8 +225,8 @@ def _nested(skeleton: Skeleton) -> list[int]:
     return order
 
 
-def _hierarchy(motion: Motion, metres: float, places: int) -> str:
-    skeleton = motion.skeleton
+def _hierarchy(motion: Motion, unit: str, places: int) -> str:
+    skeleton, metres = motion.skeleton, METRES[unit]
     lines = ["HIERARCHY"]
 
     def offset(values: np.ndarray) -> str:
@@ -232,12 +243,14 @@ def _hierarchy(motion: Motion, metres: float, places: int) -> str:
         tabs = "\t" * depth
         turns = " ".join(f"{axis}rotation" for axis in skeleton.rotation_orders[joint])
         channels = f"CHANNELS 3 {turns}"
-        if moves := _has_positions(motion, joint):
+        place = offset(skeleton.offsets[joint])
+        if _has_positions(motion, joint):
             channels = f"CHANNELS 6 Xposition Yposition Zposition {turns}"
+            place = offset(np.zeros(3)) if joint else f"OFFSET {bvh_mark.mark(unit)}"
         lines += [
             f"{tabs}{'JOINT' if joint else 'ROOT'} {name}",
             f"{tabs}{{",
-            f"{tabs}\t{offset(np.zeros(3) if moves else skeleton.offsets[joint])}",
+            f"{tabs}\t{place}",
             f"{tabs}\t{channels}",
         ]
         for site in skeleton.end_sites.get(name, ()):

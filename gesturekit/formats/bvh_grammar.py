@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gesturekit.errors import FormatError
+from gesturekit.formats.bvh_mark import marked_unit
 from gesturekit.formats.bvh_rows import LARGEST, Lines, parse_rows
 from gesturekit.formats.frame_rate import frame_rate
 from gesturekit.formats.signatures import kind_by_content
@@ -53,6 +54,7 @@ class ParsedBvh:
         fps: the frames per second that it stands for.
         frames: (T, C) float64, one column a channel, in the file's units.
         renamed: names that had to be changed, to what the file calls them.
+        unit: that of our mark, see `bvh_mark`; None in files of others.
     """
 
     joints: list[ParsedJoint]
@@ -60,6 +62,7 @@ class ParsedBvh:
     fps: float
     frames: np.ndarray
     renamed: dict[str, str]
+    unit: str | None
 
 
 def parse_bvh(path: Path) -> ParsedBvh:
@@ -96,21 +99,23 @@ def _parse(path: Path, encoding: str) -> ParsedBvh:
         if (first := lines.next()).upper() != "HIERARCHY":
             what = f"begins with {ascii(first[:20])}" if first else "is empty"
             raise lines.error(f"the file {what}; a BVH file begins with HIERARCHY")
-        joints, renamed = _name_apart(_fold_ends(_parse_hierarchy(lines)))
+        blocks, unit = _parse_hierarchy(lines)
+        joints, renamed = _name_apart(_fold_ends(blocks))
         n_frames, frame_time, fps = _parse_timing(lines)
         n_channels = sum(len(joint.channels) for joint in joints)
         if not n_channels:
             raise lines.error("no joint has CHANNELS: the file holds no motion")
         frames = parse_rows(lines, n_frames, n_channels)
-    return ParsedBvh(joints, frame_time, fps, frames, renamed)
+    return ParsedBvh(joints, frame_time, fps, frames, renamed, unit)
 
 
 # The hierarchy
 
 
-def _parse_hierarchy(lines: Lines) -> list[ParsedJoint]:
-    """All blocks, end sites among them, in the file's order."""
+def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
+    """Return all blocks, end sites among them, in the file's order; and the unit of our mark."""
     blocks: list[ParsedJoint] = []
+    unit = None
     open_blocks: list[int] = []
     opening = _NOTHING
     for statement in _statements(lines):
@@ -138,6 +143,8 @@ def _parse_hierarchy(lines: Lines) -> list[ParsedJoint]:
             blocks.append(_block(keyword, rest, parent, blocks, lines))
         elif keyword == "OFFSET" and inside:
             inside.offset = _three_numbers(rest, lines)
+            if inside is blocks[0]:
+                unit = marked_unit(rest)
         elif keyword == "CHANNELS" and inside:
             inside.channels = _parse_channels(rest, lines)
         elif keyword in ("OFFSET", "CHANNELS"):
@@ -153,7 +160,7 @@ def _parse_hierarchy(lines: Lines) -> list[ParsedJoint]:
             if not block.is_end:
                 raise lines.error(f"joint {block.name!r} has no OFFSET", block.line)
             block.offset = (0.0, 0.0, 0.0)
-    return blocks
+    return blocks, unit
 
 
 def _block(

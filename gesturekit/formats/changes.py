@@ -13,6 +13,7 @@ from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.wording import counted
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Changes:
             done.append("mirrored")
         if self.rig is not None:
             motion = self.rig.put(motion)
-            done.append(f"on {self.rig.name}, {motion.skeleton.n_joints} joints")
+            done.append(f"on {self.rig.name}, {counted(motion.skeleton.n_joints, 'joint')}")
         if self.joints != "all":
             before = motion
             motion = keep_joints(motion, self._joints(motion.skeleton))

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.errors import ConfigError, FormatError, GestureKitError
 from gesturekit.formats.changes import Changes
 from gesturekit.formats.smpl import is_smpl
-from gesturekit.formats.sources import Job, plan
+from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, Job, plan, unreadable_media
 from gesturekit.motion.motion import Motion
+from gesturekit.wording import counted
 
 # Which options each format's reader and writer has.
 _SEQUENCE = {"up", "fps", "person", "body_model"}
@@ -25,6 +26,7 @@ _READS = {
     ".json": _SEQUENCE,
     "EasyMocap": _SEQUENCE,
 }
+_OF_ANY_FORMAT = ("fps", "height")
 _WRITES = {
     ".bvh": {"unit"},
     ".npz": {"up"},
@@ -75,8 +77,8 @@ def convert(
         out: a file for a single motion, else a folder; see `gesturekit.formats.sources.plan`.
         formats: what to write into a folder, of bvh, npz, html, png, obj.
         changes: what to change on the way.
-        read: options for those readers that have them, such as `up`; and `fps`, the rate that a
-            source really has, whatever it says.
+        read: options for those readers that have them, such as `up`; `fps`, the rate that a
+            source really has, whatever it says; and `height`, to which its body is scaled.
         write: options for those writers that have them, such as `up`.
         body_model: npz file of an SMPL or SMPL-X model, for readers and writers that have a use.
         parts: joints of the sources named by hand, see `load`.
@@ -96,7 +98,7 @@ def convert(
     read, write, changes = dict(read or {}), dict(write or {}), changes or Changes()
     found = {_format(job.source) for job in jobs if not job.error}
     written = {_format(target) for job in jobs for target in job.targets}
-    _refuse_idle({k: v for k, v in read.items() if k != "fps"}, _READS, found, "read")
+    refuse_idle_reading(read, found)
     _refuse_idle(write, _WRITES, written, "written")
     if body_model is not None:
         _refuse_idle({"body_model": body_model}, _READS | _WRITES, found | written, "converted")
@@ -115,26 +117,48 @@ def load(
 
     Args:
         source: a file, or the folder of a sequence.
-        options: those that the format's reader has are given to it; and `fps`, the rate that the
-            source really has, whatever it says.
+        options: those that the format's reader has are given to it; `fps`, the rate that the
+            source really has, whatever it says; and `height`, to which the body is scaled.
         parts: joints named by hand, {"left_elbow": "Joint12"}, see `Skeleton.parts`.
 
     Raises:
         FormatError: it cannot be read.
         MotionError: `parts` names a joint that is not there.
     """
+    if _format(source) in OTHER_MOTION_SUFFIXES:
+        raise FormatError(f"{source}: {unreadable_media(source)}")
     known = _READS.get(_format(source), ())
     motion = Motion.load(source, **{name: options[name] for name in options if name in known})
     motion = motion.with_parts(parts or {})
+    if "height" in options:
+        motion = motion.with_height(options["height"])
     return replace(motion, fps=options["fps"]) if "fps" in options else motion
+
+
+def reading_of(source: Path, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of the `options` of `load` that have an effect on this source."""
+    known = (*_OF_ANY_FORMAT, *_READS.get(_format(source), ()))
+    return {name: value for name, value in options.items() if name in known}
+
+
+def refuse_idle_reading(options: Mapping[str, Any], formats: set[str]) -> None:
+    """Refuse an option of `load` that no reader of these formats (suffixes) has.
+
+    Raises:
+        ConfigError: it would be given in vain.
+    """
+    chosen = {name: value for name, value in options.items() if name not in _OF_ANY_FORMAT}
+    _refuse_idle(chosen, _READS, formats, "read")
 
 
 def describe(motion: Motion) -> str:
     """A motion in a few words: unit, axes, rate, frames, joints; ? marks what is but guessed."""
     words = axes_in_words(motion.info, "?")
+    if "scale" in motion.info:
+        words.append(f"scaled by {motion.info['scale']:.4g}")
     words.append(f"{motion.fps:.6g} fps")
-    words.append(f"{motion.n_frames} frame{'s' * (motion.n_frames != 1)}")
-    words.append(f"{motion.skeleton.n_joints} joint{'s' * (motion.skeleton.n_joints != 1)}")
+    words.append(counted(motion.n_frames, "frame"))
+    words.append(counted(motion.skeleton.n_joints, "joint"))
     return ", ".join(words)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import to_y_up
+from gesturekit.formats.signatures import json_in_words
 from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
@@ -28,6 +29,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     slerp,
 )
+from gesturekit.wording import counted
 
 _MAX_BYTES = 16 << 20
 """Of one frame's file; a person takes two or three thousand."""
@@ -81,8 +83,10 @@ def read_easymocap(
     frames = {number: _people(file) for number, file in _files(path).items()}
     seen = Counter(name for people in frames.values() for name in people)
     if not seen:
-        raise FormatError(f"{path}: nobody in {len(frames)} frames")
-    listing = ", ".join(f"{name} ({count} frames)" for name, count in sorted(seen.items()))
+        raise FormatError(f"{path}: nobody in {counted(len(frames), 'frame')}")
+    listing = ", ".join(
+        f"{name} ({counted(count, 'frame')})" for name, count in sorted(seen.items())
+    )
     if person is None:
         person = min(seen, key=lambda name: (-seen[name], name))
         if len(seen) > 1:
@@ -101,8 +105,7 @@ def read_easymocap(
         raise FormatError(f"{path}: {error}") from None
     filled = motion.n_frames - len(numbers)
     if filled:
-        lacking = "1 missing frame is" if filled == 1 else f"{filled} missing frames are"
-        warnings.warn(f"{path}: {lacking} filled in", stacklevel=2)
+        warnings.warn(f"{path}: {counted(filled, 'missing frame')} filled in", stacklevel=2)
     motion.info.update(
         source=str(path),
         person=person,
@@ -143,10 +146,13 @@ def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
         raise
     except (OSError, ValueError, RecursionError) as error:
         raise FormatError(f"{file}: not a readable JSON file: {error}") from None
-    if isinstance(content, dict):
-        content = content.get("annots")
-    if not isinstance(content, list):
-        raise FormatError(f"{file}: no list of people, as EasyMocap writes it")
+    people = content.get("annots") if isinstance(content, dict) else content
+    if not isinstance(people, list):
+        raise FormatError(
+            f"{file}: {json_in_words(content)}; of JSON, motion is read from EasyMocap's lists of "
+            "people"
+        )
+    content = people
     people = {}
     for place, entry in enumerate(content):
         if not isinstance(entry, dict):

@@ -28,4 +28,10 @@ def frame_rate(text: str) -> float:
     for rate, tolerance in rates:
         if rate and abs(1 / Decimal(rate) - seconds) < tolerance:
             return float(rate)
+    # Written to all digits of a float64: several rates may have this quotient, so the likeliest of
+    # them, or else the one with the fewest digits.
+    shorter = (float(f"{1 / seconds:.{digits}g}") for digits in range(1, 17))
+    for rate in (*(float(rate) for rate, _ in rates if rate), *shorter):
+        if 1 / rate == float(seconds):
+            return rate
     return float(1 / seconds)

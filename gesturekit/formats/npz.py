@@ -65,6 +65,10 @@ def read_npz(
                     f"{path}: a body model of the SMPL family, no motion; give it as --body-model "
                     "(body_model= in Python) with a motion"
                 )
+            if all(key in archive for key in ("values", "times", "spec")):
+                raise FormatError(
+                    f"{path}: features of sound (keys 'values', 'times', 'spec'), no motion"
+                )
             is_native = "gk_version" in archive
             motion = _from_native(archive) if is_native else from_amass(archive, up)
         except (TypeError, ValueError, IndexError, OverflowError) as error:

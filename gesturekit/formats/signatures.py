@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from gesturekit.wording import listed
+
+A_JSON_FILE = "a JSON file"
 _SIGNATURES = {
     b"HIERARCHY": "a BVH file",
     b"RIFF": "a wav file",
@@ -13,11 +18,26 @@ _SIGNATURES = {
     b"glTF": "a glTF file",
     b"; FBX": "an FBX file",
     b"<": "an XML or HTML file",
-    b"{": "a JSON file",
+    b"\x89PNG": "a PNG picture",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"%PDF": "a PDF document",
+    b"{": A_JSON_FILE,
 }
+_REPORT = {"reference", "models", "definitions"}  # keys
+_SHOWN = 6
 
 
 def kind_by_content(start: bytes) -> str | None:
     """What a file that begins with these 16 bytes or more is; None where it is nothing known."""
     kinds = (kind for mark, kind in _SIGNATURES.items() if start.startswith(mark))
     return next(kinds, None)
+
+
+def json_in_words(content: Any) -> str:
+    """Return what the content of a JSON file is."""
+    if not isinstance(content, dict):
+        return f"a JSON {type(content).__name__}"
+    if content.keys() >= _REPORT:
+        return "figures that gesturekit evaluate wrote (--json); --out FILE.html shows them"
+    keys = [ascii(key)[1:-1][:40] for key in content]
+    return f"a JSON object with {'the keys ' + listed(keys, _SHOWN) if keys else 'no keys'}"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from gesturekit.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.easymocap import SUBFOLDERS
+from gesturekit.wording import listed
 
 MOTION_SUFFIXES = (".bvh", ".npz")
 """What is looked for in folders, beside EasyMocap's sequences."""
@@ -55,7 +57,11 @@ def plan(
 
     `out` is a file where there is one source, no folder of motions, and `out` ends in the suffix
     of a format. Otherwise it is a folder, filled with the `formats`; what is found in a folder
-    keeps its path within it.
+    keeps its path within it. Of a motion that lies there as STEM.bvh and STEM.npz, one is read.
+
+    Warns:
+        UserWarning: which of the two that is, and why; motion in a folder of a kind that is not
+            read.
 
     Raises:
         ConfigError: nothing to read, an unknown format, two sources for one target, a target that
@@ -75,11 +81,12 @@ def plan(
                 f"{out} is written as {out.suffix.lower()[1:]}, not {', '.join(formats)}; "
                 "give a folder to write several formats"
             )
-        jobs = [Job(sources[0], (out,))]
+        jobs = found = [Job(sources[0], (out,))]
     else:
-        jobs = _into_folder(sources, out, formats)
+        found = _into_folder(sources, out, formats)
+        jobs = _one_of_two_formats(found)
         refuse_leaving(jobs, out)
-    _refuse_clashes(jobs)
+    _refuse_clashes(jobs, {os.path.realpath(job.source) for job in found})
     jobs = _without_existing(jobs, existing)
     _refuse_locked(jobs, out)
     return jobs
@@ -226,12 +233,28 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
             targets = tuple(out / f"{key}.{kind}" for kind in formats)
             # A file that is named twice is converted once; a link to it beside it is not it.
             jobs.setdefault((os.path.realpath(path), key), Job(path, targets))
+    _warn_of_unread(sources, jobs.values())
     if not jobs:
         raise ConfigError(
             f"{sources[0]}: no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap "
             "folders"
         )
     return list(jobs.values())
+
+
+def _warn_of_unread(sources: Sequence[Path], jobs: Iterable[Job]) -> None:
+    read = {job.source.with_suffix("") for job in jobs}
+    unread: dict[str, list[str]] = {}
+    for folder in filter(Path.is_dir, sources):
+        for _, _, files in visible_folders(folder, lambda error: None):  # named already
+            for path in files:
+                if (
+                    path.suffix.lower() in OTHER_MOTION_SUFFIXES
+                    and path.with_suffix("") not in read
+                ):
+                    unread.setdefault(unreadable_media(path) or "", []).append(str(path))
+    for reason, paths in unread.items():
+        warnings.warn(f"{listed(paths, _SHOWN)}: {reason}", stacklevel=2)
 
 
 def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
@@ -252,8 +275,31 @@ def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
             yield path, path.relative_to(source).with_suffix("").as_posix()
 
 
-def _refuse_clashes(jobs: Sequence[Job]) -> None:
-    sources = {os.path.realpath(job.source) for job in jobs}
+def _one_of_two_formats(jobs: list[Job]) -> list[Job]:
+    """Return the jobs without the copies: of STEM.bvh and STEM.npz the one that holds more."""
+    there = {(job.source, job.targets) for job in jobs}
+    kept: dict[str, list[str]] = {".npz": [], ".bvh": []}
+    copies = set()
+    for job in jobs:
+        bvh, npz = job.source, job.source.with_suffix(".npz")
+        if bvh.suffix.lower() == ".bvh" and (npz, job.targets) in there:
+            one, other = (npz, bvh) if _has_keys(npz, "gk_version") else (bvh, npz)
+            kept[one.suffix.lower()].append(str(one))
+            copies.add((other, job.targets))
+    for suffix, why in (
+        (".npz", "the npz is gesturekit's own and holds all of it, unrounded"),
+        (".bvh", "the bvh has the rig that was recorded; the npz may have another"),
+    ):
+        if kept[suffix]:
+            warnings.warn(
+                f"of a bvh and an npz of one name, one is read: {listed(kept[suffix], _SHOWN)} "
+                f"({why})",
+                stacklevel=2,
+            )
+    return [job for job in jobs if (job.source, job.targets) not in copies]
+
+
+def _refuse_clashes(jobs: Sequence[Job], sources: set[str]) -> None:
     taken: dict[str, Path] = {}
     for job in jobs:
         for target in job.targets:

@@ -11,7 +11,8 @@ import numpy as np
 import soundfile
 
 import audio_features as af
-from gesturekit.inspection.sheet import Sheet, counted, size, span
+from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.wording import counted
 
 _BLOCK = 1 << 20
 _FULL_SCALE = 0.999

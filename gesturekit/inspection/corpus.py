@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gesturekit.corpus.manifest import SPLITS, Item, Manifest
 from gesturekit.corpus.preparation import prepare
-from gesturekit.corpus.problem import printed
+from gesturekit.corpus.report import amount
 from gesturekit.errors import CorpusError, GestureKitError
-from gesturekit.inspection.sheet import Sheet, counted, listed, span
-from gesturekit.motion.motion import Motion
+from gesturekit.formats.conversion import load
+from gesturekit.inspection.sheet import Sheet, span
+from gesturekit.wording import counted, listed
 
 _SHOWN = 5
 
@@ -50,14 +52,16 @@ def inspect_manifest(path: Path) -> Sheet:
         elif name != "conditions":
             rows.append((name, "none named"))
     if facts["mirrored"]:
-        rows.append(("mirrored", counted(facts["mirrored"], "item")))
+        rows.append(("mirrored", f"{facts['mirrored']} of {len(manifest)}"))
     rig, trouble = _rig(manifest)
     if rig:
         facts["rig"] = rig
-        rows.append(("rig", f"{rig['joints']} joints, {rig['fps']:.6g} fps (of {rig['of']})"))
+        rows.append(
+            ("rig", f"{counted(rig['joints'], 'joint')}, {rig['fps']:.6g} fps (of {rig['of']})")
+        )
     return Sheet(
         kind="corpus",
-        title=f"{path}: corpus, {counted(len(manifest), 'item')}, {span(facts['seconds'])}",
+        title=f"{path}: corpus, {amount(manifest.items)}, {span(facts['seconds'])}",
         facts=facts,
         rows=tuple(rows),
         problems=(*_missing(manifest), *_leaks(manifest), *trouble),
@@ -65,17 +69,34 @@ def inspect_manifest(path: Path) -> Sheet:
 
 
 def inspect_recordings(
-    folder: Path, *, progress: Callable[[list[Any]], Iterable[Any]] = iter
+    folder: Path,
+    *,
+    parts: Mapping[str, str] | None = None,
+    read: Mapping[str, Any] | None = None,
+    progress: Callable[[list[Any]], Iterable[Any]] = iter,
 ) -> Sheet:
     """A folder of recordings: what `gesturekit prepare` would find in it. All are read.
+
+    Args:
+        folder: where they are.
+        parts: joints named by hand, {"left_elbow": "Joint12"}.
+        read: how motion is read, see `gesturekit.corpus.prepare`.
+        progress: wraps the list of recordings while they are read, as tqdm does.
 
     Raises:
         CorpusError: there is no recording in it.
     """
     report = prepare(
-        [folder], unpaired=[folder], unpaired_motion=[folder], holdout=0.0, progress=progress
+        [folder],
+        unpaired=[folder],
+        unpaired_motion=[folder],
+        holdout=0.0,
+        parts=parts,
+        read=read,
+        progress=progress,
     )
-    if not report.manifest.items and not report.problems:
+    report = replace(report, problems=tuple(dict.fromkeys(report.problems)))
+    if not (report.manifest.items or report.problems or report.left_over):
         raise CorpusError(f"{folder}: no recordings in it, neither motion nor sound")
     manifest = report.manifest
     seconds = sum(item.duration for item in manifest)
@@ -95,10 +116,10 @@ def inspect_recordings(
     rows = [row for row in rows if row[0] not in ("speakers", "styles")]
     return Sheet(
         kind="corpus",
-        title=f"{folder}: recordings, {counted(len(manifest), 'item')}, {span(seconds)}",
+        title=f"{folder}: {amount(manifest.items)}, {span(seconds)}",
         facts=facts,
         rows=tuple(rows),
-        problems=tuple(printed(dict.fromkeys(report.problems))),
+        problems=tuple(report.problem_lines()),
     )
 
 
@@ -119,7 +140,7 @@ def _amount(items: Sequence[Item]) -> str:
         for split, part in _by_split(items).items()
     ]
     total = span(sum(item.duration for item in items))
-    return f"{counted(len(items), 'item')}, {total}: {', '.join(parts)}"
+    return f"{amount(items)}, {total}: {', '.join(parts)}"
 
 
 def _counts(values: Iterable[Any]) -> dict[str, int]:
@@ -133,7 +154,7 @@ def _rig(manifest: Manifest) -> tuple[dict[str, Any], list[str]]:
     if item is None:
         return {}, []
     try:
-        motion = Motion.load(item.motion)
+        motion = load(item.motion, item.reading)
     except GestureKitError as error:
         return {}, [str(error)]
     names = list(motion.skeleton.names)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import audio_features as af
-from gesturekit.inspection.sheet import Sheet, listed, size, span
+from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.wording import counted, listed
 
 _SHOWN = 12
 
@@ -39,7 +40,7 @@ def inspect_features(path: Path) -> Sheet:
     rows = [
         (
             "time",
-            f"{span(track.times[-1] - track.times[0])}: {n_frames} frames"
+            f"{span(track.times[-1] - track.times[0])}: {counted(n_frames, 'frame')}"
             + (f" at {1 / step:.6g} a second" if step else "")
             + f", centred from {track.times[0]:.4f} to {track.times[-1]:.4f} s",
         ),

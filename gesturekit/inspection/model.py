@@ -11,9 +11,10 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from gesturekit.errors import ConfigError, GestureKitError, ModelError
-from gesturekit.inspection.sheet import Sheet, counted, listed, size
+from gesturekit.inspection.sheet import Sheet, size
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
+from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
 _TOLD = {"Kind", "Motion", "Hears", "Styles"}

@@ -14,7 +14,7 @@ import numpy as np
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
 from gesturekit.errors import MotionError
 from gesturekit.formats.conversion import axes_in_words, load
-from gesturekit.inspection.sheet import Sheet, counted, listed, size, span
+from gesturekit.inspection.sheet import Sheet, size, span
 from gesturekit.inspection.tree import tree
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_points
@@ -31,6 +31,7 @@ from gesturekit.motion.parts import SIDES, part_labels
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.viewer.figure import Figure
+from gesturekit.wording import counted, listed
 
 _STILL = np.deg2rad(0.5)
 """A joint that never turns further from where it is at first does not move."""
@@ -208,9 +209,9 @@ def _rows(
 def _axes(facts: Mapping[str, Any]) -> str:
     """Of the file, and where the body faces once it is read."""
     words = axes_in_words(facts, " (guessed)")
-    turn = facts["facing_degrees"]
+    turn = round(facts["facing_degrees"])
     side = ("+Z", "+X", "-Z", "-X")[round(turn / 90) % 4]
-    words.append(f"the body faces {side} ({turn:.0f}° about Y) on average")
+    words.append(f"the body faces {side} ({turn}° about Y) on average")
     return ", ".join(words)
 
 

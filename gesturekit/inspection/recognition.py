@@ -8,7 +8,7 @@ from typing import Any
 
 from gesturekit.corpus.pairing import scan
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.formats.signatures import kind_by_content
+from gesturekit.formats.signatures import A_JSON_FILE
 from gesturekit.formats.sources import (
     MOTION_SUFFIXES,
     SPEECH_SUFFIXES,
@@ -16,11 +16,12 @@ from gesturekit.formats.sources import (
     is_feature_file,
     is_sequence,
 )
+from gesturekit.inspection.others import what_it_is
 from gesturekit.inspection.sheet import Sheet
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
 
-SOUND_SUFFIXES = (*SPEECH_SUFFIXES, ".aiff", ".aif", ".opus", ".m4a", ".w64", ".au")
+_JSON = {".json": "motion", ".jsonl": "corpus"}
 _KNOWN = (
     "motion (.bvh, .npz, EasyMocap folders), sound (.wav, .flac, ...), feature files (.npz), "
     "manifests (.jsonl), model, run and corpus folders"
@@ -52,8 +53,12 @@ def inspect(
         from gesturekit.inspection.motion import inspect_motion
 
         return inspect_motion(Path(path), parts=parts, **dict(read or {}))
+    if kind == "corpus" and Path(path).is_dir():
+        from gesturekit.inspection.corpus import inspect_recordings
+
+        return inspect_recordings(Path(path), parts=parts, read=read, progress=progress)
     if parts or read:
-        raise ConfigError(f"{path}: a {kind}; only motion has parts, axes and units")
+        raise ConfigError(f"{path}: a {kind}; only motion has parts, axes, a unit and a height")
     if kind == "model":
         from gesturekit.inspection.model import inspect_model
 
@@ -70,10 +75,8 @@ def inspect(
         from gesturekit.inspection.features import inspect_features
 
         return inspect_features(Path(path))
-    from gesturekit.inspection.corpus import inspect_manifest, inspect_recordings
+    from gesturekit.inspection.corpus import inspect_manifest
 
-    if Path(path).is_dir():
-        return inspect_recordings(Path(path), progress=progress)
     return inspect_manifest(Path(path))
 
 
@@ -101,15 +104,17 @@ def kind_of(path: str | Path) -> str:
         raise FormatError(
             f"{path}: a body model of the SMPL family; give it as --body-model with a motion"
         )
-    if suffix in (*MOTION_SUFFIXES, ".json"):
+    if suffix in MOTION_SUFFIXES:
         return "motion"
-    if suffix in SOUND_SUFFIXES:
+    if suffix in SPEECH_SUFFIXES:
         return "audio"
-    if suffix == ".jsonl":
-        return "corpus"
-    if (path.parent / "config.yaml").is_file() and suffix in (".yaml", ".safetensors", ".jsonl"):
-        raise FormatError(f"{path}: part of a model or a run; inspect its folder, {path.parent}")
-    raise FormatError(f"{path}: {_beginning(path) or 'not known'}; gesturekit knows {_KNOWN}")
+    try:
+        what = what_it_is(path)
+    except OSError as error:
+        what = error.strerror
+    if suffix in _JSON and what in (None, A_JSON_FILE):
+        return _JSON[suffix]  # its reader says what it is where it is something else
+    raise FormatError(f"{path}: {what or f'not known; gesturekit inspects {_KNOWN}'}")
 
 
 def _kind_of_folder(folder: Path) -> str:
@@ -117,17 +122,11 @@ def _kind_of_folder(folder: Path) -> str:
         return "model" if "kind" in read_yaml(folder / "config.yaml") else "run"
     if is_sequence(folder):
         return "motion"
+    if (folder / "feature_model.json").is_file():
+        raise FormatError(f"{folder}: a feature model of fit-features; give it to evaluate")
     found, _ = scan(folder)
     if found:
         return "corpus"
-    raise FormatError(f"{folder}: a folder with nothing of gesturekit in it; it knows {_KNOWN}")
-
-
-def _beginning(path: Path) -> str:
-    """What a file of another suffix looks like inside."""
-    try:
-        with path.open("rb") as file:
-            what = kind_by_content(file.read(16))
-    except OSError as error:
-        return str(error.strerror)
-    return f"looks like {what} inside; give it the suffix of one" if what else ""
+    raise FormatError(
+        f"{folder}: a folder with nothing of gesturekit in it; gesturekit inspects {_KNOWN}"
+    )

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.inspection.sheet import Sheet, listed, size, span
+from gesturekit.inspection.sheet import Sheet, size, span
 from gesturekit.training.checkpoint import Checkpoints
 from gesturekit.training.config import read_yaml
+from gesturekit.wording import listed
 
 _ALIVE = 120.0
 """Seconds: a run that has written later than that may still be at it."""

@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.parts import find_parts, leg_length
+from gesturekit.motion.rotations import IDENTITY
 from gesturekit.motion.skeleton import Skeleton
 
 REFERENCE_SIZE = 1.4
 """Metres; size of the body that every constant in metres or m/s is given for, an adult of 1.7 m."""
+
+_ABOVE_AND_BELOW = 0.16
+"""Share of a body's height that is above the head's joint and below the ankles'."""
 
 # Longest chain of bones between two leaves over legs and spine, on adults without fingers.
 _CHAIN_PER_STATURE = 1.54
@@ -43,6 +48,27 @@ def body_size(skeleton: Skeleton) -> float:
     except MotionError:
         size = _longest_chain(skeleton) / _CHAIN_PER_STATURE
     return size if size > 0 else REFERENCE_SIZE
+
+
+def body_height(skeleton: Skeleton) -> float:
+    """Return the height of a body that stands upright, sole to crown, metres.
+
+    Rigs whose legs or spine cannot be identified have the largest extent of their rest pose,
+    joints above the first fork left out. A rig scaled by c has c times the height.
+
+    Raises:
+        MotionError: a rig without any bone.
+    """
+    try:
+        height = stature(skeleton) / (1 - _ABOVE_AND_BELOW)
+    except MotionError:
+        rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
+        fork = first_fork(skeleton)
+        places = forward_kinematics(rest, np.zeros(3), skeleton)
+        height = float(np.ptp(places[[fork, *skeleton.descendants(fork)]], axis=0).max())
+    if height <= 0:
+        raise MotionError("the rig has no bone of any length, and so no height")
+    return height
 
 
 def body_scale(skeleton: Skeleton) -> float:

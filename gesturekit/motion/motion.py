@@ -178,6 +178,28 @@ class Motion:
             return self
         return replace(self, skeleton=self.skeleton.with_parts(parts))
 
+    def with_height(self, metres: float) -> Motion:
+        """Return the motion scaled so that its body is this tall; `info` keeps the `scale`.
+
+        Args:
+            metres: sole to crown, standing upright; see `gesturekit.motion.body_size.body_height`.
+
+        Raises:
+            MotionError: no such height, or a rig without bones.
+        """
+        from gesturekit.motion.body_size import body_height
+
+        if not 0 < metres < FARTHEST:
+            raise MotionError(f"height is {metres!r}; expected metres, such as 1.75")
+        scale = metres / body_height(self.skeleton)
+        return replace(
+            self,
+            skeleton=self.skeleton.scaled(scale),
+            translation=self.translation * scale,
+            joint_translations={k: v * scale for k, v in self.joint_translations.items()},
+            info=self.info | {"scale": scale},
+        )
+
     def slice(self, start_frame: int, stop_frame: int) -> Motion:
         """Frames start_frame (included) to stop_frame (not included).
 
@@ -216,14 +238,23 @@ class Motion:
         return self.slice(*frames)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], **options: Any) -> Motion:
-        """Read a .bvh or .npz file, or a folder of EasyMocap; `options` are those of the reader.
+    def load(
+        cls, path: str | os.PathLike[str], *, height: float | None = None, **options: Any
+    ) -> Motion:
+        """Read a .bvh or .npz file, or a folder of EasyMocap.
+
+        Args:
+            path: the file or folder.
+            height: of the body, metres: the motion is scaled to it, see `with_height`.
+            options: those of the reader.
 
         Raises:
             FormatError: the file is missing, of another kind, or broken.
+            MotionError: a height that cannot be.
         """
         _refuse_special(Path(path))
-        return _dispatch(_READERS, path, "read")(path, **options)
+        motion = _dispatch(_READERS, path, "read")(path, **options)
+        return motion if height is None else motion.with_height(height)
 
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
         """Write a .bvh, .npz, .obj, .html or .png file; `options` are those of the writer.

@@ -51,8 +51,6 @@ PLAIN = Shape(0.011, 0.008)
 
 HAND_LENGTH = 0.095
 HEAD_HEIGHT = 0.142
-ABOVE_AND_BELOW = 0.16
-"""The share of the height that is above the head's joint and below the ankle's."""
 
 
 def shapes(skeleton: Skeleton, parts: BodyParts | None) -> dict[str, Shape | None]:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.body_size import body_height
 from gesturekit.motion.end_sites import real_end_sites
 from gesturekit.motion.parts import BodyParts, find_parts
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
@@ -17,10 +17,8 @@ from gesturekit.viewer import anatomy
 from gesturekit.viewer.anatomy import Shape
 
 if TYPE_CHECKING:
-    from gesturekit.motion import Motion
+    from gesturekit.motion import Motion, Skeleton
 
-_SHORTEST = 1e-3
-"""Metres on the reference body; no figure is drawn shorter."""
 _QUADRUPED = 0.5
 """The trunk of a body that goes upright rises by more than this share of its length."""
 SPEED_SMOOTHING = 0.1
@@ -109,7 +107,7 @@ class Figure:
         ends = real_end_sites(motion.skeleton)
         motion = replace(motion, skeleton=replace(motion.skeleton, end_sites=ends))
         points = _Points(motion)
-        height = _height(points, parts)
+        height = _height(motion.skeleton)
         head = _head(points, parts, height) if parts and parts.head else None
         limbs = _limbs(points, parts, height)
         drawn = points.stacked()
@@ -167,22 +165,12 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
 
 
-def _height(points: _Points, parts: BodyParts | None) -> float:
-    """Sole to crown along the bones, which a bow or a bent knee does not change."""
-    shortest = _SHORTEST * body_scale(points.skeleton)
-    if parts is None:
-        across = np.ptp(points.joints, axis=1).max(axis=1)
-        return max(float(np.median(across)), shortest)
-    leg = parts.legs["left"]
-    reach = 0.0
-    for chain in (
-        (leg.ankle, leg.knee, leg.hip),
-        (parts.pelvis, *parts.spine, parts.neck, parts.head),
-    ):
-        places = np.stack([points.at(joint) for joint in chain if joint])
-        steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
-        reach += float(np.median(steps.sum(axis=0)))
-    return max(reach / (1 - anatomy.ABOVE_AND_BELOW), shortest)
+def _height(skeleton: Skeleton) -> float:
+    """Return the height to draw a body with, metres; of a rig without bones, a millimetre."""
+    try:
+        return body_height(skeleton)
+    except MotionError:
+        return 1e-3
 
 
 def _axes(points: _Points, parts: BodyParts) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,13 @@ def test_bad_usage(gesturekit, arguments):
     assert done.status == 2 and "Usage: gesturekit" in done.err
 
 
+def test_a_mistyped_verb_names_the_one_that_was_probably_meant(gesturekit):
+    assert "did you mean render?" in gesturekit("rendr").err
+    assert "did you mean prepare?" in gesturekit("Prepair", "x").err
+    done = gesturekit("xyz")
+    assert done.status == 2 and "it is one of demo, features, prepare" in done.err
+
+
 def test_features_that_cannot_be_written_or_made(gesturekit, write_speech, tmp_path):
     wav = write_speech(tmp_path / "speech.wav", 1.0)
     done = gesturekit("features", wav, "--out", tmp_path / "speech.wav" / "out")

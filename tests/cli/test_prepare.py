@@ -31,7 +31,7 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
 def test_all_used(recordings, tmp_path):
     done = run(recordings, "--out", tmp_path / "corpus.jsonl", "--style", "calm")
     assert (done.returncode, done.stderr) == (0, "")
-    assert "paired        3 items, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in done.stdout
+    assert "paired        3 recordings, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in done.stdout
     assert (tmp_path / "corpus.jsonl").is_file()
 
 
@@ -45,7 +45,7 @@ def test_some_left_out(recordings, tmp_path):
     assert len(told) == 2
     assert told[0].startswith("error: ") and str(recordings / "a.wav") in told[0]
     assert told[1].startswith("left out: speech without motion") and "alone.wav" in told[1]
-    assert "paired        2 items" in done.stdout
+    assert "paired        2 recordings" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -70,3 +70,11 @@ def test_nothing_usable(tmp_path):
     assert done.returncode == 2
     assert "no usable recording" in done.stderr
     assert not (tmp_path / "corpus.jsonl").exists()
+
+
+def test_the_height_asked_for_is_kept_in_the_manifest(recordings, tmp_path):
+    done = run(recordings, "--out", tmp_path / "corpus.jsonl", "--height", "1.2", "--in-up", "y")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert '"reading": {"up": "y", "height": 1.2}' in (tmp_path / "corpus.jsonl").read_text()
+    run(recordings, "--out", tmp_path / "corpus.jsonl")
+    assert "reading" not in (tmp_path / "corpus.jsonl").read_text()

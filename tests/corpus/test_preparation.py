@@ -10,7 +10,8 @@ import pytest
 import soundfile
 
 from gesturekit.corpus import Manifest, prepare
-from gesturekit.errors import CorpusError
+from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.motion.body_size import body_height
 
 
 def errors(report):
@@ -67,13 +68,23 @@ def test_each_bad_file_is_told_once_and_the_others_are_still_done(
 
 def test_a_small_difference_in_length_is_trimmed_to_the_shorter(tmp_path, write_pair, write_speech):
     write_pair(tmp_path, "a", 4.0)
-    write_speech(tmp_path / "a.wav", 3.7)
+    write_speech(tmp_path / "a.wav", 3.1)
     report = prepare(tmp_path, holdout=0.0)
     (item,) = report.manifest
-    assert item.duration == pytest.approx(3.7, abs=1e-5)
-    assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 111
-    assert "trimmed to the shorter" in texts(report, "warning")[0]
-    assert errors(prepare(tmp_path, holdout=0.0, tolerance=0.2))
+    assert item.duration == pytest.approx(3.1, abs=1e-5)
+    assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 93
+    assert "trimmed to the shorter" in texts(report, "warning")[0] and report.is_complete
+
+
+def test_a_larger_difference_in_length_names_the_tolerance_that_lets_it_through(
+    tmp_path, write_pair, write_speech
+):
+    write_pair(tmp_path, "a", 4.0)
+    write_speech(tmp_path / "a.wav", 5.23)
+    (problem,) = errors(prepare(tmp_path, holdout=0.0))
+    tolerance = float(re.search(r"--tolerance (\S+)$", problem.message)[1])
+    assert tolerance == 1.3
+    assert not errors(prepare(tmp_path, holdout=0.0, tolerance=tolerance))
 
 
 def test_a_leading_t_pose_is_trimmed_from_sound_and_motion(tmp_path, write_pair, gesture):
@@ -372,7 +383,7 @@ def test_the_report_reads_as_a_table_with_every_problem(tmp_path, write_pair, wr
     for i in range(5):
         write_speech(tmp_path / "talk" / f"s{i}.wav", 1.0, rate=22050)
     text = str(prepare(tmp_path, style="calm"))
-    assert "paired        3 items, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in text
+    assert "paired        3 recordings, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in text
     assert "frame rates   30 fps (3)" in text
     assert "styles        calm (3)" in text
     assert (
@@ -431,3 +442,87 @@ def test_a_table_that_cannot_be_read_leaves_its_recording_out(tmp_path, write_pa
     assert [problem.text for problem in errors(report)] == [
         f"{tmp_path / 'b.events.csv'}, line 2: time is 'soon'; expected seconds, 0 or more"
     ]
+
+
+def test_a_single_pair_that_is_split_is_counted_as_one_recording_in_two_parts(tmp_path, write_pair):
+    write_pair(tmp_path, "a", 6.0)
+    report = prepare(tmp_path)
+    assert len(report.manifest) == 2
+    (paired,) = (text for label, text in report.rows() if label == "paired")
+    assert paired == "1 recording in 2 parts, 6.0 s: train 1 (4.8 s), test 1 (1.2 s)"
+
+
+def test_what_is_said_of_a_files_unit_and_height_reaches_those_who_load_its_items(
+    tmp_path, write_speech, gesture, save_as_others
+):
+    big = gesture(4.0).with_height(3.4)
+    save_as_others(big, tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 4.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert "read in cm, a guess" in texts(report, "note")[0]
+    for read, height in (({"height": 1.75}, 1.75), ({"unit": "mm"}, 0.34)):
+        report = prepare(tmp_path, tmp_path / "corpus.jsonl", holdout=0.0, read=read)
+        assert not report.problems
+        (item,) = Manifest.load(tmp_path / "corpus.jsonl")
+        assert item.reading == read
+        motion = item.load_motion()
+        assert body_height(motion.skeleton) == pytest.approx(height)
+        assert np.ptp(motion.positions()) == pytest.approx(np.ptp(big.positions()) * height / 3.4)
+    prepare(tmp_path, tmp_path / "corpus.jsonl", holdout=0.0, tolerance=2.0, read={"fps": 60})
+    (item,) = Manifest.load(tmp_path / "corpus.jsonl")
+    assert item.load_motion().fps == 60 and item.duration == pytest.approx(2.0)
+
+
+def test_a_height_that_depends_on_parts_named_by_hand_is_the_same_in_training(
+    tmp_path, write_speech, gesture
+):
+    motion = gesture(4.0)
+    names = tuple(f"Joint{i}" for i in range(motion.skeleton.n_joints))
+    joints = {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "shoulder": "Arm", "elbow": "ForeArm"}
+    parts = {
+        f"{side}_{part}": names[motion.skeleton.index(f"{side.title()}{joint}")]
+        for side in ("left", "right")
+        for part, joint in joints.items()
+    }
+    nameless = replace(motion, skeleton=replace(motion.skeleton, names=names, end_sites={}))
+    nameless.save(tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 4.0)
+    prepare(tmp_path, tmp_path / "m.jsonl", holdout=0.0, parts=parts, read={"height": 1.75})
+    (item,) = Manifest.load(tmp_path / "m.jsonl")
+    named = nameless.with_parts(parts).skeleton
+    assert body_height(named) != pytest.approx(body_height(nameless.skeleton))
+    assert body_height(item.load_motion().skeleton.with_parts(parts)) == pytest.approx(1.75)
+
+
+def test_an_option_that_no_file_here_has_a_use_for_is_refused(tmp_path, write_speech, gesture):
+    gesture(4.0).save(tmp_path / "a.npz")
+    write_speech(tmp_path / "a.wav", 4.0)
+    with pytest.raises(ConfigError, match=r"unit is an option of \.bvh; only \.npz"):
+        prepare(tmp_path, read={"unit": "cm"})
+
+
+def test_every_file_that_looks_like_sound_or_motion_is_used_or_named(tmp_path, write_pair):
+    write_pair(tmp_path, "a")
+    for name in ("a.mp4", "a.fbx", "b.m4a", "deep/c.m4a", "d.c3d", "notes.txt", ".hidden.m4a"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    report = prepare([tmp_path], unpaired=[tmp_path], holdout=0.0)
+    assert [path.name for path in report.left_over] == ["b.m4a", "d.c3d", "c.m4a"]
+    assert not report.is_complete
+    lines = report.problem_lines()
+    assert (
+        f"left out: {tmp_path}: b.m4a: m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav"
+        in lines
+    )
+    assert (
+        f"left out: {tmp_path}: d.c3d: c3d is not read; export it as bvh, for example from Blender"
+        in lines
+    )
+    for name in ("a.mp4", "a.fbx"):
+        (tmp_path / name).unlink()
+        assert any(
+            f"{name}: {name[2:]} is not read; a file of the same name is" in line for line in lines
+        )
+    for path in report.left_over:
+        path.unlink()
+    assert prepare(tmp_path, holdout=0.0).is_complete

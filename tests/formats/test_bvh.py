@@ -51,10 +51,10 @@ def test_written_text(write, tmp_path):
     motion = read_bvh(write(SMALL))
     write_bvh(motion, tmp_path / "out.bvh")
     text = (tmp_path / "out.bvh").read_text()
-    assert "Frame Time: 0.0333333333\n" in text and "Frames: 3\n" in text
-    assert text.count("OFFSET 0.000000 0.000000 0.000000") == 1
+    assert "Frame Time: 0.03333333333333333\n" in text and "Frames: 3\n" in text
+    assert text.count("OFFSET 0.000000 0.00000000 0.0000000") == 1  # the mark of centimetres
     assert text.count("position") == 3  # the root's; the other joint does not move
-    assert text.split("OFFSET")[1].strip().startswith("0.000000 0.000000 0.000000")
+    assert text.split("OFFSET")[1].strip().startswith("0.000000 0.00000000 0.0000000")
 
 
 def test_curves_do_not_jump(tmp_path):
@@ -292,7 +292,7 @@ def test_unit_and_axes_can_be_set(write):
         read_bvh(path, up="y", forward="-y")
 
 
-def test_z_up_files_are_stood_up(shared_data, tmp_path):
+def test_z_up_files_are_stood_up(shared_data, tmp_path, save_as_others):
     motion = read_bvh(shared_data / "motion/aitviewer/sample.bvh").slice(0, 50)
     skeleton, quarter = motion.skeleton, Rotation.from_euler("x", 90, degrees=True)
     lying = replace(
@@ -304,7 +304,7 @@ def test_z_up_files_are_stood_up(shared_data, tmp_path):
         translation=quarter.apply(motion.translation),
     )
     np.testing.assert_allclose(lying.positions()[..., 2], motion.positions()[..., 1], atol=1e-9)
-    write_bvh(lying, tmp_path / "z.bvh")
+    save_as_others(lying, tmp_path / "z.bvh")
     again = read_bvh(tmp_path / "z.bvh")
     assert again.info["up"] == "z"
     order = [again.skeleton.index(name) for name in skeleton.names]

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import read_bvh, write_bvh
+from gesturekit.formats import read_bvh
 from gesturekit.formats.axes import AXES, turn_axes, turn_to_law
 from gesturekit.formats.units import METRES
 from gesturekit.motion import Motion
@@ -36,9 +36,9 @@ def same_places(one, two, atol=1e-7):
 
 
 @pytest.mark.parametrize(("up", "forward"), [(u, f) for u in AXES for f in AXES if u[-1] != f[-1]])
-def test_any_axes_are_found_and_turned_to_ours(facing_z, tmp_path, up, forward):
+def test_any_axes_are_found_and_turned_to_ours(facing_z, tmp_path, up, forward, save_as_others):
     path = tmp_path / "a.bvh"
-    write_bvh(in_axes(facing_z, up, forward), path)
+    save_as_others(in_axes(facing_z, up, forward), path)
     motion = read_bvh(path)
     assert (motion.info["up"], motion.info["forward"]) == (up, forward)
     assert motion.info["guessed"] == ()
@@ -52,10 +52,12 @@ def test_any_axes_are_found_and_turned_to_ours(facing_z, tmp_path, up, forward):
 
 
 @pytest.mark.parametrize(("up", "forward"), [("y", "x"), ("y", "-z"), ("z", "-y"), ("z", "x")])
-def test_a_quadruped_faces_from_its_tail_to_its_head(quadruped, tmp_path, up, forward):
+def test_a_quadruped_faces_from_its_tail_to_its_head(
+    quadruped, tmp_path, save_as_others, up, forward
+):
     rest = np.tile([0.0, 0.0, 0.0, 1.0], (30, quadruped.n_joints, 1))
     motion = Motion(quadruped, rest, np.tile([0.0, 0.75, 0.0], (30, 1)), 30.0)
-    write_bvh(in_axes(motion, up, forward), tmp_path / "dog.bvh")
+    save_as_others(in_axes(motion, up, forward), tmp_path / "dog.bvh")
     read = read_bvh(tmp_path / "dog.bvh", unit="cm")
     assert (read.info["up"], read.info["forward"]) == (up, forward)
     assert "forward" not in read.info["guessed"] and heading(read) == pytest.approx(0, abs=1e-6)
@@ -63,7 +65,7 @@ def test_a_quadruped_faces_from_its_tail_to_its_head(quadruped, tmp_path, up, fo
     assert head[2] - tail[2] > 1
 
 
-def test_where_a_body_walks_and_looks_is_left_alone(facing_z, tmp_path):
+def test_where_a_body_walks_and_looks_is_left_alone(facing_z, tmp_path, save_as_others):
     about = Rotation.from_euler("y", 170, degrees=True)
     turned = replace(
         facing_z,
@@ -76,24 +78,24 @@ def test_where_a_body_walks_and_looks_is_left_alone(facing_z, tmp_path):
         ),
         translation=about.apply(facing_z.translation),
     )
-    write_bvh(turned, tmp_path / "a.bvh")
+    save_as_others(turned, tmp_path / "a.bvh")
     again = read_bvh(tmp_path / "a.bvh")
     assert again.info["forward"] == "z"
     assert abs(np.degrees(heading(again))) > 160
     same_places(again, turned)
 
 
-def test_a_rig_that_faces_backwards_can_be_kept_so(facing_z, tmp_path):
+def test_a_rig_that_faces_backwards_can_be_kept_so(facing_z, tmp_path, save_as_others):
     backwards = in_axes(facing_z, "y", "-z")
-    write_bvh(backwards, tmp_path / "a.bvh")
+    save_as_others(backwards, tmp_path / "a.bvh")
     same_places(read_bvh(tmp_path / "a.bvh"), facing_z)
     same_places(read_bvh(tmp_path / "a.bvh", forward="z"), backwards)
 
 
-def test_a_root_that_lays_an_upright_rig_over(facing_z, tmp_path):
+def test_a_root_that_lays_an_upright_rig_over(facing_z, tmp_path, save_as_others):
     """Rest pose Y up, world Z up: as exported with the armature's turn in the root's channels."""
     to_z = invert_quaternions(turn_to_law("z", "-y"))
-    write_bvh(turn_axes(facing_z, to_z, np.array([0.0, 0, 0, 1])), tmp_path / "a.bvh")
+    save_as_others(turn_axes(facing_z, to_z, np.array([0.0, 0, 0, 1])), tmp_path / "a.bvh")
     motion = read_bvh(tmp_path / "a.bvh")
     assert motion.info["up"] == "z"
     same_places(motion, facing_z)
@@ -101,7 +103,7 @@ def test_a_root_that_lays_an_upright_rig_over(facing_z, tmp_path):
     np.testing.assert_allclose(motion.skeleton.offsets[chest], [0, 0.2, 0], atol=1e-7)
 
 
-def test_a_body_that_lies_down_is_not_stood_up(facing_z, tmp_path):
+def test_a_body_that_lies_down_is_not_stood_up(facing_z, tmp_path, save_as_others):
     down = Rotation.from_euler("x", 90, degrees=True)  # on the back, the head towards +Z
     lying = replace(
         facing_z,
@@ -114,7 +116,7 @@ def test_a_body_that_lies_down_is_not_stood_up(facing_z, tmp_path):
         ),
         translation=facing_z.translation * [1, 0, 1] + [0, 0.15, 0],
     )
-    write_bvh(lying, tmp_path / "a.bvh")
+    save_as_others(lying, tmp_path / "a.bvh")
     motion = read_bvh(tmp_path / "a.bvh")
     assert (motion.info["up"], motion.info["forward"]) == ("y", "z")
     same_places(motion, lying)
@@ -128,29 +130,29 @@ def test_a_rest_pose_that_is_none_says_so(shared_data):
 
 @pytest.mark.parametrize("unit", sorted(METRES))
 @pytest.mark.parametrize("size", [0.75, 1.0, 1.2])
-def test_units_are_told_from_the_size_of_the_body(facing_z, tmp_path, unit, size):
+def test_units_are_told_from_the_size_of_the_body(facing_z, tmp_path, unit, size, save_as_others):
     scaled = replace(
         facing_z,
         skeleton=facing_z.skeleton.scaled(size),
         translation=facing_z.translation * size,
     )
-    write_bvh(scaled, tmp_path / "a.bvh", unit=unit)
+    save_as_others(scaled, tmp_path / "a.bvh", unit=unit)
     motion = read_bvh(tmp_path / "a.bvh")
     assert (motion.info["unit"], motion.info["guessed"]) == (unit, ())
     same_places(motion, scaled)
 
 
-def test_a_body_of_no_persons_size_is_a_guess(facing_z, tmp_path):
+def test_a_body_of_no_persons_size_is_a_guess(facing_z, tmp_path, save_as_others):
     giant = replace(facing_z, skeleton=facing_z.skeleton.scaled(3))
-    write_bvh(giant, tmp_path / "a.bvh")
+    save_as_others(giant, tmp_path / "a.bvh")
     assert read_bvh(tmp_path / "a.bvh").info["guessed"] == ("unit",)
     assert read_bvh(tmp_path / "a.bvh", unit="cm").info["guessed"] == ()
 
 
-def test_a_rig_of_unknown_parts_is_read_as_it_is(facing_z, tmp_path):
+def test_a_rig_of_unknown_parts_is_read_as_it_is(facing_z, tmp_path, save_as_others):
     names = tuple(f"Joint{j}" for j in range(facing_z.skeleton.n_joints))
     rig = replace(facing_z.skeleton, names=names, end_sites={})
-    write_bvh(replace(facing_z, skeleton=rig), tmp_path / "a.bvh")
+    save_as_others(replace(facing_z, skeleton=rig), tmp_path / "a.bvh")
     motion = read_bvh(tmp_path / "a.bvh")
     assert motion.info["unit"] == "cm"
     assert motion.info["guessed"] == ("unit", "up", "forward")
@@ -161,8 +163,8 @@ def test_a_rig_of_unknown_parts_is_read_as_it_is(facing_z, tmp_path):
     )
 
 
-def test_axes_that_cannot_be(facing_z, tmp_path):
-    write_bvh(facing_z, tmp_path / "a.bvh")
+def test_axes_that_cannot_be(facing_z, tmp_path, save_as_others):
+    save_as_others(facing_z, tmp_path / "a.bvh")
     for options in ({"up": "w"}, {"forward": "+z"}, {"up": "z", "forward": "-z"}):
         with pytest.raises(FormatError, match="axis '"):
             read_bvh(tmp_path / "a.bvh", **options)

@@ -131,7 +131,9 @@ def test_what_cannot_start_is_refused_before_anything_is_written(take, gesture, 
     other = tmp_path / "other.bvh"
     gesture(0.5).save(other)
     (tmp_path / "empty").mkdir()
-    gesture(0.5).save(tmp_path / "take.npz")
+    namesake = tmp_path / "empty" / ".second" / "take.npz"
+    namesake.parent.mkdir()
+    gesture(0.5).save(namesake)
     before = written(tmp_path)
     for sources, out, options, says in (
         ([take, other], tmp_path / "x.bvh", {}, "2 inputs cannot become one file"),
@@ -144,7 +146,7 @@ def test_what_cannot_start_is_refused_before_anything_is_written(take, gesture, 
         (take, tmp_path / "x", {"formats": ["fbx"]}, "format fbx: known: bvh"),
         (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "no motion in it"),
         ([], tmp_path / "x", {"formats": ["bvh"]}, "nothing to convert"),
-        (tmp_path, tmp_path / "x", {"formats": ["npz"]}, "would both be written as"),
+        ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, "would both be written as"),
         (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "unit is an option of .bvh"),
         (take, tmp_path / "x.npz", {"read": {"person": 2}}, "person is an option of"),
         (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "body_model is an option of"),
@@ -153,6 +155,37 @@ def test_what_cannot_start_is_refused_before_anything_is_written(take, gesture, 
         with pytest.raises(ConfigError, match=says):
             outcomes(sources, out, **options)
     assert written(tmp_path) == before
+
+
+def test_of_a_bvh_and_an_npz_of_one_name_the_one_that_holds_more_is_read(
+    gesture, frames, tmp_path, recwarn
+):
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    for stem in ("ours", "theirs"):
+        gesture(0.5).save(folder / f"{stem}.bvh")
+        gesture(0.5).save(folder / f"{stem}.npz")
+    poses = np.array([people[0]["poses"] for people in frames]).reshape(len(frames), -1)
+    trans, rate = np.zeros((len(frames), 3)), np.array(30.0)
+    np.savez(folder / "theirs.npz", poses=poses, trans=trans, mocap_frame_rate=rate)
+    done = outcomes(folder, tmp_path / "out", formats=["bvh"])
+    assert [str(outcome.source) for outcome in done] == [
+        str(folder / "ours.npz"),
+        str(folder / "theirs.bvh"),
+    ]
+    assert not any(outcome.error for outcome in done)
+    said = [str(warning.message) for warning in recwarn]
+    assert len(said) == 2 and "ours.npz (the npz is gesturekit's own" in said[0]
+    assert "theirs.bvh (the bvh has the rig that was recorded" in said[1]
+    for name in ("take.fbx", "ours.fbx"):
+        (folder / name).write_bytes(b"x")
+    with pytest.warns(UserWarning, match=rf"^{folder / 'take.fbx'}: fbx is not read; export it"):
+        outcomes(folder, tmp_path / "out", formats=["npz"], dry_run=True)
+    (done,) = outcomes(folder / "take.fbx", tmp_path / "x.bvh")
+    assert "take.fbx: fbx is not read; export it as bvh" in done.error
+    # What was passed over is an input all the same, never written over.
+    with pytest.raises(ConfigError, match="is one of the inputs"):
+        outcomes(folder, folder, formats=["bvh"], existing="replace")
 
 
 def test_links_do_not_lead_out_of_the_folder(gesture, tmp_path):

@@ -144,7 +144,11 @@ def test_hands_as_pca_are_left_at_rest_and_told(tmp_path, width, n_joints):
     [
         ("", "not a readable JSON"),
         ("[" * 100_000, "not a readable JSON"),
-        ("{}", "no list of people"),
+        ("{}", "a JSON object with no keys"),
+        (
+            '{"reference": 1, "models": 2, "definitions": 3}',
+            "figures that gesturekit evaluate wrote",
+        ),
         ("[1]", "entry 0 is no person"),
         ('[{"id": "a"}]', "id 'a'"),
         ('[{"id": 0}]', "no 'Rh'"),

@@ -59,11 +59,11 @@ def test_parts_can_be_named_by_hand(gesture, tmp_path):
             inspect(tmp_path / "take.bvh", parts=parts)
 
 
-def test_a_rig_that_is_no_body_is_told_as_it_is(tmp_path):
+def test_a_rig_that_is_no_body_is_told_as_it_is(tmp_path, save_as_others):
     names = ("rope", "rope1", "rope2", "tail")
     rope = Skeleton(names, (-1, 0, 1, 0), [[0, 0, 0], [0, 0.5, 0], [0, 0.5, 0], [0.1, 0, 0]])
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (5, 4, 1))
-    Motion(rope, turned, np.zeros((5, 3)), 30.0).save(tmp_path / "rope.bvh")
+    save_as_others(Motion(rope, turned, np.zeros((5, 3)), 30.0), tmp_path / "rope.bvh")
     sheet = inspect(tmp_path / "rope.bvh")
     assert sheet.drawing(100) == ["rope", "├─ rope1 > rope2", "└─ tail"]
     assert sheet.facts["parts"] == {} and sheet.problems

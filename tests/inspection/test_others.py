@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
 
 import audio_features as af
+import gesturekit.viewer
 from gesturekit.corpus import Manifest
-from gesturekit.errors import ConfigError, CorpusError, FormatError, GestureKitError, ModelError
+from gesturekit.errors import ConfigError, FormatError, GestureKitError, ModelError
 from gesturekit.inspection import Sheet, inspect
 from gesturekit.systems import model_folder
 
@@ -109,8 +111,8 @@ def test_a_damaged_model_names_what_is_wrong(tmp_path):
 
 def test_a_manifest(corpus):
     sheet = inspect(corpus)
-    assert row(sheet, "paired").startswith("2 items, 8.50 s: train 2")
-    assert row(sheet, "speech alone").startswith("1 item, 5.00 s")
+    assert row(sheet, "paired").startswith("2 recordings, 8.50 s: train 2")
+    assert row(sheet, "speech alone").startswith("1 recording, 5.00 s")
     assert row(sheet, "rig").startswith("19 joints, 30 fps") and not sheet.problems
 
 
@@ -148,9 +150,9 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
     gesture(2.0).save(tmp_path / "more" / "c.bvh")
     (tmp_path / "broken.bvh").write_text("Dear diary,\n")
     sheet = inspect(tmp_path)
-    assert row(sheet, "paired") == "1 item, 4.0 s"
-    assert row(sheet, "speech alone") == "1 item, 3.0 s"
-    assert row(sheet, "motion alone") == "1 item, 2.0 s"
+    assert row(sheet, "paired") == "1 recording, 4.0 s"
+    assert row(sheet, "speech alone") == "1 recording, 3.0 s"
+    assert row(sheet, "motion alone") == "1 recording, 2.0 s"
     assert any("broken.bvh:1" in problem for problem in sheet.problems)
     assert plain(sheet)["paired"] == 1
 
@@ -208,5 +210,42 @@ def test_what_is_not_known_is_told_in_one_line(gesture, tmp_path):
     (run / "config.yaml").write_text("- a\n")
     with pytest.raises(GestureKitError, match="expected key: value"):
         inspect(run)
-    with pytest.raises(CorpusError):
+    with pytest.raises(FormatError, match="inspect its folder"):
         inspect(run / "metrics.jsonl")
+
+
+def test_every_kind_of_file_around_is_named_for_what_it_is(gesture, tmp_path):
+    np.savez(tmp_path / "foreign.npz", clips=np.zeros(3), rate=np.zeros(1))
+    (tmp_path / "report.json").write_text('{"reference": "a", "models": [], "definitions": {}}')
+    (tmp_path / "settings.json").write_text('{"colour": "red"}')
+    template = Path(gesturekit.viewer.__file__).parent / "player" / "template.html"
+    shutil.copy(template, tmp_path / "page.html")
+    (tmp_path / "other.html").write_text("<html></html>")
+    gesture(0.2).save(tmp_path / "still.png")
+    (tmp_path / "skin.obj").write_text("v 0.0 0.0 0.0\n")
+    (tmp_path / "kick.events.csv").write_text("time,name\n1.0,kick\n")
+    (tmp_path / "walk.path.csv").write_text("time,x,z\n0,0,0\n")
+    (tmp_path / "light.yaml").write_text("system: multires\n")
+    (tmp_path / "feature_model.json").write_text("{}")
+    for name in ("talk.m4a", "take.fbx", "film.mp4"):
+        (tmp_path / name).write_bytes(b"\0\1\2\3")
+    run = make_run(tmp_path / "run")
+    for path, says in (
+        ("foreign.npz", "no key 'poses'.*AMASS and BEAT2; this one has clips, rate$"),
+        ("report.json", "figures that gesturekit evaluate wrote"),
+        ("settings.json", "a JSON object with the keys colour; of JSON, motion is read"),
+        ("page.html", "a page that gesturekit wrote .* open it in a browser$"),
+        ("other.html", "an XML or HTML file$"),
+        ("still.png", "a PNG picture$"),
+        ("skin.obj", "a mesh"),
+        ("kick.events.csv", "a table of events"),
+        ("walk.path.csv", "a path of the root"),
+        ("light.yaml", "gesturekit train .*light.yaml"),
+        ("feature_model.json", "part of a feature model"),
+        ("talk.m4a", "m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav$"),
+        ("take.fbx", "fbx is not read; export it as bvh"),
+        ("film.mp4", "mp4 is not read; make a wav"),
+        (run / "checkpoints/step_00000020.pt", f"a checkpoint of a run; inspect its folder, {run}"),
+    ):
+        with pytest.raises(FormatError, match=says):
+            inspect(tmp_path / path)

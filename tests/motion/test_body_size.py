@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gesturekit.motion.body_size import REFERENCE_SIZE, body_scale, body_size
+from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import REFERENCE_SIZE, body_height, body_scale, body_size
 from gesturekit.motion.skeleton import Skeleton
 
 
@@ -33,3 +36,24 @@ def test_scale_grows_with_the_rig(factor, skeleton):
 def test_a_person_is_measured_from_ankle_to_head(skeleton):
     legs, spine = 0.42 + 0.42, 0.1 + 0.2 + 0.2 + 0.1
     assert body_size(skeleton) == pytest.approx(legs + spine)
+
+
+def test_height_is_sole_to_crown_of_a_body_and_the_extent_at_rest_of_anything_else(skeleton):
+    legs_and_spine = 0.42 + 0.42 + 0.05 + 0.1 + 0.2 + 0.2 + 0.1
+    assert body_height(skeleton) == pytest.approx(legs_and_spine / 0.84, rel=0.1)
+    assert body_height(skeleton.scaled(3)) == pytest.approx(3 * body_height(skeleton))
+    assert body_height(tree([-1, 0, 1, 2], [5.0, 1.0, 1.0, 1.0])) == pytest.approx(3)
+    with pytest.raises(MotionError, match="no bone"):
+        body_height(tree([-1], [0.0]))
+
+
+def test_a_motion_is_scaled_to_a_height_with_all_that_moves(gesture):
+    motion = gesture(0.5)
+    chest = np.tile([0.0, 0.2, 0.0], (motion.n_frames, 1))
+    motion = replace(motion, joint_translations={"Chest": chest})
+    doll = motion.with_height(0.34)
+    assert body_height(doll.skeleton) == pytest.approx(0.34)
+    np.testing.assert_allclose(doll.positions(), motion.positions() * doll.info["scale"])
+    for wrong in (0.0, -1.0, float("nan")):
+        with pytest.raises(MotionError, match="height is"):
+            motion.with_height(wrong)

@@ -1,0 +1,65 @@
+"""What a file is that there is no sheet for: ours or not, with what to do with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gesturekit.formats.signatures import kind_by_content
+from gesturekit.formats.sources import unreadable_media
+
+_READ_HERE = ("BVH", "wav", "flac", "ogg", "npz")
+_GLANCE = 4096  # bytes
+_OUR_PAGE = b'<meta name="generator" content="gesturekit">'
+_IN_RUN = ("command.txt", "versions.json", "metrics.jsonl", "data.json", "data.safetensors")
+_IN_MODEL = ("model.safetensors", "skeleton.json", "README.md")
+_IN_FEATURE_MODEL = ("feature_model.json", "feature_model.safetensors")
+_TABLES = {  # columns in the first line
+    ("time", "name"): "a table of events, which goes with a recording as STEM.events.csv",
+    ("time", "x", "z"): "a path of the root, which goes with a recording as STEM.path.csv, or to "
+    "render --path",
+}
+
+
+def what_it_is(path: Path) -> str | None:
+    """Return what a file is and what to do with it; None where it is nothing known.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    if reason := unreadable_media(path):
+        return reason
+    if whole := _part_of(path):
+        return whole
+    with path.open("rb") as file:
+        start = file.read(_GLANCE)
+    if _OUR_PAGE in start:
+        return "a page that gesturekit wrote (a player or a report); open it in a browser"
+    suffix = path.suffix.lower()
+    if suffix == ".obj" and start.startswith(b"v "):
+        return "a mesh (OBJ), the skin of one frame; open it in Blender"
+    if suffix == ".csv":
+        columns = start.decode("utf-8-sig", "replace").partition("\n")[0].lower().split(",")
+        names = {column.strip() for column in columns}
+        return next((text for known, text in _TABLES.items() if names.issuperset(known)), None)
+    if (what := kind_by_content(start)) is None:
+        return None
+    if any(kind in what for kind in _READ_HERE):
+        return f"looks like {what} inside; give it the suffix of one"
+    return what
+
+
+def _part_of(path: Path) -> str | None:
+    """Return the folder of ours that a file is a part of, as an answer."""
+    folder, name = path.parent, path.name
+    if name in _IN_FEATURE_MODEL:
+        return f"part of a feature model of fit-features; give its folder, {folder}, to evaluate"
+    if path.suffix == ".pt" and folder.name == "checkpoints":
+        return f"a checkpoint of a run; inspect its folder, {folder.parent}"
+    if name.startswith("events.out.tfevents"):
+        return f"the log of a run, for TensorBoard: tensorboard --logdir {folder}"
+    has = {name for name in (*_IN_RUN, *_IN_MODEL) if (folder / name).exists()}
+    if (folder / "config.yaml").is_file() and (name in has or (name == "config.yaml" and has)):
+        return f"part of a model or a run; inspect its folder, {folder}"
+    if path.suffix in (".yaml", ".yml"):
+        return f"a configuration; gesturekit train {path} trains with it"
+    return None
