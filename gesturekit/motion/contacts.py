@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, Leg, find_parts
 from gesturekit.motion.rotations import rotate_vectors
@@ -85,11 +86,12 @@ def floor_height(motion: Motion) -> float:
 def contact_labels(motion: Motion, threshold: float = 0.2) -> np.ndarray:
     """(T, F) 1.0 where a foot point is slower than `threshold` m/s, else 0.0.
 
-    Eq. 1 of Moreno-Villamarin et al. 2024. The speed of frame k is that since frame k - 1; frame
+    The threshold is for the reference body, and scaled by `body_scale`. Eq. 1 of Moreno-Villamarin
+    et al. 2024. The speed of frame k is that since frame k - 1; frame
     0 copies frame 1, and a single frame stands.
     """
     feet = foot_positions(motion)
     speed = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * motion.fps
-    labels = (speed < threshold).astype(np.float64)
+    labels = (speed < threshold * body_scale(motion.skeleton)).astype(np.float64)
     first = labels[:1] if len(labels) else np.ones((1, feet.shape[1]))
     return np.concatenate([first, labels])

@@ -36,7 +36,8 @@ from gesturekit.training.recordings import (
 from gesturekit.training.seeds import generator
 
 _SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
-"""Below these spreads (6D entries, label, m, m) a channel is scaled as if it had this much."""
+"""Below these spreads (6D entries, label, m, m; of the reference body) a channel is scaled as if it
+had this much."""
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from gesturekit.multires.interpolation import resample
 Hold = Callable[[int, Tensor], Tensor]
 
 _SWAY = 0.03
-"""Metres by which the hips sway about a path, at most."""
+"""Metres (of the reference body) by which the hips sway about a path, at most."""
 _SWAY_SECONDS = 0.3
 """Spread of the average that tells the sway from the way, and a body's turns from its facing."""
 _BELIEVABLE = 3.0
@@ -45,7 +45,7 @@ class PathHold:
     along the path when it is made. The hips keep the fast part of their sway, 3 cm at most.
 
     Args:
-        path: T frames at the full rate.
+        path: T frames at the full rate, in metres of the reference body.
         representation: of the vectors.
         normaliser: of the vectors.
         lengths: frames of each level; the last is T or, with margins, 2 `margin` more.

@@ -49,11 +49,14 @@ class _Places(nn.Module):
         place = {joint: i for i, joint in enumerate(order)}
         still = representation.fixed_translations
         offsets = [still.get(skeleton.names[j], skeleton.offsets[j]) for j in order]
+        # All lengths are those of the reference body, as in motion vectors.
+        offsets = [offset / representation.scale for offset in offsets]
         parents = [-1, *(place[skeleton.parents[j]] for j in order[1:])]
         at = [place[joint] for joint in joints]
         self.wanted: list[int] | slice = slice(None) if at == list(range(len(order))) else at
         if points is not None:
-            parents, offsets = [*parents, *at], [*offsets, *points]
+            parents = [*parents, *at]
+            offsets += [point / representation.scale for point in points]
             self.wanted = slice(len(order), None)
         self.chain = ForwardKinematics(parents, np.array(offsets))
         turning = [order[i] for i in self.chain.inner.tolist()]
@@ -85,6 +88,7 @@ class _Places(nn.Module):
 class VectorKinematics(nn.Module):
     """Reads positions and speeds off motion vectors (B, D, T) in their own units.
 
+    Metres are those of the reference body (`ModelJoints.scale`), so that losses are alike for all.
     Root displacement, contact speed and smoothness count per full-rate frame at every level:
     `stride` is how many full-rate frames lie between two frames of the level at hand.
     """

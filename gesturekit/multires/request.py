@@ -104,7 +104,7 @@ class Request:
         if isinstance(start, (str, Path)):
             start = Motion.load(start)
         kept = None if keep is None else KeptParts(keep, model.representation, model.fps)
-        way = None if path is None else as_root_path(path)
+        way = None if path is None else as_root_path(path, model.representation.scale)
         if speech is None and seconds is None:
             seconds = _own_seconds(model.fps, start, kept, way)
         features = hear(model.conditioner, speech, seconds, model.fps)

@@ -233,7 +233,8 @@ class Trainer:
                 for sequence in self.data.paired
             },
             speakers=self.data.speakers,
-            fastest=max(
+            fastest=self.data.representation.scale
+            * max(
                 fastest_second(
                     plain_values(self.data.normaliser, sequence.motion[None])[:, [-3, -1]],
                     self.config.fps,
