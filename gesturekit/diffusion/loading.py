@@ -20,6 +20,7 @@ from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.events import Event
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.path_following import follow_path
 from gesturekit.motion.retarget import retarget
@@ -118,7 +119,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
         Recording(take.name, vector[: len(rows)].astype(np.float32), rows, take.is_paired)
         for take, vector, rows in zip(takes, vectors, told, strict=True)
     ]
-    if config.augmentation.mirror:
+    if config.augmentation.mirror and can_be_mirrored(representation.skeleton):
         handed = () if config.styles is None else config.styles.handed
         recordings += [
             _mirrored(config, representation, conditions, take, recording)

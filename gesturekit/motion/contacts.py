@@ -8,7 +8,7 @@ import numpy as np
 
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import SIDES, Leg, find_parts
+from gesturekit.motion.parts import SIDES, Leg, find_legs
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
@@ -24,9 +24,9 @@ class FootPoint:
 
 
 def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
-    """Where the left foot touches the floor, then where the right one does.
+    """Where the left foot touches the floor, then where the right one does; none without legs.
 
-    On any rig, heel and toe. The heel is the ankle joint. The toe is the toe joint, or where the
+    Heel and toe. The heel is the ankle joint. The toe is the toe joint, or where the
     rig has none the farthest end of the foot (a leaf or an end site on the ankle); without that
     there is no toe point.
 
@@ -34,11 +34,10 @@ def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
     joints as end sites, and three or more of them on a foot are what touches the floor. They are
     fixed to the joint they are weighted to most, so that labels, losses and measurements see the
     same points and none needs the skin; see `BodyModel.vertices` for the skinned ones.
-
-    Raises:
-        MotionError: legs that cannot be told; see `gesturekit.motion.parts.find_parts`.
     """
-    legs = find_parts(skeleton).legs
+    legs = find_legs(skeleton)
+    if legs is None:
+        return ()
     points = []
     for side in SIDES:
         soles = [
@@ -62,14 +61,15 @@ def _toe(skeleton: Skeleton, leg: Leg) -> FootPoint | None:
     ends = [skeleton.offsets[j] for j in skeleton.children(skeleton.index(leg.ankle))]
     ends += skeleton.end_sites.get(leg.ankle, ())
     far = max(ends, key=np.linalg.norm, default=np.zeros(3))
-    return FootPoint(leg.ankle, far) if np.linalg.norm(far) > 0.01 else None
+    small = 0.01 * body_scale(skeleton)
+    return FootPoint(leg.ankle, far) if np.linalg.norm(far) > small else None
 
 
 def foot_positions(motion: Motion) -> np.ndarray:
     """(T, F, 3) world positions of the foot points, metres."""
     points = foot_points(motion.skeleton)
     joints = [motion.skeleton.index(point.joint) for point in points]
-    offsets = np.stack([point.offset for point in points])
+    offsets = np.array([point.offset for point in points]).reshape(-1, 3)
     turned = motion.global_rotations()[:, joints]
     return motion.positions()[:, joints] + rotate_vectors(turned, offsets)
 

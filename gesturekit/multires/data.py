@@ -19,8 +19,9 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.heading import heading
+from gesturekit.motion.parts import find_parts
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
@@ -304,6 +305,14 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         styles, style_of = item_styles(items, config.corpus)
     motions = load_motions(items, config.corpus, config.fps, config.parts)
     representation = MultiresRepresentation.fit(motions, config.joints)
+    if config.features is not None and config.network.modulate == "upper":
+        try:
+            find_parts(representation.skeleton)
+        except MotionError as error:
+            raise ConfigError(
+                "network.modulate: speech moves the upper body, which cannot be identified: "
+                f"{error}; or let speech move all joints (network.modulate=all)"
+            ) from None
     vectors = []
     for item, motion in zip(items, motions, strict=True):
         try:

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from gesturekit.motion.heading import headings, side_axis
-from gesturekit.motion.parts import upper_body
+from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
@@ -124,7 +124,9 @@ class KeyframeHold:
         self.channels[representation.contact_columns] = 0
         free = np.ones(given.shape[1], bool)
         free[representation.contact_columns] = False
-        for name in set(representation.joints) & set(upper_body(representation.skeleton)):
+        rig = representation.skeleton
+        upper = () if unidentified(rig) else upper_body(rig)
+        for name in set(representation.joints) & set(upper):
             free[representation.joint_columns(name)] = False
         # Where all was given, nobody moved the feet to where they are.
         feet = edited[:, free].any(axis=1)

@@ -35,7 +35,7 @@ class _Places(nn.Module):
         joints: Sequence[int],
         points: np.ndarray | None = None,
     ) -> None:
-        """Of these joints of the skeleton, or of a point (F, 3) on each, metres from it."""
+        """Of one joint of the skeleton at least, or of a point (F, 3) on each, metres from it."""
         super().__init__()
         skeleton = representation.skeleton
         modelled = [skeleton.index(name) for name in representation.joints]
@@ -104,11 +104,13 @@ class VectorKinematics(nn.Module):
         modelled = [skeleton.index(name) for name in representation.joints]
         points = representation.foot_points
         self.joints = _Places(representation, modelled)
-        self.feet = _Places(
-            representation,
-            [skeleton.index(point.joint) for point in points],
-            np.array([point.offset for point in points]),
-        )
+        self.feet = None
+        if points:
+            self.feet = _Places(
+                representation,
+                [skeleton.index(point.joint) for point in points],
+                np.array([point.offset for point in points]),
+            )
         self.arms: list[int] = []
         if not arms:
             return
@@ -136,7 +138,7 @@ class VectorKinematics(nn.Module):
     ) -> Tensor:
         """Eq. 14: squared foot speed, (m/s)^2, where the contact label says the foot stands.
 
-        GANimator has the speed itself, m/s, and a slope of 12.
+        GANimator has the speed itself, m/s, and a slope of 12. The rig must have feet.
         """
         feet = self._foot_places(values)
         drift = _root_drift(values)

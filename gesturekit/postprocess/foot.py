@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.motion.contacts import FootPoint, foot_points
-from gesturekit.motion.parts import SIDES, find_parts
+from gesturekit.motion.parts import SIDES, find_legs, find_parts
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
@@ -65,7 +65,7 @@ def feet_of(skeleton: Skeleton) -> tuple[Foot, Foot]:
 
 
 def _feet(skeleton: Skeleton) -> Iterator[Foot]:
-    legs = find_parts(skeleton).legs
+    legs = find_legs(skeleton) or find_parts(skeleton).legs
     points = foot_points(skeleton)
     for side in SIDES:
         leg = legs[side]
