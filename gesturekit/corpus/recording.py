@@ -13,11 +13,10 @@ from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import checks
 from gesturekit.corpus.manifest import CONDITIONS
 from gesturekit.corpus.problem import Problem
-from gesturekit.errors import FormatError, GestureKitError, MotionError
+from gesturekit.errors import FormatError, GestureKitError
 from gesturekit.formats.events import load_events
 from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
-from gesturekit.motion.parts import find_parts
 
 MIN_DURATION = 0.5
 """Seconds; anything shorter is too little to learn from."""
@@ -78,10 +77,6 @@ def examine(
         problems += [Problem("warning", recording.audio, fault) for fault in wave.faults()]
     if motion is not None:
         recording = replace(recording, fps=motion.fps, skeleton=motion.skeleton)
-        try:
-            find_parts(motion.skeleton)
-        except MotionError as error:
-            problems.append(Problem("note", recording.motion, str(error)))
         first, end = _check_motion(motion, recording.motion, problems)
         start, motion_stop = first / motion.fps, end / motion.fps
         if wave is not None:

@@ -91,14 +91,14 @@ class _Trainer:
     def _say_what_is_missing(self) -> None:
         """Log in one line what a rig whose parts cannot be identified is trained without."""
         skeleton = self.data.representation.skeleton
-        left_out = []
+        follows = []
         if self.config.augmentation.mirror and not can_be_mirrored(skeleton):
-            left_out.append("mirrored recordings")
+            follows.append("no mirrored recordings")
         if self.config.joints == "body":
-            left_out.append("a choice of joints (all are modelled)")
+            follows.append("all joints are modelled")
         missing = unidentified(skeleton)
-        if missing and left_out:
-            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(left_out))
+        if missing and follows:
+            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
 
     def _data(self, *, resume: bool) -> TrainingData:
         """What the first process reads of the corpus, and all read of the first."""

@@ -12,6 +12,10 @@ from gesturekit.motion.parts import SIDES, Leg, find_legs
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
+CONTACT_SPEED = 0.2
+"""m/s on the reference body; a foot point that is slower stands (eq. 1)."""
+_SHORTEST_FOOT = 0.01
+"""Metres on the reference body; a foot that ends closer to its ankle has no toe point."""
 _ON_THE_FLOOR = 0.05
 
 
@@ -61,8 +65,8 @@ def _toe(skeleton: Skeleton, leg: Leg) -> FootPoint | None:
     ends = [skeleton.offsets[j] for j in skeleton.children(skeleton.index(leg.ankle))]
     ends += skeleton.end_sites.get(leg.ankle, ())
     far = max(ends, key=np.linalg.norm, default=np.zeros(3))
-    small = 0.01 * body_scale(skeleton)
-    return FootPoint(leg.ankle, far) if np.linalg.norm(far) > small else None
+    shortest = _SHORTEST_FOOT * body_scale(skeleton)
+    return FootPoint(leg.ankle, far) if np.linalg.norm(far) > shortest else None
 
 
 def foot_positions(motion: Motion) -> np.ndarray:
@@ -83,15 +87,19 @@ def floor_height(motion: Motion) -> float:
     return float(np.quantile(motion.positions()[..., 1].min(axis=1), _ON_THE_FLOOR))
 
 
-def contact_labels(motion: Motion, threshold: float = 0.2) -> np.ndarray:
-    """(T, F) 1.0 where a foot point is slower than `threshold` m/s, else 0.0.
+def contact_labels(motion: Motion, threshold: float = CONTACT_SPEED) -> np.ndarray:
+    """(T, F) 1.0 where a foot point is slower than `threshold`, else 0.0.
 
-    The threshold is for the reference body, and scaled by `body_scale`. Eq. 1 of Moreno-Villamarin
-    et al. 2024. The speed of frame k is that since frame k - 1; frame
+    Eq. 1 of Moreno-Villamarin et al. 2024. The speed of frame k is that since frame k - 1; frame
     0 copies frame 1, and a single frame stands.
+
+    Args:
+        motion: any rig with two legs.
+        threshold: m/s on the reference body; it is multiplied by `body_scale` of the rig.
     """
+    threshold *= body_scale(motion.skeleton)
     feet = foot_positions(motion)
     speed = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * motion.fps
-    labels = (speed < threshold * body_scale(motion.skeleton)).astype(np.float64)
+    labels = (speed < threshold).astype(np.float64)
     first = labels[:1] if len(labels) else np.ones((1, feet.shape[1]))
     return np.concatenate([first, labels])

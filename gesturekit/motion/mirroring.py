@@ -41,7 +41,7 @@ _WORLD = 0
 _PARALLEL = 0.1
 """Left and right bones may differ by this share of their lengths and still be reflections."""
 _AS_MUCH_AS_A_RADIAN = 1e-3
-"""Metres (of the reference body) that a reflected offset may lie off, for a radian that a rotation
+"""Metres on the reference body that a reflected offset may lie off, for a radian that a rotation
 may."""
 _ALIKE = 0.1
 """In this share of the frames, at least, people stand alike on both sides."""

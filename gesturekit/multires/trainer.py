@@ -124,16 +124,16 @@ class Trainer:
         missing = unidentified(skeleton)
         if not missing:
             return config
-        off, left_out = {"arm_speed": 0.0, "arm_acceleration": 0.0}, []
+        off, follows = {"arm_speed": 0.0, "arm_acceleration": 0.0}, []
         if config.uses_arm_speed:
-            left_out.append("losses on the arms")
+            follows.append("no losses on the arms")
         if find_legs(skeleton) is None:
             off["contact"] = 0.0
-            left_out += ["contact labels and loss", "turning recordings to one heading"]
+            follows += ["no contact labels or loss", "recordings keep their heading"]
         if config.joints == "body":
-            left_out.append("a choice of joints (all are modelled)")
-        if left_out and self.processes.is_first:
-            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(left_out))
+            follows.append("all joints are modelled")
+        if follows and self.processes.is_first:
+            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
         return replace(config, losses=replace(config.losses, **off))
 
     @property

@@ -11,10 +11,10 @@ from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import KNOWN_PARTS
 
 UNIDENTIFIED = (
-    "%s of the rig cannot be identified: trained without %s. If it has them, name them by hand "
+    "%s of the rig cannot be identified: %s. If it has them, name them by hand "
     "(parts: {left_knee: JOINT, ...})."
 )
-"""Log message of a run whose rig lacks parts: which, and what that leaves out."""
+"""Log message of a run whose rig lacks parts: which, and what follows."""
 
 
 def check_positive(**values: float) -> None:
