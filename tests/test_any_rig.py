@@ -21,6 +21,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import unidentified
+from gesturekit.motion.root_path import RootPath
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.trainer import train as train_multires
 from gesturekit.rendering.render import render
@@ -151,11 +152,14 @@ def trained(system: str, corpus: Path, out: Path, **changes) -> Path:
     return train(build(schema, values))
 
 
-def check_all(folder: Path, bones: Bones, system: str, labels: bool, formats: tuple[str, ...]):
+def check_all(
+    folder: Path, bones: Bones, system: str, labels: bool, formats: tuple[str, ...], watch: int = 0
+):
+    """Prepare, train and render; what came of it."""
     motions = {f"s{seed}": moving(bones, seed=seed) for seed in range(2)}
     corpus = prepared(folder, motions)
     told = {"styles": {}} if labels else {}
-    model = gk.load(trained(system, corpus, folder / "run", eval_every=2, **told))
+    model = gk.load(trained(system, corpus, folder / "run", eval_every=watch, **told))
     assert sorted(model.skeleton.names) == sorted(bones)
     controls = {"style": "s1"} if labels else {}
     made = list(render(model, [], folder / "out", seconds=1.0, formats=formats, controls=controls))
@@ -172,7 +176,9 @@ def check_all(folder: Path, bones: Bones, system: str, labels: bool, formats: tu
 def test_a_rig_of_any_kind_trains_and_moves(name, system, skeleton, tmp_path, caplog):
     bones = RIGS[name](skeleton)
     with caplog.at_level(logging.INFO):
-        model = check_all(tmp_path, bones, system, labels=name == "crab", formats=("bvh",))
+        model = check_all(
+            tmp_path, bones, system, name == "crab", ("bvh",), watch=2 * (name == "snake")
+        )
     missing = unidentified(model.skeleton)
     assert bool(missing) == (name != "no head")
     assert caplog.text.count("If it has them, name them by hand") == bool(missing)
@@ -188,7 +194,7 @@ def test_a_rig_of_any_kind_trains_and_moves(name, system, skeleton, tmp_path, ca
 @pytest.mark.parametrize("name", RIGS)
 def test_every_rig_trains_in_every_mode_and_is_drawn(name, system, labels, skeleton, tmp_path):
     bones = RIGS[name](skeleton)
-    check_all(tmp_path, bones, system, labels, ("bvh", "npz", "html", "png"))
+    check_all(tmp_path, bones, system, labels, ("bvh", "npz", "html", "png"), watch=2)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
@@ -271,19 +277,32 @@ def losses(run: Path) -> list[dict[str, float]]:
 
 
 EVERY_LOSS = {"losses": {"detail": 1.0, "coarse": 1.0}}
+WAYS = {
+    "multires": ("multires", EVERY_LOSS),
+    "multires by style": ("multires", {"styles": {}, **EVERY_LOSS}),
+    "diffusion": ("diffusion", {}),
+    "diffusion on a path": ("diffusion", {"path": True}),
+}
 
 
-def at_scale(factor: float, motions: dict[str, Motion], system: str, folder: Path, **changes):
-    """Losses of two steps, the model, and what it makes."""
+def at_scale(factor: float, motions: dict[str, Motion], way: str, folder: Path):
+    """Losses of two steps on motions of another size, the model, and what it makes."""
+    system, changes = WAYS[way]
     bodies = {name: scaled(motion, factor) for name, motion in motions.items()}
     corpus = manifest_of(folder, bodies)
     model = gk.load(trained(system, corpus, folder / "run", log_every=1, **changes))
-    return losses(folder / "run"), model, model.generate(seconds=2.0, foot_lock=False)
+    places = factor * np.linspace([0.0, 0.0], [0.4, 1.0], 60)
+    told = {"path": RootPath.looking_ahead(places, 30.0, factor), "seconds": 2.0}
+    if way == "diffusion":
+        del told["path"]
+    if "styles" in changes:
+        told["style"] = "a"
+    return losses(folder / "run"), model, model.generate(**told, foot_lock=False)
 
 
-def check_scale(factor: float, motions: dict[str, Motion], system: str, folder: Path, **changes):
-    usual, model, made = at_scale(1.0, motions, system, folder / "1", **changes)
-    rows, other, larger = at_scale(factor, motions, system, folder / "c", **changes)
+def check_scale(factor: float, motions: dict[str, Motion], way: str, folder: Path) -> None:
+    usual, model, made = at_scale(1.0, motions, way, folder / "1")
+    rows, other, larger = at_scale(factor, motions, way, folder / "c")
     assert other.representation.scale == pytest.approx(factor * model.representation.scale)
     assert len(rows) == len(usual) > 1
     for row, expected in zip(rows, usual):
@@ -294,18 +313,73 @@ def check_scale(factor: float, motions: dict[str, Motion], system: str, folder: 
     np.testing.assert_allclose(larger.positions() / factor, made.positions(), atol=1e-3)
 
 
-WAYS = {
-    "multires": ("multires", EVERY_LOSS),
-    "multires by style": ("multires", {"styles": {}, **EVERY_LOSS}),
-    "diffusion": ("diffusion", {}),
-    "diffusion on a path": ("diffusion", {"path": True}),
-}
-
-
 @pytest.mark.parametrize("way", WAYS)
 def test_training_does_not_depend_on_the_size_of_the_rig(way, gesture, tmp_path):
-    system, changes = WAYS[way]
-    if "path" in changes:
-        pytest.skip("a path is asked for at generation; see below")
-    motions = {"a": gesture(3.0, seed=1), "b": gesture(3.0, seed=2)}
-    check_scale(0.1, motions, system, tmp_path, **changes)
+    check_scale(0.1, {"a": swaying(gesture, 1), "b": swaying(gesture, 2)}, way, tmp_path)
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("factor", [0.5, 2.0, 10.0])
+@pytest.mark.parametrize("way", WAYS)
+def test_training_is_the_same_at_every_size(way, factor, gesture, tmp_path):
+    check_scale(factor, {"a": swaying(gesture, 1), "b": swaying(gesture, 2)}, way, tmp_path)
+
+
+def swaying(gesture, seed: int) -> Motion:
+    """A gesture whose root goes to and fro."""
+    motion = gesture(2.0, seed=seed)
+    way = [0.1, 0.02, 0.1] * np.sin(3 * motion.times[:, None] + [0.0, 1.0, 2.0])
+    return replace(motion, translation=motion.translation + way)
+
+
+def recordings(folder: Path) -> list[Path]:
+    """Some real motions of each kind; all of one rig differ by their movement alone."""
+    kinds = [sorted(folder.glob(p)) for p in ("motion/*", "paired/*", "smpl/*.npz")]
+    return [
+        next(iter(sorted(path.rglob("*.bvh"))), path) if path.is_dir() else path
+        for paths in kinds
+        for path in paths
+    ]
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_real_recordings_train_alike_at_every_size(system, factor, shared_data, tmp_path):
+    for number, path in enumerate(recordings(shared_data)):
+        motion = Motion.load(path)
+        motion = motion.slice(0, min(motion.n_frames, round(3 * motion.fps)))
+        check_scale(factor, {"a": motion}, system, tmp_path / str(number))
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_every_real_recording_is_prepared_trained_on_and_rendered(system, shared_data, tmp_path):
+    files = [*shared_data.rglob("*.bvh"), *(shared_data / "smpl").glob("*.npz")]
+    assert files
+    for number, path in enumerate(files):
+        motion = Motion.load(path)
+        motion = motion.slice(0, min(motion.n_frames, round(10 * motion.fps)))
+        folder = tmp_path / str(number)
+        corpus = prepared(folder, {"a": motion})
+        model = gk.load(trained(system, corpus, folder / "run"))
+        (made,) = render(model, [], folder / "out", seconds=1.0)
+        assert made.error is None, path
+
+
+@pytest.mark.stress
+def test_speech_moves_bodies_of_every_size_alike(gesture, write_speech, tmp_path):
+    results = {}
+    for factor in (1.0, 0.1, 10.0):
+        folder = tmp_path / f"{factor}"
+        corpus = manifest_of(folder, {"a": scaled(swaying(gesture, 1), factor)})
+        sound = write_speech(folder / "a.wav", 2.0)
+        corpus.write_text(corpus.read_text().replace('"audio": null', '"audio": "a.wav"'))
+        run = trained("multires", corpus, folder / "run", features={}, log_every=1)
+        made = gk.load(run).generate(sound, foot_lock=False)
+        results[factor] = losses(folder / "run"), made.positions() / factor
+    usual, places = results.pop(1.0)
+    for rows, others in results.values():
+        for row, expected in zip(rows, usual, strict=True):
+            assert row == pytest.approx(expected, rel=1e-4, abs=1e-6)
+        np.testing.assert_allclose(others, places, atol=1e-3)
