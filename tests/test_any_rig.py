@@ -17,7 +17,7 @@ import gesturekit as gk
 from gesturekit.corpus import prepare
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.trainer import train as train_diffusion
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import unidentified
@@ -218,13 +218,17 @@ def test_a_file_of_two_roots_is_refused_by_name(gesture, tmp_path):
     assert "two.bvh" in str(report.problems[0]) and "Tail" in str(report.problems[0])
 
 
-def test_joints_of_one_name_are_refused_or_told_apart_by_name(gesture, tmp_path):
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_joints_of_one_name_and_names_with_blanks_train(system, gesture, tmp_path):
     (tmp_path / "clips").mkdir()
     file = tmp_path / "clips" / "twins.bvh"
     gesture(2.0).save(file)
-    file.write_text(file.read_text().replace("RightForeArm", "LeftForeArm"))
-    report = prepare([], unpaired_motion=[tmp_path / "clips"], holdout=0.0)
-    assert len(report.manifest) or "LeftForeArm" in str(report.problems[0])
+    text = file.read_text().replace("RightForeArm", "LeftForeArm").replace("Head", "the  head ")
+    file.write_text(text)
+    prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path / "clips"], holdout=0.0)
+    model = gk.load(trained(system, tmp_path / "c.jsonl", tmp_path / "run"))
+    assert {"LeftForeArm", "LeftForeArm_2"} <= set(model.skeleton.names)
+    assert model.generate(seconds=0.5).n_frames == 15
 
 
 def test_speech_that_should_move_an_upper_body_nobody_finds_names_the_way_out(
@@ -241,6 +245,8 @@ def test_speech_that_should_move_an_upper_body_nobody_finds_names_the_way_out(
         trained("multires", corpus, tmp_path / "run", **values)
     network = {**TINY["multires"]["network"], "modulate": "all"}
     folder = trained("multires", corpus, tmp_path / "all", **values, network=network)
+    assert gk.load(folder).generate(tmp_path / "a.wav").n_frames == 90
+    folder = trained("diffusion", corpus, tmp_path / "diffusion", **values)
     assert gk.load(folder).generate(tmp_path / "a.wav").n_frames == 90
 
 
@@ -316,6 +322,24 @@ def check_scale(factor: float, motions: dict[str, Motion], way: str, folder: Pat
 @pytest.mark.parametrize("way", WAYS)
 def test_training_does_not_depend_on_the_size_of_the_rig(way, gesture, tmp_path):
     check_scale(0.1, {"a": swaying(gesture, 1), "b": swaying(gesture, 2)}, way, tmp_path)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_model_from_before_sizes_were_kept_has_lengths_in_metres(system, gesture, tmp_path):
+    folder = trained(system, manifest_of(tmp_path / "c", {"a": gesture(2.0)}), tmp_path / "run")
+    path = folder / "skeleton.json"
+    rig = json.loads(path.read_text())
+    scale = rig["motion"].pop("scale")
+    model, asked = gk.load(folder), {"seconds": 1.0, "foot_lock": False}
+    height = model.generate(**asked).positions()[:, 0, 1]
+    path.write_text(json.dumps(rig))
+    before = gk.load(folder).generate(**asked).positions()[:, 0, 1]
+    np.testing.assert_allclose(height, before * scale)
+    assert abs(scale - 1) > 0.01
+    rig["motion"]["scale"] = 0.0
+    path.write_text(json.dumps(rig))
+    with pytest.raises(ModelError, match=r"damaged \(scale: 0"):
+        gk.load(folder)
 
 
 @pytest.mark.stress
