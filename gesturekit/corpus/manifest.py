@@ -174,12 +174,13 @@ class Item:
                 heard.append(Event(max(start, 0.0), event.name, stop - max(start, 0.0)))
         return tuple(heard)
 
-    def load_path(self, fps: float, n_frames: int) -> RootPath | None:
+    def load_path(self, fps: float, n_frames: int, scale: float = 1.0) -> RootPath | None:
         """The item's stretch of its path, mirrored where the item says so; None without a file.
 
         Args:
             fps: frames per second of the result.
             n_frames: how many; past its end a path stands still.
+            scale: `body_scale` of who follows it.
 
         Raises:
             FormatError: the file cannot be read.
@@ -189,7 +190,8 @@ class Item:
         from gesturekit.formats.root_path import load_root_path
 
         begins = self.audio_start if self.motion is None else self.motion_start
-        path = load_root_path(self.conditions["path"]).resample(fps, n_frames, start=begins)
+        path = load_root_path(self.conditions["path"], scale)
+        path = path.resample(fps, n_frames, start=begins)
         return path.mirror() if self.mirror else path
 
 

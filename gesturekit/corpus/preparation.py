@@ -17,9 +17,10 @@ from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
 from gesturekit.corpus.report import Report
-from gesturekit.errors import CorpusError
+from gesturekit.errors import CorpusError, MotionError
 from gesturekit.formats.conversion import reading_of, refuse_idle_reading
 from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES
+from gesturekit.motion.parts import find_parts
 
 
 def prepare(
@@ -215,14 +216,32 @@ def _of_one_skeleton(
 
 def _notes(recordings: list[Recording]) -> list[Problem]:
     """What is true of the corpus as a whole."""
+    notes = _missing_parts(recordings)
     by_fps: dict[str, int] = defaultdict(int)
     for recording in recordings:
         if recording.fps is not None:
             by_fps[f"{recording.fps:.6g}"] += 1
     if len(by_fps) < 2:
-        return []
+        return notes
     rates = ", ".join(f"{fps} ({count})" for fps, count in sorted(by_fps.items(), key=_number))
-    return [Problem("note", None, f"frame rates differ: {rates}; training resamples them to one")]
+    text = f"frame rates differ: {rates}; training resamples them to one"
+    return [*notes, Problem("note", None, text)]
+
+
+def _missing_parts(recordings: list[Recording]) -> list[Problem]:
+    """Say once what a rig whose parts cannot be identified is trained without."""
+    first = next((one for one in recordings if one.skeleton is not None), None)
+    if first is None:
+        return []
+    try:
+        find_parts(first.skeleton)
+    except MotionError as error:
+        heard = any(one.audio and one.motion for one in recordings)
+        what = "training leaves out what needs these parts"
+        if heard:
+            what += "; multires by speech needs them, or network.modulate=all"
+        return [Problem("note", first.motion, f"{error}. Without them {what}")]
+    return []
 
 
 def _number(entry: tuple[str, int]) -> float:

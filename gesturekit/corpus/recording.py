@@ -14,12 +14,11 @@ from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import checks
 from gesturekit.corpus.manifest import CONDITIONS
 from gesturekit.corpus.problem import Problem
-from gesturekit.errors import FormatError, GestureKitError, MotionError
+from gesturekit.errors import FormatError, GestureKitError
 from gesturekit.formats.conversion import load
 from gesturekit.formats.events import load_events
 from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
-from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted
 
 MIN_DURATION = 0.5
@@ -85,10 +84,6 @@ def examine(
         if "unit" in motion.info.get("guessed", ()) and "height" not in recording.reading:
             text = f"read in {motion.info['unit']}, a guess; --in-unit or --height settles it"
             problems.append(Problem("note", recording.motion, text))
-        try:
-            find_parts(motion.skeleton)
-        except MotionError as error:
-            problems.append(Problem("note", recording.motion, str(error)))
         first, end = _check_motion(motion, recording.motion, problems)
         start, motion_stop = first / motion.fps, end / motion.fps
         if wave is not None:

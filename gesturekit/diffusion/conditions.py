@@ -42,7 +42,8 @@ class Conditions:
         path: whether the root's way over the ground is given to the model, not made by it.
         events: names of the binary flags.
         styles: names of the styles.
-        path_mean: (3,) of turn, forward and lateral per frame, in training.
+        path_mean: (3,) of turn, forward and lateral per frame, in training; lengths in metres of
+            the reference body, see `ModelJoints.scale`.
         path_scale: (3,) their standard deviation.
     """
 
@@ -89,7 +90,7 @@ class Conditions:
             n_frames: T.
             fps: frames per second of the motion.
             speech: (T, S) of the conditioner.
-            path: see `smooth_path`; T frames at `fps`.
+            path: see `smooth_path`; T frames at `fps`, in metres of the reference body.
             events: names must be known; what lies after the last frame is left out.
             style: (T, K) weights of the styles, see `gesturekit.corpus.styles.style_track`.
 

@@ -68,7 +68,7 @@ class TrainingData:
         if not self.representation.makes_root:
             told = condition[:, self.conditions.columns["path"]].astype(np.float64)
             deltas = told * self.conditions.path_scale + self.conditions.path_mean
-            path = RootPath.from_deltas(deltas, fps)
+            path = RootPath.from_deltas(deltas, fps).scaled(self.representation.scale)
         return self.representation.decode(values, fps, path=path)
 
     def changes(self) -> Tensor:

@@ -20,6 +20,7 @@ from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.events import Event
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.path_following import follow_path
 from gesturekit.motion.retarget import retarget
@@ -112,13 +113,13 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
     ]
     vectors = [_encode(config, representation, take.motion, take) for take in takes]
     if start is None and config.path:
-        conditions = _with_path_scale(conditions, takes)
-    told = [_condition(take, conditions, config.fps) for take in takes]
+        conditions = _with_path_scale(conditions, takes, representation.scale)
+    told = [_condition(take, conditions, config.fps, representation.scale) for take in takes]
     recordings = [
         Recording(take.name, vector[: len(rows)].astype(np.float32), rows, take.is_paired)
         for take, vector, rows in zip(takes, vectors, told, strict=True)
     ]
-    if config.augmentation.mirror:
+    if config.augmentation.mirror and can_be_mirrored(representation.skeleton):
         handed = () if config.styles is None else config.styles.handed
         recordings += [
             _mirrored(config, representation, conditions, take, recording)
@@ -274,7 +275,9 @@ def _on_path(
     if not config.path:
         return motion, None
     own = representation.path_of(motion)
-    given = None if item is None else item.load_path(config.fps, motion.n_frames)
+    given = (
+        None if item is None else item.load_path(config.fps, motion.n_frames, representation.scale)
+    )
     path = smooth_path(given or own, config.fps, motion.n_frames)
     # A table may begin at an origin of its own, and a model sees but the steps of a path.
     apart = (own.positions - path.positions).mean(axis=0)
@@ -319,19 +322,20 @@ def _mirrored(
 def _floors(representation: DeltaRepresentation) -> np.ndarray:
     """(X,) spreads below which a number of a motion vector is scaled as if it had this much."""
     values = np.full(representation.n_features, 0.01)  # radians of a joint
-    values[representation.height_column] = 2e-3  # metres
+    values[representation.height_column] = 2e-3  # metres of the reference body
     if representation.makes_root:
         values[representation.root_columns] = 1e-3, 5e-4, 5e-4  # radians and metres a frame
     return values
 
 
-def _with_path_scale(conditions: Conditions, takes: Sequence[_Take]) -> Conditions:
-    deltas = np.concatenate([take.path.deltas() for take in takes if take.path is not None])
+def _with_path_scale(conditions: Conditions, takes: Sequence[_Take], scale: float) -> Conditions:
+    paths = [take.path.scaled(1 / scale) for take in takes if take.path is not None]
+    deltas = np.concatenate([path.deltas() for path in paths])
     scale = np.maximum(deltas.std(axis=0), (1e-3, 5e-4, 5e-4))
     return replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
 
 
-def _condition(take: _Take, conditions: Conditions, fps: float) -> np.ndarray:
+def _condition(take: _Take, conditions: Conditions, fps: float, scale: float) -> np.ndarray:
     """(T, C): as many frames as there are of both motion and speech."""
     n_frames = take.motion.n_frames
     if take.speech is not None:
@@ -340,7 +344,7 @@ def _condition(take: _Take, conditions: Conditions, fps: float) -> np.ndarray:
         n_frames,
         fps,
         speech=None if take.speech is None else take.speech[:n_frames],
-        path=None if take.path is None else take.path.slice(0, n_frames),
+        path=None if take.path is None else take.path.slice(0, n_frames).scaled(1 / scale),
         events=take.events,
         style=None
         if take.style is None

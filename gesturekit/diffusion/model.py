@@ -175,6 +175,7 @@ class DiffusionModel:
         request = Request.of(
             [model.conditions for model in product.models],
             self.fps,
+            scale=self.representation.scale,
             speech=speech,
             seconds=seconds,
             path=path,

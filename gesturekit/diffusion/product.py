@@ -248,6 +248,8 @@ def _check_goes_with(leader: DiffusionModel, other: DiffusionModel, who: str) ->
     if theirs.makes_root != own.makes_root:
         raise ModelError(f"{who}: only one of the two follows a path")
     advice = "train one with moves_like: the other, so that both mean the same by a motion"
+    if not math.isclose(theirs.scale, own.scale, rel_tol=_SCALE_TOLERANCE):
+        raise ModelError(f"{who}: its lengths are those of another body size; {advice}")
     if not np.allclose(theirs.references, own.references, atol=1e-6) or not np.allclose(
         theirs.side, own.side, atol=1e-6
     ):

@@ -28,6 +28,7 @@ class Request:
         fps: frames per second.
         wave: the sound, or None for silence.
         path: what the root follows, T frames at `fps`, smoothed; None where a model moves it.
+        scale: metres of the path for a metre of the reference body, see `ModelJoints.scale`.
         events: what happens, and when; None for nothing.
         ears: what the first model that hears does so by; None where none does.
         features: (T, S) that it hears.
@@ -37,6 +38,7 @@ class Request:
     fps: float
     wave: af.Wave | None
     path: RootPath | None
+    scale: float
     events: tuple[Event, ...] | None
     ears: SpeechConditioner | None
     features: np.ndarray
@@ -47,6 +49,7 @@ class Request:
         models: Sequence[Conditions],
         fps: float,
         *,
+        scale: float = 1.0,
         speech: str | Path | af.Wave | None,
         seconds: float | None,
         path: str | Path | RootPath | Motion | None,
@@ -57,6 +60,7 @@ class Request:
         Args:
             models: what each model of the product knows, the leading one first.
             fps: frames per second of all of them.
+            scale: of their rig.
             speech, seconds, path, events: see `DiffusionModel.generate`.
 
         Raises:
@@ -74,7 +78,7 @@ class Request:
             )
         if events is not None and not any(model.events for model in models):
             raise ModelError(f"events={str(events)!r}: this model knows no events")
-        way = None if path is None else as_root_path(path)
+        way = None if path is None else as_root_path(path, scale)
         if speech is None and seconds is None and way is not None:
             seconds = way.frames_within(fps) / fps
         ears = next((m.conditioner for m in models if m.conditioner is not None), None)
@@ -90,7 +94,7 @@ class Request:
         _check_events(happens or (), models)
         if way is not None:
             way = smooth_path(way, fps, n_frames)
-        return cls(n_frames, fps, wave, way, happens, ears, features)
+        return cls(n_frames, fps, wave, way, scale, happens, ears, features)
 
     def told(self, conditions: Conditions) -> np.ndarray:
         """(T, C) float32: what a model is told of this, its style left at zero."""
@@ -103,7 +107,7 @@ class Request:
         known = None
         if self.events is not None:
             known = [event for event in self.events if event.name in conditions.events]
-        path = self.path if conditions.path else None
+        path = self.path.scaled(1 / self.scale) if conditions.path else None
         return conditions.encode(self.n_frames, self.fps, speech=heard, path=path, events=known)
 
 

@@ -86,7 +86,8 @@ class Start:
     def clean(self, n_frames: int) -> Tensor:
         """(T, X) standardised, T = n_frames: cut off there, or standing still at its end."""
         values = self.model.representation.encode(self.motion.resample(self.model.fps, n_frames))
-        values[:, self.model.representation.height_column] += self.lift
+        own = self.model.representation
+        values[:, own.height_column] += self.lift / own.scale
         vectors = self.model.standardiser.forward(torch.from_numpy(values).float())
         # Another rig may bend where this one hardly can.
         return vectors.clamp(-FARTHEST, FARTHEST).to(self.model.device)
@@ -95,5 +96,6 @@ class Start:
 def _floor_of_model(model: DiffusionModel) -> float:
     """Height of the lowest joint when the rig stands as it does on average."""
     own = model.representation
-    place = np.array([[0.0, float(model.standardiser.mean[own.height_column]), 0.0]])
+    height = float(model.standardiser.mean[own.height_column]) * own.scale
+    place = np.array([[0.0, height, 0.0]])
     return floor_height(own.assemble(own.hold(1), place, model.fps, None))

@@ -25,8 +25,11 @@ from gesturekit.diffusion.monitor import Monitor
 from gesturekit.diffusion.networks import Denoiser
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.errors import ModelError
+from gesturekit.motion.mirroring import can_be_mirrored
+from gesturekit.motion.parts import unidentified
 from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
+from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import generator, seeded
 from gesturekit.training.session import session
 
@@ -78,12 +81,25 @@ class _Trainer:
         self.changes = self.data.changes().to(device) if config.training.changes else None
         if processes.is_first:
             log.info("Training on %s.", ", ".join(self._what()))
+            self._say_what_is_missing()
         self.network = self._network(resume=resume).to(device)
         # The weights that the model will have.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
         self.optimiser = torch.optim.Adam(self.network.parameters())
         watched = config.eval_every and processes.is_first
         self.monitor = Monitor(self.data, config) if watched else None
+
+    def _say_what_is_missing(self) -> None:
+        """Log in one line what a rig whose parts cannot be identified is trained without."""
+        skeleton = self.data.representation.skeleton
+        follows = []
+        if self.config.augmentation.mirror and not can_be_mirrored(skeleton):
+            follows.append("no mirrored recordings")
+        if self.config.joints == "body":
+            follows.append("all joints are modelled")
+        missing = unidentified(skeleton)
+        if missing and follows:
+            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
 
     def _data(self, *, resume: bool) -> TrainingData:
         """What the first process reads of the corpus, and all read of the first."""

@@ -90,7 +90,7 @@ def load_clip(pair: Pair, fps: float | None = None) -> Clip:
         recording = _window(recording, start, pair)
         semantic = None if semantic is None else _later(semantic, start)
     joints, generated = _match(generated, recording.skeleton, pair)
-    known = len(body_names(recording.skeleton))
+    known = len(body_joints(recording.skeleton))
     if len(joints) < known:
         notes.append(f"{known - len(joints)} of {known} body joints are not in the generated rig")
     return Clip(pair, generated, recording, joints, semantic, tuple(notes))
@@ -105,14 +105,6 @@ def load_recording(path: Path, fps: float) -> Motion:
     return _resampled(path, fps)
 
 
-def body_names(skeleton: Skeleton) -> tuple[str, ...]:
-    """Names of the body joints, or of all joints where parts cannot be told."""
-    try:
-        return body_joints(skeleton)
-    except MotionError:
-        return skeleton.names
-
-
 def bare_name(name: str) -> str:
     """A joint's name without name space and capitals: `mixamorig:LeftArm` is `leftarm`."""
     return name.rsplit(":", 1)[-1].lower()
@@ -120,7 +112,7 @@ def bare_name(name: str) -> str:
 
 def _match(motion: Motion, rig: Skeleton, pair: Pair) -> tuple[tuple[str, ...], Motion]:
     """The rig's body joints that the motion has too, and the motion with the rig's names."""
-    names = body_names(rig)
+    names = body_joints(rig)
     own = {bare_name(name): name for name in reversed(motion.skeleton.names)}
     renamed = {own[bare_name(name)]: name for name in names if bare_name(name) in own}
     if len(renamed) < max(2, MATCHED * len(names)):

@@ -30,7 +30,7 @@ def standing_heights(motion: Motion) -> np.ndarray:
     Raises:
         MotionError: legs that cannot be told.
     """
-    heights = foot_positions(motion)[..., 1]
+    heights = _feet(motion)[..., 1]
     resting = contact_labels(motion) > 0
     return np.array(
         [
@@ -56,7 +56,7 @@ def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
     """
     if motion.n_frames < 2:
         raise MotionError(f"the motion has {motion.n_frames} frame; at least 2 are needed")
-    feet = foot_positions(motion)
+    feet = _feet(motion)
     steps = np.diff(feet[..., [0, 2]], axis=0) * motion.fps
     above = 0.5 * (feet[1:, :, 1] + feet[:-1, :, 1]) - _standing(motion, heights)
     above = above / (NEAR * body_scale(motion.skeleton))
@@ -75,8 +75,16 @@ def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> floa
     Raises:
         MotionError: legs that cannot be told.
     """
-    depth = _standing(motion, heights) - foot_positions(motion)[..., 1]
+    depth = _standing(motion, heights) - _feet(motion)[..., 1]
     return float(np.maximum(depth, 0.0).mean())
+
+
+def _feet(motion: Motion) -> np.ndarray:
+    """Return the (T, F, 3) foot points, of which there must be some."""
+    feet = foot_positions(motion)
+    if not feet.shape[1]:
+        raise MotionError("the rig has no two legs that can be identified")
+    return feet
 
 
 def _standing(motion: Motion, heights: np.ndarray | None) -> np.ndarray:

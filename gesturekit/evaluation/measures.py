@@ -12,7 +12,7 @@ import numpy as np
 from audio_features import AudioFeaturesError, Wave
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import feet, likeness, physical, rhythm
-from gesturekit.evaluation.clips import Clip, body_names, load_recording
+from gesturekit.evaluation.clips import Clip, load_recording
 from gesturekit.evaluation.definitions import (
     LIKENESS,
     MOVEMENT,
@@ -28,6 +28,7 @@ from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded
 from gesturekit.evaluation.patches import intra_diversity, patch_features, patch_scores
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.parts import body_joints
 
 PATCH_PAIRS = 250_000_000
 """Frames of a clip times frames of its recording that a report compares at most: 2 GB a table."""
@@ -82,7 +83,7 @@ class Known:
         for key, path in recordings.items():
             try:
                 motion = load_recording(path, fps)
-                joints = joints or body_names(motion.skeleton)
+                joints = joints or body_joints(motion.skeleton)
                 if not set(joints) <= set(motion.skeleton.names):
                     raise EvaluationError("another rig than the first recording's")
                 speed = rhythm.central_speed(motion, joints)

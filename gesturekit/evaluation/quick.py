@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.evaluation.clips import Clip, body_names
+from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, PatchOptions
 from gesturekit.evaluation.measures import Known, Measurer
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
 
 _NAMELESS = Pair("clip", "clip", None, Path("clip"), Path("clip"))
 
@@ -29,7 +30,7 @@ def quick_figures(generated: Sequence[Motion], recordings: Sequence[Motion]) -> 
     measurer = Measurer(Known(), (MOVEMENT,), PatchOptions())
     every: dict[str, list[float]] = {}
     for motion, recording in zip(generated, recordings, strict=True):
-        clip = Clip(_NAMELESS, motion, recording, body_names(recording.skeleton), None, ())
+        clip = Clip(_NAMELESS, motion, recording, body_joints(recording.skeleton), None, ())
         own = measurer.recording(clip)[0]
         for key, value in measurer.figures(clip)[0].items():
             if not DEFINITIONS[key].cheap:

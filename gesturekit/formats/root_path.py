@@ -23,8 +23,10 @@ _EVEN = 0.02
 """Share of a step that times may be off by (rounded digits) and still be even."""
 
 
-def as_root_path(path: str | os.PathLike[str] | RootPath | Motion) -> RootPath:
+def as_root_path(path: str | os.PathLike[str] | RootPath | Motion, scale: float = 1.0) -> RootPath:
     """A path, whatever it is given by: itself, a motion, or the name of a file.
+
+    `scale` is as in `load_root_path`.
 
     Raises:
         ModelError: it is none of these.
@@ -35,13 +37,13 @@ def as_root_path(path: str | os.PathLike[str] | RootPath | Motion) -> RootPath:
     if isinstance(path, Motion):
         return RootPath.of(path)
     if isinstance(path, (str, os.PathLike)):
-        return load_root_path(path)
+        return load_root_path(path, scale)
     raise ModelError(
         f"path is a {type(path).__name__}; give a RootPath, a Motion, or the name of a file"
     )
 
 
-def load_root_path(path: str | os.PathLike[str]) -> RootPath:
+def load_root_path(path: str | os.PathLike[str], scale: float = 1.0) -> RootPath:
     """Read a path from a CSV table or from any motion file.
 
     The table's first line names its columns, `time,x,z` or `time,x,z,heading` in any order:
@@ -49,6 +51,10 @@ def load_root_path(path: str | os.PathLike[str]) -> RootPath:
     +Z, 90 faces +X). Without headings the path looks where it goes. Between rows it runs straight,
     so a few rows are enough. Even times give the frame rate; uneven ones are laid out evenly at
     the rate of the shortest step, 120 fps at the most.
+
+    Args:
+        path: the file.
+        scale: `body_scale` of who follows it, which says what speed is standing.
 
     Raises:
         FormatError: the file is missing, too large, or not such a table; with its line.
@@ -74,7 +80,7 @@ def load_root_path(path: str | os.PathLike[str]) -> RootPath:
     places = np.stack([np.interp(at, times, x), np.interp(at, times, z)], axis=-1)
     try:
         if not has_heading:
-            return RootPath.looking_ahead(places, fps)
+            return RootPath.looking_ahead(places, fps, scale)
         angles = np.unwrap(np.radians(table[:, 3]))
         return RootPath(places, np.interp(at, times, angles), fps)
     except MotionError as error:

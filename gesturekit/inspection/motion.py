@@ -120,10 +120,9 @@ def _movement(motion: Motion, figure: Figure, labels: Mapping[str, str]) -> dict
 
 def _feet(motion: Motion, labels: Mapping[str, str]) -> dict[str, Any]:
     """Share of the frames in which a foot of each side stands; nothing where feet are unknown."""
-    try:
-        points = foot_points(motion.skeleton)
-    except MotionError:
+    if not labels:
         return {}
+    points = foot_points(motion.skeleton)
     contacts = contact_labels(motion)
     sides = np.array([labels.get(point.joint, "").partition(" ")[0] for point in points])
     shares = {

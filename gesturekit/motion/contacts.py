@@ -10,7 +10,7 @@ import numpy as np
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.end_sites import real_end_sites
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import SIDES, Leg, find_parts
+from gesturekit.motion.parts import SIDES, Leg, find_legs
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
@@ -30,9 +30,9 @@ class FootPoint:
 
 
 def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
-    """Where the left foot touches the floor, then where the right one does.
+    """Where the left foot touches the floor, then where the right one does; none without legs.
 
-    On any rig, heel and toe. The heel is the ankle joint. The toe is the toe joint, or where the
+    Heel and toe. The heel is the ankle joint. The toe is the toe joint, or where the
     rig has none the farthest end of the foot (a leaf or an end site on the ankle); without that
     there is no toe point. End sites that no foot can have do not count (`end_sites`).
 
@@ -40,11 +40,11 @@ def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
     joints as end sites, and three or more of them on a foot are what touches the floor. They are
     fixed to the joint they are weighted to most, so that labels, losses and measurements see the
     same points and none needs the skin; see `BodyModel.vertices` for the skinned ones.
-
-    Raises:
-        MotionError: legs that cannot be told; see `gesturekit.motion.parts.find_parts`.
     """
-    legs, ends = find_parts(skeleton).legs, real_end_sites(skeleton)
+    legs = find_legs(skeleton)
+    if legs is None:
+        return ()
+    ends = real_end_sites(skeleton)
     points = []
     for side in SIDES:
         soles = [
@@ -75,7 +75,7 @@ def foot_positions(motion: Motion) -> np.ndarray:
     """(T, F, 3) world positions of the foot points, metres."""
     points = foot_points(motion.skeleton)
     joints = [motion.skeleton.index(point.joint) for point in points]
-    offsets = np.stack([point.offset for point in points])
+    offsets = np.array([point.offset for point in points]).reshape(-1, 3)
     turned = motion.global_rotations()[:, joints]
     return motion.positions()[:, joints] + rotate_vectors(turned, offsets)
 

@@ -1,9 +1,10 @@
 """The motion vector of the diffusion model: exponential maps, height, steps of the root.
 
 A frame is `[3 K | 1 | 3]`: the exponential map of each modelled joint (Grassia 1998), the height of
-the root in metres, and the root's steps over the ground as it turns (radians), goes forward and
-goes to its left (metres), each since the frame before (section 4.1 of Alexanderson et al. 2023,
-after Holden et al. 2016). Where the root follows a path that is given, the steps are left out.
+the root, and the root's steps over the ground as it turns (radians), goes forward and goes to its
+left, each since the frame before (section 4.1 of Alexanderson et al. 2023, after Holden et al.
+2016). Lengths are metres of the reference body (`ModelJoints.scale`). Where the root follows a path
+that is given, the steps are left out.
 
 - Maps are relative to each joint's mean rotation over the training data. The published ones are
   relative to a T-pose, which few rigs rest in; about the mean, angles are small and far from pi,
@@ -142,9 +143,11 @@ class DeltaRepresentation(ModelJoints):
         rotations[:, 0] = self._level_root(motion, path)
         away = multiply_quaternions(invert_quaternions(self.references), rotations)
         maps = continuous_maps(rotation_vector_from_quaternion(away))
-        height = motion.positions()[:, self.root, 1:2]
+        height = motion.positions()[:, self.root, 1:2] / self.scale
         parts = [maps.reshape(motion.n_frames, -1), height]
-        return np.concatenate([*parts, path.deltas()] if self.makes_root else parts, axis=-1)
+        if self.makes_root:
+            parts.append(path.scaled(1 / self.scale).deltas())
+        return np.concatenate(parts, axis=-1)
 
     def decode(
         self,
@@ -174,7 +177,7 @@ class DeltaRepresentation(ModelJoints):
             raise MotionError(
                 f"motion vectors of shape {values.shape}; expected (T, {self.n_features})"
             )
-        n_frames, size = len(values), self.size_of(skeleton)
+        n_frames, size = len(values), self.scale * self.size_of(skeleton)
         if self.makes_root:
             if path is not None:
                 raise MotionError("the model moves the root itself, so it cannot follow a path")

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gesturekit.errors import MotionError
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts import find_legs
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 
 _TOO_STEEP = 0.05
@@ -18,9 +17,13 @@ _TOO_STEEP = 0.05
 def heading(motion: Motion) -> float:
     """Mean direction the body faces, radians about Y; 0 is +Z, positive towards +X.
 
-    A body that faces +Z has its left hip at +X of its right one.
+    A body that faces +Z has its left hip at +X of its right one. A rig without legs is taken to
+    face +Z.
     """
-    across = _across(motion).mean(axis=0)
+    across = _across(motion)
+    if across is None:
+        return 0.0
+    across = across.mean(axis=0)
     return float(np.arctan2(-across[2], across[0]))
 
 
@@ -36,13 +39,12 @@ def side_axis(motions: Sequence[Motion], root: int) -> np.ndarray:
         root: index of the joint whose turns are the body's.
     """
     turned = np.concatenate([motion.global_rotations()[:, root] for motion in motions])
-    try:
-        across = np.concatenate([_across(motion) for motion in motions])
-    except MotionError:
+    ways = [_across(motion) for motion in motions]
+    if any(way is None for way in ways):
         flat = [np.hypot(*rotate_vectors(turned, axis)[:, [0, 2]].T).mean() for axis in np.eye(3)]
         # Forward along z means that the side is x.
         return np.eye(3)[0 if flat[2] > 0.5 and flat[0] > 0.5 else int(np.argmax(flat))]
-    side = rotate_vectors(invert_quaternions(turned), across).mean(axis=0)
+    side = rotate_vectors(invert_quaternions(turned), np.concatenate(ways)).mean(axis=0)
     length = np.linalg.norm(side)
     return side / length if length > 1e-9 else np.eye(3)[0]
 
@@ -65,9 +67,11 @@ def headings(turned: np.ndarray, side: np.ndarray) -> np.ndarray:
     return np.interp(np.arange(len(turned)), told, angles)
 
 
-def _across(motion: Motion) -> np.ndarray:
-    """(T, 3) from the right hip to the left one, world, metres."""
-    legs = find_parts(motion.skeleton).legs
+def _across(motion: Motion) -> np.ndarray | None:
+    """(T, 3) from the right hip to the left one, world, metres; None without legs."""
+    legs = find_legs(motion.skeleton)
+    if legs is None:
+        return None
     positions = motion.positions()
     left, right = (motion.skeleton.index(legs[side].hip) for side in ("left", "right"))
     return positions[:, left] - positions[:, right]

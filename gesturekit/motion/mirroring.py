@@ -64,8 +64,7 @@ def mirror_motion(motion: Motion) -> Motion:
     """
     skeleton = motion.skeleton
     other = _counterparts(skeleton)
-    forks = any(len(skeleton.children(j)) > 1 for j in range(skeleton.n_joints))
-    if forks and (other == np.arange(skeleton.n_joints)).all():
+    if not can_be_mirrored(skeleton):
         raise MotionError(
             f"cannot tell left from right by the joint names {', '.join(skeleton.names[:6])}, ..., "
             "nor by the rig's shape, so that it cannot be mirrored; name limbs by hand "
@@ -96,6 +95,12 @@ def mirror_motion(motion: Motion) -> Motion:
         joint_translations=moving,
         info=dict(motion.info),
     )
+
+
+def can_be_mirrored(skeleton: Skeleton) -> bool:
+    """Return whether left and right of a rig can be identified, or it has no limbs at all."""
+    forks = any(len(skeleton.children(j)) > 1 for j in range(skeleton.n_joints))
+    return not forks or bool((_counterparts(skeleton) != np.arange(skeleton.n_joints)).any())
 
 
 def _counterparts(skeleton: Skeleton) -> np.ndarray:

@@ -7,12 +7,13 @@ model's root, and puts a motion of the whole rig together from them again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints, leg_length
 from gesturekit.motion.rotations import (
@@ -35,12 +36,16 @@ class ModelJoints:
             root, the first joint of the rig that moves.
         fixed_rotations: (J, 4) mean local quaternions; joints outside `joints` are held at them.
         fixed_translations: joint name to (3,): local positions that replace offsets, held likewise.
+        scale: metres of the rig for a metre of the reference body (`body_scale`). Lengths in motion
+            vectors are those of the reference body, so that training is alike for a rig of any
+            size or unit; 1 in models from before this was kept.
     """
 
     skeleton: Skeleton
     joints: tuple[str, ...]
     fixed_rotations: np.ndarray
     fixed_translations: dict[str, np.ndarray]
+    scale: float = field(default=1.0, kw_only=True)
 
     @classmethod
     def choose(
@@ -53,7 +58,7 @@ class ModelJoints:
             joints: "body" (no fingers, no end joints), "all", or names.
 
         Returns:
-            The four attributes by name.
+            The attributes by name.
 
         Raises:
             MotionError: no motions, or a name that the rig does not have.
@@ -88,6 +93,7 @@ class ModelJoints:
                 name: np.concatenate([_local_position(m, name) for m in motions]).mean(axis=0)
                 for name in sorted(moved - {skeleton.names[root]})
             },
+            "scale": body_scale(skeleton),
         }
 
     def to_json(self) -> dict[str, Any]:
@@ -96,11 +102,15 @@ class ModelJoints:
             "joints": list(self.joints),
             "fixed_rotations": self.fixed_rotations.tolist(),
             "fixed_translations": {k: v.tolist() for k, v in self.fixed_translations.items()},
+            "scale": self.scale,
         }
 
     @staticmethod
     def chosen(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
-        """The four attributes by name, from what `to_json` gave."""
+        """The attributes by name, from what `to_json` gave."""
+        scale = float(values.get("scale", 1.0))
+        if not 0 < scale < np.inf:
+            raise MotionError(f"scale: {scale} must be above 0")
         return {
             "skeleton": skeleton,
             "joints": tuple(skeleton.names[skeleton.index(name)] for name in values["joints"]),
@@ -109,6 +119,7 @@ class ModelJoints:
                 name: np.array(value, dtype=np.float64)
                 for name, value in values["fixed_translations"].items()
             },
+            "scale": scale,
         }
 
     @property
@@ -215,12 +226,13 @@ def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
 def first_moving_joint(motions: Sequence[Motion]) -> int:
     """The first joint, from the root outwards, whose place or rotation changes in some motion."""
     skeleton = motions[0].skeleton
+    still = 1e-6 * body_scale(skeleton)
     for j, name in enumerate(skeleton.names):
         for motion in motions:
             places = motion.translation if j == 0 else motion.joint_translations.get(name)
             turns = motion.rotations[:, j]
             turning = np.abs(np.abs(turns @ turns[0]) - 1).max() > 1e-7
-            if turning or (places is not None and np.ptp(places, axis=0).max() > 1e-6):
+            if turning or (places is not None and np.ptp(places, axis=0).max() > still):
                 return j
     return 0
 

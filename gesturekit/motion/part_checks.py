@@ -46,7 +46,7 @@ def check_limbs(skeleton: Skeleton, limbs: Mapping[str, int | None], guessed: bo
     for part, joint in told.items():
         for start in ("left_shoulder", "right_shoulder", "left_hip", "right_hip"):
             own = part.split("_")[0] == start.split("_")[0]
-            if not own and told[start] in skeleton.ancestors(joint):
+            if not own and told.get(start) in skeleton.ancestors(joint):
                 raise _wrong(skeleton, told, part, start, "the one hangs on the other")
     _check_lengths(skeleton, told)
     if guessed:

@@ -33,6 +33,24 @@ _END = ("end", "nub", "tip", "site", "headtop")
 _TWIST = ("twist", "roll")
 
 
+def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
+    """Return part ("left_hip", ...) to joint of both legs, by name or by hand; None without them.
+
+    Nothing else of a body need be there: this serves rigs whose other parts cannot be identified.
+    """
+    finder = PartFinder.__new__(PartFinder)
+    finder._read_names(skeleton, skeleton.parts)
+    for side in SIDES:
+        finder._leg(side)
+    if finder.missing:
+        return None
+    try:
+        check_limbs(skeleton, finder.limbs, guessed=False)
+    except MotionError:
+        return None
+    return finder.limbs
+
+
 class PartFinder:
     """The limbs, the trunk and the loose ends of one rig, as indices of joints.
 
@@ -43,6 +61,22 @@ class PartFinder:
     """
 
     def __init__(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
+        self._read_names(skeleton, by_hand)
+        for side in SIDES:
+            self._arm(side)
+            self._leg(side)
+        guessed = bool(by_hand or self.missing)
+        shape = self._limbs_by_shape() if self.missing else None
+        check_limbs(skeleton, self.limbs, guessed)
+        self._trunk(shape)
+        self.ends = {
+            j
+            for j in range(skeleton.n_joints)
+            if skeleton.is_leaf(j) and self.bare[j].endswith(_END)
+        }
+
+    def _read_names(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
+        """What names and hand tell of joints one by one; limbs are not looked for yet."""
         for key in by_hand:
             if key not in KNOWN_PARTS:
                 raise MotionError(
@@ -57,18 +91,6 @@ class PartFinder:
         self.bare = [bare_name(name, side) for name, side in zip(skeleton.names, self.side)]
         self.missing: list[str] = []
         self.limbs: dict[str, int | None] = {}
-        for side in SIDES:
-            self._arm(side)
-            self._leg(side)
-        guessed = bool(by_hand or self.missing)
-        shape = self._limbs_by_shape() if self.missing else None
-        check_limbs(skeleton, self.limbs, guessed)
-        self._trunk(shape)
-        self.ends = {
-            j
-            for j in range(skeleton.n_joints)
-            if skeleton.is_leaf(j) and self.bare[j].endswith(_END)
-        }
 
     def helpers(self) -> set[int]:
         """Joints that only turn a bone about itself."""

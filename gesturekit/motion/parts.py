@@ -10,7 +10,7 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.motion.joint_names import SIDES, named_pairs
 from gesturekit.motion.limb_shapes import find_limbs
-from gesturekit.motion.part_finder import ARM, KNOWN_PARTS, LEG, PartFinder
+from gesturekit.motion.part_finder import ARM, KNOWN_PARTS, LEG, PartFinder, find_leg_joints
 from gesturekit.motion.skeleton import Skeleton
 
 __all__ = [
@@ -21,11 +21,13 @@ __all__ = [
     "Leg",
     "arm_joints",
     "body_joints",
+    "find_legs",
     "find_parts",
     "left_right_pairs",
     "leg_length",
     "parse_parts",
     "part_labels",
+    "unidentified",
     "upper_body",
 ]
 
@@ -147,6 +149,31 @@ def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -
     )
 
 
+def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
+    """Return the "left" and "right" leg of any rig, or None where no two legs can be identified.
+
+    Other than for `find_parts`, nothing but the legs need be there: a body with one arm or without
+    a head stands on its feet like any other.
+    """
+    try:
+        return find_parts(skeleton).legs
+    except MotionError:
+        found = find_leg_joints(skeleton)
+    if found is None:
+        return None
+    names = {part: None if j is None else skeleton.names[j] for part, j in found.items()}
+    return {side: Leg(**{part: names[f"{side}_{part}"] for part in LEG}) for side in SIDES}
+
+
+def unidentified(skeleton: Skeleton) -> str:
+    """Return which parts of a rig cannot be identified, in words: "" for a body like ours."""
+    try:
+        find_parts(skeleton)
+    except MotionError:
+        return "arms or trunk" if find_legs(skeleton) else "legs, arms or trunk"
+    return ""
+
+
 def parse_parts(texts: Iterable[str]) -> dict[str, str]:
     """Parts named by hand on a command line: "left_elbow=Joint12" to {"left_elbow": "Joint12"}.
 
@@ -195,8 +222,14 @@ def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) 
 
 
 def body_joints(skeleton: Skeleton) -> tuple[str, ...]:
-    """Names of all joints but fingers, face and end joints, in the skeleton's order."""
-    parts = find_parts(skeleton)
+    """Names of all joints but fingers, face and end joints, in the skeleton's order.
+
+    All joints of a rig whose parts cannot be identified.
+    """
+    try:
+        parts = find_parts(skeleton)
+    except MotionError:
+        return skeleton.names
     left_out = {*parts.fingers, *parts.face, *parts.ends}
     return tuple(name for name in skeleton.names if name not in left_out)
 
@@ -208,9 +241,14 @@ def upper_body(skeleton: Skeleton) -> tuple[str, ...]:
 
 
 def leg_length(skeleton: Skeleton) -> float:
-    """Length of thigh and shank, metres, mean of both sides."""
+    """Length of thigh and shank, metres, mean of both sides.
+
+    Raises:
+        MotionError: the rig has no two legs that can be identified.
+    """
+    legs = find_legs(skeleton) or find_parts(skeleton).legs
     bones: list[int] = []
-    for leg in find_parts(skeleton).legs.values():
+    for leg in legs.values():
         ankle, hip = skeleton.index(leg.ankle), skeleton.index(leg.hip)
         # All that lies between: helper joints split bones.
         way = [ankle, *skeleton.ancestors(ankle)]

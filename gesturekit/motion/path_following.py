@@ -15,7 +15,7 @@ from gesturekit.errors import MotionError
 from gesturekit.motion.ik import two_bone_ik
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts import find_legs
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
 
@@ -44,9 +44,8 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
     shift = np.zeros((motion.n_frames, 3))
     shift[:, [0, 2]] = path.positions - positions[:, root][:, [0, 2]]
     moved = _shifted(motion, root, shift, turned)
-    try:
-        legs = find_parts(motion.skeleton).legs
-    except MotionError:
+    legs = find_legs(motion.skeleton)
+    if legs is None:
         return moved  # nothing that stands on the floor
     parents = motion.skeleton.parents
     rotations = moved.rotations.copy()

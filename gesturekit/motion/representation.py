@@ -3,8 +3,8 @@
 A frame is `[K x 6 | C | 3]`: the first two columns of the rotation matrix of each modelled joint
 (Zhou et al. 2019), a contact label for each foot point (eq. 1 of Moreno-Villamarin et al. 2024),
 and three numbers of the root: its displacement since the frame before along the world's x and z,
-and between them its height, all in metres. On SMPL with six foot points that is 24 x 6 + 6 + 3 =
-153 numbers.
+and between them its height, all in metres of the reference body (`ModelJoints.scale`). On SMPL with
+six foot points that is 24 x 6 + 6 + 3 = 153 numbers.
 """
 
 from __future__ import annotations
@@ -112,6 +112,7 @@ class MultiresRepresentation(ModelJoints):
         if motion.n_frames > 1:
             displacement[0] = displacement[1]
         root = np.stack([displacement[:, 0], position[:, 1], displacement[:, 2]], axis=-1)
+        root /= self.scale
         contacts = contact_labels(motion, threshold=CONTACT_SPEED)
         sixd = sixd_from_quaternion(rotations).reshape(motion.n_frames, -1)
         return np.concatenate([sixd, contacts, root], axis=-1)
@@ -138,4 +139,5 @@ class MultiresRepresentation(ModelJoints):
             rotations[start : start + len(part), index] = modelled
         dx, height, dz = values[:, self.root_columns].T
         position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1)
-        return self.assemble(rotations, position * self.size_of(skeleton), fps, skeleton)
+        size = self.scale * self.size_of(skeleton)
+        return self.assemble(rotations, position * size, fps, skeleton)

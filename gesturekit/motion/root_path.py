@@ -15,7 +15,7 @@ from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.skeleton import FARTHEST
 
 STANDING = 0.05
-"""Below this speed (m/s) where a path goes does not say where it looks."""
+"""Below this speed (m/s of the reference body) where a path goes does not say where it looks."""
 SMOOTHED_SECONDS = 1 / 3
 """What a path is smoothed over: 10 frames at 30 fps (section 4.1 of Alexanderson et al. 2023)."""
 _MOST_FRAMES = 50_000_000  # over two weeks at 30 fps
@@ -75,11 +75,14 @@ class RootPath:
         return cls(places, headings(motion.global_rotations()[:, root], side), motion.fps)
 
     @classmethod
-    def looking_ahead(cls, positions: np.ndarray, fps: float) -> RootPath:
-        """A path that looks where it goes; while it stands, it turns from one way to the next."""
+    def looking_ahead(cls, positions: np.ndarray, fps: float, scale: float = 1.0) -> RootPath:
+        """A path that looks where it goes; while it stands, it turns from one way to the next.
+
+        `scale` is the `body_scale` of who goes there: a doll's walk is no standing.
+        """
         positions = np.asarray(positions, dtype=np.float64)
         step = np.gradient(positions, axis=0) * fps if len(positions) > 1 else 0 * positions
-        goes = np.flatnonzero(np.hypot(*step.T) > STANDING)
+        goes = np.flatnonzero(np.hypot(*step.T) > STANDING * scale)
         if not len(goes):
             return cls(positions, np.zeros(len(positions)), fps)
         angles = np.unwrap(np.arctan2(step[goes, 0], step[goes, 1]))
@@ -214,6 +217,10 @@ class RootPath:
 
         x, z, angle = (smooth(values) for values in (*self.positions.T, self.headings))
         return replace(self, positions=np.stack([x, z], axis=-1), headings=angle)
+
+    def scaled(self, factor: float) -> RootPath:
+        """Return the path with its places multiplied by `factor`."""
+        return replace(self, positions=self.positions * factor)
 
     def mirror(self) -> RootPath:
         """Left for right: x turned into -x, as `Motion.mirror` does."""

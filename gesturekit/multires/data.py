@@ -19,8 +19,9 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.heading import heading
+from gesturekit.motion.parts import find_parts
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
@@ -41,7 +42,8 @@ from gesturekit.training.recordings import (
 from gesturekit.training.seeds import generator
 
 _SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
-"""Below these spreads (6D entries, label, m, m) a channel is scaled as if it had this much."""
+"""Below these spreads (6D entries, label, m, m; of the reference body) a channel is scaled as if it
+had this much."""
 
 
 @dataclass(frozen=True)
@@ -304,6 +306,14 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         styles, style_of = item_styles(items, config.corpus)
     motions = load_motions(items, config.corpus, config.fps, config.parts)
     representation = MultiresRepresentation.fit(motions, config.joints)
+    if config.features is not None and config.network.modulate == "upper":
+        try:
+            find_parts(representation.skeleton)
+        except MotionError as error:
+            raise ConfigError(
+                "network.modulate: speech moves the upper body, which cannot be identified: "
+                f"{error}; or let speech move all joints (network.modulate=all)"
+            ) from None
     vectors = []
     for item, motion in zip(items, motions, strict=True):
         try:

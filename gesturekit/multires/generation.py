@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +30,8 @@ if TYPE_CHECKING:
 
 _TOO_FAST = 1.25
 _STROLL = 0.1
-"""Times the fastest second in training, and m/s: faster than both is worth a warning."""
+"""Times the fastest second in training, and m/s for the reference body: faster than both is worth
+a warning."""
 
 log = logging.getLogger(__name__)
 
@@ -80,12 +80,15 @@ class Generation:
         """What the levels are held to, the same for all motions; a warning if it asks too much."""
         model, request = self.model, self.request
         if request.path is not None:
-            size = self.representation.size_of(request.skeleton)
-            own = replace(request.path, positions=request.path.positions / size)
+            own = request.path.scaled(1 / self.representation.size_of(request.skeleton))
             steps = np.diff(own.positions, axis=0)
             self._warn_of_speed("the path", fastest_second(steps, model.fps))
             return PathHold(
-                own, self.representation, model.normaliser, request.lengths, request.margin
+                own.scaled(1 / self.representation.scale),
+                self.representation,
+                model.normaliser,
+                request.lengths,
+                request.margin,
             )
         if request.kept is not None:
             self._warn_of_speed("between the kept parts the body", request.kept.fastest_gap())
@@ -94,7 +97,8 @@ class Generation:
 
     def _warn_of_speed(self, what: str, speed: float) -> None:
         fastest = self.model.fastest
-        if fastest is not None and speed > max(_TOO_FAST * fastest, _STROLL):
+        stroll = _STROLL * self.representation.scale
+        if fastest is not None and speed > max(_TOO_FAST * fastest, stroll):
             log.warning(
                 "%s goes %.2f m/s; nothing in the training was faster than %.2f m/s, and feet will "
                 "slide",

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from gesturekit.motion.heading import headings, side_axis
-from gesturekit.motion.parts import upper_body
+from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
@@ -30,7 +30,7 @@ from gesturekit.multires.interpolation import resample
 Hold = Callable[[int, Tensor], Tensor]
 
 _SWAY = 0.03
-"""Metres by which the hips sway about a path, at most."""
+"""Metres (of the reference body) by which the hips sway about a path, at most."""
 _SWAY_SECONDS = 0.3
 """Spread of the average that tells the sway from the way, and a body's turns from its facing."""
 _BELIEVABLE = 3.0
@@ -45,7 +45,7 @@ class PathHold:
     along the path when it is made. The hips keep the fast part of their sway, 3 cm at most.
 
     Args:
-        path: T frames at the full rate.
+        path: T frames at the full rate, in metres of the reference body.
         representation: of the vectors.
         normaliser: of the vectors.
         lengths: frames of each level; the last is T or, with margins, 2 `margin` more.
@@ -124,7 +124,9 @@ class KeyframeHold:
         self.channels[representation.contact_columns] = 0
         free = np.ones(given.shape[1], bool)
         free[representation.contact_columns] = False
-        for name in set(representation.joints) & set(upper_body(representation.skeleton)):
+        rig = representation.skeleton
+        upper = () if unidentified(rig) else upper_body(rig)
+        for name in set(representation.joints) & set(upper):
             free[representation.joint_columns(name)] = False
         # Where all was given, nobody moved the feet to where they are.
         feet = edited[:, free].any(axis=1)

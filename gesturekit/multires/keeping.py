@@ -180,9 +180,10 @@ class PartsHold:
             span = begin + margin, begin + margin + part.n_frames
             values[slice(*span)] = representation.encode(part, turn=-kept.facing)
             self.spans.append(span)
-            places.append(turned_plane(ground_places(representation, part), -kept.facing))
-        # Metres that the free frames between two parts must travel; a part's first frame makes
-        # the step that leads into it.
+            ground = ground_places(representation, part) / representation.scale
+            places.append(turned_plane(ground, -kept.facing))
+        # Metres (of the reference body) that the free frames between two parts must travel; a
+        # part's first frame makes the step that leads into it.
         self.ways = [
             after[0] - before[-1] - values[span[0], [-3, -1]]
             for before, after, span in zip(places, places[1:], self.spans[1:], strict=False)

@@ -35,7 +35,7 @@ class _Places(nn.Module):
         joints: Sequence[int],
         points: np.ndarray | None = None,
     ) -> None:
-        """Of these joints of the skeleton, or of a point (F, 3) on each, metres from it."""
+        """Of one joint of the skeleton at least, or of a point (F, 3) on each, metres from it."""
         super().__init__()
         skeleton = representation.skeleton
         modelled = [skeleton.index(name) for name in representation.joints]
@@ -49,11 +49,14 @@ class _Places(nn.Module):
         place = {joint: i for i, joint in enumerate(order)}
         still = representation.fixed_translations
         offsets = [still.get(skeleton.names[j], skeleton.offsets[j]) for j in order]
+        # All lengths are those of the reference body, as in motion vectors.
+        offsets = [offset / representation.scale for offset in offsets]
         parents = [-1, *(place[skeleton.parents[j]] for j in order[1:])]
         at = [place[joint] for joint in joints]
         self.wanted: list[int] | slice = slice(None) if at == list(range(len(order))) else at
         if points is not None:
-            parents, offsets = [*parents, *at], [*offsets, *points]
+            parents = [*parents, *at]
+            offsets += [point / representation.scale for point in points]
             self.wanted = slice(len(order), None)
         self.chain = ForwardKinematics(parents, np.array(offsets))
         turning = [order[i] for i in self.chain.inner.tolist()]
@@ -85,6 +88,7 @@ class _Places(nn.Module):
 class VectorKinematics(nn.Module):
     """Reads positions and speeds off motion vectors (B, D, T) in their own units.
 
+    Metres are those of the reference body (`ModelJoints.scale`), so that losses are alike for all.
     Root displacement, contact speed and smoothness count per full-rate frame at every level:
     `stride` is how many full-rate frames lie between two frames of the level at hand.
     """
@@ -100,11 +104,13 @@ class VectorKinematics(nn.Module):
         modelled = [skeleton.index(name) for name in representation.joints]
         points = representation.foot_points
         self.joints = _Places(representation, modelled)
-        self.feet = _Places(
-            representation,
-            [skeleton.index(point.joint) for point in points],
-            np.array([point.offset for point in points]),
-        )
+        self.feet = None
+        if points:
+            self.feet = _Places(
+                representation,
+                [skeleton.index(point.joint) for point in points],
+                np.array([point.offset for point in points]),
+            )
         self.arms: list[int] = []
         if not arms:
             return
@@ -132,7 +138,7 @@ class VectorKinematics(nn.Module):
     ) -> Tensor:
         """Eq. 14: squared foot speed, (m/s)^2, where the contact label says the foot stands.
 
-        GANimator has the speed itself, m/s, and a slope of 12.
+        GANimator has the speed itself, m/s, and a slope of 12. The rig must have feet.
         """
         feet = self._foot_places(values)
         drift = _root_drift(values)

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gesturekit.motion.parts import upper_body
+from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.interpolation import reflect, resample
@@ -217,9 +217,11 @@ class MultiresGenerator(nn.Module):
 def modulated_blocks(representation: MultiresRepresentation, config: NetworkConfig) -> np.ndarray:
     """(B,) bool: the blocks that the condition modulates.
 
-    Speech never modulates a contact nor the root's displacement; `modulate: all` means them too.
+    Speech never modulates a contact nor the root's displacement; `modulate: all` means them too,
+    and so does `upper` on a rig whose upper body cannot be identified: a style modulates all of it.
     """
-    if config.modulate == "all":
+    nameless = config.modulate == "upper" and unidentified(representation.skeleton)
+    if config.modulate == "all" or nameless:
         return np.ones(len(representation.block_sizes), dtype=bool)
     if config.modulate == "upper":
         names = set(upper_body(representation.skeleton))

@@ -339,7 +339,7 @@ class Pair:
                 parts["adversarial"] = weights.adversarial * score
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1
-            if weights.contact and moves:
+            if weights.contact and moves:  # 0 on a rig without feet
                 squared = weights.contact_speed == "squared"
                 loss = kinematics.contact_loss(values, stride, weights.contact_slope, squared)
                 parts["contact"] = weights.contact * loss

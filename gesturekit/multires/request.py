@@ -104,7 +104,7 @@ class Request:
         if isinstance(start, (str, Path)):
             start = Motion.load(start)
         kept = None if keep is None else KeptParts(keep, model.representation, model.fps)
-        way = None if path is None else as_root_path(path)
+        way = None if path is None else as_root_path(path, model.representation.scale)
         is_led = speech is None and seconds is None
 
         def fitted(n_frames: int | None) -> Motion:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import copy
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from tqdm import tqdm
 
 from gesturekit.errors import ConfigError
+from gesturekit.motion.parts import find_legs, unidentified
 from gesturekit.multires.bank import Bank
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.data import TrainingData, load_training_data
@@ -23,6 +25,7 @@ from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.pair import Pair
 from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
+from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import seeded
 from gesturekit.training.session import session
 
@@ -72,6 +75,7 @@ class Trainer:
                 f"{processes.count} processes (whole sequences go one at a time)"
             )
         self.data = self._read(resume)
+        self.config = config = self._adapted(config)
         if self.data.unpaired_is_paired and processes.is_first:
             log.warning(
                 "The corpus has no unpaired speech: random steps draw windows of the paired speech."
@@ -113,6 +117,24 @@ class Trainer:
             self.folder.begin()
         self.processes.wait()
         return TrainingData.load(folder, self.config) if data is None else data
+
+    def _adapted(self, config: MultiresConfig) -> MultiresConfig:
+        """The configuration without losses on parts that the rig does not have, said once."""
+        skeleton = self.data.representation.skeleton
+        missing = unidentified(skeleton)
+        if not missing:
+            return config
+        off, follows = {"arm_speed": 0.0, "arm_acceleration": 0.0}, []
+        if config.uses_arm_speed:
+            follows.append("no losses on the arms")
+        if find_legs(skeleton) is None:
+            off["contact"] = 0.0
+            follows += ["no contact labels or loss", "recordings keep their heading"]
+        if config.joints == "body":
+            follows.append("all joints are modelled")
+        if follows and self.processes.is_first:
+            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
+        return replace(config, losses=replace(config.losses, **off))
 
     @property
     def batch(self) -> int:
@@ -233,7 +255,8 @@ class Trainer:
                 for sequence in self.data.paired
             },
             speakers=self.data.speakers,
-            fastest=max(
+            fastest=self.data.representation.scale
+            * max(
                 fastest_second(
                     plain_values(self.data.normaliser, sequence.motion[None])[:, [-3, -1]],
                     self.config.fps,

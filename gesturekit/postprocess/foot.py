@@ -9,7 +9,7 @@ import numpy as np
 
 from gesturekit.motion.contacts import FootPoint, foot_points
 from gesturekit.motion.end_sites import real_end_sites
-from gesturekit.motion.parts import SIDES, find_parts
+from gesturekit.motion.parts import SIDES, find_legs, find_parts
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
@@ -66,7 +66,7 @@ def feet_of(skeleton: Skeleton) -> tuple[Foot, Foot]:
 
 
 def _feet(skeleton: Skeleton) -> Iterator[Foot]:
-    legs = find_parts(skeleton).legs
+    legs = find_legs(skeleton) or find_parts(skeleton).legs
     points, ends = foot_points(skeleton), real_end_sites(skeleton)
     for side in SIDES:
         leg = legs[side]

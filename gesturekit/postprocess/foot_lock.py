@@ -24,7 +24,7 @@ from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.ik import reachable, two_bone_ik
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_parts, leg_length
+from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.planting import GIVE_WAY, smooth_above
 from gesturekit.motion.rotations import (
     IDENTITY,
@@ -66,7 +66,7 @@ def lock_feet(
     """Take the sliding out of feet that stand.
 
     Args:
-        motion: T frames of any rig with two legs.
+        motion: T frames of any rig; one without two legs that can be identified stays as it is.
         contacts: (T, F) contact labels of `gesturekit.motion.contacts.foot_points`, over 0.5 where
             a point stands; None judges by speed and height.
         keep_path: leave the hips on their path even where both feet slide along with it, for
@@ -77,8 +77,10 @@ def lock_feet(
         Frames without contact keep their pose to the last bit.
 
     Raises:
-        MotionError: legs that cannot be told, or labels of another shape.
+        MotionError: labels of another shape.
     """
+    if find_legs(motion.skeleton) is None:
+        return motion
     return _FootLock(motion, contacts).locked(keep_path)
 
 
@@ -273,8 +275,9 @@ def _turn_to(
 def _shifted(motion: Motion, shift: np.ndarray, turned: np.ndarray) -> Motion:
     """The motion with its body moved by `shift` (T, 3): the joint that carries it about moves."""
     skeleton = motion.skeleton
-    pelvis = skeleton.index(find_parts(skeleton).pelvis)
-    for j in (pelvis, *skeleton.ancestors(pelvis)):
+    hips = [skeleton.index(leg.hip) for leg in find_legs(skeleton).values()]
+    above_both = set(skeleton.ancestors(hips[0])) & set(skeleton.ancestors(hips[1]))
+    for j in sorted(above_both, reverse=True):
         if skeleton.names[j] in motion.joint_translations:
             own = rotate_vectors(invert_quaternions(turned[:, skeleton.parents[j]]), shift)
             moving = dict(motion.joint_translations)

@@ -16,7 +16,7 @@ from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import upper_body
+from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import normalize_quaternions, rotation_angles
 
 _GESTURE = 6.0
@@ -31,7 +31,7 @@ def smooth_motion(motion: Motion, seconds: float) -> Motion:
     """Smooth the upper body but for its beats; legs, feet and the path of the body stay.
 
     Args:
-        motion: T frames of any rig.
+        motion: T frames of any rig; one whose upper body cannot be identified stays as it is.
         seconds: movements that are shorter go, except around peaks of speed; cutoff 1 / (2 x
             seconds) Hz. From 1/12 s down nothing but the 6 Hz low-pass is left.
 
@@ -39,10 +39,12 @@ def smooth_motion(motion: Motion, seconds: float) -> Motion:
         The motion with other rotations of the spine and all above it. No frame is shifted.
 
     Raises:
-        MotionError: seconds is not positive and finite, or parts that cannot be told.
+        MotionError: seconds is not positive and finite.
     """
     if not (np.isfinite(seconds) and seconds > 0):
         raise MotionError(f"smooth {seconds}: expected a positive number of seconds")
+    if unidentified(motion.skeleton):
+        return motion
     joints = [motion.skeleton.index(name) for name in upper_body(motion.skeleton)]
     turns = _without_sign_flips(motion.rotations[:, joints])
     gesture = _low_pass(turns, _GESTURE, motion.fps)

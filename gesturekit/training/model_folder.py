@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,11 +16,14 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import ConfigError, ModelError
+from gesturekit.motion.parts import unidentified
 from gesturekit.training.config import dump_yaml, read_yaml
 
 FORMAT = 1
 
 Model = TypeVar("Model")
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         if not 0 < fps < math.inf:
             raise ValueError(f"fps is {fps}")
         rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
-        return assemble(ModelParts(folder, config, rig, load_file(folder / "model.safetensors")))
+        model = assemble(ModelParts(folder, config, rig, load_file(folder / "model.safetensors")))
     except (af.AudioFeaturesError, ModelError):
         raise
     except FileNotFoundError as error:
@@ -111,6 +115,15 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
     except Exception as error:
         # safetensors raises an error class of its own for a damaged file.
         raise ModelError(f"{folder}: model.safetensors is damaged ({error})") from error
+    if missing := unidentified(model.skeleton):
+        locked = "feet are not locked, and " if missing.startswith("legs") else ""
+        log.warning(
+            "%s: %s of the rig cannot be identified: %sno upper body is smoothed",
+            folder,
+            missing,
+            locked,
+        )
+    return model
 
 
 def model_readme(rows: Mapping[str, str], call: str) -> str:

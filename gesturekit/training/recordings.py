@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -9,8 +10,11 @@ from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.manifest import Item, Manifest
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import find_parts
 from gesturekit.motion.representation import reference_skeleton
 from gesturekit.motion.skeleton import Skeleton
+
+log = logging.getLogger(__name__)
 
 
 def training_items(manifest: Manifest, corpus: Path, *, heard: bool) -> tuple[Item, ...]:
@@ -79,6 +83,11 @@ def load_motions(
         different = first_difference(motions[-1].skeleton, motions[0].skeleton)
         if different:
             raise CorpusError(f"{corpus}: item {item.id}: another skeleton: {different}")
+    if parts:
+        try:
+            find_parts(motions[0].skeleton)
+        except MotionError as error:
+            log.warning("parts: %s", error)
     return motions
 
 

@@ -10,6 +10,12 @@ from typing import Any, Literal
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import KNOWN_PARTS
 
+UNIDENTIFIED = (
+    "%s of the rig cannot be identified: %s. If it has them, name them by hand "
+    "(parts: {left_knee: JOINT, ...})."
+)
+"""Log message of a run whose rig lacks parts: which, and what follows."""
+
 
 def check_positive(**values: float) -> None:
     """Raises ConfigError for what is not above 0 and finite."""

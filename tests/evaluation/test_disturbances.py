@@ -12,7 +12,7 @@ import soundfile
 from audio_features import Wave
 from gesturekit.evaluation import acceleration, arm_speed, foot_skate, jerk, joint_speed, sync
 from gesturekit.evaluation import wrist_speed as wrist_speeds
-from gesturekit.evaluation.clips import Clip, body_names
+from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import GROUPS, PatchOptions
 from gesturekit.evaluation.measures import Known, Measurer
 from gesturekit.evaluation.pairs import Pair
@@ -24,6 +24,7 @@ from gesturekit.evaluation.rhythm import (
 )
 from gesturekit.evaluation.semantic import read_semantic
 from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 
 SECONDS = 30
@@ -119,7 +120,7 @@ def measured(pair_of_files, tmp_path_factory):
     known = Known.of({"speech": folder / "speech.npz"}, recording.fps)
     measurer = Measurer(known, GROUPS, PatchOptions())
     pair = Pair("speech", "speech", None, folder / "g.npz", folder / "speech.npz", sound)
-    joints = body_names(recording.skeleton)
+    joints = body_joints(recording.skeleton)
 
     def measure(motion: Motion) -> dict[str, float]:
         clip = Clip(pair, motion, recording, joints, read_semantic(table), ())

@@ -10,7 +10,7 @@ import torch
 
 from audio_features import level_lengths
 from gesturekit.corpus import prepare
-from gesturekit.errors import ConfigError, CorpusError, MotionError
+from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.motion.representation import MultiresRepresentation
@@ -155,7 +155,7 @@ def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, wri
     replace(motion, skeleton=replace(rig, names=names, end_sites={})).save(folder / "a.bvh")
     prepare([folder], tmp_path / "nameless.jsonl", holdout=0.0)
     corpus = str(tmp_path / "nameless.jsonl")
-    with pytest.raises(MotionError, match=r"left_elbow.*parts: \{left_elbow: JOINT"):
+    with pytest.raises(ConfigError, match=r"left_elbow.*parts: \{left_elbow: JOINT"):
         load_training_data(make_config(corpus=corpus))
     parts = {
         f"{side}_{part}": names[rig.index(side.title() + joint)]

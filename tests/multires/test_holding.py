@@ -37,7 +37,7 @@ def folder(gesture, tmp_path_factory):
     values |= {"corpus": str(where / "clip.jsonl")}
     values["network"] = {"levels": 4, "channels": [3, 3]}
     values["schedule"] = {"window": None, "first_pair": 40, "further_pairs": 20, "bank": 4}
-    values["schedule"] |= {"discriminator_steps": 1, "learning_rate": 5e-3}
+    values["schedule"] |= {"discriminator_steps": 1, "learning_rate": 2e-3}
     return train(build(MultiresConfig, values))
 
 

@@ -39,8 +39,9 @@ def test_feet_and_joints_are_where_the_motion_core_says(representation, walker, 
     joints, feet = kinematics.places(values).permute(0, 3, 1, 2), kinematics._foot_places(values)
     index = [walker.skeleton.index(name) for name in representation.joints]
     root = walker.translation[:, None] * [1, 0, 1]
-    np.testing.assert_allclose(joints[0], walker.positions()[:, index] - root, atol=1e-5)
-    np.testing.assert_allclose(feet[0], foot_positions(walker) - root, atol=1e-5)
+    scale = representation.scale
+    np.testing.assert_allclose(joints[0] * scale, walker.positions()[:, index] - root, atol=1e-5)
+    np.testing.assert_allclose(feet[0] * scale, foot_positions(walker) - root, atol=1e-5)
 
 
 def test_arm_speed_is_that_of_the_evaluation(representation, walker, values):

@@ -1,0 +1,409 @@
+"""Any rig is prepared, trained on and rendered: no legs, no arms, no names that say anything."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+import gesturekit as gk
+from gesturekit.corpus import prepare
+from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.diffusion.trainer import train as train_diffusion
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.contacts import foot_points
+from gesturekit.motion.parts import unidentified
+from gesturekit.motion.root_path import RootPath
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.trainer import train as train_multires
+from gesturekit.rendering.render import Output, render
+from gesturekit.training.config import build
+
+Bones = dict[str, tuple[str | None, tuple[float, float, float]]]
+
+TINY = {
+    "multires": {
+        "network": {"levels": 3, "channels": [2, 2], "embedding": 4},
+        "schedule": {
+            "first_pair": 2,
+            "further_pairs": 2,
+            "discriminator_steps": 1,
+            "batch": 2,
+            "window": 1.0,
+            "bank": 2,
+        },
+    },
+    "diffusion": {
+        "network": {
+            "blocks": 1,
+            "layers": 1,
+            "channels": 8,
+            "heads": 2,
+            "feedforward": 8,
+            "embedding": 8,
+            "dilations": [0],
+        },
+        "noise": {"steps": 4},
+        "training": {"updates": 2, "batch": 2, "window": 1.0},
+    },
+}
+SYSTEMS = {
+    "multires": (MultiresConfig, train_multires),
+    "diffusion": (DiffusionConfig, train_diffusion),
+}
+
+
+def chain(names: list[str], parent: str | None, *offsets: tuple[float, float, float]) -> Bones:
+    bones: Bones = {}
+    for number, name in enumerate(names):
+        bones[name] = (parent, offsets[min(number, len(offsets) - 1)])
+        parent = name
+    return bones
+
+
+def quadruped() -> Bones:
+    bones = chain(["Root", "Back", "Withers", "Skull"], None, (0, 0, 0), (0, 0, 0.4), (0, 0.1, 0.3))
+    for side, x in (("L", 0.15), ("R", -0.15)):
+        for end, above in (("Fore", "Withers"), ("Hind", "Root")):
+            names = [f"{side}_{end}{part}" for part in ("Upper", "Lower", "Paw")]
+            bones |= chain(names, above, (x, -0.1, 0.0), (0, -0.3, 0.05))
+    return bones
+
+
+def crab() -> Bones:
+    bones: Bones = {"Shell": (None, (0, 0, 0))}
+    for number in range(10):
+        angle = np.pi * number / 5
+        out = (np.cos(angle), 0.0, np.sin(angle))
+        bones |= chain([f"Claw{number}_{k}" for k in range(3)], "Shell", out, (0.3, -0.2, 0.0))
+    return bones
+
+
+def person(skeleton: Skeleton, *without: str) -> Bones:
+    names = [name for name in skeleton.names if not name.startswith(without)]
+    parents = [skeleton.parents[skeleton.index(name)] for name in names]
+    return {
+        name: (
+            None if parent < 0 else skeleton.names[parent],
+            tuple(skeleton.offsets[skeleton.index(name)]),
+        )
+        for name, parent in zip(names, parents)
+    }
+
+
+RIGS: dict[str, Callable[[Skeleton], Bones]] = {
+    "quadruped": lambda _: quadruped(),
+    "crab": lambda _: crab(),
+    "snake": lambda _: chain([f"Link{k}" for k in range(12)], None, (0.0, 0.0, 0.2)),
+    "one arm": lambda person_: person(person_, "RightShoulder", "RightArm", "RightFore", "RightH"),
+    "no head": lambda person_: person(person_, "Neck", "Head"),
+    "3 joints": lambda _: chain(["a", "b", "c"], None, (0, 0, 0), (0, 0.5, 0)),
+    "Chinese": lambda _: chain(["根", "脊椎", "头"], None, (0, 0.4, 0)),
+    "blanks": lambda _: chain(["the root", "upper arm", "fore arm"], None, (0, 0.4, 0)),
+    "300 joints": lambda _: (
+        {"hub": (None, (0.0, 0.0, 0.0))}
+        | {
+            name: bone
+            for k in range(23)
+            for name, bone in chain([f"{k}.{n}" for n in range(13)], "hub", (0.1, 0, 0.1)).items()
+        }
+    ),
+}
+
+
+def moving(bones: Bones, seconds: float = 2.0, fps: float = 30.0, seed: int = 0) -> Motion:
+    """A motion in which every joint swings and the root goes to and fro."""
+    names = tuple(bones)
+    parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
+    rig = Skeleton(names, parents, np.array([offset for _, offset in bones.values()]))
+    n_frames = round(seconds * fps)
+    time = np.arange(n_frames)[:, None, None] / fps
+    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, (len(names), 3))
+    turns = Rotation.from_euler("xyz", (0.2 * np.sin(4 * time + phase)).reshape(-1, 3))
+    place = [0.1, 0.02, 0.1] * np.sin(3 * time[:, 0] + phase[0]) + [0.0, 0.9, 0.0]
+    return Motion(rig, turns.as_quat().reshape(n_frames, len(names), 4), place, fps)
+
+
+def prepared(folder: Path, motions: dict[str, Motion], suffix: str = "bvh") -> Path:
+    """The manifest of motions, each of a style of its own name."""
+    (folder / "clips").mkdir(parents=True)
+    for name, motion in motions.items():
+        motion.save(folder / "clips" / f"{name}.{suffix}")
+    out = folder / "corpus.jsonl"
+    report = prepare(
+        [], out, unpaired_motion=[folder / "clips"], holdout=0.0, style_pattern="(?P<style>.+)"
+    )
+    assert len(report.manifest) == len(motions), report.problems
+    return out
+
+
+def trained(system: str, corpus: Path, out: Path, **changes) -> Path:
+    values = {"system": system, "corpus": str(corpus), "out": str(out), "threads": 1, "fps": 30.0}
+    values |= {"features": None, "device": "cpu", **TINY[system], **changes}
+    schema, train = SYSTEMS[system]
+    return train(build(schema, values))
+
+
+def check_all(
+    folder: Path, bones: Bones, system: str, labels: bool, formats: tuple[str, ...], watch: int = 0
+):
+    """Prepare, train and render; what came of it."""
+    motions = {f"s{seed}": moving(bones, seed=seed) for seed in range(2)}
+    corpus = prepared(folder, motions)
+    told = {"styles": {}} if labels else {}
+    model = gk.load(trained(system, corpus, folder / "run", eval_every=watch, **told))
+    assert sorted(model.skeleton.names) == sorted(bones)
+    controls = {"style": "s1"} if labels else {}
+    made = list(render(model, [], folder / "out", seconds=1.0, output=Output(formats), **controls))
+    assert [outcome.error for outcome in made] == [None]
+    for file in made[0].files:
+        assert file.stat().st_size > 0
+    again = Motion.load(folder / "out" / "motion.bvh")
+    assert again.n_frames == 30 and len(again.skeleton.names) == len(bones)
+    return model
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("name", RIGS)
+def test_a_rig_of_any_kind_trains_and_moves(name, system, skeleton, tmp_path, caplog):
+    bones = RIGS[name](skeleton)
+    with caplog.at_level(logging.INFO):
+        model = check_all(
+            tmp_path, bones, system, name == "crab", ("bvh",), watch=2 * (name == "snake")
+        )
+    missing = unidentified(model.skeleton)
+    assert bool(missing) == (name != "no head")
+    assert caplog.text.count("If it has them, name them by hand") == bool(missing)
+    assert caplog.text.count("upper body is smoothed") == bool(missing)
+    if name == "one arm":
+        assert len(foot_points(model.skeleton)) == 2
+        assert "feet are not locked" not in caplog.text
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("labels", [False, True], ids=["free", "styles"])
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("name", RIGS)
+def test_every_rig_trains_in_every_mode_and_is_drawn(name, system, labels, skeleton, tmp_path):
+    bones = RIGS[name](skeleton)
+    check_all(tmp_path, bones, system, labels, ("bvh", "npz", "html", "png"), watch=2)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("fps", [10.0, 240.0])
+def test_recordings_of_any_rate_train(fps, system, gesture, tmp_path):
+    corpus = prepared(tmp_path, {"one": gesture(3.0, fps)})
+    model = gk.load(trained(system, corpus, tmp_path / "run", fps=fps))
+    made = model.generate(seconds=0.5)
+    assert (made.fps, made.n_frames) == (fps, fps / 2)
+
+
+def test_a_file_of_two_roots_is_refused_by_name(gesture, tmp_path):
+    (tmp_path / "clips").mkdir()
+    file = tmp_path / "clips" / "two.bvh"
+    gesture(2.0).save(file)
+    text = file.read_text()
+    second = "ROOT Tail\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n}\nMOTION"
+    file.write_text(text.replace("MOTION", second))
+    report = prepare([], unpaired_motion=[tmp_path / "clips"])
+    assert not len(report.manifest)
+    assert "two.bvh" in str(report.problems[0]) and "Tail" in str(report.problems[0])
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_joints_of_one_name_and_names_with_blanks_train(system, gesture, tmp_path):
+    (tmp_path / "clips").mkdir()
+    file = tmp_path / "clips" / "twins.bvh"
+    gesture(2.0).save(file)
+    text = file.read_text().replace("RightForeArm", "LeftForeArm").replace("Head", "the  head ")
+    file.write_text(text)
+    prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path / "clips"], holdout=0.0)
+    model = gk.load(trained(system, tmp_path / "c.jsonl", tmp_path / "run"))
+    assert {"LeftForeArm", "LeftForeArm_2"} <= set(model.skeleton.names)
+    assert model.generate(seconds=0.5).n_frames == 15
+
+
+def test_speech_that_should_move_an_upper_body_nobody_finds_names_the_way_out(
+    write_speech, tmp_path
+):
+    moving(crab(), 3.0).save(tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 3.0)
+    corpus = tmp_path / "corpus.jsonl"
+    report = prepare([tmp_path], corpus, holdout=0.0)
+    notes = " ".join(str(problem) for problem in report.problems)
+    assert "network.modulate=all" in notes and "--part" in notes
+    values = {"features": {}}
+    with pytest.raises(ConfigError, match=r"parts: .*network\.modulate=all"):
+        trained("multires", corpus, tmp_path / "run", **values)
+    network = {**TINY["multires"]["network"], "modulate": "all"}
+    folder = trained("multires", corpus, tmp_path / "all", **values, network=network)
+    assert gk.load(folder).generate(tmp_path / "a.wav").n_frames == 90
+    folder = trained("diffusion", corpus, tmp_path / "diffusion", **values)
+    assert gk.load(folder).generate(tmp_path / "a.wav").n_frames == 90
+
+
+def scaled(motion: Motion, factor: float) -> Motion:
+    moved = {name: places * factor for name, places in motion.joint_translations.items()}
+    return replace(
+        motion,
+        skeleton=motion.skeleton.scaled(factor),
+        translation=motion.translation * factor,
+        joint_translations=moved,
+    )
+
+
+def manifest_of(folder: Path, motions: dict[str, Motion]) -> Path:
+    """A manifest that no check has seen: sizes are not judged here."""
+    folder.mkdir(parents=True)
+    items = []
+    for name, motion in motions.items():
+        motion.save(folder / f"{name}.npz")
+        item = {"id": name, "motion": f"{name}.npz", "duration": motion.duration, "style": name}
+        item |= {"audio": None, "audio_start": 0.0, "motion_start": 0.0, "speaker": None}
+        items.append(item | {"split": "train", "text": None, "mirror": False, "conditions": {}})
+    path = folder / "corpus.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in ({"schema": 1}, *items)))
+    return path
+
+
+def losses(run: Path) -> list[dict[str, float]]:
+    rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    return [
+        {key: value for key, value in row.items() if "seconds" not in key and key != "time"}
+        for row in rows
+    ]
+
+
+EVERY_LOSS = {"losses": {"detail": 1.0, "coarse": 1.0}}
+WAYS = {
+    "multires": ("multires", EVERY_LOSS),
+    "multires by style": ("multires", {"styles": {}, **EVERY_LOSS}),
+    "diffusion": ("diffusion", {}),
+    "diffusion on a path": ("diffusion", {"path": True}),
+}
+
+
+def at_scale(factor: float, motions: dict[str, Motion], way: str, folder: Path):
+    """Losses of two steps on motions of another size, the model, and what it makes."""
+    system, changes = WAYS[way]
+    bodies = {name: scaled(motion, factor) for name, motion in motions.items()}
+    corpus = manifest_of(folder, bodies)
+    model = gk.load(trained(system, corpus, folder / "run", log_every=1, **changes))
+    places = factor * np.linspace([0.0, 0.0], [0.4, 1.0], 60)
+    told = {"path": RootPath.looking_ahead(places, 30.0, factor), "seconds": 2.0}
+    if way == "diffusion":
+        del told["path"]
+    if "styles" in changes:
+        told["style"] = "a"
+    return losses(folder / "run"), model, model.generate(**told, foot_lock=False)
+
+
+def check_scale(factor: float, motions: dict[str, Motion], way: str, folder: Path) -> None:
+    usual, model, made = at_scale(1.0, motions, way, folder / "1")
+    rows, other, larger = at_scale(factor, motions, way, folder / "c")
+    assert other.representation.scale == pytest.approx(factor * model.representation.scale)
+    assert len(rows) == len(usual) > 1
+    for row, expected in zip(rows, usual):
+        assert row == pytest.approx(expected, rel=1e-4, abs=1e-6)
+    weights = model.network.state_dict()
+    for name, values in other.network.state_dict().items():
+        torch.testing.assert_close(values, weights[name], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(larger.positions() / factor, made.positions(), atol=1e-3)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_training_does_not_depend_on_the_size_of_the_rig(way, gesture, tmp_path):
+    check_scale(0.1, {"a": swaying(gesture, 1), "b": swaying(gesture, 2)}, way, tmp_path)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_model_from_before_sizes_were_kept_has_lengths_in_metres(system, gesture, tmp_path):
+    folder = trained(system, manifest_of(tmp_path / "c", {"a": gesture(2.0)}), tmp_path / "run")
+    path = folder / "skeleton.json"
+    rig = json.loads(path.read_text())
+    scale = rig["motion"].pop("scale")
+    model, asked = gk.load(folder), {"seconds": 1.0, "foot_lock": False}
+    height = model.generate(**asked).positions()[:, 0, 1]
+    path.write_text(json.dumps(rig))
+    before = gk.load(folder).generate(**asked).positions()[:, 0, 1]
+    np.testing.assert_allclose(height, before * scale)
+    assert abs(scale - 1) > 0.01
+    rig["motion"]["scale"] = 0.0
+    path.write_text(json.dumps(rig))
+    with pytest.raises(ModelError, match=r"damaged \(scale: 0"):
+        gk.load(folder)
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("factor", [0.5, 2.0, 10.0])
+@pytest.mark.parametrize("way", WAYS)
+def test_training_is_the_same_at_every_size(way, factor, gesture, tmp_path):
+    check_scale(factor, {"a": swaying(gesture, 1), "b": swaying(gesture, 2)}, way, tmp_path)
+
+
+def swaying(gesture, seed: int) -> Motion:
+    """A gesture whose root goes to and fro."""
+    motion = gesture(2.0, seed=seed)
+    way = [0.1, 0.02, 0.1] * np.sin(3 * motion.times[:, None] + [0.0, 1.0, 2.0])
+    return replace(motion, translation=motion.translation + way)
+
+
+def recordings(folder: Path) -> list[Path]:
+    """Some real motions of each kind; all of one rig differ by their movement alone."""
+    kinds = [sorted(folder.glob(p)) for p in ("motion/*", "paired/*", "smpl/*.npz")]
+    return [
+        next(iter(sorted(path.rglob("*.bvh"))), path) if path.is_dir() else path
+        for paths in kinds
+        for path in paths
+    ]
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_real_recordings_train_alike_at_every_size(system, factor, shared_data, tmp_path):
+    for number, path in enumerate(recordings(shared_data)):
+        motion = Motion.load(path)
+        motion = motion.slice(0, min(motion.n_frames, round(3 * motion.fps)))
+        check_scale(factor, {"a": motion}, system, tmp_path / str(number))
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_every_real_recording_is_prepared_trained_on_and_rendered(system, shared_data, tmp_path):
+    files = [*shared_data.rglob("*.bvh"), *(shared_data / "smpl").glob("*.npz")]
+    assert files
+    for number, path in enumerate(files):
+        motion = Motion.load(path)
+        motion = motion.slice(0, min(motion.n_frames, round(10 * motion.fps)))
+        folder = tmp_path / str(number)
+        corpus = prepared(folder, {"a": motion})
+        model = gk.load(trained(system, corpus, folder / "run"))
+        (made,) = render(model, [], folder / "out", seconds=1.0)
+        assert made.error is None, path
+
+
+@pytest.mark.stress
+def test_speech_moves_bodies_of_every_size_alike(gesture, write_speech, tmp_path):
+    results = {}
+    for factor in (1.0, 0.1, 10.0):
+        folder = tmp_path / f"{factor}"
+        corpus = manifest_of(folder, {"a": scaled(swaying(gesture, 1), factor)})
+        sound = write_speech(folder / "a.wav", 2.0)
+        corpus.write_text(corpus.read_text().replace('"audio": null', '"audio": "a.wav"'))
+        run = trained("multires", corpus, folder / "run", features={}, log_every=1)
+        made = gk.load(run).generate(sound, foot_lock=False)
+        results[factor] = losses(folder / "run"), made.positions() / factor
+    usual, places = results.pop(1.0)
+    for rows, others in results.values():
+        for row, expected in zip(rows, usual, strict=True):
+            assert row == pytest.approx(expected, rel=1e-4, abs=1e-6)
+        np.testing.assert_allclose(others, places, atol=1e-3)
