@@ -45,11 +45,16 @@ def inspect_manifest(path: Path) -> Sheet:
     rows = [
         (name.replace("_", " "), _amount(items)) for name, items in groups.items() if len(items)
     ]
-    for name in ("speakers", "styles", "conditions"):
+    facts["reading"] = _counts(
+        ", ".join(f"{name} {value}" for name, value in item.reading.items() if name != "parts")
+        for item in manifest
+        if item.reading
+    )
+    for name in ("speakers", "styles", "conditions", "reading"):
         if facts[name]:
             shown = [f"{value} ({count})" for value, count in facts[name].items()]
             rows.append((name, listed(shown, 12)))
-        elif name != "conditions":
+        elif name in ("speakers", "styles"):
             rows.append((name, "none named"))
     if facts["mirrored"]:
         rows.append(("mirrored", f"{facts['mirrored']} of {len(manifest)}"))

@@ -46,7 +46,7 @@ def test_a_figure_of_any_size_in_any_unit_is_read_back_at_its_size(gesture, tmp_
 
 
 def test_any_frame_rate_is_read_back_exactly(gesture, tmp_path):
-    rates = [*RATES, *np.random.default_rng(0).uniform(0.5, 240, 200).round(3)]
+    rates = [*RATES, *np.random.default_rng(0).uniform(0.5, 240, 40).round(3)]
     for fps in rates:
         write_bvh(replace(gesture(0.1), fps=fps), tmp_path / "a.bvh")
         assert read_bvh(tmp_path / "a.bvh").fps == fps
