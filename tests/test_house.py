@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# What each room of gesturekit may import beside itself, audio_features and the five modules that
+# What each room of gesturekit may import beside itself, audio_features and the modules that
 # everyone may import.
 MAY_IMPORT: dict[str, set[str]] = {"motion": set()}
 MAY_IMPORT["formats"] = MAY_IMPORT["postprocess"] = {"motion"}
@@ -27,7 +27,7 @@ MAY_IMPORT["cli"] = {"diagnosis", "inspection", "rendering", "systems", *MAY_IMP
 # Modules that belong to no room. `systems` and the package itself lead upwards by name, lazily.
 MAY_IMPORT["systems"] = {"training"}
 MAY_IMPORT["diagnosis"] = {"systems"}
-EVERYONE_MAY_IMPORT = {"errors", "atomic", "archive", "compiled", "progress"}
+EVERYONE_MAY_IMPORT = {"errors", "atomic", "archive", "compiled", "progress", "wording"}
 MAY_IMPORT |= {module: set() for module in EVERYONE_MAY_IMPORT}
 
 # Where a string may name a module, to be imported when it is asked for.

@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 import audio_features as af
 from gesturekit.corpus.manifest import Item
 from gesturekit.corpus.speech import SpeechConditioner, extract
+from gesturekit.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def listen(
     Raises:
         AudioError: a file cannot be read.
     """
-    progress = tqdm(items, desc="Listening", unit="file", leave=False)
+    progress = Progress(items, desc="Speech features", unit="files")
     heard = [extract(item.load_wave(), extractor, fps, align) for item in progress]
     conditioner = SpeechConditioner.fit(heard, extractor, fps, align)
     # From the first to the last, each making room for what becomes of it.
