@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# What each room of gesturekit may import beside itself, audio_features and the modules that
+# What each room of gesturekit may import beside itself, audio_features and the five modules that
 # everyone may import.
 MAY_IMPORT: dict[str, set[str]] = {"motion": set()}
 MAY_IMPORT["formats"] = MAY_IMPORT["postprocess"] = {"motion"}

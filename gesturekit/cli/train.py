@@ -9,15 +9,15 @@ import click
 
 @click.command(
     "train",
-    epilog="Examples: gesturekit train recipes/multires_speech/light.yaml corpus=corpus.jsonl "
-    "out=runs/mine; gesturekit train --resume runs/mine",
+    epilog="Example: gesturekit train recipes/multires_speech/light.yaml corpus=corpus.jsonl "
+    "out=runs/mine",
 )
 @click.argument("config", type=click.Path(path_type=Path))
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 @click.option(
     "--resume",
     is_flag=True,
-    help="Go on from the last checkpoint of a run; its folder as CONFIG is enough.",
+    help="Go on from the last checkpoint: gesturekit train --resume runs/mine.",
 )
 @click.option(
     "--plan",
@@ -55,6 +55,7 @@ def _next_steps(model: Path) -> list[str]:
     import shlex
 
     from gesturekit.corpus import Manifest
+    from gesturekit.errors import CorpusError
     from gesturekit.training.config import read_yaml
 
     config, run = read_yaml(model / "config.yaml"), read_yaml(model.parent / "config.yaml")
@@ -71,7 +72,11 @@ def _next_steps(model: Path) -> list[str]:
     end = ["--model", str(model), *needed, "--out", "rendered"]
     lines = [f"Render with: {shlex.join([*start, *given, *end])}"]
     corpus = run["corpus"]
-    if hears and Manifest.load(corpus).paired("test"):
+    try:
+        is_held_out = hears and bool(Manifest.load(corpus).paired("test"))
+    except CorpusError:
+        is_held_out = False  # gone by now; the model does not need it
+    if is_held_out:
         split = ["--corpus", corpus, "--split", "test"]
         lines += [
             f"Held-out speech: {shlex.join([*start, *split, *end])}",

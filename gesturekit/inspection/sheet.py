@@ -10,9 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.wording import counted as counted
-from gesturekit.wording import span as span
-
 _LABEL = 15  # columns that labels take at most
 _PROBLEMS = 8
 
@@ -67,6 +64,18 @@ def size(n_bytes: int) -> str:
             return f"{n_bytes:.0f} {unit}" if unit == "bytes" else f"{n_bytes:.1f} {unit}"
         n_bytes /= 1000
     return f"{n_bytes:.1f} GB"
+
+
+def span(seconds: float) -> str:
+    """ "68.83 s", "12.5 min", "3.2 h"."""
+    if seconds < 120:
+        return f"{seconds:.2f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def counted(number: int, noun: str) -> str:
+    """ "1 joint", "2 joints"."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def listed(names: list[str] | tuple[str, ...], most: int = 6) -> str:

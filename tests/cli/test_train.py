@@ -178,7 +178,7 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert f"Run folder {tmp_path / 'run'}: multires, speech mode, 4 levels, 4 iterations" in (
         caplog.text
     )
-    assert "2 recordings, 8 s at 30 fps, trained at 25 fps" in caplog.text
+    assert "2 recordings, 9 s at 30 fps, trained at 25 fps" in caplog.text
     assert "19 of 19 joints modelled" in caplog.text
     assert re.search(r"Time: about \d+ ", caplog.text)
     assert train().status == 0
