@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -82,6 +83,31 @@ def described(sources: Sequence[Source], seconds: float, fps: float) -> str:
     count = n_recordings(sources)
     parts = f" in {len(sources)} parts" if len(sources) > count else ""
     return f"{counted(count, 'recording')}{parts}, {roughly(seconds)} {rates(sources, fps)}"
+
+
+def is_trained_on(
+    sources: Iterable[Source],
+    motion: Path | None,
+    audio: Path | None = None,
+    *,
+    start: float = 0.0,
+    duration: float = math.inf,
+) -> bool:
+    """Return whether a stretch of a recording overlaps what a model was trained on.
+
+    Args:
+        sources: of the model.
+        motion: the recording's motion file; files are compared by their content.
+        audio: its sound file, which counts where the motion file is another.
+        start: where the stretch begins, seconds.
+        duration: its length, seconds; of the whole recording by default.
+    """
+    files = {fingerprint(path) for path in (motion, audio) if path is not None}
+    return any(
+        files & {source.motion, source.audio}
+        and min(start + duration, source.start + source.duration) - max(start, source.start) > 0.05
+        for source in sources
+    )
 
 
 def to_values(sources: Iterable[Source]) -> list[dict[str, Any]]:
