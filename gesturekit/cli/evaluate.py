@@ -13,6 +13,7 @@ from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
+    from gesturekit.evaluation.results import ModelResult
 
 
 _RECORD = ".gesturekit-render.jsonl"
@@ -169,8 +170,12 @@ def command(
         raise
     for line in _table(found):
         click.echo(line)
-    for line in (*_notes(found), *_trained_on(found, dict(zip(folders, (generated, *others))))):
+    for line in _notes(found):
         click.echo(line, err=True)
+    for model, name in zip(found.models, (generated, *others)):
+        if warning := _trained_on(model, name):
+            click.echo(f"Warning: {model.label}: {warning}", err=True)
+            model.notes.append(warning)
     if json_out is not None:
         found.write_json(json_out)
         click.echo(f"written  {json_out}")
@@ -230,36 +235,35 @@ def _notes(found: Evaluation) -> Iterator[str]:
             yield f"Left out: {model.label}: {of}: {what}: {reason}"
 
 
-def _trained_on(found: Evaluation, named: Mapping[str, str]) -> Iterator[str]:
-    """Warnings of clips whose recording the model was trained on, as far as that is known."""
+def _trained_on(model: ModelResult, name: str) -> str:
+    """Return a warning where a model was trained on recordings that it is measured on.
+
+    Args:
+        model: what was measured.
+        name: as it was named on the command line: a folder of motion, or a model.
+    """
     from gesturekit.evaluation.pairs import Stretch
     from gesturekit.systems import model_folder
     from gesturekit.training.sources import is_trained_on, load_sources
 
-    for model in found.models:
-        folder = _made_by(model.path) or model_folder(named[model.label])
-        sources = load_sources(folder)
-        seen = set()
-        for pair in {clip.pair.stem: clip.pair for clip in model.clips}.values():
-            if not isinstance(pair.reference, Stretch):
-                known = is_trained_on(sources, pair.reference, pair.audio)
-            else:
-                item = pair.reference.item
-                known = item.split == "train" or is_trained_on(
-                    sources,
-                    item.motion,
-                    item.audio,
-                    start=item.motion_start,
-                    duration=item.duration,
-                )
-            seen |= {pair.stem} if known else set()
-        if seen:
-            of = {clip.pair.stem for clip in model.clips}
-            yield (
-                f"Warning: {model.label}: the model was trained on {len(seen)} of "
-                f"{counted(len(of), 'recording')}, or on a part of each "
-                f"({listed(sorted(seen), 3)}): the figures do not say how it does on new ones"
-            )
+    sources = load_sources(_made_by(model.path) or model_folder(name))
+    measured = {clip.pair.stem: clip.pair for clip in model.clips}
+    seen = []
+    for stem, pair in measured.items():
+        if isinstance(pair.reference, Stretch):
+            item = pair.reference.item
+            stretch = {"start": item.motion_start, "duration": item.duration}
+            known = item.split == "train"
+            known = known or is_trained_on(sources, item.motion, item.audio, **stretch)
+        else:
+            known = is_trained_on(sources, pair.reference, pair.audio)
+        seen += [stem] if known else []
+    if not seen:
+        return ""
+    return (
+        f"the model was trained on {len(seen)} of {counted(len(measured), 'recording')}, or on a "
+        f"part of each ({listed(seen, 3)}): the figures do not say how it does on new ones"
+    )
 
 
 def _made_by(rendered: Path) -> Path | None:

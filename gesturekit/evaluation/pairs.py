@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from gesturekit.errors import CorpusError
 from gesturekit.formats.sources import SPEECH_SUFFIXES
+from gesturekit.wording import counted
 
 if TYPE_CHECKING:
     from audio_features import Wave
@@ -213,9 +214,9 @@ def find_pairs(
         )
     if not found.pairs:
         raise CorpusError(
-            f"{generated}: none of its {len(made)} clips ({_some(made)}) has a recording of its "
-            f"name in {reference} ({_some(recorded)}); give them the same names, with _s1, _s2 "
-            "... for samples"
+            f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
+            f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
+            "_s1, _s2 ... for samples"
         )
     if sounds and not any(pair.audio for pair in found.pairs):
         raise CorpusError(

@@ -266,12 +266,13 @@ class Trainer:
 
     def _save(self, name: str, network: MultiresGenerator, notes: dict[str, str]) -> None:
         """Write a model of the run."""
+        files = 0 if self.data.unpaired_is_paired else len(self.data.unpaired)
         self._model(network).save(
             self.folder.folder / name,
             notes={
                 "Recordings": described(self.data.sources, self.seconds, self.config.fps),
-                "Unpaired speech": f"{len(self.data.unpaired)} files, {self.heard:.0f} s"
-                if self.data.n_speech and not self.data.unpaired_is_paired
+                "Unpaired speech": f"{roughly(self.heard)} in {counted(files, 'file')}"
+                if files and self.data.n_speech
                 else "none",
                 **notes,
                 **{str(key): str(value) for key, value in self.config.notes.items()},

@@ -185,7 +185,7 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     made.mkdir()
     (made / "other.npz").write_bytes(b"")
     done = gesturekit("evaluate", made, *corpus)
-    assert done.status == 2 and "none of its 1 clips" in done.err
+    assert done.status == 2 and "of 1 clip (other) none has a recording" in done.err
     both = gesturekit("evaluate", made, root / "recordings", *corpus)
     assert both.status == 2 and "Add --compare" in both.err
 
