@@ -59,21 +59,21 @@ def _next_steps(model: Path) -> list[str]:
     from gesturekit.training.config import read_yaml
 
     config, run = read_yaml(model / "config.yaml"), read_yaml(model.parent / "config.yaml")
-    hears = config.get("features") is not None
+    takes_speech = config.get("features") is not None
     needed = []
-    if weights := hears and run["features"].get("weights"):
+    if weights := takes_speech and run["features"].get("weights"):
         needed += ["--weights", weights]
     if config.get("path"):
         needed += ["--path", "way.csv"]
     if styles := config.get("styles"):
         needed += ["--style", str(styles[0])]
     start = ["gesturekit", "render"]
-    given = ["speech.wav"] if hears else [] if config.get("path") else ["--seconds", "20"]
+    given = ["speech.wav"] if takes_speech else [] if config.get("path") else ["--seconds", "20"]
     end = ["--model", str(model), *needed, "--out", "rendered"]
     lines = [f"Render with: {shlex.join([*start, *given, *end])}"]
     corpus = run["corpus"]
     try:
-        is_held_out = hears and bool(Manifest.load(corpus).paired("test"))
+        is_held_out = takes_speech and bool(Manifest.load(corpus).paired("test"))
     except CorpusError:
         is_held_out = False  # gone by now; the model does not need it
     if is_held_out:

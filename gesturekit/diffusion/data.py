@@ -54,7 +54,7 @@ class TrainingData:
         conditions: what the model is told.
         standardiser: of motion vectors.
         speakers: a reference skeleton for each named speaker.
-        sources: the paired recordings, or all where nothing is heard.
+        sources: the recordings with speech, or all for a model without speech input.
     """
 
     recordings: tuple[Recording, ...]

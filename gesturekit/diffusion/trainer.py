@@ -86,7 +86,7 @@ class _Trainer:
         self.held_out = HeldOut(
             config,
             run,
-            hears=self.data.conditions.conditioner is not None,
+            speech=self.data.conditions.conditioner is not None,
             styles=self.data.conditions.styles,
             path=config.path,
         )

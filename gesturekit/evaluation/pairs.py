@@ -79,7 +79,7 @@ class Items:
 
     @classmethod
     def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
-        """Recordings of a folder or file, read as `gesturekit.formats.conversion.load` is told.
+        """Recordings of a folder or file, read by options of `gesturekit.formats.conversion.load`.
 
         Raises:
             CorpusError: there is none.

@@ -87,7 +87,7 @@ class Trainer:
                 "The corpus has no unpaired speech: random steps draw windows of the paired speech."
             )
         self.held_out = HeldOut(
-            config, run, hears=self.data.conditioner is not None, styles=self.data.styles
+            config, run, speech=self.data.conditioner is not None, styles=self.data.styles
         )
         self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
         self.heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps

@@ -53,7 +53,7 @@ class HeldOut:
     Args:
         config: of the run.
         run: its folder, where figures are logged.
-        hears: whether the model is given the items' sound.
+        speech: whether the model is given the items' sound.
         styles: those that it knows.
         path: whether it is given the way that the root goes.
     """
@@ -63,13 +63,13 @@ class HeldOut:
         config: RunConfig,
         run: Run,
         *,
-        hears: bool,
+        speech: bool,
         styles: Collection[str] = (),
         path: bool = False,
     ) -> None:
         self.config = config
         self.run = run
-        self.hears = hears
+        self.speech = speech
         self.styles = styles
         self.path = path
         self._measured = time.monotonic()
@@ -82,7 +82,7 @@ class HeldOut:
             fitting = [
                 item
                 for item in Manifest.load(self.config.corpus)
-                if item.motion is not None and (item.audio is not None or not self.hears)
+                if item.motion is not None and (item.audio is not None or not self.speech)
                 if not self.styles or item.style in self.styles
             ]
         except GestureKitError as error:
@@ -148,7 +148,7 @@ class HeldOut:
             motion = item.load_motion(self.config.parts)
             n_frames = min(motion.n_frames, round(MOST_SECONDS * motion.fps))
             wave = None
-            if self.hears:
+            if self.speech:
                 wave = item.load_wave().slice(0.0, n_frames / motion.fps)
             clips.append(_Clip(item, motion.slice(0, n_frames), wave))
         return clips
