@@ -13,12 +13,13 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test stress lint format bench interop clean
+.PHONY: help setup demo test stress mutants lint format bench interop clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
 	@echo "make test    set up, then check style and run every test"
 	@echo "make stress  set up, then run the tests that take long (every recording, every scale)"
+	@echo "make mutants set up, then break the code in every kept way and see a test fail each time"
 	@echo "make setup   make $(VENV) with gesturekit and everything it needs"
 	@echo "make lint    check style only          make format  put style right"
 	@echo "make bench   run every benchmark, the quick way"
@@ -36,6 +37,9 @@ test: lint
 
 stress: setup
 	$(BIN)/python -m pytest -m stress $(PYTEST_ARGS)
+
+mutants: setup
+	$(BIN)/python tests/mutants/mutation.py $(MUTANTS_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -42,3 +42,15 @@ class Progress(tqdm):
         """Make room for a message; outside a terminal nothing is in its way."""
         if self._in_place:
             super().clear(nolock)
+
+
+def time_in_words(seconds: float) -> str:
+    """Return a time as people say it: 0.4 s, 12 s, 1 min 5 s, 2 h 3 min."""
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"

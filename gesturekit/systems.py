@@ -105,7 +105,9 @@ def load(
             f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
             "A newer kind needs a newer gesturekit"
         )
-    return _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
+    model = _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
+    model.folder = folder.resolve()
+    return model
 
 
 def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = False) -> Path:

@@ -76,6 +76,37 @@ def skeleton() -> Skeleton:
     )
 
 
+# Faces +Z: its spine is level, its head in front, its tail behind.
+QUADRUPED = {
+    "Pelvis": (None, (0.0, 0.0, 0.0)),
+    "Spine": ("Pelvis", (0.0, 0.02, 0.3)),
+    "Chest": ("Spine", (0.0, -0.02, 0.3)),
+    "Neck": ("Chest", (0.0, 0.2, 0.15)),
+    "Head": ("Neck", (0.0, 0.2, 0.15)),
+    "Tail1": ("Pelvis", (0.0, 0.05, -0.2)),
+    "Tail2": ("Tail1", (0.0, -0.2, -0.1)),
+    **{
+        f"{side}{joint}": (parent.format(side), offset)
+        for side, x in (("Left", 0.15), ("Right", -0.15))
+        for joint, parent, offset in (
+            ("UpperArm", "Chest", (x, -0.1, 0.0)),
+            ("ForeArm", "{}UpperArm", (0.0, -0.35, 0.0)),
+            ("Hand", "{}ForeArm", (0.0, -0.3, 0.02)),
+            ("UpLeg", "Pelvis", (x, -0.08, 0.0)),
+            ("Leg", "{}UpLeg", (0.0, -0.37, 0.0)),
+            ("Foot", "{}Leg", (0.0, -0.3, 0.02)),
+        )
+    },
+}
+
+
+@pytest.fixture(scope="session")
+def quadruped() -> Skeleton:
+    names = tuple(QUADRUPED)
+    parents = (-1 if parent is None else names.index(parent) for parent, _ in QUADRUPED.values())
+    return Skeleton(names, tuple(parents), np.array([offset for _, offset in QUADRUPED.values()]))
+
+
 @pytest.fixture(scope="session")
 def gesture(skeleton: Skeleton) -> Callable[..., Motion]:
     """gesture(seconds, fps=30, t_pose=0, seed=0): arms hang and swing, after a held T-pose."""

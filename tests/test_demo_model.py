@@ -129,8 +129,8 @@ def test_the_demo_command_leaves_every_format(tmp_path):
         text=True,
     )
     assert run.returncode == 0, run.stderr
-    names = {path.suffix for path in (tmp_path / "out").iterdir()}
-    assert names == {".bvh", ".npz", ".html", ".png"}
+    names = {path.suffix for path in (tmp_path / "out").glob("speech.*")}
+    assert names == {".bvh", ".npz", ".html", ".png", ".wav"}
     assert "Blender" in run.stdout and str(tmp_path / "out" / "speech.bvh") in run.stdout
     with np.load(tmp_path / "out" / "speech.npz", allow_pickle=False) as arrays:
         assert arrays["rotations"].shape[0] == arrays["translation"].shape[0]

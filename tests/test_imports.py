@@ -60,12 +60,13 @@ def test_the_program_and_the_module_are_the_same():
         assert re.search(rf"^  {verb} ", done.stdout, re.MULTILINE), verb
 
 
-def example_of(verb: str) -> str:
-    """The command line that ends a verb's help."""
+def examples_of(verb: str) -> list[str]:
+    """The command lines in a verb's help."""
     command = cli.get_command(click.Context(cli), verb)
     shown = " ".join(command.get_help(click.Context(command, info_name=verb)).split())
-    assert " Example: " in shown, f"{verb} --help has no example"
-    return shown.rpartition(" Example: ")[2]
+    lines = [line.removeprefix("Example: ") for line in command.epilog.splitlines() if line]
+    assert lines and all(" ".join(line.split()) in shown for line in lines), verb
+    return lines
 
 
 def check_command_line(line: str) -> None:
@@ -81,9 +82,10 @@ def check_command_line(line: str) -> None:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_the_example_in_the_help_works(verb):
-    assert example_of(verb).startswith(f"gesturekit {verb} ")
-    check_command_line(example_of(verb))
+def test_the_examples_in_the_help_work(verb):
+    for line in examples_of(verb):
+        assert line.startswith(f"gesturekit {verb} ")
+        check_command_line(line)
 
 
 @pytest.mark.parametrize(

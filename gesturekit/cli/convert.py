@@ -11,10 +11,12 @@ from gesturekit.cli.options import (
     RATE,
     UNITS,
     comma_separated,
+    existing_option,
     given,
     part_option,
     read_from,
     reading_options,
+    resumable,
     rig_part_option,
 )
 
@@ -51,13 +53,7 @@ WIDTH = 100
 @click.option(
     "--frame", type=int, metavar="N", help="Frame to write as obj; -1 is the last.  [default: 0]"
 )
-@click.option(
-    "--existing",
-    type=click.Choice(["refuse", "skip", "replace"]),
-    default="refuse",
-    show_default=True,
-    help="What to do where an output exists.",
-)
+@existing_option("refuse")
 @click.option("--dry-run", is_flag=True, help="Read and report, write nothing.")
 @reading_options
 @part_option
@@ -92,12 +88,11 @@ def command(
     """
     import sys
 
-    from tqdm import tqdm
-
     from gesturekit.formats.changes import Changes, parse_trim
     from gesturekit.formats.conversion import convert
     from gesturekit.formats.rig import Rig
     from gesturekit.motion.parts import parse_parts
+    from gesturekit.progress import Progress
 
     if rig_parts and rig is None:
         raise click.UsageError("--rig-part names parts of the body that --rig gives.")
@@ -120,19 +115,19 @@ def command(
         parts=parse_parts(parts),
         existing=existing,
         dry_run=dry_run,
-        # On a terminal only: a bar in a log file is noise.
-        progress=lambda jobs: tqdm(jobs, unit="file", disable=None, leave=False),
+        progress=lambda jobs: Progress(jobs, desc="Converting", unit="file"),
     )
     done = failed = 0
-    for outcome in outcomes:
-        done += 1
-        if outcome.error is None or outcome.files:
-            tqdm.write(_line(outcome))
-        for warning in outcome.warnings:
-            tqdm.write(f"Warning: {warning}", file=sys.stderr)
-        if outcome.error is not None:
-            failed += 1
-            tqdm.write(f"Failed: {outcome.error}", file=sys.stderr)
+    with resumable(lambda: f"{done} done; with --existing skip the same command goes on."):
+        for outcome in outcomes:
+            done += 1
+            if outcome.error is None or outcome.files:
+                Progress.write(_line(outcome))
+            for warning in outcome.warnings:
+                Progress.write(f"Warning: {warning}", file=sys.stderr)
+            if outcome.error is not None:
+                failed += 1
+                Progress.write(f"Failed: {outcome.error}", file=sys.stderr)
     if failed and done > 1:
         click.echo(f"{failed} of {done} failed.", err=True)
     if dry_run:

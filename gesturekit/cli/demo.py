@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from gesturekit.cli.options import existing_option, is_left, resumable
+
 
 @click.command("demo", epilog="Example: gesturekit demo --out gesturekit-demo")
 @click.option(
@@ -16,24 +18,40 @@ import click
     help="Folder to fill.",
 )
 @click.option("--seed", default=0, show_default=True, help="Another seed, another gesture.")
+@existing_option("refuse")
 @click.pass_context
-def command(ctx: click.Context, out: Path, seed: int) -> None:
-    """Render the bundled speech with the bundled model to BVH, npz, HTML and PNG."""
-    from gesturekit.rendering.render import render
+def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
+    """Render the bundled speech with the bundled model to BVH, npz, HTML and PNG.
+
+    The speech is written beside them.
+    """
+    click.echo("Loading the demo model ...", err=True)
+    from gesturekit.atomic import atomic_write
+    from gesturekit.rendering.render import Output, render
     from gesturekit.systems import bundled_speech, load
 
-    (outcome,) = render(
-        load("demo"), [bundled_speech()], out, formats=("bvh", "npz", "html", "png"), seed=seed
-    )
+    speech = bundled_speech()
+    output = Output(("bvh", "npz", "html", "png"), existing=existing)
+    # Beside the motion, to play with it in Blender.
+    wav = out / speech.name
+    is_there = wav.is_file() and wav.read_bytes() == speech.read_bytes()
+    if not is_there and not is_left([wav], existing):
+        with atomic_write(wav) as temporary:
+            temporary.write_bytes(speech.read_bytes())
+    model = load("demo")
+    click.echo(f"Rendering its speech into {out} ...", err=True)
+    with resumable(lambda: "The same command goes on."):
+        (outcome,) = render(model, [speech], out, output=output, seed=seed)
     if outcome.error is not None:
         click.echo(f"Failed: {outcome.error}", err=True)
         ctx.exit(1)
     uses = {
+        ".wav": "the speech; Blender: Add > Sound in the Video Sequencer",
         ".bvh": "Blender: File > Import > Motion Capture (.bvh); Scale 0.01, Forward -Z, Up Y,\n"
         "      tick Update Scene FPS and Update Scene Duration",
         ".npz": 'Python: gesturekit.Motion.load("...") or numpy.load',
         ".html": "any browser: double click; it plays with the sound",
         ".png": "any picture viewer: poses, hand speed and speech side by side",
     }
-    for path in outcome.files:
+    for path in (wav, *outcome.kept, *outcome.files):
         click.echo(f"{path}\n      {uses[path.suffix]}")

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import read_from, reading_options
+from gesturekit.cli.options import (
+    existing_option,
+    is_left,
+    read_from,
+    reading_options,
+    resumable,
+)
 from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
     from gesturekit.evaluation.results import ModelResult
-
-
-_RECORD = ".gesturekit-render.jsonl"
-"""What `gesturekit render` writes beside motion: JSON lines, which may name `model_folder`."""
 
 
 @click.command(
@@ -88,6 +90,7 @@ _RECORD = ".gesturekit-render.jsonl"
     help="Distance below which a patch is covered.  [default: 2.0; none for paper]",
 )
 @click.option("--seed", default=0, show_default=True, help="Of samples and intervals.")
+@existing_option("replace", note="; samples of an earlier run are only skipped or refused")
 @reading_options
 @click.pass_context
 def command(
@@ -110,6 +113,7 @@ def command(
     variant: str,
     threshold: float | None,
     seed: int,
+    existing: str,
     **reading: object,
 ) -> None:
     """Measure generated motion (GENERATED: folder or file, npz or BVH) against recordings.
@@ -141,17 +145,21 @@ def command(
         raise click.UsageError(f"what is {others[0]}? Add --compare to compare with it")
     if compare and not others:
         raise click.UsageError("--compare needs folders to compare with, named last")
+    out, json_out = (
+        None if path is None or is_left([path], existing) else path for path in (out, json_out)
+    )
     for path in filter(None, (out, json_out)):
         _require_writable(path)
     folders = _folders(
         (generated, *others),
-        reference or corpus,
+        reference or Path(),  # with --corpus no model is sampled
         audio,
         protocol,
         samples,
         samples_dir,
         weights,
         seed,
+        existing,
     )
     try:
         found = evaluate(
@@ -270,8 +278,10 @@ def _made_by(rendered: Path) -> Path | None:
     """The model folder that the record beside rendered motion names, if it does."""
     import json
 
+    from gesturekit.rendering.record import RECORD
+
     try:
-        lines = (rendered / _RECORD).read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = (rendered / RECORD).read_text(encoding="utf-8", errors="replace").splitlines()
         return Path(json.loads(lines[-1])["model_folder"])
     except (OSError, ValueError, KeyError, IndexError, TypeError):
         return None
@@ -306,10 +316,10 @@ def _folders(
     samples_dir: Path,
     weights: Path | None,
     seed: int,
+    existing: str,
 ) -> dict[str, Path]:
     """Label to folder of motion; models are sampled."""
-    from tqdm import tqdm
-
+    from gesturekit.progress import Progress
     from gesturekit.systems import bundled_models, load
 
     folders: dict[str, Path] = {}
@@ -337,22 +347,25 @@ def _folders(
 
         count = {} if samples is None else {"samples": samples}
         folders[label] = samples_dir / label.replace("/", "_")
-        if folders[label].is_dir() and any(folders[label].iterdir()):
+        skip = existing == "skip"
+        if not skip and folders[label].is_dir() and any(folders[label].iterdir()):
             raise click.UsageError(
                 f"{folders[label]} holds samples of an earlier run, which would be measured too: "
-                "name another --samples-dir, or measure that folder in place of the model"
+                "name another --samples-dir, measure that folder in place of the model, or go on "
+                "with the sampling by --existing skip"
             )
         model = load(name, weights=weights)
         if protocol == "lda":
             if audio is None:
                 raise click.UsageError("--protocol lda samples models on speech: give --audio")
-            files = sampling.sample_lda(model, audio, folders[label], seed=seed, **count)
+            files = sampling.sample_lda(model, audio, folders[label], seed=seed, skip=skip, **count)
         else:
             files = sampling.sample_multires(
-                model, reference, folders[label], audio=audio, seed=seed, **count
+                model, reference, folders[label], audio=audio, seed=seed, skip=skip, **count
             )
-        for _ in tqdm(files, desc=f"sampling {label}", unit="clip", disable=None, leave=False):
-            pass
+        with resumable(lambda: "With --existing skip the same command goes on."):
+            for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
+                pass
     return folders
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import channel_option
+from gesturekit.cli.options import channel_option, existing_option, is_left, resumable
 
 if TYPE_CHECKING:
     from audio_features import Extractor
@@ -90,6 +90,7 @@ KINDS = {
     help="How slow features are kept for next time; see gesturekit cache.",
 )
 @click.option("--picture", is_flag=True, help="Draw STEM.png as well.")
+@existing_option("refuse", alias=True)
 def command(
     wavs: tuple[Path, ...],
     extractor: str,
@@ -101,6 +102,7 @@ def command(
     device: str,
     cache: str,
     picture: bool,
+    existing: str,
     **wavlm: Any,
 ) -> int:
     """Turn sound files into feature files.
@@ -109,8 +111,10 @@ def command(
     aiff, au and SPHERE will do too. A file that fails is reported and the others go on.
     """
     import logging
+    import sys
 
     from audio_features import AudioFeaturesError, Wave, cache_from_environment
+    from gesturekit.progress import Progress
 
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     stems = Counter(wav.stem for wav in wavs)
@@ -129,27 +133,38 @@ def command(
     if cache != "off":
         extract = partial(cache_from_environment(cache).extract, chosen)
 
-    failed = 0
-    for wav in wavs:
-        target = out / f"{wav.stem}.npz"
-        try:
-            wave = Wave.load(wav, channel=channel)
-            for fault in wave.faults():
-                click.echo(f"Warning: {wav}: {fault}", err=True)
-            track = extract(wave)
-            if fps is not None:
-                track = track.to_rate(fps, n_frames=wave.n_frames(fps), method=align or "linear")
-            track.save(target)
-            if picture:
-                from gesturekit.viewer.feature_picture import draw_features
+    def outputs(wav: Path) -> list[Path]:
+        return [out / f"{wav.stem}.{kind}" for kind in ("npz", "png")[: 1 + picture]]
 
-                draw_features(track, target.with_suffix(".png"), wave)
-        except (AudioFeaturesError, OSError) as error:
-            failed += 1
-            reason = f"{target}: {error.strerror}" if isinstance(error, OSError) else error
-            click.echo(f"Error: {reason}", err=True)
-        else:
-            click.echo(f"{target}: {track.values.shape[0]} frames × {track.values.shape[1]}")
+    if existing == "refuse":
+        is_left([file for wav in wavs for file in outputs(wav)], existing)
+    failed = 0
+    progress = Progress(wavs, desc="Features", unit="file")
+    with resumable(lambda: f"{progress.n} done; with --existing skip the same command goes on."):
+        for wav in progress:
+            if existing == "skip" and all(file.exists() for file in outputs(wav)):
+                Progress.write(f"{wav}: left as it is, the outputs exist")
+                continue
+            target = out / f"{wav.stem}.npz"
+            try:
+                wave = Wave.load(wav, channel=channel)
+                for fault in wave.faults():
+                    Progress.write(f"Warning: {wav}: {fault}", file=sys.stderr)
+                track = extract(wave)
+                if fps is not None:
+                    track = track.to_rate(fps, wave.n_frames(fps), method=align or "linear")
+                track.save(target)
+                if picture:
+                    from gesturekit.viewer.feature_picture import draw_features
+
+                    draw_features(track, target.with_suffix(".png"), wave)
+            except (AudioFeaturesError, OSError) as error:
+                failed += 1
+                reason = f"{target}: {error.strerror}" if isinstance(error, OSError) else error
+                Progress.write(f"Error: {reason}", file=sys.stderr)
+            else:
+                n_frames, width = track.values.shape
+                Progress.write(f"{target}: {n_frames} frames × {width}")
     if failed:
         click.echo(f"{failed} of {len(wavs)} files failed.", err=True)
     return 1 if failed else 0

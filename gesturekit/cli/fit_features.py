@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from gesturekit.cli.options import existing_option, is_left
+
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
 
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 )
 @click.option("--steps", type=click.IntRange(1), default=2300, show_default=True)
 @click.option("--seed", type=int, default=0, show_default=True)
+@existing_option("refuse")
 def command(
     reference: tuple[Path, ...],
     out: Path,
@@ -42,6 +45,7 @@ def command(
     joints: str | None,
     steps: int,
     seed: int,
+    existing: str,
 ) -> int:
     """Fit the autoencoder of the Fréchet gesture distance on your own recordings.
 
@@ -53,16 +57,17 @@ def command(
     """
     import logging
 
-    from tqdm import tqdm
-
     from gesturekit.evaluation import FeatureModel
+    from gesturekit.progress import Progress
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    if is_left([out / f"feature_model.{kind}" for kind in ("safetensors", "json")], existing):
+        return 0
     motions, failed = _read(reference)
     names: str | list[str] | None = joints
     if joints is not None and joints not in ("body", "upper"):
         names = [name.strip() for name in joints.split(",") if name.strip()]
-    with tqdm(total=steps, unit="step", disable=None) as bar:
+    with Progress(total=steps, desc="Fitting", unit="step") as bar:
         model = FeatureModel.fit(
             motions,
             variant,

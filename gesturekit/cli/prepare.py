@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import channel_option, part_option
+from gesturekit.cli.options import channel_option, existing_option, is_left, part_option
 
 
 @click.command(
@@ -61,9 +61,11 @@ from gesturekit.cli.options import channel_option, part_option
 )
 @channel_option
 @part_option
+@existing_option("replace")
 def command(
     folders: tuple[Path, ...],
     out: Path,
+    existing: str,
     hold_out_seconds: str | None,
     parts: tuple[str, ...],
     **options: object,
@@ -77,21 +79,21 @@ def command(
 
     Exit codes: 0 everything is used; 1 some files are left out; 2 nothing is usable.
     """
-    from tqdm import tqdm
-
     from gesturekit.corpus import prepare
     from gesturekit.corpus.splits import parse_intervals
     from gesturekit.motion.parts import parse_parts
+    from gesturekit.progress import Progress
 
     if not (folders or options["unpaired"] or options["unpaired_motion"]):
         raise click.UsageError("give at least one FOLDER of recordings")
+    if is_left([out], existing):
+        return 0
     report = prepare(
         folders,
         out,
         hold_out_seconds=parse_intervals(hold_out_seconds) if hold_out_seconds else (),
         parts=parse_parts(parts),
-        # On a terminal only: a bar in a log file is noise.
-        progress=lambda tasks: tqdm(tasks, unit="file", desc="checking", disable=None, leave=False),
+        progress=lambda tasks: Progress(tasks, unit="file", desc="checking"),
         **options,
     )
     for line in report.problem_lines():

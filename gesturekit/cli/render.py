@@ -1,27 +1,80 @@
-"""gesturekit render: wavs in (or a style, or nothing), motion files out."""
+"""gesturekit render: sounds in (or a style, or nothing), motion files out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import channel_option, comma_separated, given, rig_part_option
-
-
-@click.command(
-    "render",
-    epilog="Example: gesturekit render speech.wav --model demo --out rendered --format bvh,html",
+from gesturekit.cli.options import (
+    RATE,
+    UNITS,
+    GroupedCommand,
+    channel_option,
+    comma_separated,
+    existing_option,
+    given,
+    resumable,
+    rig_part_option,
 )
+
+if TYPE_CHECKING:
+    from gesturekit.corpus import Item
+
+EXAMPLES = """\
+gesturekit render speech.wav --model demo --out rendered --format bvh,html
+gesturekit render speech/ --model runs/mine/model --out rendered    # all sounds below it
+gesturekit render --corpus corpus.jsonl --split test --model runs/mine/model --out rendered
+gesturekit render --seconds 20 --samples 5 --model runs/clip/model --out rendered
+gesturekit render new.wav --model demo --out rendered --rig avatar.bvh --fps 30 --unit m
+"""
+
+GROUPS = {
+    "What to render": (
+        *("model", "corpus", "split", "seconds", "samples", "seed", "channel", "weights"),
+    ),
+    "Output": ("out", "formats", "fps", "unit", "up", "rig", "rig_parts", "existing")
+    + ("skip_existing",),
+    "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth"),
+    "Controls of multires models": (
+        *("level_style", "levels", "keyframes", "keyframe_level", "keep"),
+    ),
+    "Controls of diffusion models": (
+        *("guidance", "unconditional", "events", "experts", "steps", "solver", "change"),
+    ),
+    "Computing": ("device", "dtype"),
+}
+
+
+@click.command("render", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
 @click.argument("sources", nargs=-1, type=click.Path(path_type=Path), metavar="[WAV]...")
 @click.option("--model", required=True, help="A bundled name (demo) or a model folder.")
+@click.option(
+    "--corpus",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="CORPUS.jsonl",
+    help="Render the items of this manifest in place of WAVs, cut as it says, named by their ids.",
+)
+@click.option(
+    "--split",
+    type=click.Choice(["train", "valid", "test"]),
+    help="Which items of --corpus.  [default: test]",
+)
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to fill."
 )
 @click.option("--format", "formats", default="bvh", help="Of bvh,npz,html,png.  [default: bvh]")
+@click.option(
+    "--fps",
+    type=RATE,
+    metavar="RATE",
+    help="Frames per second to write.  [default: the recordings' rate, as the model keeps it]",
+)
+@click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH to write.  [default: cm]")
+@click.option("--up", type=click.Choice(["y", "z"]), help="Up in SMPL npz; z for AMASS readers.")
 @click.option("--seed", default=0, show_default=True, help="Another seed, another gesture.")
 @click.option(
     "--samples",
@@ -162,119 +215,168 @@ from gesturekit.cli.options import channel_option, comma_separated, given, rig_p
     help="Smooth movements of the upper body that are shorter, as 0.2; beats keep their time and "
     "height. 0 for none.  [default: what the model was trained for]",
 )
-@click.option(
-    "--skip-existing",
-    is_flag=True,
-    help="Leave out what is in --out already, to go on after a stop.",
-)
+@existing_option("refuse", alias=True)
 @click.pass_context
 def command(
     ctx: click.Context,
     sources: tuple[Path, ...],
+    corpus: Path | None,
+    split: str | None,
     model: str,
     out: Path,
-    formats: str,
-    seed: int,
-    samples: int,
     seconds: float | None,
-    channel: int | None,
-    speaker: str | None,
-    weights: Path | None,
-    rig: str | None,
-    rig_parts: tuple[str, ...],
-    device: str,
-    dtype: str,
-    style: str | None,
-    guidance: float | None,
-    unconditional: str | None,
-    events: str | None,
-    experts: tuple[str, ...],
-    steps: int | None,
-    solver: str | None,
-    level_style: str | None,
-    levels: int | None,
-    keyframes: Path | None,
-    keyframe_level: int | None,
-    like: Path | None,
-    change: float | None,
-    path: Path | None,
-    keep: str | None,
-    foot_lock: bool,
-    smooth: float | None,
-    skip_existing: bool,
+    **options: Any,
 ) -> None:
     """Turn each WAV (or folder of audio) into motion, as long as the sound.
 
-    Models that do not hear take --seconds, --keyframes, --like, --path or --keep instead of any
-    WAV.
+    Folders are searched to the bottom and keep their shape. Models without speech input take
+    --seconds, --keyframes, --like, --path or --keep instead of any WAV.
 
     One broken file never stops the others: it is listed with its reason, and the exit code is 1.
+    A run that was stopped goes on with the same command: what was made with the same model,
+    settings and input is kept, and anything else in --out is only overwritten with --existing
+    replace.
     """
     import logging
+    import time
 
-    from gesturekit.motion.parts import parse_parts
+    from tqdm.contrib.logging import logging_redirect_tqdm
+
+    begin = time.monotonic()
+    logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
+    _check(sources, corpus, split, seconds, options)
+    items = () if corpus is None else _items(corpus, split or "test")
+
+    from gesturekit.progress import Progress, time_in_words
     from gesturekit.rendering.render import render
     from gesturekit.systems import load
 
-    logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
-    start_from = {"--keyframes": keyframes, "--like": like, "--path": path, "--keep": keep}
-    named = [name for name, value in start_from.items() if value is not None]
+    names = ("weights", "device", "dtype")
+    open_model = partial(load, **{name: options.pop(name) for name in names})
+    loaded = open_model(model)
+    output, channel = _output(options), options.pop("channel")
+    counts = {"rendered": 0, "kept": 0, "failed": 0}
+
+    def summary() -> str:
+        said = [f"{n} {what}" for what, n in counts.items() if n or what == "rendered"]
+        return f"{', '.join(said)} in {time_in_words(time.monotonic() - begin)}: {out}"
+
+    with (
+        resumable(lambda: f"{summary()}; the same command goes on"),
+        logging_redirect_tqdm(tqdm_class=Progress),
+    ):
+        rate = loaded.fps if options["levels"] is None else None
+        for outcome in render(
+            loaded,
+            [*sources, *items],
+            out,
+            output=output,
+            seconds=seconds,
+            channel=channel,
+            progress=lambda tasks: Progress(tasks, desc="Rendering", unit="file"),
+            **_controls(options, open_model),
+        ):
+            with Progress.external_write_mode():
+                for file in outcome.files:
+                    click.echo(click.format_filename(file))
+                if None not in (rate, outcome.fps) and abs(outcome.fps - rate) > 0.01 * rate:
+                    click.echo(
+                        f"Written at {outcome.fps:g} fps; the model's own rate is {rate:g} fps "
+                        "(--fps chooses).",
+                        err=True,
+                    )
+                    rate = None  # once is enough
+                if outcome.error is not None:
+                    click.echo(f"Failed: {outcome.error}", err=True)
+            done = "rendered" if outcome.files else "kept"
+            counts["failed" if outcome.error is not None else done] += 1
+    click.echo(summary(), err=True)
+    ctx.exit(1 if counts["failed"] else 0)
+
+
+def _check(
+    sources: Sequence[Path],
+    corpus: Path | None,
+    split: str | None,
+    seconds: float | None,
+    options: dict[str, Any],
+) -> None:
+    """Refuse options that do not go together.
+
+    Raises:
+        click.UsageError: names them.
+    """
+    starts = ("keyframes", "like", "path", "keep")
+    named = [f"--{name}" for name in starts if options[name] is not None]
     if len(named) > 1:
         raise click.UsageError(
             f"{' and '.join(named)} are all that a motion starts from: give one."
         )
-    if keyframe_level is not None and keyframes is None and like is None:
+    if options["keyframe_level"] is not None and not {"--keyframes", "--like"} & {*named}:
         raise click.UsageError("--keyframe-level goes with --keyframes or --like.")
-    if change is not None and like is None:
+    if options["change"] is not None and options["like"] is None:
         raise click.UsageError("--change goes with --like.")
+    if options["rig_parts"] and options["rig"] is None:
+        raise click.UsageError("--rig-part names parts of the body that --rig gives.")
+    if corpus is None and split is not None:
+        raise click.UsageError("--split chooses items of --corpus: give it as well.")
+    if corpus is not None:
+        if sources or seconds is not None or options["channel"] is not None:
+            raise click.UsageError(
+                "--corpus says which sound is rendered: leave WAV, --seconds and --channel out."
+            )
+        return
     if not sources and seconds is None and not named:
-        raise click.UsageError("Give audio files, or --seconds for an idle motion.")
+        raise click.UsageError("Give audio files, --corpus, or --seconds for an idle motion.")
     if sources and seconds is not None:
         raise click.UsageError("--seconds goes without audio: a motion is as long as its speech.")
-    if rig_parts and rig is None:
-        raise click.UsageError("--rig-part names parts of the body that --rig gives.")
-    open_model = partial(load, weights=weights, device=device, dtype=dtype)
-    loaded = open_model(model)
-    failed = 0
-    for outcome in render(
-        loaded,
-        sources,
-        out,
-        formats=comma_separated(formats),
-        seed=seed,
-        samples=samples,
-        seconds=seconds,
-        speaker=speaker,
-        channel=channel,
-        rig=rig,
-        rig_parts=parse_parts(rig_parts),
-        controls=given(
-            style=style,
-            guidance=guidance,
-            unconditional=None if unconditional is None else open_model(unconditional),
-            events=events,
-            experts=[_expert(text, open_model) for text in experts] or None,
-            steps=steps,
-            solver=solver,
-            level_style=level_style,
-            levels=levels,
-            keyframes=keyframes,
-            keyframe_level=keyframe_level,
-            like=like,
-            change=change,
-            path=path,
-            keep=None if keep is None else _placed_files(keep),
-        ),
-        foot_lock=foot_lock,
-        smooth=smooth,
-        skip_existing=skip_existing,
-    ):
-        for file in outcome.files:
-            click.echo(click.format_filename(file))
-        if outcome.error is not None:
-            failed += 1
-            click.echo(f"Failed: {outcome.error}", err=True)
-    ctx.exit(1 if failed else 0)
+
+
+def _items(corpus: Path, split: str) -> list[Item]:
+    """Items of one split of a manifest.
+
+    Raises:
+        CorpusError: the manifest cannot be read, or has no item in that split.
+    """
+    from collections import Counter
+
+    from gesturekit.corpus import Manifest
+    from gesturekit.errors import CorpusError
+
+    manifest = Manifest.load(corpus)
+    items = [item for item in manifest if item.split == split]
+    if not items:
+        counts = Counter(item.split for item in manifest)
+        found = ", ".join(f"{n} in {name}" for name, n in sorted(counts.items())) or "none at all"
+        raise CorpusError(f"{corpus}: no item is in split {split} ({found}); choose with --split")
+    return items
+
+
+def _output(options: dict[str, Any]) -> Any:
+    """Take the options of the output out of all options."""
+    from gesturekit.formats.rig import Rig
+    from gesturekit.motion.parts import parse_parts
+    from gesturekit.rendering.render import Output
+
+    rig, parts = options.pop("rig"), parse_parts(options.pop("rig_parts"))
+    return Output(
+        formats=comma_separated(options.pop("formats")),
+        rig=None if rig is None else Rig.load(rig, parts),
+        **{name: options.pop(name) for name in ("existing", "unit", "up")},
+    )
+
+
+def _controls(options: dict[str, Any], open_model: Callable[[str], Any]) -> dict[str, Any]:
+    """Arguments of `generate`, from the options that were given."""
+    experts, unconditional, keep = (
+        options.pop(name) for name in ("experts", "unconditional", "keep")
+    )
+    return given(
+        **options,
+        experts=[_expert(text, open_model) for text in experts] or None,
+        unconditional=None if unconditional is None else open_model(unconditional),
+        keep=None if keep is None else _placed_files(keep),
+    )
 
 
 def _expert(
@@ -292,9 +394,9 @@ def _expert(
     return open_model(model), share, style or None
 
 
-def _placed_files(text: str) -> dict[float, str]:
+def _placed_files(text: str) -> dict[float, Path]:
     """a.bvh@0,b.bvh@6: files by the second at which they begin; without @ at 0."""
-    placed: dict[float, str] = {}
+    placed: dict[float, Path] = {}
     for item in comma_separated(text):
         name, at, second = item.rpartition("@")
         try:
@@ -306,5 +408,5 @@ def _placed_files(text: str) -> dict[float, str]:
                 f"--keep: {placed[begin]} and {name or item} both begin at {begin:g} s; say when, "
                 "as b.bvh@6."
             )
-        placed[begin] = name or item
+        placed[begin] = Path(name or item)
     return placed

@@ -6,7 +6,16 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import part_option, read_from, reading_options
+from gesturekit.cli.options import (
+    existing_option,
+    is_left,
+    part_option,
+    read_from,
+    reading_options,
+)
+
+_TOLERANCE = 1.0
+"""Seconds by which sound and motion may differ in length without a word."""
 
 
 @click.command(
@@ -24,6 +33,7 @@ from gesturekit.cli.options import part_option, read_from, reading_options
     metavar="HTML",
     help="Write the page here, and open nothing.",
 )
+@existing_option("replace")
 @reading_options
 @part_option
 @click.pass_context
@@ -32,6 +42,7 @@ def command(
     clips: tuple[Path, ...],
     audio: Path | None,
     out: Path | None,
+    existing: str,
     parts: tuple[str, ...],
     **reading: object,
 ) -> None:
@@ -42,11 +53,14 @@ def command(
     import tempfile
     import warnings
 
+    from audio_features import Wave
     from gesturekit.errors import ConfigError
     from gesturekit.formats.conversion import load
     from gesturekit.motion.parts import parse_parts
     from gesturekit.viewer import write_html
 
+    if out is not None and is_left([out], existing):
+        return
     options, named = read_from(reading), parse_parts(parts)
     # Clips of one name come from different folders.
     same = len({clip.stem for clip in clips}) < len(clips)
@@ -65,6 +79,13 @@ def command(
         raise ConfigError(f"{out}: the page is HTML; give a name ending in .html")
     else:
         page = out
+    longest = max(motion.duration for motion in motions.values())
+    if audio is not None and abs((sound := Wave.load(audio).duration) - longest) > _TOLERANCE:
+        click.echo(
+            f"Warning: {audio} lasts {sound:.1f} s, the motion {longest:.1f} s: the page plays "
+            "the longer of the two; check that they belong together",
+            err=True,
+        )
     shown = motions if len(motions) > 1 else next(iter(motions.values()))
     write_html(shown, page, audio=audio, body_model=options.get("body_model"))
     click.echo(click.format_filename(page))

@@ -13,18 +13,19 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.rotations import IDENTITY, rotation_angles
 
 MAX_JUMP_SHARE = 0.05
-"""A recording is left out when more than this share of its frames are jumps."""
+"""The warning says what to check when more than this share of a recording's frames are jumps."""
 
 MAX_JITTER_SHARE = 0.1
 """A recording is warned about when more than this share of its frames tremble."""
 
 # How far a held T-pose may stray: an actor's is never exact, and he sways.
 _ARM_ANGLE = np.deg2rad(25.0)
-_SWAY = 0.10  # metres
+_SWAY = 0.10  # metres on the reference body
 _REST_ANGLE = np.deg2rad(0.5)
 
 
@@ -34,8 +35,9 @@ def reference_pose(motion: Motion) -> tuple[int, int]:
     Exporters put the rest pose before a take, and actors hold a T-pose for calibration; neither
     is gesture. A frame counts as long as all frames between it and the end of the motion have
     every joint (but the root) within half a degree of the rest pose, or have both arms
-    straight out to the sides within 25° and every joint within 10 cm of where the outermost
-    frame has it. A skeleton whose arms are not found is compared with its rest pose alone.
+    straight out to the sides within 25° and every joint within 10 cm (on the reference body) of
+    where the outermost frame has it. A skeleton whose arms are not found is compared with its rest
+    pose alone.
 
     Returns:
         (frames at the start, frames at the end); both are all frames where all are such.
@@ -43,6 +45,7 @@ def reference_pose(motion: Motion) -> tuple[int, int]:
     positions = motion.positions()
     resting = _in_rest_pose(motion)
     arms_out = _arms_out(motion.skeleton, positions)
+    positions = positions / body_scale(motion.skeleton)
     return (
         _leading(positions, resting, arms_out),
         _leading(positions[::-1], resting[::-1], arms_out[::-1]),
@@ -105,7 +108,10 @@ def _arms_out(skeleton: Skeleton, positions: np.ndarray) -> np.ndarray:
 
 
 def _leading(positions: np.ndarray, resting: np.ndarray, arms_out: np.ndarray) -> int:
-    """Length of the run of reference poses that begins at the first frame."""
+    """Return how many reference poses there are from the first frame on.
+
+    Positions are in metres of the reference body.
+    """
     if not (resting[0] or arms_out[0]):
         return 0
     near = np.linalg.norm(positions - positions[0], axis=-1).max(axis=1) < _SWAY

@@ -151,8 +151,9 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
     """Frames [first, stop) to use; what is wrong within them is added to `problems`."""
     lead, trail = checks.reference_pose(motion)
     if lead == motion.n_frames:
-        problems.append(Problem("error", file, "holds its T-pose or rest pose throughout"))
-        return 0, motion.n_frames
+        text = "holds its T-pose or rest pose throughout, so that nothing is trimmed"
+        problems.append(Problem("warning", file, f"{text}: is it the right file?"))
+        lead = trail = 0
     for count, where in ((lead, "start"), (trail, "end")):
         if count:
             what = f"{count} frames ({count / motion.fps:.2f} s) of T-pose or rest pose"
@@ -168,9 +169,8 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
     runs = defects.frozen_runs(used)
     frozen = sum(end - begin for begin, end in runs)
     if frozen == used.n_frames:
-        problems.append(
-            Problem("error", file, f"frozen: all {frozen} frames hold one and the same pose")
-        )
+        text = f"frozen: all {frozen} frames hold one and the same pose"
+        problems.append(Problem("warning", file, f"{text}: is it the right file?"))
     elif runs:
         shown = ", ".join(f"{at(begin)} to {at(end)}" for begin, end in runs[:_TIMES_SHOWN])
         more = f" and {len(runs) - _TIMES_SHOWN} more" if len(runs) > _TIMES_SHOWN else ""
@@ -179,27 +179,19 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
         )
     jumps = defects.find_jumps(used)
     if jumps is not None:
-        many = len(jumps.frames) > checks.MAX_JUMP_SHARE * used.n_frames
-        problems.append(
-            Problem(
-                "error" if many else "warning",
-                file,
-                f"{len(jumps.frames)} of {used.n_frames} frames jump (over "
-                f"{defects.MAX_SPEED:g} m/s) at {_times(jumps.frames, at)}; "
-                f"fastest is {jumps.joint!r} with {jumps.speed:.0f} m/s"
-                + (": is its unit (cm or m) right?" if many else ""),
-            )
-        )
-        if many:
-            return first, stop
-    pops = defects.find_pops(used)
-    told = {frame + near for frame in jumps.frames for near in (-1, 0)} if jumps else set()
-    frames = [frame for frame in pops.frames if frame not in told] if pops else []
-    if frames:
-        how = f"{pops.joint!r}" + (f" by {np.degrees(pops.angle):.0f}°" if pops.angle else "")
         text = (
-            f"pops (a joint is elsewhere for one frame) at {_times(frames, at)}; most of all {how}"
+            f"{len(jumps.frames)} of {used.n_frames} frames jump "
+            f"({defects.speed_limit(jumps.limit)}) at {_times(jumps.frames, at)}; "
+            f"fastest is {jumps.joint!r} with {defects.in_words(jumps.speed)}"
         )
+        if len(jumps.frames) > checks.MAX_JUMP_SHARE * used.n_frames:
+            text += ": are its frame rate and its unit right (--in-unit, --height)?"
+        problems.append(Problem("warning", file, text))
+    pops = defects.find_pops(used, jumps)
+    if pops is not None:
+        how = f"{pops.joint!r}" + (f" by {np.degrees(pops.angle):.0f}°" if pops.angle else "")
+        times = _times(pops.frames, at)
+        text = f"pops (a joint is elsewhere for one frame) at {times}; most of all {how}"
         problems.append(Problem("warning", file, text))
     jitter = defects.jitter_share(used)
     if jitter > checks.MAX_JITTER_SHARE:

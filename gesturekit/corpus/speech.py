@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,6 +20,10 @@ LIMIT = 6.0
 
 _PRIOR_SECONDS = 1.0
 """How much active speech the training mean is worth when a clip's own mean is taken."""
+
+Normalisation = Literal["clip", "corpus", "none"]
+"""Speech at one level and features centred clip by clip; features at zero mean and unit variance
+over all training frames (Alexanderson et al. 2023, A.1); or level and features as they are."""
 
 Heard = tuple[np.ndarray, np.ndarray]
 """What `extract` gives: features (T, S), not normalised, and where speech is active (T,)."""
@@ -37,8 +41,8 @@ _FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in mem
 class SpeechConditioner:
     """Extracts features, puts them on motion frames by true time, and normalises them.
 
-    Each clip is centred on the mean of its own active speech, which takes a stranger's voice,
-    microphone and room to where the training voices were, and scaled by the spread seen in
+    By default each clip is centred on the mean of its own active speech, which takes a stranger's
+    voice, microphone and room to where the training voices were, and scaled by the spread seen in
     training, which leaves monotonous speech monotonous and silence silent. Where a clip holds
     little or no speech, the training mean takes the place of its own; so it always does in
     columns whose mean says something of the speech (`centred` of the extractor).
@@ -49,6 +53,7 @@ class SpeechConditioner:
         align: how features reach the motion frames, see `FeatureTrack.to_rate`.
         centre: (S,) mean of active speech in training.
         scale: (S,) standard deviation of centred active speech in training.
+        normalisation: which of `Normalisation`.
     """
 
     extractor: Any
@@ -56,10 +61,16 @@ class SpeechConditioner:
     align: str
     centre: np.ndarray
     scale: np.ndarray
+    normalisation: Normalisation = "clip"
 
     @classmethod
     def fit(
-        cls, heard: Iterable[Heard], extractor: Any, fps: float, align: str
+        cls,
+        heard: Iterable[Heard],
+        extractor: Any,
+        fps: float,
+        align: str,
+        normalisation: Normalisation = "clip",
     ) -> SpeechConditioner:
         """Learn centre and scale from training speech, paired and unpaired alike.
 
@@ -68,7 +79,16 @@ class SpeechConditioner:
             extractor: what it was extracted by.
             fps: frames per second of the motion.
             align: see `FeatureTrack.to_rate`.
+            normalisation: which of `Normalisation`.
         """
+        about = (extractor, fps, align)
+        if normalisation == "none":
+            nothing = np.zeros(extractor.dim), np.ones(extractor.dim)
+            return cls(*about, *nothing, normalisation)
+        if normalisation == "corpus":
+            values = np.concatenate([values for values, _ in heard]).astype(np.float64)
+            spread = np.maximum(values.std(axis=0), 1e-3)
+            return cls(*about, values.mean(axis=0), spread, normalisation)
         centres, spreads, frames = [], [], []
         for values, active in heard:
             if active.any():
@@ -77,12 +97,12 @@ class SpeechConditioner:
                 spreads.append(spoken.var(axis=0) * len(spoken))
                 frames.append(len(spoken))
         if not centres:
-            return cls(extractor, fps, align, np.zeros(extractor.dim), np.ones(extractor.dim))
+            return cls(*about, np.zeros(extractor.dim), np.ones(extractor.dim))
         centre = np.mean(centres, axis=0)
         within = np.sum(spreads, axis=0) / np.sum(frames)
         between = np.where(extractor.centred, 0.0, np.var(centres, axis=0))
         scale = np.maximum(np.sqrt(within + between), 1e-3)
-        return cls(extractor, fps, align, centre, scale)
+        return cls(*about, centre, scale)
 
     @property
     def dim(self) -> int:
@@ -91,10 +111,15 @@ class SpeechConditioner:
 
     def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
         """(T, S) float32 normalised features; T follows from the wave's length unless given."""
-        return self.normalise(*extract(wave, self.extractor, self.fps, self.align, n_frames))
+        level = self.normalisation == "clip"
+        return self.normalise(
+            *extract(wave, self.extractor, self.fps, self.align, n_frames, level=level)
+        )
 
     def normalise(self, values: np.ndarray, active: np.ndarray) -> np.ndarray:
         """(T, S) float32 from what `extract` gives for a clip."""
+        if self.normalisation != "clip":
+            return ((values - self.centre) / self.scale).astype(np.float32)
         prior = _PRIOR_SECONDS * self.fps
         own = values[active].sum(axis=0, dtype=np.float64)
         centre = (own + prior * self.centre) / (active.sum() + prior)
@@ -114,11 +139,20 @@ class SpeechConditioner:
 
 
 def extract(
-    wave: af.Wave, extractor: Any, fps: float, align: str, n_frames: int | None = None
+    wave: af.Wave,
+    extractor: Any,
+    fps: float,
+    align: str,
+    n_frames: int | None = None,
+    *,
+    level: bool = True,
 ) -> Heard:
-    """Features (T, S) float32 of a wave on motion frames, and where speech is active (T,)."""
+    """Features (T, S) float32 of a wave on motion frames, and where speech is active (T,).
+
+    The wave is brought to one level first (`Wave.at_level`), unless `level` is False.
+    """
     n_frames = wave.n_frames(fps) if n_frames is None else n_frames
-    track = af.cache_from_environment().extract(extractor, wave.at_level())
+    track = af.cache_from_environment().extract(extractor, wave.at_level() if level else wave)
     values = track.to_rate(fps, n_frames=n_frames, method=align).values
     activity = wave.active(hop=_ACTIVITY_HOP)
     nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)

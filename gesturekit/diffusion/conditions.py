@@ -22,7 +22,11 @@ from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ModelError
 from gesturekit.formats.events import Event
 from gesturekit.motion.root_path import RootPath
-from gesturekit.training.features import conditioner_tensors, load_conditioner
+from gesturekit.training.features import (
+    conditioner_tensors,
+    conditioner_values,
+    load_conditioner,
+)
 
 PARTS = ("speech", "path", "events", "styles")
 
@@ -135,9 +139,7 @@ class Conditions:
     def to_values(self) -> dict[str, Any]:
         """All but numbers learnt in training, as plain values for `config.yaml`."""
         return {
-            "features": None
-            if self.conditioner is None
-            else {"spec": self.conditioner.extractor.spec, "align": self.conditioner.align},
+            "features": None if self.conditioner is None else conditioner_values(self.conditioner),
             "path": self.path,
             "events": list(self.events),
             "styles": list(self.styles),
@@ -175,9 +177,7 @@ class Conditions:
         """
         features, conditioner = values["features"], None
         if features is not None:
-            conditioner = load_conditioner(
-                features["spec"], features["align"], tensors, fps, weights, device
-            )
+            conditioner = load_conditioner(features, tensors, fps, weights, device)
         path = {}
         if values["path"]:
             path = {

@@ -85,7 +85,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
     conditioner, speeches = None, [None] * len(items)
     if extractor is not None:
         lengths = [motion.n_frames for motion in motions]
-        conditioner, speeches = listen(items, lengths, extractor, config.fps, config.features.align)
+        conditioner, speeches = listen(items, lengths, extractor, config.fps, config.features)
     conditions = Conditions(conditioner, config.path, names, styles)
     if start is not None:
         conditions = _same(conditions, start, config)

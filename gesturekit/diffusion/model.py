@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 import audio_features as af
 from gesturekit.diffusion.conditions import Conditions
@@ -30,6 +29,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess import lock_feet, smooth_motion
+from gesturekit.progress import Progress
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.device import prepare_device
 from gesturekit.training.model_folder import ModelParts, load_model, model_readme, save_model
@@ -198,10 +198,7 @@ class DiffusionModel:
         # One at a time unless asked otherwise: in a batch, sums are made in another order, and a
         # motion would depend on how many were asked for.
         batches = [range(k, min(k + batch, samples)) for k in range(0, samples, batch)]
-        # None: a bar in a terminal, nothing in a log.
-        with tqdm(
-            total=len(batches) * visited, desc="Denoising", unit="step", leave=False, disable=None
-        ) as progress:
+        with Progress(total=len(batches) * visited, desc="Denoising", unit="step") as progress:
             for numbers in batches:
                 predict = windowed(told.mixture(seed, numbers), self.window)
                 predict = _counted(bounded(predict, self.schedule), progress)
@@ -366,7 +363,7 @@ class DiffusionModel:
         )
 
 
-def _counted(predict: Predict, progress: tqdm) -> Predict:
+def _counted(predict: Predict, progress: Progress) -> Predict:
     """The same prediction, each of them a step of the progress bar."""
 
     def counted(noisy: Tensor, step: int) -> Tensor:

@@ -17,6 +17,7 @@ from gesturekit.diffusion.batches import Batch, Batches
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
 from gesturekit.diffusion.data import TrainingData
 from gesturekit.diffusion.loading import load_training_data
+from gesturekit.diffusion.losses import change_error, denoising_error
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.monitor import STEPS, Monitor
 from gesturekit.diffusion.networks import Denoiser
@@ -249,11 +250,10 @@ class _Trainer:
         precise = torch.autocast(self.device.type, torch.bfloat16) if half else None
         with precise or contextlib.nullcontext():
             predicted = self.network(noisy, batch.condition, batch.step)
-        apart = predicted.float() - target
-        errors = apart.square().mean(dim=(1, 2))
-        if self.config.training.changes:
-            trembling = (apart.diff(dim=1) / self.changes).square().mean(dim=(1, 2))
-            errors = errors + self.config.training.changes * trembling
+        predicted = predicted.float()
+        errors = denoising_error(predicted, target)
+        if weight := self.config.training.changes:
+            errors = errors + weight * change_error(predicted, target, self.changes)
         weights = self.schedule.loss_weight(batch.step, self.config.training.min_snr)
         return (weights * errors).mean()
 

@@ -14,6 +14,7 @@ from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair, Stretch
 from gesturekit.evaluation.semantic import read_semantic
 from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.skeleton import Skeleton
 
@@ -57,7 +58,8 @@ class Clip:
             )
             for m in (self.generated, self.recording)
         ]
-        return bool(np.allclose(*bones, rtol=0.01, atol=1e-3))
+        rounding = 1e-3 * body_scale(self.recording.skeleton)
+        return bool(np.allclose(*bones, rtol=0.01, atol=rounding))
 
 
 def load_clip(pair: Pair, fps: float | None = None) -> Clip:

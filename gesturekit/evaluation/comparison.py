@@ -40,6 +40,8 @@ from gesturekit.evaluation.physical import joint_speed
 from gesturekit.evaluation.results import ClipResult, Evaluation, Figure, ModelResult
 from gesturekit.evaluation.sets import Gathered, pooled, speeds_of, thinned, wrists_of
 from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.defects import MAX_SPEED, in_words, speed_limit
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.feature_model import FeatureModel
@@ -61,9 +63,7 @@ MISMATCHED = 3
 LENGTH_TOLERANCE = 0.1
 """Seconds by which a clip and its recording may differ without a note."""
 STILL = 1e-4
-"""m/s; a frame in which no joint is faster stands still."""
-FASTEST = 10.0
-"""m/s; a joint that is faster has jumped."""
+"""m/s on the reference body; a frame in which no joint is faster stands still."""
 
 Which = tuple[str, int | None]
 Progress = Callable[[Sequence[Pair], str], Iterable[Pair]]
@@ -255,13 +255,14 @@ class _Run:
         if abs(gap) > max(LENGTH_TOLERANCE, 1.5 / self.fps):
             what = "its recording" if wanted == 1.0 else f"{wanted:g} times its recording"
             notes.append(f"{abs(gap):.2f} s {'longer' if gap > 0 else 'shorter'} than {what}")
+        scale = body_scale(clip.generated.skeleton)
         fastest = joint_speed(clip.generated, clip.joints).max(axis=1)
-        still = float((fastest < STILL).mean())
+        still = float((fastest < STILL * scale).mean())
         if still > 0.05:
             notes.append(f"stands still in {100 * still:.0f} % of its frames")
-        if fastest.max() > FASTEST:
-            at = fastest.argmax() / self.fps
-            notes.append(f"jumps at {at:.2f} s ({fastest.max():.0f} m/s)")
+        if fastest.max() > (limit := MAX_SPEED * scale):
+            at, speed = fastest.argmax() / self.fps, in_words(fastest.max())
+            notes.append(f"jumps at {at:.2f} s ({speed}, {speed_limit(limit)})")
         return notes
 
     def _summarise(self, result: ModelResult, gathered: Gathered) -> None:

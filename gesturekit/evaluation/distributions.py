@@ -10,9 +10,10 @@ import numpy as np
 from gesturekit.errors import MotionError
 
 BIN = 0.01
-"""m/s, 1 cm/s: the width of GENEA's histogram bins."""
+"""m/s on the reference body, 1 cm/s: the width of GENEA's histogram bins."""
 TOP = 0.49
-"""m/s; GENEA's last bin ends at 49 cm/s, and what is faster is not counted."""
+"""m/s on the reference body; GENEA's last bin ends at 49 cm/s, and what is faster is not
+counted."""
 
 
 @dataclass

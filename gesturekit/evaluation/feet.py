@@ -11,14 +11,16 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import contact_labels, foot_positions
 
 NEAR = 0.025
-"""Metres above its standing height where a foot point is in the air: H of Zhang et al. 2018."""
+"""Metres on the reference body above its standing height where a foot point is in the air: H of
+Zhang et al. 2018."""
 
 
 def standing_heights(motion: Motion) -> np.ndarray:
-    """Height of each foot point while it stands: the median over frames slower than 0.2 m/s.
+    """Height of each foot point while it stands: the median over frames in contact.
 
     A point that never stands gives the lowest tenth of its heights.
 
@@ -41,9 +43,9 @@ def standing_heights(motion: Motion) -> np.ndarray:
 def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
     """Mean horizontal speed of the foot points while they are near the ground, m/s.
 
-    v·(2 - 2^(h/H)), h the height above standing clipped to 0 ... H = 2.5 cm, averaged over frames
-    and foot points: the foot skate of Zhang et al. 2018 (MANN), as a speed instead of a length
-    per frame, so that the frame rate is no matter.
+    v·(2 - 2^(h/H)), h the height above standing clipped to 0 ... H = 2.5 cm on the reference
+    body, averaged over frames and foot points: the foot skate of Zhang et al. 2018 (MANN), as a
+    speed instead of a length per frame, so that the frame rate is no matter.
 
     Args:
         motion: at least 2 frames.
@@ -57,7 +59,8 @@ def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
     feet = foot_positions(motion)
     steps = np.diff(feet[..., [0, 2]], axis=0) * motion.fps
     above = 0.5 * (feet[1:, :, 1] + feet[:-1, :, 1]) - _standing(motion, heights)
-    weight = 2.0 - 2.0 ** (np.clip(above, 0.0, NEAR) / NEAR)
+    above = above / (NEAR * body_scale(motion.skeleton))
+    weight = 2.0 - 2.0 ** np.clip(above, 0.0, 1.0)
     return float((np.linalg.norm(steps, axis=-1) * weight).mean())
 
 

@@ -11,7 +11,9 @@ from gesturekit.errors import MotionError
 from gesturekit.evaluation.physical import joint_paths
 from gesturekit.motion import Motion
 
-_STILL = 1e-6  # metres; a column that varies less is held still
+_STILL = 1e-6  # share of a pose's extent; a column that varies less is held still
+SRGR_THRESHOLD = 0.1
+"""Metres on the reference body within which SRGR takes a joint for right."""
 
 
 def root_relative(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
@@ -63,7 +65,10 @@ def cca(generated: np.ndarray, reference: np.ndarray) -> float:
         raise MotionError(
             f"CCA compares frame by frame; there are {len(generated)} and {len(reference)} frames"
         )
-    sides = [side[:, side.std(axis=0) > _STILL] for side in (generated, reference)]
+    sides = [
+        side[:, side.std(axis=0) > _STILL * np.abs(side).max(initial=0.0)]
+        for side in (generated, reference)
+    ]
     for side, what in zip(sides, ("generated motion", "reference"), strict=True):
         if side.shape[1] == 0:
             raise MotionError(f"CCA: the {what} does not move")
@@ -81,7 +86,7 @@ def srgr(
     semantic: np.ndarray,
     *,
     variant: Literal["beat", "emage"] = "emage",
-    threshold: float = 0.1,
+    threshold: float = SRGR_THRESHOLD,
 ) -> float:
     """Semantic-relevance gesture recall: how often joints are right where it matters.
 

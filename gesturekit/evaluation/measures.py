@@ -27,6 +27,7 @@ from gesturekit.evaluation.listening import sync
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, Stretch
 from gesturekit.evaluation.patches import intra_diversity, patch_features, patch_scores
 from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
 
 PATCH_PAIRS = 250_000_000
 """Frames of a clip times frames of its recording that a report compares at most: 2 GB a table."""
@@ -237,7 +238,9 @@ class Measurer:
     def _srgr(self, clip: Clip) -> float:
         n, fps = clip.n_frames, clip.generated.fps
         ours, theirs = (side.reshape(n, -1, 3) for side in self.both(clip))
-        return likeness.srgr(ours, theirs, clip.semantic.to_rate(fps, n).values[:, 0])
+        semantic = clip.semantic.to_rate(fps, n).values[:, 0]
+        near = likeness.SRGR_THRESHOLD * body_scale(clip.recording.skeleton)
+        return likeness.srgr(ours, theirs, semantic, threshold=near)
 
     def _features(self, clip: Clip, motion: Motion) -> np.ndarray:
         return patch_features(motion, self.patches.variant, joints=clip.joints)
@@ -274,7 +277,7 @@ def _check_size(one: Motion, other: Motion) -> None:
 def _speed_distance(clip: Clip) -> float:
     return hellinger(
         *(
-            SpeedHistogram.of([physical.joint_speed(motion, clip.joints)])
+            SpeedHistogram.of([physical.relative_speed(motion, clip.joints)])
             for motion in (clip.generated, clip.recording)
         )
     )

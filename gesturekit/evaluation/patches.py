@@ -39,7 +39,7 @@ VARIANTS = ("ganimator", "paper")
 THRESHOLD = 2.0
 """Distance below which the variant "ganimator" calls a window covered."""
 CONTACT_SPEED = 0.54
-"""m/s; GANimator's 0.018 a frame at 30 fps, on Mixamo rigs in metres."""
+"""m/s on the reference body; GANimator's 0.018 a frame at 30 fps, on Mixamo rigs in metres."""
 _MOST_PAIRS = 10**9
 """Pairs of frames that are compared at most: 8 GB."""
 
@@ -247,8 +247,9 @@ def patch_features(
 
     "ganimator": 6D rotations of J joints, the root's in the world, then a block of six for each
     foot point, its contact label first and zeros after it: (T, 6 (J + F)). The root's place is left
-    out. Contact is a foot point slower than 0.54 m/s, frame 0 is none; the points are heel and
-    toe of `gesturekit.motion.contacts`, where GANimator's rigs have toe base and toe end.
+    out. Contact is a foot point slower than 0.54 m/s (on the reference body), frame 0 is none; the
+    points are heel and toe of `gesturekit.motion.contacts`, where GANimator's rigs have toe base
+    and toe end.
     "paper": rotation matrices, (T, 9 J).
 
     Args:

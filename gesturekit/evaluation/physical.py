@@ -9,6 +9,7 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.derivatives import derivative
 from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import SIDES, arm_joints, body_joints, find_parts
 
 
@@ -73,6 +74,11 @@ def joint_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarr
     return np.linalg.norm(steps, axis=-1)
 
 
+def relative_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
+    """(T - 1, J) `joint_speed` over `body_scale` of the rig: m/s on the reference body."""
+    return joint_speed(motion, joints) / body_scale(motion.skeleton)
+
+
 def acceleration(
     motion: Motion, *, cutoff: float | None = None, joints: Sequence[str] | None = None
 ) -> float:
@@ -107,7 +113,7 @@ def jerk(
 def max_speed(motion: Motion) -> float:
     """Largest speed of any body joint between two neighbouring frames, m/s.
 
-    People stay below about 10 m/s; more is a jump.
+    People of 1.7 m stay below about 10 m/s; more is a jump.
 
     Raises:
         MotionError: fewer than 2 frames, or a skeleton whose parts cannot be told.

@@ -11,12 +11,14 @@ import numpy as np
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints, find_parts, upper_body
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 
 _SMALLEST_SCALE = 1e-3
-"""Metres; a coordinate that varies by less in the reference is measured in this."""
-_SHORTEST_BONE = 1e-4
+"""Metres on the reference body; a coordinate that varies by less in the reference is measured in
+this."""
+_SHORTEST_BONE = 1e-4  # metres on the reference body
 _MOST_FRAMES = 1000
 
 
@@ -117,7 +119,8 @@ class PoseWindows:
         frames = np.concatenate([plain.frames(motion) for motion in motions])
         scale = np.ones(width)
         if not form.directions:
-            scale = np.maximum(frames.std(axis=0), _SMALLEST_SCALE)
+            smallest = _SMALLEST_SCALE * body_scale(motions[0].skeleton)
+            scale = np.maximum(frames.std(axis=0), smallest)
         return cls(variant, bones, form.fps, n_frames, stride, frames.mean(axis=0), scale)
 
     def frames(self, motion: Motion) -> np.ndarray:
@@ -135,8 +138,9 @@ class PoseWindows:
         bones = rotate_vectors(_to_front(motion, positions)[:, None], bones)
         if _VARIANTS[self.variant].directions:
             lengths = np.linalg.norm(bones, axis=-1, keepdims=True)
-            if (lengths < _SHORTEST_BONE).any():
-                bad = self.bones[int(np.argwhere(lengths < _SHORTEST_BONE)[0][1])]
+            shortest = _SHORTEST_BONE * body_scale(skeleton)
+            if (lengths < shortest).any():
+                bad = self.bones[int(np.argwhere(lengths < shortest)[0][1])]
                 raise EvaluationError(
                     f"{described(motion)}: {bad[0]!r} and {bad[1]!r} lie in one place; "
                     "no direction leads from one to the other"
@@ -224,7 +228,7 @@ def _bones(
             j = skeleton.index(name)
             above = [skeleton.names[i] for i in skeleton.ancestors(j)]
             start = next((a for a in above if a in chosen), pelvis)
-            if np.linalg.norm(skeleton.offsets[j]) < _SHORTEST_BONE:
+            if np.linalg.norm(skeleton.offsets[j]) < _SHORTEST_BONE * body_scale(skeleton):
                 continue  # a joint on top of its parent has no direction
         bones.append((start, name))
     return tuple(bones)

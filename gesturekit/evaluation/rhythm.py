@@ -18,6 +18,7 @@ from gesturekit.evaluation.derivatives import CUTOFF, derivative
 from gesturekit.evaluation.listening import MIN_SHIFT
 from gesturekit.evaluation.physical import joint_paths, joint_speed
 from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints, upper_body
 
 SMOOTHING = 5 / 60
@@ -34,7 +35,7 @@ SHIFT_STEP = 0.1
 """Seconds between two circular shifts of the sound, for the chance level."""
 
 _ONSET_RATE, _ONSET_HOP = 16_000, 512
-_STILL = 1e-6  # m/s; what varies less does not move
+_STILL = 1e-6  # m/s on the reference body; what varies less does not move
 
 
 @dataclass(frozen=True)
@@ -116,10 +117,11 @@ def beat_consistency(
     speed = central_speed(motion, names)
     usual = speed.mean(axis=0) if mean_speed is None else np.asarray(mean_speed)
     order = max(1, round(CONSISTENCY_ORDER * motion.fps))
+    still = _STILL * body_scale(motion.skeleton)
     found = []
     for curve, mean in zip(speed.T, usual, strict=True):
         at, times = _minima(curve, order)
-        found.append(times[curve[at] > max(CONSISTENCY_SPEED * mean, _STILL)] / motion.fps)
+        found.append(times[curve[at] > max(CONSISTENCY_SPEED * mean, still)] / motion.fps)
     return _result(found, onsets, motion.duration, CONSISTENCY_KERNEL)
 
 
@@ -144,7 +146,7 @@ def motion_beats(
         velocity = derivative(joint_paths(motion, joints), motion.fps, 1, CUTOFF)
         speed = np.linalg.norm(velocity, axis=-1)
     smooth = gaussian_filter1d(speed.mean(axis=1), SMOOTHING * motion.fps)
-    if np.ptp(smooth) < _STILL:
+    if np.ptp(smooth) < _STILL * body_scale(motion.skeleton):
         return np.zeros(0)
     at, between = _minima(smooth, 1)
     return (between if variant == "seconds" else at) / motion.fps

@@ -171,8 +171,8 @@ class Gathered:
 
 
 def speeds_of(motion: Motion, joints: Sequence[str]) -> np.ndarray:
-    """(N,) speeds of all joints in all frames, m/s."""
-    return physical.joint_speed(motion, joints).ravel()
+    """(N,) speeds of all joints in all frames, m/s on the reference body."""
+    return physical.relative_speed(motion, joints).ravel()
 
 
 def wrists_of(motion: Motion) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Which axes of a file point up and forward, and turning them to Y up, +Z forward.
 
 The rest pose, with all rotations at zero, tells a rig's axes where it stands upright: up from its
-legs and spine, forward from its hips and toes. Where a body walks or looks in the motion says
+legs and spine, forward from its hips and toes; or where it stands on four legs: up from them,
+forward from the pelvis to the chest. Where a body walks or looks in the motion says
 nothing about its axes. Many rigs have a rest pose that is none (bones along their own x axes):
 then up is where the body stands in most frames, and forward the axis usual with that up.
 """
@@ -33,6 +34,7 @@ Blender's with "z", a camera's with "-y"."""
 Z_TO_Y = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 """A quarter turn about x: (x, y, z) becomes (x, z, -y)."""
 
+_STEEP = 0.7  # share of its length by which the trunk of a quadruped rises at most
 _MOST_FRAMES = 500  # looked at, evenly spread, to find which way is up
 
 
@@ -166,11 +168,22 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
         return places[skeleton.index(end)] - places[skeleton.index(start)]
 
     legs = [parts.legs[side] for side in ("left", "right")]
+    arms = [parts.arms[side] for side in ("left", "right")]
     up = _axis(between(parts.pelvis, parts.head or parts.spine[-1]))
     down = [-between(leg.hip, leg.ankle) for leg in legs]
+    left = _axis(between(legs[1].hip, legs[0].hip))
+    # Four limbs that point the same way, square to the trunk: it stands on all of them.
+    trunk = between(parts.pelvis, parts.spine[-1])
+    fore = [-between(arm.shoulder, arm.wrist or arm.elbow) for arm in arms]
+    risen = _axis(sum(down))
+    if risen and all(_vector(risen) @ limb > 0.8 * np.linalg.norm(limb) for limb in down + fore):
+        forward = _axis(trunk - (trunk @ _vector(risen)) * _vector(risen))
+        steep = abs(trunk @ _vector(risen)) > _STEEP * np.linalg.norm(trunk)
+        if forward and not steep:
+            across = np.cross(_vector(risen), _vector(forward))
+            return (risen, forward) if left and across @ _vector(left) > 0.5 else None
     if up is None or any(_vector(up) @ leg < 0.8 * np.linalg.norm(leg) for leg in down):
         return None
-    left = _axis(between(legs[1].hip, legs[0].hip))
     if left is None or left[-1] == up[-1]:
         return None
     forward = _axis(np.cross(_vector(left), _vector(up)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+import itertools
 from typing import TextIO
 
 import numpy as np
@@ -16,7 +16,6 @@ LARGEST = 1e9
 """Offsets, positions and angles beyond this are damage, and would overflow further on."""
 
 _BLOCK = 1 << 21  # characters read at a time
-_POWERS_OF_TEN = 10.0 ** np.arange(23)  # those that a float64 holds exactly
 
 
 class Lines:
@@ -58,16 +57,15 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
         if len(rest) >= LONGEST_LINE:
             lines.number += text.count("\n") + 1
             raise lines.error(f"a line of over {LONGEST_LINE} characters; this is no BVH file")
-        values, at = _bulk(text, n_channels) or _line_by_line(
-            text, lines, n_rows, n_frames, n_channels
-        )
-        n_rows += len(values)
-        if n_rows > n_frames:
-            surplus = at[len(values) - (n_rows - n_frames)]
+        values = _bulk(text, n_channels)
+        if values is None:
+            values = _line_by_line(text, lines, n_rows, n_frames, n_channels)
+        if n_rows + len(values) > n_frames:
             raise lines.error(
                 f"more rows than the {n_frames} that `Frames:` declares",
-                lines.number + int(surplus) + 1,
+                lines.number + _line_of_row(text, n_frames - n_rows) + 1,
             )
+        n_rows += len(values)
         blocks.append(values)
         lines.number += text.count("\n")
         if not read:
@@ -81,62 +79,30 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
     return np.concatenate(blocks)
 
 
-def _bulk(text: str, n_channels: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Rows (R, C) and the line (R,) of `text` that each stands in; None where one is not plain."""
+def _bulk(text: str, n_channels: int) -> np.ndarray | None:
+    """Return the rows (R, C) of `text` by numpy's parser; None where a row is unusual or wrong."""
+    if not text.strip():
+        return np.empty((0, n_channels))
     try:
-        raw = np.frombuffer(f"\n{text}\n".encode("ascii"), np.uint8)
-    except UnicodeEncodeError:
+        values = np.loadtxt(text.split("\n"), comments=None, ndmin=2)
+    except ValueError:
         return None
-    blank = raw <= 32
-    befores = np.flatnonzero(blank[:-1] > blank[1:])  # the place before each word
-    lasts = np.flatnonzero(blank[:-1] < blank[1:])  # the last place of each word
-    in_line = np.diff(np.searchsorted(befores, np.flatnonzero(raw == ord("\n"))))
-    if ((in_line != 0) & (in_line != n_channels)).any():
+    if values.shape[1] != n_channels or not (np.abs(values) <= LARGEST).all():
         return None
-    values = _numbers(text, raw, befores, lasts)
-    if values is None or not (np.abs(values) <= LARGEST).all():
-        return None
-    return values.reshape(-1, n_channels), np.flatnonzero(in_line)
+    return values
 
 
-def _numbers(
-    text: str, raw: np.ndarray, befores: np.ndarray, lasts: np.ndarray
-) -> np.ndarray | None:
-    """The words of `text` as float64, None where one is no number."""
-    dots = np.flatnonzero(raw == ord("."))
-    if len(dots) == len(befores) and (dots > befores).all() and (dots <= lasts).all():
-        # Every word has one point: as whole numbers over powers of ten, four times faster. The
-        # quotient of two numbers that float64 holds exactly is the nearest to what was written.
-        whole = _from_text(text.replace(".", ""), np.int64)
-        if whole is not None and len(whole) == len(dots):
-            places = lasts - dots
-            long = np.flatnonzero(
-                (whole >= 2**53) | (whole <= -(2**53)) | (places >= len(_POWERS_OF_TEN))
-            )
-            if len(long) < len(whole) // 8:
-                places[long] = 0
-                values = whole / _POWERS_OF_TEN[places]
-                values[long] = [float(text[befores[i] : lasts[i]]) for i in long]
-                return values
-    values = _from_text(text, np.float64)
-    # "1-2" is read as two numbers.
-    return values if values is not None and len(values) == len(befores) else None
-
-
-def _from_text(text: str, dtype: type) -> np.ndarray | None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        try:
-            return np.fromstring(text, dtype, sep=" ")
-        except (DeprecationWarning, ValueError):
-            return None
+def _line_of_row(text: str, row: int) -> int:
+    """Return the index of the line that holds a row; blank lines hold none."""
+    filled = (index for index, line in enumerate(text.split("\n")) if line.strip())
+    return next(itertools.islice(filled, row, None))
 
 
 def _line_by_line(
     text: str, lines: Lines, n_before: int, n_frames: int, n_channels: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """As `_bulk`, for what is unusual or wrong; says which line, and what is wrong with it."""
-    rows, at = [], []
+) -> np.ndarray:
+    """Return the rows like `_bulk`, or say in which line the wrong one stands, and why."""
+    rows = []
     for index, line in enumerate(text.split("\n")):
         words = line.split()
         if not words:
@@ -157,8 +123,7 @@ def _line_by_line(
                     number,
                 )
         rows.append(row)
-        at.append(index)
-    return np.array(rows).reshape(-1, n_channels), np.array(at, dtype=int)
+    return np.array(rows).reshape(-1, n_channels)
 
 
 def _number(word: str, lines: Lines, line: int) -> float:

@@ -148,6 +148,19 @@ def axes_in_words(info: Mapping[str, Any], guessed: str) -> list[str]:
     return words
 
 
+def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return, for each format, those options that its writer has: {"bvh": {"unit": "m"}}.
+
+    Raises:
+        ConfigError: an option that none of the formats has.
+    """
+    _refuse_idle(options, _WRITES, {f".{name}" for name in formats}, "written")
+    return {
+        name: {key: options[key] for key in options if key in _WRITES.get(f".{name}", ())}
+        for name in formats
+    }
+
+
 def _refuse_idle(
     options: Mapping[str, Any], table: Mapping[str, set[str]], formats: set[str], verb: str
 ) -> None:

@@ -13,7 +13,20 @@ from gesturekit.formats.easymocap import SUBFOLDERS
 
 MOTION_SUFFIXES = (".bvh", ".npz")
 """What is looked for in folders, beside EasyMocap's sequences."""
-SPEECH_SUFFIXES = (".wav", ".flac", ".mp3", ".ogg")
+SPEECH_SUFFIXES = (
+    *(".wav", ".flac", ".mp3", ".ogg", ".oga", ".opus"),
+    *(".aiff", ".aif", ".aifc", ".au"),
+)
+OTHER_SPEECH_SUFFIXES = (
+    *(".m4a", ".aac", ".wma", ".amr", ".ac3", ".mp2", ".caf", ".w64", ".ape", ".wv"),
+    *(".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".3gp"),
+)
+"""Sound, and video with sound, that is not read; ffmpeg makes a wav of it."""
+OTHER_MOTION_SUFFIXES = (
+    *(".fbx", ".c3d", ".glb", ".gltf", ".trc", ".mot", ".asf", ".amc", ".vrma", ".vmd"),
+    *(".usd", ".usda", ".usdc", ".usdz", ".dae", ".blend"),
+)
+"""Motion that is not read; Blender and others export BVH of most of it."""
 WRITABLE = ("bvh", "npz", "html", "png", "obj")
 EXISTING = ("refuse", "skip", "replace")
 _SHOWN = 3
@@ -65,7 +78,7 @@ def plan(
         jobs = [Job(sources[0], (out,))]
     else:
         jobs = _into_folder(sources, out, formats)
-        _refuse_leaving(jobs, out)
+        refuse_leaving(jobs, out)
     _refuse_clashes(jobs)
     jobs = _without_existing(jobs, existing)
     _refuse_locked(jobs, out)
@@ -111,6 +124,20 @@ def visible_folders(
         visited.add((status.st_dev, status.st_ino))
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         yield here, folders, [here / name for name in sorted(files) if not name.startswith(".")]
+
+
+def unreadable_media(path: Path) -> str | None:
+    """Return why a file that looks like sound or motion is not read, and what to do; None for all
+    other files.
+
+    Equal for all files of one suffix, so that a listing can name the reason once.
+    """
+    kind = path.suffix.lower()[1:]
+    if path.suffix.lower() in OTHER_SPEECH_SUFFIXES:
+        return f"{kind} is not read; make a wav of it: ffmpeg -i x.{kind} x.wav"
+    if path.suffix.lower() in OTHER_MOTION_SUFFIXES:
+        return f"{kind} is not read; export it as bvh, for example from Blender"
+    return None
 
 
 def is_sequence(path: Path) -> bool:
@@ -241,8 +268,12 @@ def _refuse_clashes(jobs: Sequence[Job]) -> None:
             taken[where] = job.source
 
 
-def _refuse_leaving(jobs: Sequence[Job], out: Path) -> None:
-    """A link inside the folder must not lead writing out of it."""
+def refuse_leaving(jobs: Sequence[Job], out: Path) -> None:
+    """Refuse to write out of a folder through a link inside it.
+
+    Raises:
+        ConfigError: a target whose folder is a link that leaves `out`.
+    """
     inside = Path(os.path.realpath(out))
     for job in jobs:
         for target in job.targets:
@@ -259,17 +290,30 @@ def _refuse_locked(jobs: Sequence[Job], out: Path) -> None:
         raise ConfigError(f"{out}: {folder} cannot be written to; give another place")
 
 
+def refuse_existing(there: Sequence[Path], reason: str = "") -> None:
+    """Refuse to write over files that are there already.
+
+    Args:
+        there: the files, one at least.
+        reason: further words, such as ", made with another seed".
+
+    Raises:
+        ConfigError: always; it names the options that let it through.
+    """
+    more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
+    verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
+    raise ConfigError(
+        f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already{reason}; --existing replace "
+        f"writes over {object_}, --existing skip leaves {object_}"
+    )
+
+
 def _without_existing(jobs: list[Job], existing: str) -> list[Job]:
     there = [target for job in jobs for target in job.targets if os.path.lexists(target)]
     if not there or existing == "replace":
         return jobs
     if existing == "refuse":
-        more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
-        verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
-        raise ConfigError(
-            f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already; --existing replace "
-            f"writes over {object_}, --existing skip leaves {object_}"
-        )
+        refuse_existing(there)
     gone = set(there)
     return [
         Job(job.source, tuple(t for t in job.targets if t not in gone), job.error) for job in jobs

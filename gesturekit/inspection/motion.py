@@ -16,8 +16,16 @@ from gesturekit.errors import MotionError
 from gesturekit.formats.conversion import axes_in_words, load
 from gesturekit.inspection.sheet import Sheet, counted, listed, size, span
 from gesturekit.inspection.tree import tree
-from gesturekit.motion.contacts import contact_labels, foot_points
-from gesturekit.motion.defects import find_jumps, find_pops, frozen_runs, jitter_share
+from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_points
+from gesturekit.motion.defects import (
+    find_jumps,
+    find_pops,
+    frozen_runs,
+    in_words,
+    jitter_share,
+    speed_limit,
+)
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, part_labels
 from gesturekit.motion.rotations import rotation_angles
@@ -26,6 +34,8 @@ from gesturekit.viewer.figure import Figure
 
 _STILL = np.deg2rad(0.5)
 """A joint that never turns further from where it is at first does not move."""
+_STANDS = 1e-4
+"""Metres on the reference body; a root that never goes further stays where it is."""
 
 
 def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **options: Any) -> Sheet:
@@ -90,8 +100,9 @@ def _labels(skeleton: Skeleton) -> tuple[dict[str, str], str | None]:
 
 def _movement(motion: Motion, figure: Figure, labels: Mapping[str, str]) -> dict[str, Any]:
     skeleton = motion.skeleton
+    still = _STANDS * body_scale(skeleton)
     turned = rotation_angles(motion.rotations[:1], motion.rotations).max(axis=0) > _STILL
-    travelling = [skeleton.names[0]] if np.ptp(motion.translation, axis=0).max() > 1e-4 else []
+    travelling = [skeleton.names[0]] if np.ptp(motion.translation, axis=0).max() > still else []
     travelling += motion.joint_translations
     body = next((name for name in skeleton.names if labels.get(name) == "pelvis"), None)
     body = body or (travelling or skeleton.names)[0]
@@ -124,12 +135,13 @@ def _feet(motion: Motion, labels: Mapping[str, str]) -> dict[str, Any]:
 
 def _defects(motion: Motion) -> list[str]:
     found = []
-    if jumps := find_jumps(motion):
+    jumps = find_jumps(motion)
+    if jumps is not None:
         found.append(
-            f"{counted(len(jumps.frames), 'jump')}, the fastest {jumps.speed:.0f} m/s of "
-            f"{jumps.joint}: {_at(jumps.frames, motion.fps)}"
+            f"{counted(len(jumps.frames), 'jump')} ({speed_limit(jumps.limit)}), the fastest "
+            f"{in_words(jumps.speed)} of {jumps.joint}: {_at(jumps.frames, motion.fps)}"
         )
-    if pops := find_pops(motion):
+    if pops := find_pops(motion, jumps):
         far = f", the largest {np.rad2deg(pops.angle):.0f}° of" if pops.angle else " of"
         found.append(
             f"{counted(len(pops.frames), 'pop')} away and back{far} {pops.joint}: "
@@ -185,7 +197,8 @@ def _rows(
         )
     if facts.get("contact_share"):
         shares = ", ".join(f"{k} {100 * v:.0f} %" for k, v in facts["contact_share"].items())
-        rows.append(("feet", f"stand still (heel or toe below 0.2 m/s): {shares} of the frames"))
+        slow = in_words(CONTACT_SPEED * body_scale(skeleton))
+        rows.append(("feet", f"stand still (heel or toe below {slow}): {shares} of the frames"))
     if info.get("renamed"):
         pairs = [f"{new} (was {old})" for new, old in info["renamed"].items()]
         rows.append(("renamed", f"names that repeat: {listed(pairs)}"))

@@ -20,6 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.end_sites import real_end_sites
 from gesturekit.motion.fingers import finger_chains
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
@@ -34,6 +36,9 @@ from gesturekit.motion.rotations import (
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.motion.standing import FORWARD, LEFT, UP, body_frame, frame
 
+_NO_LENGTH, _NO_WAY, _NO_END = 1e-6, 1e-3, 0.01
+"""Metres on the reference body; shorter bones, ways across a hand or along a foot, and ends of
+limbs have no direction."""
 _DRAWN_LEVEL = np.deg2rad(10.0)
 """A foot whose bone to the toes is less steep at rest is drawn level: no person's ankle is as low
 as the ball of the foot."""
@@ -78,6 +83,7 @@ class BodyFrames:
                 a limb, they tell the direction of a bone better than its rest does.
         """
         found = {}
+        shortest = _NO_LENGTH * body_scale(self.skeleton)
         for segment, joint in self.joints.items():
             own = multiply_quaternions(turned[..., joint, :], self.own[segment])
             if positions is not None and segment in self.bones:
@@ -85,7 +91,7 @@ class BodyFrames:
                 bone = positions[..., below, :] - positions[..., joint, :]
                 length = np.linalg.norm(bone, axis=-1, keepdims=True)
                 drawn = rotate_vectors(own, np.broadcast_to(direction, bone.shape))
-                bone = np.where(length > 1e-6, bone / np.maximum(length, 1e-6), drawn)
+                bone = np.where(length > shortest, bone / np.maximum(length, shortest), drawn)
                 own = multiply_quaternions(shortest_arc(drawn, bone), own)
             found[segment] = own
         return found
@@ -164,6 +170,7 @@ def body_frames(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> BodyF
 class _Builder:
     def __init__(self, skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> None:
         self.skeleton, self.parts, self.pose = skeleton, parts, pose
+        self.scale, self.ends = body_scale(skeleton), real_end_sites(skeleton)
         self.places = forward_kinematics(pose, np.zeros(3), skeleton)
         self.turned = global_rotations(pose, skeleton)
         self.body = body_frame(skeleton, parts, pose)
@@ -238,7 +245,7 @@ class _Builder:
         if arm.wrist is None:
             elbow = self.skeleton.index(arm.elbow)
             end = self._end(elbow)
-            if np.linalg.norm(end) > 0.01:
+            if np.linalg.norm(end) > _NO_END * self.scale:
                 back = invert_quaternions(self.turned[elbow])
                 self.hands[side] = (elbow, rotate_vectors(back, end))
             way = end / max(np.linalg.norm(end), 1e-9)
@@ -257,7 +264,7 @@ class _Builder:
         if len(knuckles) >= 2:
             way = np.mean(knuckles, axis=0) - self.places[wrist]
             thumbward = knuckles[0] - knuckles[-1]
-            if min(np.linalg.norm(way), np.linalg.norm(thumbward)) > 1e-3:
+            if min(np.linalg.norm(way), np.linalg.norm(thumbward)) > _NO_WAY * self.scale:
                 # Fingers go outward and the thumb's side forward in a T-pose, the palm down.
                 palm = np.cross(thumbward, way * outward[0])
                 hand = frame(palm, way * outward[0])
@@ -275,7 +282,7 @@ class _Builder:
 
     def _end(self, joint: int) -> np.ndarray:
         """(3,) from a joint to the end of what hangs on it, in the world."""
-        sites = self.skeleton.end_sites.get(self.skeleton.names[joint], ())
+        sites = self.ends.get(self.skeleton.names[joint], ())
         ends = [rotate_vectors(self.turned[joint], site) for site in sites]
         ends += [self.places[j] - self.places[joint] for j in self.skeleton.children(joint)]
         return max(ends, key=np.linalg.norm, default=np.zeros(3))
@@ -291,7 +298,7 @@ class _Builder:
             bone = self.places[toe] - self.places[ankle]
         else:
             bone = self._end(ankle)
-            if np.linalg.norm(bone) > 0.01:
+            if np.linalg.norm(bone) > _NO_END * self.scale:
                 back = invert_quaternions(self.turned[ankle])
                 self.toes[side] = (ankle, rotate_vectors(back, bone))
         level = self._level(bone)
@@ -312,7 +319,7 @@ class _Builder:
         """Frame of the foot in the pose, which may have it drawn level or pointing down."""
         _, y, z = rotate_vectors(invert_quaternions(level), bone)
         pitch = np.arctan2(-y, np.abs(z))
-        if _DRAWN_LEVEL <= pitch <= _STEEP or np.linalg.norm(bone) < 1e-3:
+        if _DRAWN_LEVEL <= pitch <= _STEEP or np.linalg.norm(bone) < _NO_WAY * self.scale:
             return level
         # The pose has it lifted (or lowered) by so much against a foot that stands.
         lift = (_USUAL_PITCH - pitch) / 2

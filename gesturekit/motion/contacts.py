@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.end_sites import real_end_sites
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, Leg, find_parts
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
+CONTACT_SPEED = 0.2
+"""m/s on the reference body; a foot point that is slower stands (eq. 1)."""
+_SHORTEST_FOOT = 0.01
+"""Metres on the reference body; a foot that ends closer to its ankle has no toe point."""
 _ON_THE_FLOOR = 0.05
 
 
@@ -27,7 +34,7 @@ def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
 
     On any rig, heel and toe. The heel is the ankle joint. The toe is the toe joint, or where the
     rig has none the farthest end of the foot (a leaf or an end site on the ankle); without that
-    there is no toe point.
+    there is no toe point. End sites that no foot can have do not count (`end_sites`).
 
     With a body model, big toe, small toe and heel: `BodyModel.rig` puts those vertices on the foot
     joints as end sites, and three or more of them on a foot are what touches the floor. They are
@@ -37,31 +44,31 @@ def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
     Raises:
         MotionError: legs that cannot be told; see `gesturekit.motion.parts.find_parts`.
     """
-    legs = find_parts(skeleton).legs
+    legs, ends = find_parts(skeleton).legs, real_end_sites(skeleton)
     points = []
     for side in SIDES:
         soles = [
             FootPoint(joint, site)
             for joint in (legs[side].toe, legs[side].ankle)
-            for site in skeleton.end_sites.get(joint, ())
+            for site in ends.get(joint, ())
         ]
         if len(soles) >= 3:
             points += soles
             continue
         points.append(FootPoint(legs[side].ankle, np.zeros(3)))
-        toe = _toe(skeleton, legs[side])
+        toe = _toe(skeleton, legs[side], ends.get(legs[side].ankle, ()))
         if toe is not None:
             points.append(toe)
     return tuple(points)
 
 
-def _toe(skeleton: Skeleton, leg: Leg) -> FootPoint | None:
+def _toe(skeleton: Skeleton, leg: Leg, sites: Sequence[np.ndarray]) -> FootPoint | None:
     if leg.toe is not None:
         return FootPoint(leg.toe, np.zeros(3))
     ends = [skeleton.offsets[j] for j in skeleton.children(skeleton.index(leg.ankle))]
-    ends += skeleton.end_sites.get(leg.ankle, ())
-    far = max(ends, key=np.linalg.norm, default=np.zeros(3))
-    return FootPoint(leg.ankle, far) if np.linalg.norm(far) > 0.01 else None
+    far = max([*ends, *sites], key=np.linalg.norm, default=np.zeros(3))
+    shortest = _SHORTEST_FOOT * body_scale(skeleton)
+    return FootPoint(leg.ankle, far) if np.linalg.norm(far) > shortest else None
 
 
 def foot_positions(motion: Motion) -> np.ndarray:
@@ -82,12 +89,17 @@ def floor_height(motion: Motion) -> float:
     return float(np.quantile(motion.positions()[..., 1].min(axis=1), _ON_THE_FLOOR))
 
 
-def contact_labels(motion: Motion, threshold: float = 0.2) -> np.ndarray:
-    """(T, F) 1.0 where a foot point is slower than `threshold` m/s, else 0.0.
+def contact_labels(motion: Motion, threshold: float = CONTACT_SPEED) -> np.ndarray:
+    """(T, F) 1.0 where a foot point is slower than `threshold`, else 0.0.
 
     Eq. 1 of Moreno-Villamarin et al. 2024. The speed of frame k is that since frame k - 1; frame
     0 copies frame 1, and a single frame stands.
+
+    Args:
+        motion: any rig with two legs.
+        threshold: m/s on the reference body; it is multiplied by `body_scale` of the rig.
     """
+    threshold *= body_scale(motion.skeleton)
     feet = foot_positions(motion)
     speed = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * motion.fps
     labels = (speed < threshold).astype(np.float64)

@@ -1,4 +1,8 @@
-"""What goes wrong in captured and generated motion: jumps, pops, jitter and stretches frozen."""
+"""Defects of captured and generated motion: jumps, pops, jitter and stretches frozen.
+
+Lengths and speeds are those of the reference body: each is multiplied by `body_scale` of the rig,
+so that a doll and a giant are judged alike.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import rotation_angles, slerp
 
@@ -25,6 +30,9 @@ POP_GRAVITIES = 10.0 * 9.81
 
 JITTER = 3e-3
 """Metres by which a step differs from the one before, in turns to and fro: noise of 0.75 mm."""
+JITTER_FPS = 15.0
+"""Jitter goes to and fro at half the frame rate. A hand can be shaken at up to 7 Hz, so that below
+this rate movement and jitter look alike."""
 
 # The steps in which text files hold a pose: identical rows differ by nothing at all.
 _STILL_ANGLE = 1e-5  # radians
@@ -39,6 +47,8 @@ class Jumps:
     joint: str
     speed: float
     """The fastest jump of all, in m/s, and the joint that makes it."""
+    limit: float
+    """m/s; the speed above which a joint of this body jumps."""
 
 
 @dataclass(frozen=True)
@@ -55,29 +65,50 @@ class Pops:
 def find_jumps(motion: Motion) -> Jumps | None:
     """Frames reached faster than `MAX_SPEED` in world space, or None."""
     steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=-1) * motion.fps
-    frames = np.flatnonzero(steps.max(axis=1) > MAX_SPEED) + 1 if len(steps) else ()
+    limit = MAX_SPEED * body_scale(motion.skeleton)
+    frames = np.flatnonzero(steps.max(axis=1) > limit) + 1 if len(steps) else ()
     if len(frames) == 0:
         return None
     joint = int(np.unravel_index(steps.argmax(), steps.shape)[1])
-    return Jumps(tuple(map(int, frames)), motion.skeleton.names[joint], float(steps.max()))
+    return Jumps(tuple(map(int, frames)), motion.skeleton.names[joint], float(steps.max()), limit)
 
 
-def find_pops(motion: Motion) -> Pops | None:
-    """Frames in which a joint is off the middle of the frames before and after it by more than
-    people can do, and by more than those two differ; or None."""
+def speed_limit(limit: float) -> str:
+    """Return the words for a limit on speed that was scaled from `MAX_SPEED` to a body."""
+    here, usual = in_words(limit), in_words(MAX_SPEED)
+    return f"over {here}" if here == usual else f"over {here}, {usual} on a body of 1.7 m"
+
+
+def in_words(speed: float) -> str:
+    """Return a speed with two digits at least: "0.91 m/s", "24 m/s"."""
+    return f"{speed:.0f} m/s" if speed >= 9.95 else f"{speed:.2g} m/s"
+
+
+def find_pops(motion: Motion, jumps: Jumps | None = None) -> Pops | None:
+    """Return the frames in which a joint pops, or None.
+
+    It is off the middle of the frames before and after it by more than people can do, and by more
+    than those two differ.
+
+    Args:
+        motion: any rig.
+        jumps: those found in it by `find_jumps`; a pop next to one of them is not counted again.
+    """
     if motion.n_frames < 3:
         return None
     q, frame = motion.rotations, 1 / motion.fps
     off = rotation_angles(slerp(q[:-2], q[2:], np.array(0.5)), q[1:-1])
     limit = max(POP_ANGLE, POP_ACCELERATION / 2 * frame**2)
     popping = (off > limit) & (off > rotation_angles(q[:-2], q[2:]))
+    pull = POP_GRAVITIES * body_scale(motion.skeleton)
     names = {motion.skeleton.names[0]: motion.translation, **motion.joint_translations}
     for name, places in names.items():
         away = np.linalg.norm(places[1:-1] - (places[:-2] + places[2:]) / 2, axis=-1)
         through = np.linalg.norm(places[2:] - places[:-2], axis=-1)
-        popping[:, motion.skeleton.index(name)] |= (away > POP_GRAVITIES / 2 * frame**2) & (
-            away > through
-        )
+        popping[:, motion.skeleton.index(name)] |= (away > pull / 2 * frame**2) & (away > through)
+    if jumps is not None:
+        beside = np.array([frame + near for frame in jumps.frames for near in (-1, 0)]) - 1
+        popping[beside[(beside >= 0) & (beside < len(popping))]] = False
     frames = np.flatnonzero(popping.any(axis=1)) + 1
     if len(frames) == 0:
         return None
@@ -90,13 +121,14 @@ def find_pops(motion: Motion) -> Pops | None:
 def jitter_share(motion: Motion) -> float:
     """Share of the frames in which some joint trembles: its steps in world space get shorter and
     longer in turns, three times running and each time by more than `JITTER`, which is faster than
-    anything a frame rate can hold. 0 for fewer than 5 frames."""
-    if motion.n_frames < 5:
+    anything a frame rate can hold. 0 for fewer than 5 frames, or fewer than `JITTER_FPS` a second.
+    """
+    if motion.n_frames < 5 or motion.fps < JITTER_FPS:
         return 0.0
     bend = np.diff(motion.positions(), n=2, axis=0)
     length = np.linalg.norm(bend, axis=-1)
     back = (bend[1:] * bend[:-1]).sum(axis=-1) < -0.5 * length[1:] * length[:-1]
-    back &= np.minimum(length[1:], length[:-1]) > JITTER
+    back &= np.minimum(length[1:], length[:-1]) > JITTER * body_scale(motion.skeleton)
     return float((back[1:] & back[:-1]).any(axis=1).sum() / motion.n_frames)
 
 
@@ -106,6 +138,7 @@ def frozen_runs(motion: Motion) -> list[tuple[int, int]]:
     distance = np.abs(np.diff(motion.translation, axis=0)).max(axis=1)
     for values in motion.joint_translations.values():
         distance = np.maximum(distance, np.abs(np.diff(values, axis=0)).max(axis=1))
+    distance /= body_scale(motion.skeleton)
     still = (angle < _STILL_ANGLE) & (distance < _STILL_DISTANCE)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     # A run of n still steps is n + 1 equal frames.

@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
 STILL = 2.5e-6
-"""Metres that a place may vary by and still be an offset: rounding, not movement."""
+"""Metres on the reference body that a place may vary by and still be an offset: rounding, not
+movement."""
 
 
 def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
@@ -41,6 +43,7 @@ def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
     offsets = skeleton.offsets.copy()
     moving = {name: motion.joint_translations[name] for name in motion.joint_translations}
     translation = motion.translation
+    still = STILL * body_scale(skeleton)
     if any(parent[j] != skeleton.parents[j] for j in kept):
         turned, places = motion.global_rotations(), motion.positions()
         for j in kept:
@@ -55,7 +58,7 @@ def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
                 low, high = place.min(axis=0), place.max(axis=0)
                 offsets[j] = (low + high) / 2
                 moving.pop(skeleton.names[j], None)
-                if (high - low > STILL).any():
+                if (high - low > still).any():
                     moving[skeleton.names[j]] = place
     number = {j: k for k, j in enumerate(kept)}
     rig = Skeleton(

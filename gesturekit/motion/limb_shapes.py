@@ -21,6 +21,9 @@ _ALIKE = 0.15
 """Lengths of left and right bones differ by less than this share."""
 _LONG = 0.25
 """A limb is longer than this share of the longest way through the rig."""
+_ROUNDING, _POINT, _FORWARD = 0.007, 0.007, 0.035
+"""Shares of how far the rig reaches from its root (1.4 m on an adult): by which short bones may
+differ and be alike, below which an end site has no length, and which feet point ahead by."""
 _CLEARLY = 1.3
 """The two long bones of a limb are longer than any other by this factor, and than each other by
 no more than its square."""
@@ -116,7 +119,8 @@ class _Shape:
 
     def _alike(self, a: int, b: int) -> bool:
         """Whether two limbs have bones of equal lengths in equal numbers."""
-        if abs(self.bone[a] - self.bone[b]) > _ALIKE * max(self.bone[a], self.bone[b]) + 0.01:
+        near = _ALIKE * max(self.bone[a], self.bone[b]) + _ROUNDING * self.reach[0]
+        if abs(self.bone[a] - self.bone[b]) > near:
             return False
         below = [self._sorted(joint) for joint in (a, b)]
         return len(below[0]) == len(below[1]) and all(map(self._alike, *below))
@@ -170,7 +174,7 @@ class _Shape:
                 ends += [self.place[joint] + site - self.place[ankle] for site in sites]
             foot = max(ends, key=np.linalg.norm)
             ahead += foot - (foot @ up) * up
-        if np.linalg.norm(ahead) < 0.05:
+        if np.linalg.norm(ahead) < _FORWARD * self.reach[0]:
             raise MotionError("its feet do not say where is forward")
         return np.cross(up, ahead / np.linalg.norm(ahead))
 
@@ -184,7 +188,7 @@ class _Shape:
         for joint in chain:
             if len(self.skeleton.children(joint)) > 1:
                 return joint
-        marks_top = self.tip[chain[-1]] < 0.01 and len(chain) > 1
+        marks_top = self.tip[chain[-1]] < _POINT * self.reach[0] and len(chain) > 1
         before = self.bone[chain[-2]] if len(chain) > 1 else 0.0
         return chain[-2] if marks_top and self.bone[chain[-1]] > before else chain[-1]
 

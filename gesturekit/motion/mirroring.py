@@ -24,6 +24,7 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import left_right_pairs
 from gesturekit.motion.rotations import (
@@ -40,7 +41,8 @@ _WORLD = 0
 _PARALLEL = 0.1
 """Left and right bones may differ by this share of their lengths and still be reflections."""
 _AS_MUCH_AS_A_RADIAN = 1e-3
-"""Metres that a reflected offset may lie off, for a radian that a rotation may."""
+"""Metres on the reference body that a reflected offset may lie off, for a radian that a rotation
+may."""
 _ALIKE = 0.1
 """In this share of the frames, at least, people stand alike on both sides."""
 _CHANGE = 1.0
@@ -142,8 +144,9 @@ def _by_joint(
     # cost[j, s]: of the frame of j being reflected by s, with all that hangs on it.
     cost = np.zeros((n, 4))
     choice = np.full((n, 4), _WORLD)
+    radian = _AS_MUCH_AS_A_RADIAN * body_scale(skeleton)
     for j in fixed:
-        cost[skeleton.parents[j]] += mismatch[j] / _AS_MUCH_AS_A_RADIAN
+        cost[skeleton.parents[j]] += mismatch[j] / radian
     for j in reversed(range(fork, n)):
         for above in range(4):
             total = cost[j].copy()

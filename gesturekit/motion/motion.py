@@ -155,6 +155,16 @@ class Motion:
 
         return mirror_motion(self)
 
+    def scaled(self, factor: float) -> Motion:
+        """Multiply all lengths by `factor`: rig, path of the root, joints that move."""
+        return replace(
+            self,
+            skeleton=self.skeleton.scaled(factor),
+            translation=self.translation * factor,
+            joint_translations={k: v * factor for k, v in self.joint_translations.items()},
+            info=dict(self.info),
+        )
+
     def with_parts(self, parts: Mapping[str, str]) -> Motion:
         """With parts of the rig named by hand, beside those that already are.
 

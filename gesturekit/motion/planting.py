@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.motion.body_frames import BodyFrames
+from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.contacts import CONTACT_SPEED
 from gesturekit.motion.ik import two_bone_ik
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
@@ -18,8 +20,6 @@ from gesturekit.motion.rotations import (
 )
 from gesturekit.motion.standing import FORWARD
 
-_STILL = 0.2
-"""m/s; heel and toe of a foot that stands are slower, as in `contacts`."""
 _STRETCH = 0.995
 """Legs are not pulled straighter than this share of their length, unless the source's are."""
 GIVE_WAY = 0.2
@@ -50,6 +50,7 @@ class Feet:
         """The feet of a motion."""
         positions, turned = motion.positions(), motion.global_rotations()
         ankles, toes, standing, stretch = {}, {}, {}, {}
+        still = CONTACT_SPEED * body_scale(motion.skeleton)
         for side in SIDES:
             hip, knee, ankle = (
                 positions[:, frames.joints[f"{side}_{part}"]] for part in ("hip", "knee", "ankle")
@@ -62,7 +63,7 @@ class Feet:
                 toes[side] = positions[:, joint] + rotate_vectors(turned[:, joint], offset)
             both = np.stack([ankles[side], toes[side]], axis=1)
             speed = np.linalg.norm(np.diff(both, axis=0, prepend=both[:1]), axis=-1) * motion.fps
-            standing[side] = (speed < _STILL).all(axis=1)
+            standing[side] = (speed < still).all(axis=1)
         lowest = {side: np.minimum(ankles[side], toes[side])[:, 1] for side in SIDES}
         still = np.concatenate([lowest[side][standing[side]] for side in SIDES])
         anyway = np.quantile(np.minimum(lowest["left"], lowest["right"]), 0.05)

@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.motion.body_frames import BodyFrames, body_frames
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
@@ -34,6 +35,8 @@ from gesturekit.motion.rotations import (
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.motion.standing import standing_pose, standing_rig
 
+_NO_LENGTH = 1e-6
+"""Metres on the reference body; a spine or neck that is shorter has no length."""
 _MARKER_ON_THE_FLOOR = 0.25
 """A root that lies farther from the pelvis than this share of the legs does not move with it."""
 
@@ -209,7 +212,7 @@ def _heights(frames: BodyFrames, chain: list[str]) -> np.ndarray:
     way = places[[*joints, top]]
     lengths = np.linalg.norm(np.diff(way, axis=0), axis=-1)
     middles = np.cumsum(lengths) - lengths / 2
-    if middles[-1] < 1e-6:
+    if middles[-1] < _NO_LENGTH * body_scale(skeleton):
         return np.linspace(0, 1, len(chain) + 1)[1:]
     return middles / middles[-1]
 

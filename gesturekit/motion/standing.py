@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, BodyParts, find_parts
@@ -28,6 +29,9 @@ from gesturekit.motion.skeleton import Skeleton
 LEFT, UP, FORWARD = np.eye(3)
 """Axes of a body that stands and faces +Z."""
 
+_NO_LENGTH, _NO_BONE, _NO_WAY = 1e-6, 1e-4, 1e-3
+"""Metres on the reference body; shorter bones of a limb, of the trunk, and ways between collar
+bones have no direction."""
 _UPRIGHT = np.cos(np.deg2rad(45.0))
 _AXIS_ALIGNED = np.cos(np.deg2rad(20.0))
 
@@ -80,6 +84,7 @@ def standing_rig(skeleton: Skeleton, parts: BodyParts | None = None) -> np.ndarr
     wanted = _t_pose(skeleton, parts)
     places = forward_kinematics(rest, np.zeros(3), skeleton)
     pelvis, chest = skeleton.index(parts.pelvis), skeleton.index(parts.spine[-1])
+    scale = body_scale(skeleton)
 
     def at(name: str) -> np.ndarray:
         return places[skeleton.index(name)]
@@ -92,12 +97,12 @@ def standing_rig(skeleton: Skeleton, parts: BodyParts | None = None) -> np.ndarr
             # Two directions are known: up the spine, and across hips or shoulders.
             top = wanted[j][0] if j == chest and j in wanted else chest
             up = places[top] - places[j] if top != j else places[chest] - places[pelvis]
-            own = invert_quaternions(frame(up, _across(parts, j == pelvis, at)))
+            own = invert_quaternions(frame(up, _across(parts, j == pelvis, at, scale)))
         elif j in wanted:
             below, direction, spare = wanted[j]
             bone = rotate_vectors(own, places[below] - places[j])
             length = np.linalg.norm(bone)
-            if length > 1e-6:
+            if length > _NO_LENGTH * scale:
                 arc = shortest_arc(bone / length, direction, spare)
                 own = multiply_quaternions(arc, own)
         turned[j] = own
@@ -160,22 +165,25 @@ def _bones(skeleton: Skeleton, parts: BodyParts, places: np.ndarray) -> dict[str
         found[f"{side}_thigh"] = at(legs[side].knee) - at(legs[side].hip)
         found[f"{side}_shank"] = at(legs[side].ankle) - at(legs[side].knee)
         found[f"{side}_arm"] = at(arms[side].elbow) - at(arms[side].shoulder)
+    shortest = _NO_BONE * body_scale(skeleton)
     for name, bone in found.items():
         length = np.linalg.norm(bone, axis=-1, keepdims=True)
-        if length.min() < 1e-4:
+        if length.min() < shortest:
             raise MotionError(f"the rig's {name.replace('_', ' ')} has no length")
         found[name] = bone / length
     return found
 
 
-def _across(parts: BodyParts, hips: bool, at: Callable[[str], np.ndarray]) -> np.ndarray:
+def _across(
+    parts: BodyParts, hips: bool, at: Callable[[str], np.ndarray], scale: float
+) -> np.ndarray:
     """(3,) from the right hip to the left, or from the right collar bone or shoulder."""
     left, right = (parts.legs[side] if hips else parts.arms[side] for side in SIDES)
     if hips:
         return at(left.hip) - at(right.hip)
     if left.clavicle and right.clavicle:
         between = at(left.clavicle) - at(right.clavicle)
-        if np.linalg.norm(between) > 1e-3:
+        if np.linalg.norm(between) > _NO_WAY * scale:
             return between
     return at(left.shoulder) - at(right.shoulder)
 

@@ -45,6 +45,9 @@ class Windows:
     targets: tuple[Tensor, ...] | None
     styles: Tensor
 
+    def __len__(self) -> int:
+        return len(self.styles)
+
     def take(self, index: Tensor) -> Windows:
         """The windows at these numbers, (B,)."""
 

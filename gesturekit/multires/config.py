@@ -32,6 +32,8 @@ class NetworkConfig:
     """Modulate the input of each level (the paper), or every hidden layer as well."""
     embedding: int = 64
     """Width of y_i, the embedding of the condition (eq. 8)."""
+    rectify_embedding: bool = True
+    """Put y_i through a leaky rectifier; the paper's fully connected layer (eq. 8) has none."""
     modulate: Literal["upper", "all"] | tuple[str, ...] = "upper"
     """Joints that the condition modulates: the upper body, all, or names."""
 
@@ -83,8 +85,10 @@ class LossConfig:
     """Of the sigmoid over contact labels in eq. 14; 12 in GANimator."""
     critic_scale: float = 1.0
     """Of the critic's score in its own loss, before the penalty; 1/2 in GANimator."""
-    penalty_on: Literal["window", "frame"] = "window"
-    """The gradient penalty is on the norm over a window, or on each frame's own (GANimator)."""
+    penalty_on: Literal["window", "frame", "printed"] = "window"
+    """Norm that the gradient penalty holds at 1: over a window, of the score's sum rather than its
+    mean, so that it does not depend on the length; of each frame's gradient (GANimator); or over a
+    window of the mean score's gradient, as eq. 13 is printed."""
 
     def __post_init__(self) -> None:
         check_not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
@@ -109,8 +113,9 @@ class ScheduleConfig:
     batch: int = 4
     window: float | None = 10.0
     """Seconds of each training window; null takes whole sequences, one at a time."""
-    bank: int = 64
-    """Windows whose coarser levels are generated beforehand ..."""
+    bank: int | None = 64
+    """Windows whose coarser levels are generated beforehand ...; null draws fresh noise and speech
+    at every step, as both papers do."""
     renew: int = 50
     """... and renewed every so many iterations."""
     margins: bool = False
@@ -124,13 +129,14 @@ class ScheduleConfig:
         check_positive(
             learning_rate=self.learning_rate,
             batch=self.batch,
-            bank=self.bank,
             renew=self.renew,
             first_pair=self.first_pair,
             further_pairs=self.further_pairs,
         )
         if self.window is not None:
             check_positive(window=self.window)
+        if self.bank is not None:
+            check_positive(bank=self.bank)
         steps = {
             "discriminator_steps": self.discriminator_steps,
             "generator_steps": self.generator_steps,
@@ -177,6 +183,8 @@ class MultiresConfig(RunConfig):
     fps: float = 25.0
     normalise: bool = True
     """Bring motion to zero mean and comparable spread; GANimator does not."""
+    face_forward: bool = True
+    """Turn each recording about the vertical to face +Z on the whole; the papers do not."""
     z_star: Literal["shared", "full"] = "shared"
     """The noise of reconstructions: like all noise, or of each channel and unscaled (GANimator)."""
     recall: int = 0

@@ -92,17 +92,13 @@ class _Level:
     def is_live(self) -> bool:
         return all(conv.is_live(self.real) for conv in self.critic.layers)
 
-    @property
-    def per_frame(self) -> bool:
-        return self.losses.penalty_on == "frame"
-
 
 def _by_autograd(level: _Level) -> Tensor:
     critic, real, fake, told = level.critic, level.real, level.fake, level.told
     twice = None if told is None else torch.cat([told, told])
     scores = critic(torch.cat([fake, real]), twice)
     gap = scores[: len(fake)].mean() - scores[len(fake) :].mean()
-    penalty = gradient_penalty(critic, real, fake, level.mix, level.per_frame, told)
+    penalty = gradient_penalty(critic, real, fake, level.mix, level.losses.penalty_on, told)
     loss = level.losses.critic_scale * gap + level.losses.gradient_penalty * penalty
     parameters = list(critic.parameters())
     for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
@@ -204,7 +200,10 @@ class _Step:
             gradients.insert(0, gradient)
         towards = gradients[0]
         penalty = level.losses.gradient_penalty / self.count
-        penalty_gradient(towards, rows.batch, rows.n_frames, penalty, level.per_frame)
+        penalty_on = level.losses.penalty_on
+        scale = rows.n_frames**0.5 if penalty_on == "window" else 1.0
+        per_frame = penalty_on == "frame"
+        penalty_gradient(towards, rows.batch, rows.n_frames, penalty, per_frame, scale)
         mirror_rows(towards, rows.batch, rows.n_frames)
         by_weight = []
         for i, wiring in enumerate(self.wirings):

@@ -26,7 +26,12 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.interpolation import resample
 from gesturekit.training.data_folder import load_data, save_data
-from gesturekit.training.features import conditioner_tensors, listen, load_conditioner
+from gesturekit.training.features import (
+    conditioner_tensors,
+    conditioner_values,
+    listen,
+    load_conditioner,
+)
 from gesturekit.training.recordings import (
     item_styles,
     load_motions,
@@ -198,7 +203,7 @@ class TrainingData:
         about = {
             "names": [sequence.name for sequence in self.paired],
             "unpaired": 0 if self.unpaired_is_paired else len(self.unpaired),
-            "features": None if self.conditioner is None else self.conditioner.extractor.spec,
+            "features": None if self.conditioner is None else conditioner_values(self.conditioner),
             "styles": list(self.styles),
             "style_of": [sequence.style for sequence in self.paired],
             "sources": to_values(self.sources),
@@ -240,11 +245,7 @@ class TrainingData:
                 conditioner=None
                 if config.features is None
                 else load_conditioner(
-                    about["features"],
-                    config.features.align,
-                    tensors,
-                    config.fps,
-                    config.features.weights,
+                    about["features"], tensors, config.fps, config.features.weights
                 ),
                 styles=tuple(about["styles"]),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
@@ -313,8 +314,8 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     vectors = []
     for item, motion in zip(items, motions, strict=True):
         try:
-            # Every recording is turned to face +Z on the whole.
-            vectors.append(representation.encode(motion, turn=-heading(motion)))
+            turn = -heading(motion) if config.face_forward else 0.0
+            vectors.append(representation.encode(motion, turn=turn))
         except ValueError as error:
             raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
     if config.normalise:
@@ -333,7 +334,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             [*map(len, vectors), *[None] * len(others)],
             extractor,
             config.fps,
-            config.features.align,
+            config.features,
         )
         # One after the other, each making room for what becomes of it.
         heard.reverse()

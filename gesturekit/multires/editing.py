@@ -7,6 +7,7 @@ first the motion is a coarse level that was edited, for the second it is anythin
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ import torch
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
+import audio_features as af
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.rotations import rotate_vectors, slerp
@@ -28,6 +30,14 @@ _UNTOUCHED = 0.01
 """Vectors nearer than this (6D entries, labels, m) differ by the rounding of a file alone."""
 _UNMOVED = 1e-4
 """So do steps of the root, m per frame, that are nearer than this: they add up."""
+_RATE_TOLERANCE = 0.01
+"""Share by which a file's frame rate may miss its level's, as rounding of the file makes it."""
+_HELD_FRAMES = 3
+"""From so many equal frames at its end a motion is taken to go on past the end of the clip, as
+Blender writes it, whose default range is 250 frames."""
+_EQUAL = 1e-6
+
+log = logging.getLogger(__name__)
 
 
 def level_motion(
@@ -78,6 +88,76 @@ def motion_level(
         return values
     values = representation.encode(motion.resample(fps, n_frames))
     return resample(torch.from_numpy(values.T), lengths[level]).T.numpy()
+
+
+def fit_keyframes(
+    representation: MultiresRepresentation,
+    motion: Motion,
+    fps: float,
+    levels: int,
+    level: int,
+    n_frames: int | None,
+) -> Motion:
+    """Return keyframes on the model's rig and without frames past the end; warn of misfits.
+
+    Args:
+        representation: of the model.
+        motion: what was edited.
+        fps: frames per second of the finest level.
+        levels: how many levels the model has.
+        level: in whose place the motion is put, from 0.
+        n_frames: of the result at `fps`; None where the keyframes give it its length.
+
+    Raises:
+        ModelError: another rig that cannot be put in the place of the model's.
+    """
+    moves = np.diff(motion.rotations, axis=0), np.diff(motion.translation, axis=0)
+    changes = np.flatnonzero(
+        [max(np.abs(m[k]).max() for m in moves) > _EQUAL for k in range(motion.n_frames - 1)]
+    )
+    last = int(changes[-1]) + 2 if len(changes) else motion.n_frames
+    end = last if n_frames is None else af.level_lengths(n_frames, levels)[level]
+    if last <= end < motion.n_frames and motion.n_frames - last >= _HELD_FRAMES - 1:
+        log.warning(
+            "keyframes: %d equal frames at the end are left out, %d remain (Blender exports 250 "
+            "frames unless told the clip's length); to keep them give the length in seconds",
+            motion.n_frames - end,
+            end,
+        )
+        motion = motion.slice(0, end)
+    own = on_rig(representation, motion)
+    if own is not motion:
+        log.warning(
+            "keyframes: another rig than the model's (%d joints, %d of them): retargeted",
+            motion.skeleton.n_joints,
+            representation.skeleton.n_joints,
+        )
+    wanted = full_frames(motion, fps) if n_frames is None else n_frames
+    lengths = af.level_lengths(wanted, levels)
+    rates = [fps * length / wanted for length in lengths]
+    if abs(motion.fps - rates[level]) > _RATE_TOLERANCE * rates[level]:
+        nearest = int(np.argmin([abs(motion.fps - rate) for rate in rates]))
+        fits = abs(motion.fps - rates[nearest]) <= _RATE_TOLERANCE * rates[nearest]
+        log.warning(
+            "keyframes: %.4g fps, but level %d has %.4g fps: %s",
+            motion.fps,
+            level + 1,
+            rates[level],
+            f"it would fit level {nearest + 1}; resampled"
+            if fits
+            else f"no level has; resampled, as {motion.duration:.2f} s of motion",
+        )
+    elif n_frames is not None and motion.n_frames != lengths[level]:
+        log.warning(
+            "keyframes: %d frames, but level %d has %d for this length: %s",
+            motion.n_frames,
+            level + 1,
+            lengths[level],
+            "the rest is left out"
+            if motion.n_frames > lengths[level]
+            else "the last pose is held to the end",
+        )
+    return own
 
 
 def keep_unedited(

@@ -21,16 +21,16 @@ from gesturekit.compiled import compiled
 
 
 @lru_cache(maxsize=4096)
-def _weights(n_in: int, n_out: int) -> tuple[Tensor, Tensor, Tensor]:
-    low, high, weight = interpolation_weights(n_in, n_out)
-    return torch.from_numpy(low), torch.from_numpy(high), torch.from_numpy(weight).float()
+def _weights(n_in: int, n_out: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
+    low, high, weight = map(torch.from_numpy, interpolation_weights(n_in, n_out))
+    return low, high, weight.to(dtype)
 
 
 def resample(x: Tensor, n_frames: int) -> Tensor:
     """(..., T) to (..., n_frames), linear, align_corners=False."""
     if x.shape[-1] == n_frames:
         return x
-    return _between(x, *_weights(x.shape[-1], n_frames))
+    return _between(x, *_weights(x.shape[-1], n_frames, x.dtype))
 
 
 def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:
@@ -42,7 +42,7 @@ def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:
     low, high, weight = map(
         torch.from_numpy, interpolation_weights(x.shape[-1], n_frames, start, stop)
     )
-    return _between(x, low, high, weight.float())
+    return _between(x, low, high, weight.to(x.dtype))
 
 
 def _between(x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
@@ -51,7 +51,7 @@ def _between(x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
         return _Between.apply(x, low, high, weight)
     low, high, weight = (part.to(x.device) for part in (low, high, weight))
     below = x.index_select(-1, low)
-    return below + weight.to(x.dtype) * (x.index_select(-1, high) - below)
+    return below + weight * (x.index_select(-1, high) - below)
 
 
 class _Between(torch.autograd.Function):

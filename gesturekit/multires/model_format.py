@@ -14,7 +14,11 @@ from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.data import Normaliser
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.features import conditioner_tensors, load_conditioner
+from gesturekit.training.features import (
+    conditioner_tensors,
+    conditioner_values,
+    load_conditioner,
+)
 from gesturekit.training.model_folder import ModelParts
 
 if TYPE_CHECKING:
@@ -39,11 +43,7 @@ def model_parts(
         "joints": list(model.representation.joints),
         "features": None
         if model.conditioner is None
-        else {
-            "spec": model.conditioner.extractor.spec,
-            "align": model.conditioner.align,
-            "residual": model.residual,
-        },
+        else {**conditioner_values(model.conditioner), "residual": model.residual},
         "styles": list(model.styles),
         "recall": model.recall,
         "noise_levels": model.noise_levels,
@@ -83,9 +83,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
     representation = MultiresRepresentation.from_json(skeleton, rig["motion"])
     features, conditioner = config["features"], None
     if features is not None:
-        conditioner = load_conditioner(
-            features["spec"], features["align"], tensors, fps, weights, device
-        )
+        conditioner = load_conditioner(features, tensors, fps, weights, device)
     styles = tuple(map(str, config.get("styles", ())))
     n_condition = len(styles) + (0 if conditioner is None else conditioner.dim)
     network_config = build(NetworkConfig, config["network"], where=where)

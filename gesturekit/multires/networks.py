@@ -75,6 +75,7 @@ class LevelGenerator(nn.Module):
             return
         blocks = modulated_blocks(representation, config)
         self.embed = nn.Conv1d(n_condition, config.embedding, 1)
+        self.rectify_embedding = config.rectify_embedding
         modulated = sizes[:1] if config.film == "input" else sizes[:-1]
         self.films = nn.ModuleList(
             Film(config.embedding, np.repeat(blocks, size)) for size in modulated
@@ -92,11 +93,11 @@ class LevelGenerator(nn.Module):
         Returns:
             (B, D, T).
         """
-        y = (
-            None
-            if condition is None or not self.films
-            else F.leaky_relu(self.embed(condition), SLOPE)
-        )
+        y = None
+        if condition is not None and self.films:
+            y = self.embed(condition)
+            if self.rectify_embedding:
+                y = F.leaky_relu(y, SLOPE)
         x = up + noise
         modulated = 0 if y is None else len(self.films)
         if modulated <= 1:
@@ -234,7 +235,7 @@ def gradient_penalty(
     real: Tensor,
     fake: Tensor,
     mix: Tensor,
-    per_frame: bool = False,
+    penalty_on: str = "window",
     told: Tensor | None = None,
 ) -> Tensor:
     """Mean of (||grad D|| - 1)^2 between real and fake motions (eq. 13, Gulrajani et al. 2017).
@@ -244,15 +245,17 @@ def gradient_penalty(
         real: (B, D, T).
         fake: (B, D, T).
         mix: (B, 1, 1), uniform in [0, 1].
-        per_frame: penalise the norm over the channels of each frame, as GANimator does.
+        penalty_on: whose norm is penalised, see `LossConfig.penalty_on`.
         told: (B, K) styles of both, for a discriminator that is told.
     """
     between = (mix * fake + (1 - mix) * real).requires_grad_(True)
     score = discriminator(between, told).sum()
     (gradient,) = torch.autograd.grad(score, between, create_graph=True)
-    if per_frame:
+    if penalty_on == "frame":
         return ((gradient.norm(dim=1) - 1) ** 2).mean()
-    # The score is a mean over T frames, so its gradient shrinks as 1/sqrt(T) with length; the
-    # penalty is on the score per frame, or long windows would be punished for their length.
-    norm = gradient.flatten(1).norm(dim=1) * between.shape[-1] ** 0.5
+    norm = gradient.flatten(1).norm(dim=1)
+    if penalty_on == "window":
+        # The score is a mean over T frames, so its gradient shrinks as 1/sqrt(T) with length; long
+        # windows would be punished for their length.
+        norm = norm * between.shape[-1] ** 0.5
     return ((norm - 1) ** 2).mean()

@@ -150,15 +150,25 @@ class Pair:
                     sequences, n_frames, self.first, count, rng
                 )
 
-    def _choose(self, windows: Windows, rng: torch.Generator, batches: int = 1) -> Tensor:
-        """(batches, B) numbers of windows, for all processes."""
+    def _windows(
+        self, kind: str, n_frames: int, rng: torch.Generator, batches: int = 1
+    ) -> tuple[Windows, Tensor]:
+        """Windows, and the (batches, B) numbers of those that are used, for all processes."""
         size = (batches, self.trainer.batch)
-        return torch.randint(len(windows.conditions[0]), size, generator=rng)
+        if self.config.schedule.bank is not None:
+            windows = self._bank[kind][n_frames]
+            return windows, torch.randint(len(windows), size, generator=rng)
+        draw = self.trainer.bank.paired if kind == "paired" else self.trainer.bank.random
+        sequences = [self.trainer.data.paired[i] for i in self.trainer.groups[n_frames]]
+        windows = draw(sequences, n_frames, self.first, math.prod(size), rng)
+        if len(windows) == math.prod(size):
+            return windows, torch.arange(len(windows)).reshape(size)
+        return windows, torch.randint(len(windows), size, generator=rng)
 
     def _draw(self, kind: str, n_frames: int, rng: torch.Generator) -> Windows:
         """My share of a batch of windows."""
-        windows = self._bank[kind][n_frames]
-        return windows.take(self._choose(windows, rng)[0, self._share])
+        windows, chosen = self._windows(kind, n_frames, rng)
+        return windows.take(chosen[0, self._share])
 
     @property
     def _n_told(self) -> int:
@@ -185,7 +195,7 @@ class Pair:
 
     def _iterate(self, iteration: int) -> dict[str, float]:
         schedule = self.config.schedule
-        if iteration % schedule.renew == 0 or not self._bank:
+        if schedule.bank is not None and (iteration % schedule.renew == 0 or not self._bank):
             self._fill_bank(iteration // schedule.renew)
         rng = generator(self.config.seed, "iteration", self.first, iteration)
         lengths = list(self.trainer.groups)
@@ -273,8 +283,7 @@ class Pair:
         fakes: dict[int, Iterator[Sequence[Tensor]]] = {}
         for n_frames in dict.fromkeys(lengths):
             count = lengths.count(n_frames)
-            windows = self._bank["random"][n_frames]
-            chosen = self._choose(windows, rng, count)
+            windows, chosen = self._windows("random", n_frames, rng, count)
             with torch.no_grad():
                 made = self._generate(windows.take(chosen[:, self._share].flatten()))
             split = (level.chunk(count) for level in self._within(made, n_frames))

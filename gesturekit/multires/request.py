@@ -16,7 +16,7 @@ from gesturekit.formats.root_path import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.editing import full_frames
+from gesturekit.multires.editing import fit_keyframes, full_frames
 from gesturekit.multires.keeping import KeptParts
 
 if TYPE_CHECKING:
@@ -105,10 +105,19 @@ class Request:
             start = Motion.load(start)
         kept = None if keep is None else KeptParts(keep, model.representation, model.fps)
         way = None if path is None else as_root_path(path)
-        if speech is None and seconds is None:
+        is_led = speech is None and seconds is None
+
+        def fitted(n_frames: int | None) -> Motion:
+            levels, level = n_levels, keyframe_level - 1
+            return fit_keyframes(model.representation, start, model.fps, levels, level, n_frames)
+
+        if is_led:
+            start = start if keyframes is None else fitted(None)
             seconds = _own_seconds(model.fps, start, kept, way)
         features = hear(model.conditioner, speech, seconds, model.fps)
         n_frames = len(features)
+        if keyframes is not None and not is_led:
+            start = fitted(n_frames)
         if kept is not None:
             _check_within(kept, n_frames)
         # A coarse level is edited frame by frame: its own frames, and none around them.

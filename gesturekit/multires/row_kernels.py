@@ -265,15 +265,18 @@ def score_rows(
 
 @compiled(fastmath=SUMS)
 def penalty_gradient(
-    gradient: np.ndarray, batch: int, n_frames: int, weight: float, per_frame: bool
+    gradient: np.ndarray,
+    batch: int,
+    n_frames: int,
+    weight: float,
+    per_frame: bool,
+    scale: float,
 ) -> None:
     """From the gradient that the penalty is on to that of the penalty, in place.
 
-    The penalty is the mean of (|g| - 1)^2 over frames, or (s |g| - 1)^2 of a window, s the root of
-    its length; of all windows the sum, times `weight`. Where g is zero any direction would do, and
-    none is taken.
+    The penalty is (scale |g| - 1)^2, the mean over frames or of a window at once; of all windows
+    the sum, times `weight`. Where g is zero any direction would do, and none is taken.
     """
-    scale = 1.0 if per_frame else np.sqrt(n_frames)
     if per_frame:
         weight = weight / n_frames
     factor = np.empty(n_frames, dtype=np.float32)

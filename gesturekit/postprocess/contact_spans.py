@@ -1,15 +1,18 @@
-"""When a foot stands: spans of frames, from predicted labels or from speed and height."""
+"""When a foot stands: spans of frames, from predicted labels or from speed and height.
+
+Lengths and speeds are those of the reference body; callers give the `body_scale` of the rig.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter1d
 
+from gesturekit.motion.contacts import CONTACT_SPEED
+
 Span = tuple[int, int]
 """First frame, and the frame after the last."""
 
-STILL = 0.2
-"""m/s; what stands is slower. The labels of eq. 1 are made with the same threshold."""
 SETTLES = 0.4
 """m/s; a point just above the floor that is slower than this is about to stand, or stood."""
 BELIEVED = 0.6
@@ -31,13 +34,14 @@ def point_speed(places: np.ndarray, fps: float) -> np.ndarray:
 
 
 def contact_frames(
-    places: np.ndarray, fps: float, labels: np.ndarray | None = None
+    places: np.ndarray, fps: float, scale: float, labels: np.ndarray | None = None
 ) -> tuple[np.ndarray, float]:
     """When a point of a foot is on the floor, and how high it then is.
 
     Args:
         places: (T, 3) of the point, metres.
         fps: frames per second.
+        scale: of the body, see `body_scale`.
         labels: (T,) predicted contact, over 0.5 where it stands; None judges by speed alone, that
             of the point or of where it is on average, if that is slower.
 
@@ -50,26 +54,30 @@ def contact_frames(
     if labels is None:
         steady = gaussian_filter1d(places, TREMBLES * fps, axis=0)
         speed = np.minimum(speed, point_speed(steady, fps))
-    stands = speed < STILL if labels is None else (labels > 0.5) & (speed < BELIEVED)
+    speed /= scale
+    stands = speed < CONTACT_SPEED if labels is None else (labels > 0.5) & (speed < BELIEVED)
     height = places[:, 1]
     floor = float(np.median(height[stands]) if stands.any() else np.quantile(height, 0.1))
-    return stands & (np.abs(height - floor) < NEAR), floor
+    return stands & (np.abs(height - floor) < NEAR * scale), floor
 
 
-def with_edges(stands: np.ndarray, places: np.ndarray, floor: float, fps: float) -> np.ndarray:
+def with_edges(
+    stands: np.ndarray, places: np.ndarray, floor: float, fps: float, scale: float
+) -> np.ndarray:
     """(T,) bool: when a point stands, lands and leaves.
 
-    A foot passes `STILL` some frames after it has landed, and before it leaves: up to `SHORTEST`
-    on either side count in which the point is slow and low.
+    A foot passes `CONTACT_SPEED` some frames after it has landed, and before it leaves: up to
+    `SHORTEST` on either side count in which the point is slow and low.
 
     Args:
         stands: (T,) bool.
         places: (T, 3) of the point, metres.
         floor: height of the point when it stands.
         fps: frames per second.
+        scale: of the body, see `body_scale`.
     """
-    low = np.abs(places[:, 1] - floor) < NEAR / 2
-    settles = stands | (low & (point_speed(places, fps) < SETTLES))
+    low = np.abs(places[:, 1] - floor) < NEAR / 2 * scale
+    settles = stands | (low & (point_speed(places, fps) < SETTLES * scale))
     frames = max(round(SHORTEST * fps), 1)
     return binary_dilation(stands, iterations=frames, mask=settles)
 

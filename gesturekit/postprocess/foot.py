@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.motion.contacts import FootPoint, foot_points
+from gesturekit.motion.end_sites import real_end_sites
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
@@ -66,7 +67,7 @@ def feet_of(skeleton: Skeleton) -> tuple[Foot, Foot]:
 
 def _feet(skeleton: Skeleton) -> Iterator[Foot]:
     legs = find_parts(skeleton).legs
-    points = foot_points(skeleton)
+    points, ends = foot_points(skeleton), real_end_sites(skeleton)
     for side in SIDES:
         leg = legs[side]
         ankle = skeleton.index(leg.ankle)
@@ -88,7 +89,7 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
         sole += [(j, np.zeros(3)) for j in below if j != ankle and j not in toes]
         tips = [(j, np.zeros(3)) for j in below if j in toes]
         for j in below:
-            sites = [(j, site) for site in skeleton.end_sites.get(skeleton.names[j], ())]
+            sites = [(j, site) for site in ends.get(skeleton.names[j], ())]
             (tips if j in toes else sole).extend(sites)
         yield Foot(
             limb=(skeleton.index(leg.hip), skeleton.index(leg.knee), ankle),

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.ik import reachable, two_bone_ik
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
@@ -42,20 +43,21 @@ from gesturekit.postprocess.contact_spans import (
     with_edges,
 )
 from gesturekit.postprocess.foot import Anchor, Foot, feet_of
-from gesturekit.postprocess.pinning import give_way, pin
+from gesturekit.postprocess.pinning import FASTEST, give_way, pin
 
 _STRAY = 0.1
 """Share of the leg's length within which a foot is pulled back to its pin."""
 _TURN = 0.15
 """Share of the foot's length by which heel and ball are moved against each other: radians."""
 _LIFT = 0.01
-"""Metres; a heel that is farther from the floor while the ball stands is lifted, not noisy."""
+"""Metres on the reference body; a heel that is farther from the floor while the ball stands is
+lifted, not noisy."""
 _STRETCH = 0.995
 """Legs are not pulled straighter than this share of their length, unless they were."""
 _LOWEST = 0.05
 """Share of the leg's length by which the hips come down, at most."""
 _NOTHING = 1e-7
-"""Metres, and sines of half angles, that are no change."""
+"""Metres on the reference body, and sines of half angles, that are no change."""
 
 
 def lock_feet(
@@ -108,6 +110,8 @@ class _FootLock:
         self.turned = motion.global_rotations()
         self.positions = motion.positions()
         self.radius = _STRAY * leg_length(motion.skeleton)
+        self.scale = body_scale(motion.skeleton)
+        self.nothing = _NOTHING * self.scale
 
     def locked(self, keep_path: bool) -> Motion:
         stands = [self._stands(foot) for foot in self.feet]
@@ -148,7 +152,7 @@ class _FootLock:
             if self.labels is not None:
                 labels = self.labels[:, list(anchor.columns)].mean(axis=1)
             places = anchor.places(self.positions, self.turned)
-            found.append(contact_frames(places, self.fps, labels))
+            found.append(contact_frames(places, self.fps, self.scale, labels))
         return found
 
     def _goal(self, foot: Foot, stands: list[tuple[np.ndarray, float]], shift: np.ndarray) -> _Goal:
@@ -156,7 +160,7 @@ class _FootLock:
         ankle = self.positions[:, foot.limb[2]] + shift
         places = [a.places(self.positions, self.turned) + shift for a in self._anchors(foot)]
         along = places[-1] - places[0]
-        length = max(float(np.linalg.norm(along, axis=-1).mean()), _NOTHING)
+        length = max(float(np.linalg.norm(along, axis=-1).mean()), self.nothing)
         turns = _TURN * length
         level = along * [1, 0, 1]
         # Where the foot points, however far its heel is lifted.
@@ -165,16 +169,18 @@ class _FootLock:
         # The ball first: while it stands the heel may be lifted.
         for place, (mask, floor) in zip(places[::-1], stands[::-1], strict=True):
             if self.labels is None:
-                mask = with_edges(mask, place, floor, self.fps)
+                mask = with_edges(mask, place, floor, self.fps, self.scale)
             spans = split_where_it_moves(
                 contact_spans(mask, self.fps),
                 np.stack([place, level], axis=1),
                 self.fps,
                 np.array([self.radius, turns]),
             )
-            offset, hold = pin(place, spans, floor, self.fps, self.radius, lifts)
+            fastest = FASTEST * self.scale
+            offset, hold = pin(place, spans, floor, self.fps, self.radius, fastest, lifts)
             offsets.insert(0, offset), holds.insert(0, hold[:, None])
-            lifts = hold * _lifted(places[0][:, 1] + offset[:, 1] - stands[0][1])
+            above = places[0][:, 1] + offset[:, 1] - stands[0][1]
+            lifts = hold * _lifted(above, _LIFT * self.scale)
         turn = np.tile(IDENTITY, (len(ankle), 1))
         moved = offsets[0]
         if foot.ball is not None:
@@ -220,16 +226,16 @@ class _FootLock:
             most = np.maximum(now, _STRETCH * length)
             reach = np.sqrt(np.maximum(most**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
             low = np.maximum(low, away[:, 1] - reach)
-        low = np.where(low > _NOTHING, low, 0)
+        low = np.where(low > self.nothing, low, 0)
         low = reachable(low, _LOWEST * length, 0 * low, 0.5)
         return smooth_above(low, round(GIVE_WAY * self.fps))
 
     def _posed(self, goals: list[_Goal], shift: np.ndarray) -> Motion:
         motion, skeleton = self.motion, self.skeleton
         rotations = motion.rotations.copy()
-        changed = np.linalg.norm(shift, axis=-1) > _NOTHING
+        changed = np.linalg.norm(shift, axis=-1) > self.nothing
         for goal in goals:
-            changed |= np.linalg.norm(goal.moved, axis=-1) > _NOTHING
+            changed |= np.linalg.norm(goal.moved, axis=-1) > self.nothing
             changed |= np.linalg.norm(goal.turn[:, :3], axis=-1) > _NOTHING
         for foot, goal in zip(self.feet, goals, strict=True):
             limb = list(foot.limb)
@@ -277,10 +283,10 @@ def _shifted(motion: Motion, shift: np.ndarray, turned: np.ndarray) -> Motion:
     return replace(motion, translation=motion.translation + shift)
 
 
-def _lifted(above: np.ndarray) -> np.ndarray:
+def _lifted(above: np.ndarray, noise: float) -> np.ndarray:
     """(T,) of metres over the floor those that are no noise: none near it, all far from it."""
     above = np.maximum(above, 0)
-    return above**3 / (above**2 + _LIFT**2)
+    return above**3 / (above**2 + noise**2)
 
 
 def _yaw(turn: np.ndarray) -> np.ndarray:

@@ -10,7 +10,8 @@ from gesturekit.postprocess.contact_spans import Span
 BLEND = 0.15
 """Seconds over which a foot comes to its place and leaves it, at least."""
 FASTEST = 0.3
-"""m/s at which a correction comes and goes, at most; large ones take longer than `BLEND`."""
+"""m/s on the reference body at which a correction comes and goes, at most; large ones take longer
+than `BLEND`."""
 _GIVES = 0.25
 """The last share of the radius over which a pinned foot starts to give way."""
 
@@ -21,6 +22,7 @@ def pin(
     floor: float,
     fps: float,
     radius: float,
+    fastest: float,
     lifts: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pin a point in each span at its mean place, on the floor.
@@ -34,6 +36,7 @@ def pin(
         floor: height of the point when it stands.
         fps: frames per second.
         radius: metres; a point that strays farther from its pin is let go, softly.
+        fastest: m/s, `FASTEST` times the `body_scale` of the rig.
         lifts: (T,) metres over the floor at which it is meant to be, such as a heel that is lifted.
 
     Returns:
@@ -53,7 +56,7 @@ def pin(
         pinned.append((start, stop))
     gaps = zip([(0, 0), *pinned], [*pinned, (len(places), len(places))], strict=True)
     for before, after in gaps:
-        _cross(offset, hold, before, after, fps)
+        _cross(offset, hold, before, after, fps, fastest)
     return offset, hold
 
 
@@ -74,7 +77,9 @@ def give_way(offset: np.ndarray, radius: float) -> np.ndarray:
     return offset * (allowed / np.maximum(far, 1e-9))
 
 
-def _cross(offset: np.ndarray, hold: np.ndarray, before: Span, after: Span, fps: float) -> None:
+def _cross(
+    offset: np.ndarray, hold: np.ndarray, before: Span, after: Span, fps: float, fastest: float
+) -> None:
     """Fill the gap between two spans: out of the first and into the second, or straight across.
 
     Where the gap is too short for the way, it takes frames from both spans, half of each at most.
@@ -83,8 +88,8 @@ def _cross(offset: np.ndarray, hold: np.ndarray, before: Span, after: Span, fps:
     start, stop = before[1], after[0]
     first = offset[start - 1] if start else np.zeros(3)
     last = offset[stop] if stop < n_frames else np.zeros(3)
-    out = _frames(first, fps) if start else 0
-    into = _frames(last, fps) if stop < n_frames else 0
+    out = _frames(first, fps, fastest) if start else 0
+    into = _frames(last, fps, fastest) if stop < n_frames else 0
     if stop - start >= out + into:
         for edge, step, count, span in ((start, 1, out, before), (stop - 1, -1, into, after)):
             outside = edge + step * np.arange(count)
@@ -104,7 +109,7 @@ def _cross(offset: np.ndarray, hold: np.ndarray, before: Span, after: Span, fps:
         frames = np.arange(start, stop)
         offset[frames], hold[frames] = (last, 1.0) if not start else (first, 1.0)
         return
-    missing = _frames(last - first, fps) - (stop - start)
+    missing = _frames(last - first, fps, fastest) - (stop - start)
     if missing > 0:
         start -= min(-(-missing // 2), (before[1] - before[0]) // 2)
         stop += min(-(-missing // 2), (after[1] - after[0]) // 2)
@@ -114,9 +119,9 @@ def _cross(offset: np.ndarray, hold: np.ndarray, before: Span, after: Span, fps:
     hold[start:stop] = 1
 
 
-def _frames(way: np.ndarray, fps: float) -> int:
+def _frames(way: np.ndarray, fps: float, fastest: float) -> int:
     """Frames that a correction takes to come or go: its steepest is 1.5 times its mean."""
-    seconds = max(BLEND, 1.5 * float(np.linalg.norm(way)) / FASTEST)
+    seconds = max(BLEND, 1.5 * float(np.linalg.norm(way)) / fastest)
     return max(round(seconds * fps), 1)
 
 

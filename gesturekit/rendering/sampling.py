@@ -32,6 +32,7 @@ def sample_multires(
     audio: Path | None = None,
     samples: int = MULTIRES_SAMPLES,
     seed: int = 0,
+    skip: bool = False,
 ) -> Iterator[Path]:
     """Samples for Table 1 of Moreno-Villamarín et al. 2024, twice as long as training sequences.
 
@@ -45,6 +46,7 @@ def sample_multires(
             Without it the model moves without speech.
         samples: for each sequence.
         seed: of the first sample of each; the others count up from it.
+        skip: leave samples that are there already as they are, to go on after a stop.
 
     Yields:
         each file, as it is written.
@@ -65,11 +67,17 @@ def sample_multires(
             asked = {"speech": af.Wave(whole, wave.sample_rate, wave.source)}
         else:
             asked = {"seconds": MULTIRES_LENGTH * Motion.load(path).duration}
-        yield from _samples(model, asked | {"foot_lock": False}, out, stem, samples, seed)
+        yield from _samples(model, asked | {"foot_lock": False}, out, stem, samples, seed, skip)
 
 
 def sample_lda(
-    model: Any, audio: Path, out: Path, *, samples: int = LDA_SAMPLES, seed: int = 0
+    model: Any,
+    audio: Path,
+    out: Path,
+    *,
+    samples: int = LDA_SAMPLES,
+    seed: int = 0,
+    skip: bool = False,
 ) -> Iterator[Path]:
     """Samples for Table 4 of Alexanderson et al. 2023: for 10 s windows of speech, end to end.
 
@@ -81,6 +89,7 @@ def sample_lda(
         out: folder to fill with `STEM_w000_s1.npz` ...
         samples: for each window.
         seed: of the first sample of each window; the others count up from it.
+        skip: leave samples that are there already as they are, to go on after a stop.
 
     Yields:
         each file, as it is written.
@@ -94,18 +103,19 @@ def sample_lda(
         wave = af.Wave.load(path)
         for window in range(int(wave.duration / WINDOW_SECONDS + 1e-6)):
             asked = {"speech": wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)}
-            yield from _samples(model, asked, out, f"{stem}_w{window:03d}", samples, seed)
+            yield from _samples(model, asked, out, f"{stem}_w{window:03d}", samples, seed, skip)
             made += 1
     if not made:
         raise ConfigError(f"{audio}: no recording is as long as a window of {WINDOW_SECONDS:g} s")
 
 
 def _samples(
-    model: Any, asked: dict[str, Any], out: Path, stem: str, samples: int, seed: int
+    model: Any, asked: dict[str, Any], out: Path, stem: str, samples: int, seed: int, skip: bool
 ) -> Iterator[Path]:
     # One at a time: 200 motions of some minutes do not fit into memory together.
     for number in range(samples):
         path = out / f"{stem}_s{number + 1}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
-        model.generate(**asked, seed=seed + number).save(path)
+        if not (skip and path.exists()):
+            model.generate(**asked, seed=seed + number).save(path)
         yield path

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.corpus.manifest import Item
-from gesturekit.corpus.speech import SpeechConditioner, extract
+from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract
 from gesturekit.progress import Progress
 
 
@@ -28,6 +28,10 @@ class FeatureConfig:
     align: Literal["mean", "gaussian", "linear"] = "mean"
     """How features reach the motion's frames: mean of each frame's span, those means averaged with
     a standard deviation of a frame, or linear in time."""
+    normalise: Normalisation = "clip"
+    """clip brings speech to one level, and the features of each clip to zero mean and comparable
+    spread; corpus brings features to zero mean and unit variance over all training speech; none
+    takes them as they are. Without clip, quieter speech gives another motion."""
 
     def extractor(self) -> Any:
         """The extractor.
@@ -45,7 +49,7 @@ def listen(
     most: Sequence[int | None],
     extractor: Any,
     fps: float,
-    align: str,
+    settings: FeatureConfig,
 ) -> tuple[SpeechConditioner, list[np.ndarray]]:
     """What a model hears of each item, (T, S) float32, and what makes it of a wave.
 
@@ -54,14 +58,15 @@ def listen(
         most: frames of each that are wanted, or None for all.
         extractor: see `FeatureConfig.extractor`.
         fps: frames per second of the motion.
-        align: see `FeatureConfig`.
+        settings: how features reach the motion's frames, and whether they are normalised.
 
     Raises:
         AudioError: a file cannot be read.
     """
-    progress = Progress(items, desc="Speech features", unit="files")
-    heard = [extract(item.load_wave(), extractor, fps, align) for item in progress]
-    conditioner = SpeechConditioner.fit(heard, extractor, fps, align)
+    progress = Progress(items, desc="Extracting speech features", unit="file")
+    align, level = settings.align, settings.normalise == "clip"
+    heard = [extract(item.load_wave(), extractor, fps, align, level=level) for item in progress]
+    conditioner = SpeechConditioner.fit(heard, extractor, fps, align, settings.normalise)
     # From the first to the last, each making room for what becomes of it.
     heard.reverse()
     speeches = []
@@ -81,23 +86,34 @@ def conditioner_tensors(conditioner: SpeechConditioner | None) -> dict[str, Tens
     }
 
 
+def conditioner_values(conditioner: SpeechConditioner) -> dict[str, Any]:
+    """Return what a model's configuration holds of a conditioner; see `load_conditioner`."""
+    return {
+        "spec": conditioner.extractor.spec,
+        "align": conditioner.align,
+        "normalise": conditioner.normalisation,
+    }
+
+
 def load_conditioner(
-    spec: dict[str, Any],
-    align: str,
+    values: Mapping[str, Any],
     tensors: Mapping[str, Tensor],
     fps: float,
     weights: str | Path | None,
     device: str = "cpu",
 ) -> SpeechConditioner:
-    """A conditioner of its extractor's spec, which knows its weights, and of what it has learnt.
+    """Return the conditioner of which these are `conditioner_values` and `conditioner_tensors`.
+
+    The extractor's spec knows its weights. Values without `normalise` are older than the setting.
 
     Raises:
         WeightsError: WavLM weights are asked for, or are not those of training.
     """
     return SpeechConditioner(
-        af.extractor_from_spec(spec, weights=weights, device=device),
+        af.extractor_from_spec(values["spec"], weights=weights, device=device),
         fps,
-        align,
+        values["align"],
         tensors["features.centre"].numpy(),
         tensors["features.scale"].numpy(),
+        values.get("normalise", "clip"),
     )

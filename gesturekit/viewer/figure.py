@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.end_sites import real_end_sites
 from gesturekit.motion.parts import BodyParts, find_parts
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.viewer import anatomy
@@ -17,6 +19,10 @@ from gesturekit.viewer.anatomy import Shape
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
 
+_SHORTEST = 1e-3
+"""Metres on the reference body; no figure is drawn shorter."""
+_QUADRUPED = 0.5
+"""The trunk of a body that goes upright rises by more than this share of its length."""
 SPEED_SMOOTHING = 0.1
 """Standard deviation of the Gaussian that hand speed is smoothed with, in seconds."""
 
@@ -93,12 +99,15 @@ class Figure:
     def of(cls, motion: Motion) -> Figure:
         """Work out the figure of a motion, on any skeleton.
 
+        End sites that no limb can have are not drawn.
         A skeleton whose parts cannot be told from its names and shape is drawn as plain limbs.
         """
         try:
             parts = find_parts(motion.skeleton)
         except MotionError:
             parts = None
+        ends = real_end_sites(motion.skeleton)
+        motion = replace(motion, skeleton=replace(motion.skeleton, end_sites=ends))
         points = _Points(motion)
         height = _height(points, parts)
         head = _head(points, parts, height) if parts and parts.head else None
@@ -160,9 +169,10 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 def _height(points: _Points, parts: BodyParts | None) -> float:
     """Sole to crown along the bones, which a bow or a bent knee does not change."""
+    shortest = _SHORTEST * body_scale(points.skeleton)
     if parts is None:
         across = np.ptp(points.joints, axis=1).max(axis=1)
-        return max(float(np.median(across)), 1e-3)
+        return max(float(np.median(across)), shortest)
     leg = parts.legs["left"]
     reach = 0.0
     for chain in (
@@ -172,15 +182,17 @@ def _height(points: _Points, parts: BodyParts | None) -> float:
         places = np.stack([points.at(joint) for joint in chain if joint])
         steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
         reach += float(np.median(steps.sum(axis=0)))
-    return max(reach / (1 - anatomy.ABOVE_AND_BELOW), 1e-3)
+    return max(reach / (1 - anatomy.ABOVE_AND_BELOW), shortest)
 
 
 def _axes(points: _Points, parts: BodyParts) -> tuple[np.ndarray, np.ndarray]:
-    """The trunk's up and forward directions, unit, (T, 3) each."""
+    """The body's up and forward directions, unit, (T, 3) each."""
     left, right = (points.at(parts.arms[side].shoulder) for side in anatomy.SIDES)
-    up = _unit((left + right) / 2 - points.at(parts.pelvis))
+    trunk = _unit((left + right) / 2 - points.at(parts.pelvis))
     # Left is +X and up is +Y of a body that faces +Z.
-    return up, _unit(np.cross(left - right, up))
+    if trunk[:, 1].mean() < _QUADRUPED:  # its trunk leads forward, to the head
+        return _unit(np.cross(trunk, left - right)), trunk
+    return trunk, _unit(np.cross(left - right, trunk))
 
 
 def _front(points: _Points, parts: BodyParts) -> float:
@@ -236,7 +248,7 @@ def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Lim
     limbs = []
     for start, end, shape in pairs:
         length = float(np.median(np.linalg.norm(places[:, end] - places[:, start], axis=-1)))
-        if shape and length > 1e-5:
+        if shape and length > 1e-5 * height:
             limbs.append(
                 Limb(
                     ends=(start, end),

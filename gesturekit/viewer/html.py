@@ -2,8 +2,8 @@
 
 The page holds three.js and the player (bundled by `make setup`), the motion and the sound. The
 motion is stored as the points of its `Figure`, so any skeleton plays. Points are whole steps of
-0.1 mm from the root (longer only for figures beyond 3.2 m), stored as differences from frame to
-frame and deflated; ten minutes at 60 fps with 75 joints come to about 20 MB.
+0.1 mm on an adult from the root (longer only where they lie far from it), stored as differences
+from frame to frame and deflated; ten minutes at 60 fps with 75 joints come to about 20 MB.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from gesturekit.viewer.sound import OUTLINE_RATE, Sound, outline
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
 
-STEP = 1e-4
-"""Resolution of stored points, in metres."""
+STEP = 6e-5
+"""Resolution of stored points, as a share of the figure's height: 0.1 mm on an adult."""
 
 _HERE = Path(__file__).parent
 _BUNDLE = _HERE / "player.bundle.js"
@@ -156,7 +156,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
     points = figure.points
     root = points[:, :1].astype(np.float32)
     relative = points - root
-    step = max(STEP, float(np.abs(relative).max()) / 32_767)
+    step = max(STEP * figure.height, float(np.abs(relative).max()) / 32_767)
     peak = figure.top_speed
     return {
         "label": label,
@@ -172,11 +172,11 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         "limbs": [
             {
                 "ends": limb.ends,
-                "radii": [round(radius, 4) for radius in limb.radii],
+                "radii": [_short(radius) for radius in limb.radii],
                 "side": limb.side,
                 "across": limb.across,
                 "width": limb.width,
-                "length": round(limb.length, 4),
+                "length": _short(limb.length),
             }
             for limb in figure.limbs
         ],
@@ -206,6 +206,11 @@ def _pack(steps: np.ndarray) -> bytes:
     difference = np.diff(channels, axis=1, prepend=0) & 0xFFFF
     planes = np.stack([difference & 0xFF, difference >> 8]).astype(np.uint8)
     return zlib.compress(planes.tobytes(), 6)
+
+
+def _short(length: float) -> float:
+    """Return a length with four digits."""
+    return float(f"{length:.4g}")
 
 
 def _levels(values: np.ndarray) -> str:

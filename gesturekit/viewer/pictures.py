@@ -149,7 +149,7 @@ def _speech(axes: Axes, wave: Wave, seconds: float) -> None:
 
 def _speed(axes: Axes, figure: Figure, wave: Wave | None, seconds: float) -> None:
     times = np.arange(len(figure.points)) / figure.fps
-    top = max(1.08 * figure.top_speed, 0.1)
+    top = max(1.08 * figure.top_speed, 0.06 * figure.height)
     if wave:
         at = np.arange(0, wave.duration, 0.02)
         loudness = np.log(wave.rms(at) + 1e-4)

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from audio_features import FeatureTrack
 from gesturekit.cli.features import command
+from gesturekit.errors import ConfigError
 
 
 @pytest.fixture
@@ -65,13 +66,14 @@ def test_sizes_methods_and_a_channel(folder, speech):
     soundfile.write(folder / "two.wav", two, 16_000)
     tracks = []
     for channel in ((), ("--channel", "1"), ("--channel", "2")):
-        result = run("two.wav", "--extractor", "mfcc:16,onset,music:1", "--out", "out", *channel)
+        replaced = ("--out", "out", "--existing", "replace")
+        result = run("two.wav", "--extractor", "mfcc:16,onset,music:1", *replaced, *channel)
         assert result.return_value == 0, result.output
         tracks.append(FeatureTrack.load(folder / "out" / "two.npz"))
     assert tracks[0].values.shape == (400, 16 + 2 + 3)
     assert not np.allclose(tracks[1].values, tracks[2].values, atol=1)
     np.testing.assert_allclose(tracks[1].values[100:150, 3], tracks[2].values[150:200, 3], atol=1)
-    assert "the file has 2" in run("two.wav", "--channel", "3", "--out", "out").output
+    assert "the file has 2" in run("two.wav", "--channel", "3", "--out", "new").output
     for wrong in ("mfcc:many", "mfcc:99", "prosody:praat"):
         assert wrong.partition(":")[2] in str(
             run("a.wav", "--extractor", wrong, "--out", "o").exception
@@ -82,7 +84,8 @@ def test_alignments_and_faults(folder, speech):
     soundfile.write(folder / "loud.wav", np.clip(speech.samples * 10, -1, 1), 16_000)
     rows = []
     for align in ("linear", "mean", "length_ratio"):
-        result = run("loud.wav", "--fps", "30", "--align", align, "--out", "out")
+        replaced = ("--out", "out", "--existing", "replace")
+        result = run("loud.wav", "--fps", "30", "--align", align, *replaced)
         assert result.return_value == 0 and "Warning: loud.wav: clipped" in result.output
         rows.append(FeatureTrack.load(folder / "out" / "loud.npz").values)
     assert {values.shape for values in rows} == {(120, 28)}
@@ -110,3 +113,20 @@ def test_rows_of_mfcc_show_though_the_first_are_largest(folder):
     # Within the lower panel; a row between two coefficients may be flat.
     panel = picture[int(0.60 * len(picture)) : int(0.80 * len(picture)), 80:-80]
     assert np.median(panel.std(axis=1).max(axis=-1)) > 0.1
+
+
+def test_features_that_exist_are_refused_skipped_or_replaced(folder, speech):
+    for name in ("a", "b"):
+        soundfile.write(folder / f"{name}.wav", speech.samples, 16_000)
+    assert run("a.wav", "--out", "out").return_value == 0
+    made = (folder / "out" / "a.npz").stat().st_mtime_ns
+    with pytest.raises(ConfigError, match=r"a\.npz exists already.*--existing replace"):
+        raise run("a.wav", "b.wav", "--out", "out").exception
+    assert not (folder / "out" / "b.npz").exists()
+    for option in (["--existing", "skip"], ["--skip-existing"]):
+        result = run("a.wav", "b.wav", "--out", "out", *option)
+        assert result.return_value == 0 and "a.wav: left as it is" in result.output
+    assert (folder / "out" / "b.npz").is_file()
+    assert (folder / "out" / "a.npz").stat().st_mtime_ns == made
+    assert run("a.wav", "--out", "out", "--existing", "replace").return_value == 0
+    assert (folder / "out" / "a.npz").stat().st_mtime_ns > made

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,8 +23,6 @@ def test_level_lengths_never_fall_and_end_at_the_full_rate(n, levels):
 
 @given(n_in=st.integers(1, 300), n_out=st.integers(1, 300))
 def test_interpolation_is_torchs_linear_without_aligned_corners(n_in, n_out):
-    import torch
-
     values = np.random.default_rng(n_in).standard_normal((n_in, 3))
     expected = torch.nn.functional.interpolate(
         torch.from_numpy(values.T.copy())[None], size=n_out, mode="linear", align_corners=False

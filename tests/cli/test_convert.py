@@ -134,6 +134,25 @@ def test_view_writes_one_page(gesturekit, takes, tmp_path, write_speech, monkeyp
         assert done.status == 2 and done.err.startswith("Error: ")
 
 
+def test_view_says_when_sound_and_motion_do_not_fit(gesturekit, takes, tmp_path, write_speech):
+    page = tmp_path / "page.html"
+    for seconds, says in ((3.0, "lasts 3.0 s, the motion 1.0 s"), (1.5, "")):
+        wav = write_speech(tmp_path / "a.wav", seconds)
+        done = gesturekit("view", takes / "a.bvh", "--audio", wav, "--out", page)
+        assert done.status == 0 and says in done.err and bool(says) == bool(done.err)
+
+
+def test_a_page_that_exists_is_replaced_unless_asked(gesturekit, takes, tmp_path):
+    page = tmp_path / "page.html"
+    page.write_text("mine")
+    refused = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "refuse")
+    assert refused.status == 2 and "--existing replace" in refused.err
+    skipped = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "skip")
+    assert skipped.status == 0 and "left as it is" in skipped.err and page.read_text() == "mine"
+    assert gesturekit("view", takes / "a.bvh", "--out", page).status == 0
+    assert page.read_text() != "mine"
+
+
 def test_odd_combinations_of_options_end_in_words(gesturekit, takes, tmp_path, write_speech):
     """Random command lines of convert, inspect and view on files good and bad."""
     rng = random.Random(0)

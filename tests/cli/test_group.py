@@ -5,10 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import click
 import pytest
 
 import gesturekit as gk
-from gesturekit.cli import VERBS
+from gesturekit.cli import VERBS, cli
+from gesturekit.formats.sources import EXISTING
+from gesturekit.systems import bundled_speech
 
 
 def test_help_and_version(gesturekit):
@@ -53,3 +56,64 @@ def test_a_reader_that_leaves_early_is_no_error(model, write_speech, tmp_path):
     running.stderr.close()
     running.wait(timeout=60)
     assert "Traceback" not in told and "Exception" not in told
+
+
+def test_every_verb_that_writes_takes_one_option_for_what_exists():
+    for verb in ("render", "convert", "features", "demo", "view", "evaluate", "prepare"):
+        command = cli.get_command(click.Context(cli), verb)
+        (option,) = (param for param in command.params if param.name == "existing")
+        assert set(option.type.choices) == set(EXISTING), verb
+
+
+def test_a_manifest_and_a_feature_model_may_be_kept(gesturekit, corpus, write_pair, tmp_path):
+    write_pair(tmp_path / "in", "a", 2.0)
+    manifest = tmp_path / "corpus.jsonl"
+    prepare = ("prepare", tmp_path / "in", "--out", manifest, "--holdout", 0)
+    assert gesturekit(*prepare).status == 0 and gesturekit(*prepare).status == 0
+    manifest.write_text("mine")
+    assert gesturekit(*prepare, "--existing", "refuse").status == 2
+    done = gesturekit(*prepare, "--existing", "skip")
+    assert done.status == 0 and manifest.read_text() == "mine"
+    (tmp_path / "feature_model.json").write_text("{}")
+    fit = ("fit-features", tmp_path / "in", "--out", tmp_path)
+    done = gesturekit(*fit)
+    assert done.status == 2 and "feature_model.json exists already" in done.err
+    assert gesturekit(*fit, "--existing", "skip").status == 0
+
+
+def test_the_demo_leaves_its_sound_beside_the_motion(gesturekit, tmp_path):
+    done = gesturekit("demo", "--out", tmp_path)
+    assert done.status == 0
+    names = ["speech.bvh", "speech.html", "speech.npz", "speech.png", "speech.wav"]
+    assert sorted(path.name for path in tmp_path.glob("speech.*")) == names
+    assert (tmp_path / "speech.wav").read_bytes() == bundled_speech().read_bytes()
+    assert done.err.startswith("Loading the demo model ...")
+    again = gesturekit("demo", "--out", tmp_path)
+    assert again.status == 0 and sorted(again.out.split()) == sorted(done.out.split())
+    (tmp_path / "speech.wav").write_text("mine")
+    refused = gesturekit("demo", "--out", tmp_path, "--seed", 1)
+    assert refused.status == 2 and "speech.wav exists already" in refused.err
+
+
+VERBS_OF_MANY = {
+    "convert": (["out", "--format", "npz"], "--existing skip"),
+    "features": (["--out", "out"], "--existing skip"),
+}
+
+
+@pytest.mark.parametrize("verb", VERBS_OF_MANY)
+def test_ctrl_c_names_how_to_go_on(gesturekit, write_pair, tmp_path, monkeypatch, verb):
+    import audio_features as af
+
+    monkeypatch.chdir(tmp_path)
+    source = write_pair(tmp_path / "in", "a", 1.0)[verb == "convert"]
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gk.Motion, "save", stop)
+    monkeypatch.setattr(af.FeatureTrack, "save", stop)
+    options, says = VERBS_OF_MANY[verb]
+    done = gesturekit(verb, source, *options)
+    assert done.status == 130
+    assert done.err.splitlines()[-1].startswith("Interrupted. 0 done") and says in done.err

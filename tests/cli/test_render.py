@@ -14,11 +14,17 @@ from fractions import Fraction
 from math import floor
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 import soundfile
 
 from gesturekit import Motion
+from gesturekit.cli.render import GROUPS
+from gesturekit.cli.render import command as render
+from gesturekit.corpus import Manifest
+from gesturekit.corpus.manifest import SPLITS
+from gesturekit.multires.model import MultiresModel
 
 FPS = 25
 
@@ -61,7 +67,15 @@ def frames_in(bvh: Path) -> int:
 
 
 def names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir())
+    """Names in a folder, but for hidden files."""
+    return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+
+
+def problems(err: str) -> list[str]:
+    """Lines on stderr beside progress and the summary, which is the last line."""
+    *lines, summary = err.splitlines()
+    assert re.match(r"\d+ rendered.* in .*: ", summary), summary
+    return [line for line in lines if not line.startswith("Rendering: ")]
 
 
 def test_every_sound_becomes_motion_of_its_own_length(gesturekit, model, tmp_path):
@@ -78,9 +92,9 @@ def test_every_sound_becomes_motion_of_its_own_length(gesturekit, model, tmp_pat
         make_sound(tmp_path / "in" / name, n_samples, rate, channels)
     out = tmp_path / "out"
     done = gesturekit("render", tmp_path / "in", "--model", model, "--out", out)
-    assert done.status == 0 and done.err == ""
+    assert done.status == 0 and problems(done.err) == []
     assert names(out) == sorted(f"{Path(name).stem}.bvh" for name in sounds)
-    assert set(done.out.split()) == {str(path) for path in out.iterdir()}
+    assert set(done.out.split()) == {str(out / name) for name in names(out)}
     for name, (n_samples, rate, _) in sounds.items():
         n_frames = floor(Fraction(n_samples, rate) * FPS + Fraction(1, 2))
         assert frames_in(out / f"{Path(name).stem}.bvh") == n_frames, name
@@ -91,7 +105,7 @@ def test_every_format_holds_the_same_motion(gesturekit, model, wav, tmp_path):
     done = gesturekit(
         "render", wav, "--model", model, "--out", out, "--format", "bvh,npz, html ,png"
     )
-    assert (done.status, done.err) == (0, "")
+    assert (done.status, problems(done.err)) == (0, [])
     assert names(out) == [f"speech.{kind}" for kind in ("bvh", "html", "npz", "png")]
     bvh, npz = Motion.load(out / "speech.bvh"), Motion.load(out / "speech.npz")
     assert bvh.skeleton.names == npz.skeleton.names
@@ -148,7 +162,7 @@ def test_another_body(gesturekit, model, wav, gesture, tmp_path):
     gesture(1.0).save(tmp_path / "avatar.bvh")
     made = ("render", wav, "--model", model, "--out", tmp_path / "out", "--rig")
     done = gesturekit(*made, tmp_path / "avatar.bvh", "--rig-part", "head=Head")
-    assert (done.status, done.err) == (0, "")
+    assert (done.status, problems(done.err)) == (0, [])
     assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 38
     for rig, part, says in (
         ("avatar.bvh", "head=LeftHand", "'LeftHand' cannot be the head"),
@@ -175,7 +189,7 @@ def test_idle_motion_needs_no_sound(gesturekit, model, tmp_path):
         *("render", "--seconds", "2", "--samples", "2", "--model", model),
         *("--out", tmp_path / "out", "--format", "bvh,html,png"),
     )
-    assert (done.status, done.err) == (0, "")
+    assert (done.status, problems(done.err)) == (0, [])
     assert len(names(tmp_path / "out")) == 6
     assert frames_in(tmp_path / "out" / "motion_s2.bvh") == 2 * FPS
 
@@ -193,7 +207,7 @@ def test_a_broken_file_never_stops_the_others(model, wav, broken, tmp_path):
         check=False,
     )
     assert done.returncode == 1
-    told = done.stderr.splitlines()
+    told = problems(done.stderr)
     assert len(told) == len(broken) + 1, done.stderr
     for (reason, path), line in zip(broken.items(), told, strict=False):
         assert line.startswith(f"Failed: {path}") and reason in line
@@ -217,6 +231,7 @@ def test_one_speaker_of_two_is_heard(gesturekit, model, tmp_path, caplog):
     motions = [(tmp_path / "out" / f"{name}.bvh").read_bytes() for name in ("two", "second")]
     assert motions[0] == motions[1]
     assert caplog.text.count("two.wav: DC offset") == 1
+    common += ("--existing", "replace")
     assert gesturekit("render", tmp_path / "two.wav", *common).status == 0
     assert (tmp_path / "out" / "two.bvh").read_bytes() != motions[1]
     done = gesturekit("render", tmp_path / "second.wav", *common, "--channel", "2")
@@ -226,7 +241,8 @@ def test_one_speaker_of_two_is_heard(gesturekit, model, tmp_path, caplog):
 def test_nothing_but_broken_files(gesturekit, model, broken, tmp_path):
     done = gesturekit("render", *broken.values(), "--model", model, "--out", tmp_path / "out")
     assert done.status == 1
-    assert done.out == "" and len(done.err.splitlines()) == len(broken)
+    assert done.out == "" and len(problems(done.err)) == len(broken)
+    assert done.err.splitlines()[-1].startswith(f"0 rendered, {len(broken)} failed in ")
     assert names(tmp_path / "out") == []
 
 
@@ -250,7 +266,7 @@ def test_files_with_difficult_names(gesturekit, model, wav, tmp_path):
     done = gesturekit(
         "render", folder, "--model", model, "--out", tmp_path / "out", "--format", "bvh,html"
     )
-    assert (done.status, done.err) == (0, "")
+    assert (done.status, problems(done.err)) == (0, [])
     assert names(tmp_path / "out") == sorted(
         f"{Path(name).stem}.{kind}" for name in odd for kind in ("bvh", "html")
     )
@@ -264,7 +280,7 @@ def test_a_name_that_is_no_text_fails_alone(gesturekit, model, wav, tmp_path):
         pytest.skip("this file system takes text for names only")
     done = gesturekit("render", wav.parent, "--model", model, "--out", tmp_path / "out")
     assert done.status == 1 and done.out.split() == [str(tmp_path / "out" / "speech.bvh")]
-    (line,) = done.err.splitlines()
+    (line,) = problems(done.err)
     assert line.startswith("Failed: ")
 
 
@@ -373,9 +389,11 @@ def test_bytes_changed_at_random_never_end_in_a_traceback(gesturekit, model, tmp
             for _ in range(rng.choice([1, 4])):
                 data[rng.randrange(end)] = rng.randrange(256)
         path.write_bytes(data)
-        done = gesturekit("render", "--seconds", 0.4, "--model", copy, "--out", tmp_path / "out")
+        made = ("render", "--seconds", 0.4, "--model", copy, "--out", tmp_path / "out")
+        done = gesturekit(*made, "--existing", "replace")
         assert done.status in (0, 1, 2), path
-        assert (done.err == "") == (done.status == 0)
+        if done.status < 2:
+            assert (problems(done.err) == []) == (done.status == 0)
         refused += done.status == 2
     assert refused > 20
 
@@ -399,11 +417,94 @@ def test_ctrl_c_leaves_whole_files_only(model, wav, tmp_path):
     running.send_signal(signal.SIGINT)
     told = running.communicate(timeout=60)[1]
     assert running.returncode == 130
-    assert told.strip() == "Interrupted."
+    assert re.search(r"^Interrupted\. \d+ rendered in .*; the same command goes on$", told, re.M)
     assert 2 <= len(names(out)) < 600
-    for path in out.iterdir():
+    for path in map(out.joinpath, names(out)):
         assert re.fullmatch(r"\d{3}\.(npz|html)", path.name), "nothing temporary is left"
         if path.suffix == ".npz":
             assert Motion.load(path).n_frames == 38
         else:
             assert path.read_text(encoding="utf-8").rstrip().endswith("</html>")
+    assert not [path for path in out.iterdir() if path.name.startswith((".0", ".1", ".2"))]
+
+
+def test_a_rerun_says_what_it_kept_and_what_it_refuses(gesturekit, model, wav, tmp_path):
+    make_sound(tmp_path / "in" / "day 2" / "more.wav", 16_000, 16_000)
+    common = ("render", wav.parent, "--model", model, "--out", tmp_path / "out")
+    done = gesturekit(*common)
+    assert done.out.splitlines() == [
+        str(tmp_path / "out" / name) for name in ("speech.bvh", "day 2/more.bvh")
+    ]
+    again = gesturekit(*common)
+    assert (again.status, again.out) == (0, "")
+    assert again.err.splitlines()[-1].startswith("0 rendered, 2 kept in ")
+    other = gesturekit(*common, "--seed", 1)
+    assert other.status == 2 and "speech.bvh" in other.err and "another seed" in other.err
+    for options in (["--existing", "skip"], ["--skip-existing"]):
+        done = gesturekit(*common, "--seed", 1, *options)
+        assert done.status == 0 and "0 rendered, 2 kept in " in done.err
+    done = gesturekit(*common, "--seed", 1, "--existing", "replace")
+    assert done.status == 0 and "2 rendered in " in done.err
+
+
+def test_a_split_of_a_corpus(gesturekit, model, corpus, tmp_path):
+    out = tmp_path / "out"
+    common = ("render", "--model", model, "--out", out, "--corpus", corpus)
+    done = gesturekit(*common, "--split", "train")
+    ids = {item.id: item.duration for item in Manifest.load(corpus)}
+    assert done.status == 0 and len(ids) == 3
+    for name, seconds in ids.items():
+        assert frames_in(out / f"{name}.bvh") == floor(seconds * FPS + 0.5)
+    done = gesturekit(*common)
+    assert done.status == 2 and "no item is in split test (3 in train)" in done.err
+    for wrong in (["--seconds", 2], [tmp_path / "x.wav"], ["--channel", 1]):
+        done = gesturekit(*common, *wrong)
+        assert done.status == 2 and "--corpus says which sound" in done.err
+    done = gesturekit("render", "--model", model, "--out", out, "--split", "test")
+    assert done.status == 2 and "--corpus" in done.err
+
+
+def test_another_rate_than_the_models_is_said_once(gesturekit, model, wav, tmp_path, monkeypatch):
+    generate = MultiresModel.generate
+
+    def at_rate(self, speech=None, *, seconds=None, samples=1, seed=0, foot_lock=True, fps=None):
+        return generate(self, speech, seconds=seconds, seed=seed).resample(fps or self.fps)
+
+    monkeypatch.setattr(MultiresModel, "generate", at_rate)
+    make_sound(tmp_path / "in" / "more.wav", 16_000, 16_000)
+    made = ("render", wav.parent, "--model", model, "--out", tmp_path / "out")
+    done = gesturekit(*made, "--fps", 30)
+    assert (done.status, problems(done.err)) == (
+        0,
+        ["Written at 30 fps; the model's own rate is 25 fps (--fps chooses)."],
+    )
+    assert frames_in(tmp_path / "out" / "speech.bvh") == 46
+    assert problems(gesturekit(*made, "--existing", "replace").err) == []
+
+
+def test_a_sound_that_cannot_be_read_is_named_with_what_to_do(gesturekit, model, tmp_path):
+    for name, content, says in (
+        ("talk.m4a", b"\0\0\0\x20ftypM4A " + bytes(100), "ffmpeg"),
+        ("none.wav", None, "no such file"),
+    ):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        done = gesturekit("render", tmp_path / name, "--model", model, "--out", tmp_path / "out")
+        (line,) = problems(done.err)
+        assert done.status == 1 and line.startswith("Failed: ") and name in line and says in line
+
+
+def test_help_shows_examples_first_and_every_option_in_one_group(gesturekit):
+    shown = gesturekit("render", "--help").out
+    options = [param for param in render.params if isinstance(param, click.Option)]
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert sorted(grouped) == sorted(option.name for option in options)
+    headings = re.findall(r"^(\S.*):$", shown, re.MULTILINE)
+    assert headings == ["Examples", *GROUPS, "Other options"]
+    for option in options:
+        assert re.search(rf"^  {option.opts[0]}\b", shown, re.MULTILINE), option.name
+
+
+def test_the_splits_to_choose_from_are_those_of_a_manifest():
+    (split,) = (param for param in render.params if param.name == "split")
+    assert set(split.type.choices) == set(SPLITS)

@@ -28,6 +28,12 @@ def fitted(waves, extractor) -> SpeechConditioner:
     return SpeechConditioner.fit(heard, extractor, 25.0, "mean")
 
 
+def under(normalisation: str, waves) -> SpeechConditioner:
+    extractor = af.Stack([af.LogMel(n_mels=4)])
+    heard = [extract(wave, extractor, 25.0, "mean", level=False) for wave in waves]
+    return SpeechConditioner.fit(heard, extractor, 25.0, "mean", normalisation)
+
+
 @pytest.fixture(scope="module")
 def conditioner() -> SpeechConditioner:
     extractor = af.Stack([af.LogMel(n_mels=24), af.Prosody()])
@@ -79,3 +85,22 @@ def test_a_monotonous_clip_is_not_made_lively_by_its_own_mean():
     column = extractor.names.index("f0_range")
     flat, lively = (conditioner(wave)[:, column].mean() for wave in waves)
     assert lively > flat + 0.5
+
+
+def test_over_the_corpus_all_training_frames_together_have_mean_zero_and_variance_one():
+    waves = [voice(3.0, swing=0.1), voice(2.0, swing=2.0, seed=1)]
+    conditioner = under("corpus", waves)
+    clips = [conditioner(wave) for wave in waves]
+    together = np.concatenate(clips)
+    np.testing.assert_allclose(together.mean(axis=0), 0, atol=1e-4)
+    np.testing.assert_allclose(together.std(axis=0), 1, atol=1e-4)
+    # No clip is brought to a mean of its own.
+    assert (np.abs(clips[0].mean(axis=0) - clips[1].mean(axis=0)) > 0.1).all()
+
+
+def test_without_normalisation_features_are_as_the_extractor_gives_them():
+    wave = voice(2.0, level=0.02)
+    conditioner = under("none", [wave])
+    track = conditioner.extractor.extract(wave)
+    expected = track.to_rate(25.0, n_frames=50, method="mean").values
+    np.testing.assert_array_equal(conditioner(wave), expected)

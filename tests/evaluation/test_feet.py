@@ -14,6 +14,7 @@ from gesturekit.evaluation import (
     standing_heights,
 )
 from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
 
 
 @pytest.fixture
@@ -34,7 +35,8 @@ def test_feet_that_slide_on_the_ground_slide_at_their_speed(standing):
 
 @pytest.mark.parametrize(("height", "weight"), [(0.0, 1.0), (0.0125, 2 - 2**0.5), (0.025, 0.0)])
 def test_sliding_counts_less_the_higher_the_feet_are(standing, height, weight):
-    # 2 - 2^(h/H) with H = 2.5 cm: 1 on the ground, 0.586 at half of H, 0 from H on.
+    # 2 - 2^(h/H) with H = 2.5 cm on a body of 1.7 m: 1 on the ground, 0.586 at half of H, 0 from H.
+    height *= body_scale(standing.skeleton)
     sliding = moved(standing, np.outer(standing.times, [1.0, 0.0, 0.0]) + [0.0, height, 0.0])
     assert foot_skate(sliding, standing_heights(standing)) == pytest.approx(weight)
 

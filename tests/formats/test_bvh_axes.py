@@ -12,6 +12,7 @@ from gesturekit.errors import FormatError
 from gesturekit.formats import read_bvh, write_bvh
 from gesturekit.formats.axes import AXES, turn_axes, turn_to_law
 from gesturekit.formats.units import METRES
+from gesturekit.motion import Motion
 from gesturekit.motion.heading import heading
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
 
@@ -48,6 +49,18 @@ def test_any_axes_are_found_and_turned_to_ours(facing_z, tmp_path, up, forward):
     expected[0] = 0  # the root's OFFSET is written as zero
     np.testing.assert_allclose(motion.skeleton.offsets[order], expected, atol=1e-7)
     same_places(read_bvh(path, up=up, forward=forward), facing_z)
+
+
+@pytest.mark.parametrize(("up", "forward"), [("y", "x"), ("y", "-z"), ("z", "-y"), ("z", "x")])
+def test_a_quadruped_faces_from_its_tail_to_its_head(quadruped, tmp_path, up, forward):
+    rest = np.tile([0.0, 0.0, 0.0, 1.0], (30, quadruped.n_joints, 1))
+    motion = Motion(quadruped, rest, np.tile([0.0, 0.75, 0.0], (30, 1)), 30.0)
+    write_bvh(in_axes(motion, up, forward), tmp_path / "dog.bvh")
+    read = read_bvh(tmp_path / "dog.bvh", unit="cm")
+    assert (read.info["up"], read.info["forward"]) == (up, forward)
+    assert "forward" not in read.info["guessed"] and heading(read) == pytest.approx(0, abs=1e-6)
+    head, tail = (read.positions()[0, read.skeleton.index(name)] for name in ("Head", "Tail2"))
+    assert head[2] - tail[2] > 1
 
 
 def test_where_a_body_walks_and_looks_is_left_alone(facing_z, tmp_path):

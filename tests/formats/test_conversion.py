@@ -15,7 +15,7 @@ from gesturekit.formats.changes import Changes, parse_trim
 from gesturekit.formats.conversion import Converted, convert
 from gesturekit.formats.rig import Rig
 from gesturekit.formats.smpl import smpl_skeleton
-from gesturekit.formats.sources import motions_in
+from gesturekit.formats.sources import motions_in, unreadable_media
 from gesturekit.motion import Motion
 
 
@@ -295,3 +295,12 @@ def test_a_file_with_the_joints_of_smpl_gives_its_own_size(tmp_path):
 def test_parts_of_a_rig_that_is_known_are_refused():
     with pytest.raises(MotionError, match="parts of smplx are known; left_elbow"):
         Rig.load("smplx", {"left_elbow": "left_elbow"})
+
+
+@pytest.mark.parametrize(
+    ("name", "what_to_do"),
+    [("talk.M4A", "ffmpeg -i x.m4a x.wav"), ("take.fbx", "export it as bvh"), ("a.bvh", None)],
+)
+def test_media_that_is_not_read_is_named_with_what_to_do(name, what_to_do):
+    reason = unreadable_media(Path(name))
+    assert (reason and what_to_do in reason) or reason is what_to_do is None

@@ -42,7 +42,8 @@ def test_what_looks_wrong_is_told_with_its_frame(gesture, tmp_path):
     problems = " ".join(inspect(tmp_path / "take.npz").problems)
     assert "nothing moves from 1.00 to 2.33 s" in problems
     assert "m/s of LeftHand: frames 100 (3.33 s), 101" in problems
-    assert "2 pops away and back" in problems and "of LeftArm: frames 20 (0.67 s), 100" in problems
+    # The arm's pop is the jump of its hand, as in `prepare`.
+    assert "1 pop away and back" in problems and "of Head: frame 20 (0.67 s)" in problems
 
 
 def test_parts_can_be_named_by_hand(gesture, tmp_path):

@@ -61,6 +61,25 @@ def test_jitter(moving_person):
     assert jitter_share(turned(moving_person, "Spine", noise / 20)) == 0
 
 
+def test_jitter_cannot_be_told_at_a_low_frame_rate(moving_person):
+    places = moving_person.translation.copy()
+    places[::2] += [0.02, 0.0, 0.0]
+    for fps, found in ((30.0, True), (15.0, True), (5.9, False)):
+        assert (jitter_share(replace(moving_person, translation=places, fps=fps)) > 0.5) == found
+
+
+def test_a_pop_next_to_a_jump_is_counted_once(moving_person):
+    off = np.zeros(60)
+    off[41] = 0.6
+    motion = turned(moving_person, "LeftForeArm", off)
+    places = motion.translation.copy()
+    places[20] += [0.6, 0.0, 0.0]
+    motion = replace(motion, translation=places)
+    jumps = find_jumps(motion)
+    assert jumps.frames == (20, 21)
+    assert find_pops(motion).frames == (20, 41) and find_pops(motion, jumps).frames == (41,)
+
+
 def test_real_recordings(shared_data):
     """The finding of a look at each: one clip of eight shakes its hand as nobody can."""
     clean = ("bow_sad", "bow_happy", "bye_normal", "bye_old")

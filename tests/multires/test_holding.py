@@ -205,7 +205,8 @@ def test_what_cannot_be_held_is_told(model, gesture, asked, message):
 def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, capsys):
     def render(*options: str) -> int:
         with pytest.raises(SystemExit) as left:
-            main(["render", "--model", str(folder), "--out", str(tmp_path / "out"), *options])
+            place = ["--out", str(tmp_path / "out"), "--existing", "replace"]
+            main(["render", "--model", str(folder), *place, *options])
         return left.value.code
 
     def made() -> gk.Motion:

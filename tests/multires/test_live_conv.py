@@ -141,7 +141,7 @@ def test_a_score_is_the_mean_of_a_convolution_over_the_last_features(representat
 
 
 @pytest.mark.parametrize("batch", [2, 6])
-@pytest.mark.parametrize("penalty_on", ["window", "frame"])
+@pytest.mark.parametrize("penalty_on", ["window", "frame", "printed"])
 @pytest.mark.parametrize("n_frames", [4, 21])
 @pytest.mark.parametrize("told", [None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]], ids=["", "told"])
 def test_a_discriminator_step_is_that_of_autograd(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -161,6 +162,36 @@ def test_a_coarse_level_comes_back_as_keyframes(make_config, motions, tmp_path, 
     np.testing.assert_allclose(again.positions(), same.positions(), atol=1e-5)
 
 
+def test_keyframes_that_do_not_fit_are_said(make_config, motions, tmp_path, gesture, caplog):
+    model = gk.load(train(make_config(corpus=str(motions(none=[4.0])), **SINGLE)))
+    coarse = model.generate(seconds=6.0, seed=1, levels=1)
+
+    def said(motion, **options) -> tuple[gk.Motion, str]:
+        caplog.clear()
+        return model.generate(keyframes=motion, seed=1, **options), caplog.text
+
+    whole, words = said(coarse)
+    assert words == ""
+    # Blender writes 250 frames whatever the clip is.
+    longer = coarse.resample(coarse.fps, 250)
+    for options in ({}, {"seconds": 6.0}):
+        made, words = said(longer, **options)
+        assert "187 equal frames at the end are left out, 63 remain" in words
+        assert (made.rotations == whole.rotations).all()
+    still = coarse.slice(0, 1).resample(coarse.fps, 63)
+    assert said(still)[0].n_frames == whole.n_frames and caplog.text == ""
+    _, words = said(model.generate(seconds=6.0, seed=1, levels=2))
+    assert "14 fps, but level 1 has 10.5 fps: it would fit level 2" in words
+    _, words = said(replace(coarse, fps=24.0))
+    assert "24 fps, but level 1 has 10.61 fps: no level has" in words
+    assert said(replace(coarse, fps=1.005 * coarse.fps))[1] == ""
+    assert "the rest is left out" in said(coarse, seconds=4.0)[1]
+    assert "the last pose is held to the end" in said(coarse, seconds=8.0)[1]
+    names = tuple(f"avatar:{name}" for name in coarse.skeleton.names)
+    other = replace(coarse, skeleton=replace(coarse.skeleton, names=names, end_sites={}))
+    assert "another rig than the model's (19 joints, 19 of them): retargeted" in said(other)[1]
+
+
 def test_noise_enters_at_as_many_levels_as_wanted(make_config, motions):
     config = make_config(corpus=str(motions(none=[4.0])), noise_levels=2, **SINGLE)
     model = gk.load(train(config))
@@ -267,7 +298,8 @@ def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_pa
 
     def render(*options: str) -> int:
         with pytest.raises(SystemExit) as left:
-            main(["render", "--model", str(folder), "--out", str(tmp_path / "out"), *options])
+            place = ["--out", str(tmp_path / "out"), "--existing", "replace"]
+            main(["render", "--model", str(folder), *place, *options])
         return left.value.code
 
     assert render("--seconds", "4", "--style", "old@0-2,angry@2-4", "--level-style", "4=old") == 0

@@ -43,9 +43,14 @@ def test_evaluations_are_logged_and_the_weights_are_those_without_them(make_conf
     assert "critic" in (watched / "README.md").read_text()
 
 
-def test_a_run_may_be_resumed_with_or_without_evaluations(make_config, tmp_path):
-    train(make_config(out=str(tmp_path / "run"), eval_every=5))
-    train(make_config(out=str(tmp_path / "run"), eval_every=0), resume=True)
+def test_a_run_resumed_without_evaluations_ends_with_the_same_weights(make_config, tmp_path):
+    run = tmp_path / "run"
+    model = train(make_config(out=str(run), eval_every=5)) / "model.safetensors"
+    whole = model.read_bytes()
+    (run / "checkpoints" / "step_00000010.pt").unlink()  # so that there is something left to do
+    model.unlink()
+    train(make_config(out=str(run), eval_every=0), resume=True)
+    assert model.read_bytes() == whole
 
 
 def test_samples_and_the_best_model_of_the_last_pair_are_kept(make_config, tmp_path):

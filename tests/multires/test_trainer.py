@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+from dataclasses import replace
 
 import pytest
 import torch
@@ -174,6 +175,23 @@ def test_a_bank_holds_a_whole_sequence_once(make_config):
         assert torch.equal(windows.targets[-1], torch.stack([s.motion for s in sequences]))
 
 
+@pytest.mark.parametrize(("bank", "repeats"), [(2, True), (None, False)])
+def test_without_a_bank_every_random_window_is_drawn_anew(make_config, monkeypatch, bank, repeats):
+    config = make_config(schedule={"bank": bank, "renew": 50})
+    generate, noises = Pair._generate, []
+
+    def record(self, windows):
+        if windows.targets is None and self.first == 0:
+            noises.extend(tuple(row.tolist()) for row in windows.noise[0][:, 0])
+        return generate(self, windows)
+
+    monkeypatch.setattr(Pair, "_generate", record)
+    train(config)
+    # Six iterations of a discriminator and a generator step, two windows each.
+    assert len(noises) == 24
+    assert (len(set(noises)) < 24) == repeats
+
+
 def test_with_margins_longer_motions_are_judged_by_their_middle(make_config, monkeypatch):
     config = make_config(schedule={"margins": True, "window": 2.0, "first_pair": 1})
     seen = set()
@@ -250,23 +268,40 @@ def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path
     assert "random steps draw windows of the paired speech" in caplog.text
 
 
+RANDOM = {"critic", "adversarial", "contact", "smooth", "arm_speed"}
+
+
 @pytest.mark.parametrize(
-    "changes",
+    ("changes", "losses"),
     [
-        {"schedule": {"window": None}},
-        {"schedule": {"margins": True}},
-        {"schedule": {"discriminator_steps": 0, "generator_steps": 0}},
-        {"schedule": {"reconstruction_steps": 0}},
-        {"features": {"residual": False}, "network": {"film": "input"}},
-        {"losses": {"arm_speed": 0, "rec_input": "real"}},
-        {"network": {"levels": 3}},
-        {"joints": "all"},
-        {"precision": "bfloat16"},
+        ({"schedule": {"window": None}}, RANDOM | {"rec"}),
+        ({"schedule": {"margins": True}}, RANDOM | {"rec"}),
+        ({"schedule": {"discriminator_steps": 0, "generator_steps": 0}}, {"rec"}),
+        ({"schedule": {"reconstruction_steps": 0}}, RANDOM),
+        ({"features": {"residual": False}, "network": {"film": "input"}}, RANDOM | {"rec"}),
+        ({"losses": {"arm_speed": 0, "rec_input": "real"}}, RANDOM - {"arm_speed"} | {"rec"}),
+        ({"network": {"levels": 3}}, RANDOM | {"rec"}),
+        ({"joints": "all"}, RANDOM | {"rec"}),
+        ({"precision": "bfloat16"}, RANDOM | {"rec"}),
     ],
     ids=str,
 )
-def test_variants_train(make_config, changes):
-    assert (train(make_config(**changes)) / "config.yaml").is_file()
+def test_variants_train_on_the_losses_that_they_name(make_config, changes, losses):
+    config = make_config(**changes)
+    train(config)
+    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
+    # The finest level is at the full rate, where every loss applies.
+    named = set(lines[-1]) - {"step", "level", "seconds_per_iteration"}
+    assert named == losses
+    trained = weights(config)
+    assert all(torch.isfinite(value).all() for value in trained.values())
+    # One more iteration moves every level that the last pair trains.
+    longer = make_config(**changes, out=str(config.out) + "_longer")
+    train(replace(longer, schedule=replace(longer.schedule, further_pairs=5)))
+    again, finest = weights(longer), f"levels.{config.network.levels - 1}.layers"
+    moved = [name for name in trained if finest in name and name.endswith("weight")]
+    assert moved
+    assert all(not torch.equal(trained[name], again[name]) for name in moved)
 
 
 def test_a_folder_with_a_run_is_not_overwritten(make_config):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +11,17 @@ import pytest
 import audio_features as af
 import gesturekit as gk
 from gesturekit import Motion, Skeleton
+from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError, MotionError
+from gesturekit.formats.rig import Rig
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.kinematics import global_rotations
+from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.postprocess import smooth_motion
-from gesturekit.rendering.render import FORMATS, render
-from gesturekit.rendering.sampling import sample_multires
+from gesturekit.rendering.record import RECORD, described
+from gesturekit.rendering.render import FORMATS, Output, render
+from gesturekit.rendering.sampling import sample_lda, sample_multires
 
 
 @pytest.fixture
@@ -29,7 +34,7 @@ def test_an_outcome_is_there_before_the_next_file_is_begun(model, sounds, tmp_pa
     outcomes = render(model, sounds, out)
     first = next(outcomes)
     assert (first.source, first.files, first.error) == (str(sounds[0]), (out / "a.bvh",), None)
-    assert [path.name for path in out.iterdir()] == ["a.bvh"]
+    assert sorted(path.name for path in out.iterdir()) == [RECORD, "a.bvh"]
     sounds[1].write_text("gone bad meanwhile")
     second, third = outcomes
     assert second.files == () and second.error.startswith(str(sounds[1]))
@@ -37,7 +42,7 @@ def test_an_outcome_is_there_before_the_next_file_is_begun(model, sounds, tmp_pa
 
 
 def test_motion_on_disk_is_what_the_model_generates(model, sounds, tmp_path):
-    (outcome,) = render(model, sounds[:1], tmp_path, formats=("npz",), seed=5)
+    (outcome,) = render(model, sounds[:1], tmp_path, output=Output(formats=("npz",)), seed=5)
     motion = model.generate(af.Wave.load(sounds[0]), seed=5)
     again = Motion.load(outcome.files[0])
     assert again.fps == motion.fps == 25 and again.n_frames == 38
@@ -46,13 +51,13 @@ def test_motion_on_disk_is_what_the_model_generates(model, sounds, tmp_path):
 
 
 def test_a_stopped_rendering_goes_on_with_what_is_missing(model, sounds, tmp_path):
-    asked = {"formats": ("bvh", "npz"), "samples": 2, "skip_existing": True}
+    asked = {"output": Output(("bvh", "npz"), existing="skip"), "samples": 2}
     made = [outcome.files for outcome in render(model, sounds, tmp_path, **asked)]
     assert [len(files) for files in made] == [4, 4, 4]
     before = {path: path.stat().st_mtime_ns for files in made for path in files}
     made[1][2].unlink()
     again = [outcome.files for outcome in render(model, sounds, tmp_path, **asked)]
-    assert again == [(), made[1], ()]
+    assert again == [(), (made[1][2],), ()]
     assert [before[path] == path.stat().st_mtime_ns for path in made[0] + made[2]] == [True] * 8
 
 
@@ -61,7 +66,12 @@ def test_feet_are_locked_unless_told_and_never_for_the_papers_protocol(tmp_path)
     slides = {}
     for lock in (True, False):
         (outcome,) = render(
-            demo, [], tmp_path / str(lock), formats=("npz",), seconds=4.0, foot_lock=lock
+            demo,
+            [],
+            tmp_path / str(lock),
+            output=Output(formats=("npz",)),
+            seconds=4.0,
+            foot_lock=lock,
         )
         motion = Motion.load(outcome.files[0])
         slides[lock] = np.linalg.norm(np.diff(foot_positions(motion), axis=0), axis=-1).mean()
@@ -73,7 +83,7 @@ def test_feet_are_locked_unless_told_and_never_for_the_papers_protocol(tmp_path)
 
 
 def test_smoothing_leaves_the_legs(model, sounds, tmp_path):
-    (outcome,) = render(model, sounds[:1], tmp_path, formats=("npz",), smooth=0.3)
+    (outcome,) = render(model, sounds[:1], tmp_path, output=Output(formats=("npz",)), smooth=0.3)
     smooth, plain = Motion.load(outcome.files[0]), model.generate(sounds[0])
     same = (smooth.rotations == plain.rotations).all(axis=(0, 2))
     legs = [name for name in plain.skeleton.names if name.endswith(("Leg", "Foot"))]
@@ -89,7 +99,9 @@ def test_a_model_is_smoothed_as_it_was_trained_to_be_unless_told(model, sounds, 
     again = gk.load(tmp_path / "model")
     for seconds, wanted in ((None, smooth_motion(plain, 0.3)), (0, plain)):
         folder = tmp_path / str(seconds)
-        (outcome,) = render(again, sounds[:1], folder, formats=("npz",), smooth=seconds)
+        (outcome,) = render(
+            again, sounds[:1], folder, output=Output(formats=("npz",)), smooth=seconds
+        )
         made = Motion.load(outcome.files[0])
         np.testing.assert_allclose(made.rotations, wanted.rotations, atol=1e-12)
 
@@ -113,11 +125,11 @@ def test_no_name_leads_out_of_the_folder(model, sounds, tmp_path):
 def test_a_file_that_cannot_be_written_is_told_and_the_others_are_kept(model, sounds, tmp_path):
     out = tmp_path / "out"
     (out / "b.npz").mkdir(parents=True)
-    one, two, three = render(model, sounds, out, formats=("bvh", "npz"))
+    one, two, three = render(model, sounds, out, output=Output(formats=("bvh", "npz")))
     assert one.error is None and three.error is None
     assert two.files == (out / "b.bvh",)
     assert str(sounds[1]) in two.error and "b.npz" in two.error
-    assert sorted(path.name for path in out.iterdir()) == [
+    assert sorted(path.name for path in out.iterdir()) == [RECORD] + [
         f"{stem}.{kind}" for stem in "abc" for kind in ("bvh", "npz")
     ]
 
@@ -131,7 +143,9 @@ def test_a_model_that_gives_nan_fails_each_file_by_name(model, sounds, tmp_path)
 
 
 def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
-    (outcome,) = render(model, [tmp_path / "none.wav"], tmp_path / "out", formats=FORMATS)
+    (outcome,) = render(
+        model, [tmp_path / "none.wav"], tmp_path / "out", output=Output(formats=FORMATS)
+    )
     assert outcome.files == () and "none.wav: no such file" in outcome.error
     assert list((tmp_path / "out").iterdir()) == []
 
@@ -141,7 +155,7 @@ def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
 )
 def test_unknown_formats(model, sounds, tmp_path, formats, names):
     with pytest.raises(ConfigError, match=f"{names}.*known: bvh, npz, html, png"):
-        next(render(model, sounds, tmp_path / "out", formats=formats))
+        next(render(model, sounds, tmp_path / "out", output=Output(formats=formats)))
     assert not (tmp_path / "out").exists()
 
 
@@ -163,7 +177,7 @@ def avatar(path, motion, scale):
 def test_another_body_moves_as_the_models_own(model, sounds, tmp_path, gesture):
     rig = avatar(tmp_path / "avatar.bvh", gesture(1.0), 1.2)
     (own,) = render(model, sounds[:1], tmp_path / "own")
-    (outcome,) = render(model, sounds[:1], tmp_path / "out", rig=rig)
+    (outcome,) = render(model, sounds[:1], tmp_path / "out", output=Output(rig=rig))
     assert outcome.error is None
     usual, made = (Motion.load(done.files[0]) for done in (own, outcome))
     assert made.skeleton.names == tuple(f"avatar:{name}" for name in usual.skeleton.names)
@@ -191,25 +205,188 @@ def test_a_rig_that_cannot_be_used_is_told_before_anything_is_done(
                     model,
                     sounds,
                     tmp_path / "out",
-                    rig=tmp_path / name,
-                    rig_parts={"left_elbow": "avatar:LeftLeg"},
+                    output=Output(rig=Rig.load(tmp_path / name, {"left_elbow": "avatar:LeftLeg"})),
                 )
             )
     assert not (tmp_path / "out").exists()
 
 
 def test_an_smpl_body_by_its_name(model, sounds, tmp_path):
-    (outcome,) = render(model, sounds[:1], tmp_path, rig="smplx")
+    (outcome,) = render(model, sounds[:1], tmp_path, output=Output(rig="smplx"))
     assert outcome.error is None
     assert Motion.load(outcome.files[0]).skeleton.n_joints == 55
     with pytest.raises(FormatError, match="one of smpl, smplh, smplx"):
-        next(render(model, sounds[:1], tmp_path, rig="chair"))
+        next(render(model, sounds[:1], tmp_path, output=Output(rig="chair")))
 
 
 def test_a_body_of_the_smpl_family_by_its_name(model, sounds, tmp_path):
-    done = render(model, sounds[:1], tmp_path, formats=("bvh", "npz"), rig="smplh")
+    done = render(model, sounds[:1], tmp_path, output=Output(formats=("bvh", "npz"), rig="smplh"))
     (outcome,) = done
     assert outcome.error is None
     assert Motion.load(outcome.files[0]).skeleton.n_joints == 52
     with np.load(outcome.files[1]) as file:
         assert file["poses"].shape[1] == 156 and str(file["surface_model_type"]) == "smplh"
+
+
+def test_folders_are_searched_to_the_bottom_and_keep_their_shape(
+    model, sounds, tmp_path, write_speech, caplog
+):
+    folder = sounds[0].parent
+    write_speech(folder / "day 1" / "a.wav", 1.0)
+    (folder / "day 1" / "call.m4a").touch()
+    out = folder / "out"
+    outcomes = list(render(model, [folder], out))
+    assert [outcome.files for outcome in outcomes] == [
+        (out / name,) for name in ("a.bvh", "b.bvh", "c.bvh", "day 1/a.bvh")
+    ]
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert "call.m4a: not rendered" in said and "ffmpeg" in said
+
+
+def test_a_link_in_the_output_folder_leads_nowhere(model, sounds, tmp_path, write_speech):
+    write_speech(sounds[0].parent / "sub" / "d.wav", 0.5)
+    elsewhere, out = tmp_path / "elsewhere", tmp_path / "out"
+    elsewhere.mkdir()
+    out.mkdir()
+    (out / "sub").symlink_to(elsewhere)
+    with pytest.raises(ConfigError, match="lies outside"):
+        next(render(model, [sounds[0].parent], out))
+    (out / "sub").unlink()
+    (out / RECORD).symlink_to(elsewhere / "record")
+    with pytest.raises(ConfigError, match="is a link"):
+        next(render(model, sounds, out))
+    assert list(elsewhere.iterdir()) == []
+
+
+def counted(outcomes):
+    return [(len(outcome.files), len(outcome.kept)) for outcome in outcomes]
+
+
+def test_a_plain_rerun_keeps_what_was_made_with_the_same(model, sounds, tmp_path):
+    out = tmp_path / "out"
+    assert counted(render(model, sounds[:2], out, seed=3)) == [(1, 0)] * 2
+    before = (out / "a.bvh").stat().st_mtime_ns
+    assert counted(render(model, sounds, out, seed=3)) == [(0, 1), (0, 1), (1, 0)]
+    assert (out / "a.bvh").stat().st_mtime_ns == before
+    # Copies of the input elsewhere, and what the default is, make no difference.
+    moved = sounds[0].rename(tmp_path / "a.wav")
+    assert counted(render(model, [moved], out, seed=3, foot_lock=True)) == [(0, 1)]
+
+
+def test_a_rerun_refuses_by_name_what_was_made_with_something_else(
+    model, sounds, tmp_path, write_speech
+):
+    out = tmp_path / "out"
+    list(render(model, sounds[:2], out))
+    made = {path: path.read_bytes() for path in out.iterdir()}
+    damaged = copy.copy(model)
+    damaged.smooth = 0.3
+    for name, asked in {
+        "seed": lambda: render(model, sounds, out, seed=1),
+        "foot_lock": lambda: render(model, sounds, out, foot_lock=False),
+        "unit": lambda: render(model, sounds, out, output=Output(unit="m")),
+        "rig": lambda: render(model, sounds, out, output=Output(rig="smpl")),
+        "model": lambda: render(damaged, sounds, out),
+    }.items():
+        with pytest.raises(ConfigError, match=rf"a\.bvh.*b\.bvh exist.*another {name} \(2 refused"):
+            next(asked())
+        assert {path: path.read_bytes() for path in out.iterdir()} == made
+    write_speech(sounds[0], 1.0)
+    with pytest.raises(ConfigError, match=r"a\.bvh exists.*another input \(1 refused, 1 kept, 1"):
+        next(render(model, sounds, out))
+    # Each way through.
+    skip, replace = Output(existing="skip"), Output(existing="replace")
+    assert counted(render(model, sounds[:2], out, output=skip, seed=1)) == [(0, 1)] * 2
+    assert counted(render(model, sounds[:2], out, output=replace, seed=1)) == [(1, 0)] * 2
+    assert counted(render(model, sounds[:2], out, seed=1)) == [(0, 1)] * 2
+
+
+def test_a_result_that_was_edited_is_not_overwritten(model, sounds, tmp_path):
+    list(render(model, sounds[:1], tmp_path))
+    (tmp_path / "a.bvh").write_text("edited in Blender")
+    with pytest.raises(ConfigError, match=r"a\.bvh exists already"):
+        next(render(model, sounds[:1], tmp_path))
+    assert counted(render(model, sounds[:1], tmp_path, output=Output(existing="replace"))) == [
+        (1, 0)
+    ]
+
+
+def test_a_killed_run_goes_on_whatever_it_left_of_its_record(model, sounds, tmp_path):
+    list(render(model, sounds, tmp_path))
+    record = tmp_path / RECORD
+    whole = record.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    for cut in (len(whole) - len(lines[-1]), len(whole) - 20):  # c.bvh is there, not its last line
+        record.write_bytes(whole[:cut])
+        assert counted(render(model, sounds, tmp_path)) == [(0, 1), (0, 1), (1, 0)]
+        assert counted(render(model, sounds, tmp_path)) == [(0, 1)] * 3
+    record.write_bytes(b"\xff\x00[1]\n{}\n" + whole)
+    assert counted(render(model, sounds, tmp_path)) == [(0, 1)] * 3
+
+
+def test_settings_are_told_apart_by_what_they_hold(tmp_path):
+    for name in ("one", "same", "other"):
+        (tmp_path / name).write_text("other" if name == "other" else "one")
+    one, same, other = (described(tmp_path / name) for name in ("one", "same", "other"))
+    assert one == same != other
+    path = RootPath(np.zeros((3, 2)), np.zeros(3), 25.0)
+    assert described(path) == described(RootPath(np.zeros((3, 2)), np.zeros(3), 25.0))
+    assert described(path) != described(RootPath(np.ones((3, 2)), np.zeros(3), 25.0))
+    assert described({0.5: "old", "x": (1, None)}) == {"0.5": "old", "x": [1, None]}
+    assert described(str(tmp_path / "one")) != described(str(tmp_path / "other"))
+
+
+def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write_pair):
+    audio, motion = write_pair(tmp_path / "in" / "day", "a", 4.0)
+    items = [
+        Item(id="day/a", audio=audio, motion=motion, audio_start=1.0, duration=2.0),
+        Item(id="b", audio=None, motion=motion, duration=1.5),
+    ]
+    out = tmp_path / "out"
+    outcomes = list(render(model, items, out, samples=2))
+    assert [outcome.files for outcome in outcomes] == [
+        (out / "day/a_s1.bvh", out / "day/a_s2.bvh"),
+        (out / "b_s1.bvh", out / "b_s2.bvh"),
+    ]
+    list(render(model, items[:1], out, output=Output(["npz"])))
+    made = Motion.load(out / "day" / "a.npz")
+    wanted = model.generate(af.Wave.load(audio, start=1.0, duration=2.0))
+    assert (made.rotations == wanted.rotations).all()
+    assert Motion.load(out / "b_s1.bvh").n_frames == 38
+    assert counted(render(model, items, out, samples=2)) == [(0, 2)] * 2
+    later = [replace(items[0], audio_start=1.5)]
+    with pytest.raises(ConfigError, match="another start"):
+        next(render(model, later, out, samples=2))
+
+
+def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write_pair, model):
+    audio, motion = write_pair(tmp_path / "in", "a", 3.0)
+    deaf = copy.copy(model)
+    deaf.conditioner = None
+    deaf.save = model.save
+    deaf.generate = lambda speech=None, *, seconds=None, seed=0: (
+        model.generate(seconds=seconds) if speech is None else None
+    )
+    items = [Item(id="a", audio=audio, motion=motion, duration=2.0)]
+    (outcome,) = render(deaf, items, tmp_path / "out")
+    assert outcome.error is None and Motion.load(outcome.files[0]).n_frames == 50
+
+
+def test_bvh_in_another_unit(model, sounds, tmp_path):
+    (own,) = render(model, sounds[:1], tmp_path / "cm")
+    (outcome,) = render(model, sounds[:1], tmp_path / "m", output=Output(unit="m"))
+    centimetres, metres = (Motion.load(one.files[0], unit="cm") for one in (own, outcome))
+    ratio = centimetres.skeleton.offsets[1:] / metres.skeleton.offsets[1:].clip(1e-9)
+    np.testing.assert_allclose(ratio[metres.skeleton.offsets[1:] > 1e-3], 100, rtol=1e-3)
+    with pytest.raises(ConfigError, match=r"up is an option of \.npz"):
+        next(render(model, sounds[:1], tmp_path, output=Output(up="z")))
+
+
+def test_sampling_for_an_evaluation_goes_on_where_it_was(model, tmp_path, write_speech):
+    write_speech(tmp_path / "in" / "a.wav", 10.0)
+    out = tmp_path / "out"
+    files = list(sample_lda(model, tmp_path / "in", out, samples=2))
+    files[1].unlink()
+    before = files[0].stat().st_mtime_ns
+    assert list(sample_lda(model, tmp_path / "in", out, samples=2, skip=True)) == files
+    assert files[0].stat().st_mtime_ns == before and files[1].is_file()

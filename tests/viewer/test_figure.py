@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,44 @@ def test_still_hands_have_no_speed_and_moving_hands_have_theirs() -> None:
     turning[:, 0] = Rotation.from_rotvec(np.outer(np.arange(n_frames) / fps, [0, 1, 0])).as_quat()
     speed = Figure.of(Motion(skeleton, turning, walk, fps)).hand_speed
     np.testing.assert_allclose(speed, 0.5, rtol=1e-3)
+
+
+@pytest.mark.parametrize("front", [0.0, 1.2, -2.5])
+def test_a_quadruped_faces_where_its_head_is(quadruped: Skeleton, front: float) -> None:
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (5, quadruped.n_joints, 1))
+    # Its shoulders are lower than its hips, as an elephant's are.
+    rotations[:, 0] = (
+        Rotation.from_rotvec([0, front, 0]) * Rotation.from_rotvec([0.2, 0, 0])
+    ).as_quat()
+    figure = Figure.of(Motion(quadruped, rotations, np.tile([0.0, 0.75, 0.0], (5, 1)), 30.0))
+    assert figure.front == pytest.approx(front)
+    head = figure.points[0, figure.head.face] - figure.points[0, figure.head.base]
+    assert head @ [np.sin(front), 0, np.cos(front)] > 0.9 * figure.head.size
+
+
+@pytest.mark.parametrize("factor", [0.1, 2.0, 10.0])
+def test_a_figure_is_drawn_alike_at_any_size(skeleton: Skeleton, factor: float) -> None:
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (5, skeleton.n_joints, 1))
+    motion = Motion(skeleton, rotations, np.tile([0.0, 0.9, 0.0], (5, 1)), 30.0)
+    one, other = Figure.of(motion), Figure.of(motion.scaled(factor))
+    assert np.allclose(other.points, factor * one.points)
+    assert [limb.ends for limb in other.limbs] == [limb.ends for limb in one.limbs]
+    radii = [[limb.radii for limb in figure.limbs] for figure in (one, other)]
+    assert np.allclose(radii[1], factor * np.array(radii[0]))
+
+
+def test_ends_that_no_limb_can_have_are_not_drawn(skeleton: Skeleton) -> None:
+    """Mixamo's rigs from Blender: as long as the last bone, and up."""
+    ends = {"LeftHand": (np.array([0.0, 0.25, 0.0]),), "LeftFoot": (np.array([0.0, 0.42, 0.0]),)}
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (1, skeleton.n_joints, 1))
+    rig = replace(skeleton, end_sites=ends)
+    figure = Figure.of(Motion(rig, rotations, np.zeros((1, 3)), 30.0))
+    high = {end for limb in figure.limbs for end in limb.ends if end >= skeleton.n_joints}
+    # What is added is a hand along its forearm.
+    assert all(
+        abs(figure.points[0, end, 1] - figure.points[0, skeleton.index("LeftHand"), 1]) < 0.01
+        for end in high
+    )
 
 
 def test_one_frame_is_enough() -> None:

@@ -149,6 +149,17 @@ def test_the_bundle_was_made_from_the_sources_beside_it() -> None:
     assert script["is_current"](), "player.bundle.js is out of date: run `make setup`"
 
 
+def test_every_key_of_the_player_is_in_its_list_of_shortcuts() -> None:
+    player = Path(page_module.__file__).parent / "player"
+    script, template = ((player / name).read_text() for name in ("player.js", "template.html"))
+    table = script[script.index("const keys = {") : script.index("window.addEventListener(")]
+    keys = re.findall(r'^    (?:([a-z])|"(\?)"): ', table, re.MULTILINE)
+    shown = re.findall(r"<dt>(.*?)</dt>", template)
+    assert len(keys) == 4
+    for key in map("".join, keys):
+        assert any(key.upper() in words.split(" or ") for words in shown), key
+
+
 def test_no_motion_at_all_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MotionError):
         write_html({}, tmp_path / "p.html")

@@ -22,24 +22,26 @@ const B = new Vector3();
 const FRAME = new Matrix4();
 
 // A limb along +Y from 0 to `length`, round at both ends.
-function limb(length, start, end) {
+function limb(length, start, end, height) {
   const profile = [];
-  const arc = Math.max(start, end) > 0.02 ? 8 : 4;
+  const isThick = Math.max(start, end) > 0.012 * height;
+  const arc = isThick ? 8 : 4;
   // Where the ends' spheres meet the cone between them without a crease.
-  const lean = Math.asin(Math.min(Math.max((start - end) / Math.max(length, 1e-6), -0.95), 0.95));
+  const lean = Math.asin(Math.min(Math.max((start - end) / Math.max(length, 1e-6 * height), -0.95), 0.95));
   for (let i = 0; i <= arc; i++) {
     const a = -Math.PI / 2 + ((Math.PI / 2 + lean) * i) / arc;
-    profile.push(new Vector2(Math.max(1e-5, Math.cos(a) * start), Math.sin(a) * start));
+    profile.push(new Vector2(Math.max(1e-5 * height, Math.cos(a) * start), Math.sin(a) * start));
   }
   for (let i = 0; i <= arc; i++) {
     const a = lean + ((Math.PI / 2 - lean) * i) / arc;
-    profile.push(new Vector2(Math.max(1e-5, Math.cos(a) * end), length + Math.sin(a) * end));
+    profile.push(new Vector2(Math.max(1e-5 * height, Math.cos(a) * end), length + Math.sin(a) * end));
   }
-  return new LatheGeometry(profile, Math.max(start, end) > 0.02 ? 24 : 10);
+  return new LatheGeometry(profile, isThick ? 24 : 10);
 }
 
 export class Body extends Group {
-  constructor(figure, index) {
+  // Of a figure on a page of this height, metres.
+  constructor(figure, index, height) {
     super();
     this.figure = figure;
     this.points = new Float32Array(figure.channels);
@@ -54,7 +56,7 @@ export class Body extends Group {
     }
     const skins = [material(palette.middle), material(palette.left), material(palette.right)];
     this.bones = figure.limbs.map(({ ends, radii, side, across, width, length }) => {
-      const mesh = new Mesh(limb(length, radii[0], radii[1]), skins[side]);
+      const mesh = new Mesh(limb(length, radii[0], radii[1], height), skins[side]);
       return { mesh, ends, across, width, length };
     });
     for (const { mesh } of this.bones) this.addLimb(mesh);

@@ -57,7 +57,7 @@ function arrange(bodies, page) {
 
 async function main() {
   const page = await read($("motion"));
-  const bodies = page.figures.map((figure, i) => new Body(figure, i));
+  const bodies = page.figures.map((figure, i) => new Body(figure, i, page.height));
   arrange(bodies, page);
   const [first] = page.figures;
   const duration = Math.max(...page.figures.map((f) => f.n_frames / f.fps), page.speech?.duration ?? 0);
@@ -102,9 +102,14 @@ async function main() {
     setRate();
   };
   const flip = (id) => { $(id).click(); };
+  const showShortcuts = (shown) => {
+    $("shortcuts").hidden = !shown;
+    $("help").setAttribute("aria-expanded", String(shown));
+  };
 
   $("play").addEventListener("click", toggle);
   $("reset").addEventListener("click", () => stage.frontView());
+  $("help").addEventListener("click", () => showShortcuts($("shortcuts").hidden));
   $("scrub").addEventListener("input", (event) => seek(event.target.value * duration));
   $("speed").addEventListener("change", setRate);
   $("loop").addEventListener("change", (event) => { clock.loop = event.target.checked; });
@@ -130,6 +135,8 @@ async function main() {
     f: () => flip("follow"),
     l: () => flip("loop"),
     r: () => stage.frontView(),
+    "?": () => flip("help"),
+    Escape: () => showShortcuts(false),
   };
   window.addEventListener("keydown", (event) => {
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];

@@ -6,12 +6,14 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-// A floor with a line every half metre that fades into the background.
-function grid(size) {
+// A floor with a line every half metre that fades into the background; ten times as near or as far
+// for every factor of ten that the figure is smaller or taller than a person.
+function grid(size, height) {
+  const metre = 10 ** Math.round(Math.log10(height / 1.7));
   const material = new ShaderMaterial({
     transparent: true,
     depthWrite: false,
-    uniforms: { size: { value: size }, middle: { value: new Vector3() }, ink: { value: new Color("#8d99a6") } },
+    uniforms: { size: { value: size }, metre: { value: metre }, middle: { value: new Vector3() }, ink: { value: new Color("#8d99a6") } },
     vertexShader: `
       varying vec3 place;
       void main() {
@@ -19,7 +21,7 @@ function grid(size) {
         gl_Position = projectionMatrix * viewMatrix * vec4(place, 1.0);
       }`,
     fragmentShader: `
-      uniform float size; uniform vec3 middle; uniform vec3 ink;
+      uniform float size; uniform float metre; uniform vec3 middle; uniform vec3 ink;
       varying vec3 place;
       float lines(float every) {
         vec2 at = place.xz / every;
@@ -28,7 +30,7 @@ function grid(size) {
       }
       void main() {
         float fade = 1.0 - smoothstep(0.25 * size, size, distance(place.xz, middle.xz));
-        float strength = max(0.16 * lines(0.5), 0.34 * lines(1.0));
+        float strength = max(0.16 * lines(0.5 * metre), 0.34 * lines(metre));
         gl_FragColor = vec4(ink, strength * fade);
       }`,
   });
@@ -76,17 +78,17 @@ export class Stage {
     });
     this.sun.shadow.radius = 6;
     this.sun.shadow.bias = -0.0004;
-    this.sun.shadow.normalBias = 0.02;
+    this.sun.shadow.normalBias = 0.012 * height;
     this.scene.add(this.sun, this.sun.target, new HemisphereLight("#ffffff", "#cdd0d6", 2.3));
   }
 
   addGround() {
     const size = 5 * this.height + this.spread;
-    this.grid = grid(size);
+    this.grid = grid(size, this.height);
     this.shade = new Mesh(new CircleGeometry(size, 64), new ShadowMaterial({ opacity: 0.26, color: "#20303f" }));
     this.shade.rotation.x = -Math.PI / 2;
     this.shade.receiveShadow = true;
-    this.shade.position.y = this.floor - 0.002;
+    this.shade.position.y = this.floor - 0.001 * this.height;
     this.grid.position.y = this.floor;
     this.scene.add(this.shade, this.grid);
   }
@@ -99,7 +101,7 @@ export class Stage {
     middle.set(x, floor, z);
     this.grid.position.set(x, floor, z);
     this.grid.material.uniforms.middle.value.copy(middle);
-    this.shade.position.set(x, floor - 0.002, z);
+    this.shade.position.set(x, floor - 0.001 * height, z);
     this.sun.target.position.copy(middle);
     const turn = front + 0.6;
     this.sun.position.set(x + 1.6 * height * Math.sin(turn), floor + 2.6 * height, z + 1.6 * height * Math.cos(turn));

@@ -1,0 +1,150 @@
+"""The record beside rendered files: which model, settings and input each was made with.
+
+A file of JSON lines that is only ever appended to. Each result has a line when its writing begins,
+and one with its SHA-256 when it is whole; the last line counts. A line that is damaged, as a killed
+run may leave one, is ignored.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from gesturekit.errors import ConfigError
+
+RECORD = ".gesturekit-render.jsonl"
+_FORMAT = 1
+
+
+class Record:
+    """Record of the model, settings and input of each file of a folder.
+
+    Args:
+        out: the folder; it need not exist.
+        model: where the model lies, for `gesturekit evaluate`; None where it was never saved.
+
+    Raises:
+        ConfigError: the record is a link to a file elsewhere.
+    """
+
+    def __init__(self, out: Path, model: Path | None = None) -> None:
+        self._about = {"format": _FORMAT} | ({"model_folder": str(model)} if model else {})
+        self._out, self._path = out, out / RECORD
+        if self._path.is_symlink():
+            raise ConfigError(f"{self._path} is a link, and would lead out of {out}: remove it")
+        self._lines: dict[str, dict[str, Any]] = {}
+        text = self._path.read_text("utf-8", "replace") if self._path.is_file() else ""
+        # After a line that a killed run left unfinished, the next begins on its own.
+        self._begin = "" if text.endswith("\n") or not text else "\n"
+        for line in text.splitlines():
+            try:
+                values = json.loads(line)
+                if values["format"] == _FORMAT and isinstance(values["made_with"], dict):
+                    self._lines[values["file"]] = values
+            except (ValueError, TypeError, KeyError, RecursionError):
+                continue
+
+    def state(self, file: Path, made_with: Mapping[str, Any]) -> Literal["same", "begun", "other"]:
+        """Compare a file that is there with what would be made now.
+
+        Returns:
+            "same" for a whole file that was made with the same; "begun" for one that a stopped run
+            was about to write with the same; "other" for all else.
+        """
+        line = self._lines.get(self._key(file))
+        if line is None or line["made_with"] != made_with:
+            return "other"
+        if "sha256" not in line:
+            return "begun"
+        return "same" if line["sha256"] == _file_digest(file) else "other"
+
+    def differences(self, file: Path, made_with: Mapping[str, Any]) -> list[str]:
+        """Name what was another when a file was made; nothing where there is no record of it."""
+        line = self._lines.get(self._key(file))
+        if line is None:
+            return []
+        was = line["made_with"]
+        return [name for name in {**was, **made_with} if was.get(name) != made_with.get(name)]
+
+    def begin(self, file: Path, made_with: Mapping[str, Any]) -> None:
+        """Note that a file is about to be written."""
+        self._append({"file": self._key(file), "made_with": dict(made_with)})
+
+    def finish(self, file: Path, made_with: Mapping[str, Any]) -> None:
+        """Note that a file is whole."""
+        line = {"file": self._key(file), "made_with": dict(made_with)}
+        self._append({**line, "sha256": _file_digest(file)})
+
+    def _key(self, file: Path) -> str:
+        return file.relative_to(self._out).as_posix()
+
+    def _append(self, line: dict[str, Any]) -> None:
+        self._out.mkdir(parents=True, exist_ok=True)
+        text = self._begin + json.dumps({**self._about, **line}) + "\n"
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(text)
+        self._begin = ""
+
+
+def model_fingerprint(model: Any) -> str:
+    """Return the SHA-256 of a model's files, as it would be saved."""
+    digest = hashlib.sha256()
+    with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
+        model.save(folder)
+        for path in sorted(Path(folder).iterdir()):
+            if path.name != "README.md":
+                digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def described(value: Any) -> Any:
+    """Return a setting as JSON: plain values as they are, files and arrays by their contents.
+
+    Two settings that make the same motion may be described differently, as a file and its copy
+    named by a text are; two that are described alike make the same.
+    """
+    if value is None or isinstance(value, bool | int | float):
+        return value
+    if isinstance(value, str):
+        is_file = os.path.isfile(value)  # noqa: PTH113 (no error for a long text)
+        return f"{value} sha256:{path_digest(value)}" if is_file else value
+    if isinstance(value, os.PathLike):
+        return f"sha256:{path_digest(value)}"
+    if isinstance(value, np.ndarray):
+        about = f"{value.dtype} {value.shape} ".encode()
+        return f"sha256:{hashlib.sha256(about + value.tobytes()).hexdigest()}"
+    if isinstance(value, Mapping):
+        return {str(key): described(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [described(item) for item in value]
+    if hasattr(value, "generate"):
+        return f"model sha256:{model_fingerprint(value)}"
+    if dataclasses.is_dataclass(value):
+        fields = {f.name: described(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return f"sha256:{hashlib.sha256(json.dumps(fields).encode()).hexdigest()}"
+    return str(value)
+
+
+def path_digest(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a file, or of all files in a folder; "" for what cannot be read."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            parts = [f"{part.name} {path_digest(part)}" for part in sorted(path.iterdir())]
+            return hashlib.sha256("\n".join(parts).encode("utf-8", "surrogateescape")).hexdigest()
+        return _file_digest(path) if path.is_file() else ""
+    except OSError:
+        return ""
+
+
+def _file_digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

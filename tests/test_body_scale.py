@@ -1,0 +1,189 @@
+"""A clip is judged alike at any size: rig and path times c, thresholds times c."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from gesturekit.corpus.recording import Recording, examine
+from gesturekit.errors import MotionError
+from gesturekit.inspection.motion import inspect_motion
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.contacts import contact_labels
+from gesturekit.motion.parts import find_parts
+from gesturekit.postprocess import lock_feet
+
+SCALES = (0.1, 0.5, 2.0, 10.0)
+UNITS = ("m", "cm", "mm", "inch")
+
+# Joint: parent, offset in metres.
+SNAKE = {f"Bone{k}": (f"Bone{k - 1}" if k else None, (0.0, 0.0, 0.1)) for k in range(20)}
+CRAB = {
+    "Shell": (None, (0.0, 0.2, 0.0)),
+    **{
+        f"{side}{row}_{k}": (f"{side}{row}_{k - 1}" if k else "Shell", (x, 0.05 - 0.07 * k, z))
+        for side, x in (("L", 0.2), ("R", -0.2))
+        for row, z in enumerate((-0.1, 0.0, 0.1, 0.2))
+        for k in range(3)
+    },
+}
+ARM = {
+    "Shoulder": (None, (0.0, 1.4, 0.0)),
+    "Elbow": ("Shoulder", (0.3, 0.0, 0.0)),
+    "Wrist": ("Elbow", (0.25, 0.0, 0.0)),
+}
+RIGS = {"snake": SNAKE, "crab": CRAB, "arm": ARM}
+
+
+def rig(joints: dict[str, tuple[str | None, tuple[float, float, float]]]) -> Skeleton:
+    names = tuple(joints)
+    parents = [-1 if parent is None else names.index(parent) for parent, _ in joints.values()]
+    return Skeleton(names, tuple(parents), np.array([offset for _, offset in joints.values()]))
+
+
+def flawed(skeleton: Skeleton) -> Motion:
+    """Three seconds with every defect: a rest pose, a jump, pops, jitter, a stretch frozen."""
+    n_frames = 180
+    time = np.arange(n_frames)[:, None, None] / 60
+    phase = np.random.default_rng(3).uniform(0, 6, (skeleton.n_joints, 3))
+    angles = 0.2 * np.sin(2 * np.pi * 0.6 * time + phase)
+    angles[:10] = 0.0
+    angles[40, 1, 0] += 1.0
+    translation = np.stack([0.3 * np.sin(time[:, 0, 0]), 0 * time[:, 0, 0] + 0.9] * 2, axis=1)[
+        :, :3
+    ]
+    translation[60:] += [0.5, 0.0, 0.0]
+    translation[70] += [0.0, 0.1, 0.0]
+    translation[75:100:2] += [0.01, 0.0, 0.0]
+    angles[110:175], translation[110:175] = angles[110], translation[110]
+    rotations = Rotation.from_euler("xyz", angles.reshape(-1, 3)).as_quat()
+    return Motion(skeleton, rotations.reshape(n_frames, -1, 4), translation, 60.0)
+
+
+def judged(motion: Motion, path: Path, **options: str) -> dict[str, object]:
+    """Everything that is decided about a motion, speeds and lengths in words left out."""
+    motion.save(path, **options)
+    read = options if path.suffix == ".bvh" else {}
+
+    def unsized(text: str) -> str:
+        text = re.sub(r"[\d.]+ m(/s)?\b", "#", text.replace(str(path), ""))
+        return text.replace(", # on a body of #", "")
+
+    found = {"inspect": [unsized(text) for text in inspect_motion(path, **read).problems]}
+    if not read:
+        recording, problems = examine(Recording(id="a", motion=path), 0.5)
+        found["prepare"] = [(p.severity, unsized(p.text)) for p in problems]
+        found["used"] = recording and (recording.start, recording.stop)
+    try:
+        found["parts"] = find_parts(motion.skeleton)
+        found["contacts"] = contact_labels(motion).tolist()
+    except MotionError as error:
+        found["parts"] = unsized(str(error))
+    return found
+
+
+def assert_judged_alike(motion: Motion, folder: Path, scales: tuple[float, ...] = SCALES) -> None:
+    expected = judged(motion, folder / "clip.npz")
+    for scale in scales:
+        assert judged(motion.scaled(scale), folder / "clip.npz") == expected, scale
+    written = judged(motion, folder / "clip.bvh", unit="cm")
+    for scale, unit in zip(scales, UNITS):
+        assert judged(motion.scaled(scale), folder / "clip.bvh", unit=unit) == written, unit
+
+
+def test_scaled_multiplies_every_length(gesture):
+    motion = gesture(1.0)
+    moving = {"Spine": np.full((motion.n_frames, 3), 0.1)}
+    motion = Motion(motion.skeleton, motion.rotations, motion.translation, 30.0, moving)
+    large = motion.scaled(3.0)
+    assert np.allclose(large.positions(), 3 * motion.positions(), atol=1e-12)
+    for name, ends in motion.end_positions().items():
+        assert np.allclose(large.end_positions()[name], 3 * ends, atol=1e-12)
+
+
+def test_a_flawed_motion_has_all_defects_at_any_size(skeleton, tmp_path):
+    motion = flawed(skeleton)
+    assert_judged_alike(motion, tmp_path)
+    said = " ".join(judged(motion, tmp_path / "clip.npz")["inspect"])
+    for defect in ("jump", "pop", "tremble", "nothing moves", "rest pose or T-pose"):
+        assert defect in said
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_rigs_of_any_kind_are_judged_alike_at_any_size(name, tmp_path):
+    assert_judged_alike(flawed(rig(RIGS[name])), tmp_path)
+
+
+def test_limbs_are_found_by_shape_at_any_size(skeleton):
+    names = tuple(f"Joint{j}" for j in range(skeleton.n_joints))
+    ends = {names[skeleton.index(name)]: sites for name, sites in skeleton.end_sites.items()}
+    # Feet of 9 cm, and collar bones that differ by 3 cm.
+    offsets = skeleton.offsets.copy()
+    offsets[skeleton.index("LeftShoulder"), 1] += 0.033
+    for side in ("Left", "Right"):
+        ends[names[skeleton.index(f"{side}Foot")]] = (np.array([0.0, -0.02, 0.06]),)
+    nameless = Skeleton(names, skeleton.parents, offsets, ends)
+    parts = find_parts(nameless)
+    assert parts.legs["left"].knee == names[skeleton.index("LeftLeg")]
+    for scale in SCALES:
+        assert find_parts(nameless.scaled(scale)) == parts
+
+
+def test_a_quadruped_is_judged_alike_at_any_size(quadruped, tmp_path):
+    assert_judged_alike(flawed(quadruped), tmp_path)
+
+
+@settings(deadline=None, max_examples=15, derandomize=True)
+@given(scale=st.floats(0.1, 10.0))
+def test_any_scale_between(scale, skeleton, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("any")
+    motion = flawed(skeleton)
+    one, other = (judged(m, folder / "clip.npz") for m in (motion, motion.scaled(scale)))
+    assert one == other
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_feet_are_locked_alike_at_any_size(gesture, scale):
+    motion = gesture(3.0)
+    path = motion.translation + np.outer(0.05 * motion.times, [1.0, 0.0, 0.3])
+    sliding = Motion(motion.skeleton, motion.rotations, path, motion.fps)
+    locked, other = lock_feet(sliding), lock_feet(sliding.scaled(scale))
+    assert np.abs(locked.rotations - sliding.rotations).max() > 1e-4
+    assert np.allclose(other.rotations, locked.rotations, atol=1e-7)
+    assert np.allclose(other.translation, scale * locked.translation, atol=1e-8 * scale)
+
+
+def test_suspicious_motion_names_the_speed_that_applied_to_the_body(skeleton, tmp_path):
+    motion = flawed(skeleton).scaled(2.4)
+    motion.save(tmp_path / "giant.npz")
+    _, problems = examine(Recording(id="giant", motion=tmp_path / "giant.npz"), 0.5)
+    (jump,) = (p.text for p in problems if "frames jump" in p.text)
+    assert "(over 25 m/s, 10 m/s on a body of 1.7 m)" in jump
+    assert {p.severity for p in problems} == {"warning"}
+
+
+SOME = (
+    "motion/bandai/dataset-1_bye_angry_001.bvh",
+    "motion/aitviewer/sample.bvh",
+    "smpl/glamr_running_smpl.npz",
+)
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_recordings_are_judged_alike_at_any_size(name, shared_data, tmp_path):
+    motion = Motion.load(shared_data / name)
+    assert_judged_alike(motion.slice(0, min(motion.n_frames, 300)), tmp_path)
+
+
+@pytest.mark.stress
+def test_every_recording_is_judged_alike_at_any_size(shared_data: Path, tmp_path: Path):
+    files = [*shared_data.rglob("*.bvh"), *(shared_data / "smpl").glob("*.npz")]
+    assert len(files) > 30
+    for file in sorted(files):
+        assert_judged_alike(Motion.load(file), tmp_path)
