@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.training.config import load_config, read_chain, read_yaml
+from gesturekit.training.run_config import RunConfig
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,7 @@ class System:
     model: str
     config: str
     train: str
+    plan: str
 
 
 SYSTEMS = {
@@ -26,11 +30,13 @@ SYSTEMS = {
         model="gesturekit.multires.model:MultiresModel",
         config="gesturekit.multires.config:MultiresConfig",
         train="gesturekit.multires.trainer:train",
+        plan="gesturekit.multires.trainer:plan",
     ),
     "diffusion": System(
         model="gesturekit.diffusion.model:DiffusionModel",
         config="gesturekit.diffusion.config:DiffusionConfig",
         train="gesturekit.diffusion.trainer:train",
+        plan="gesturekit.diffusion.trainer:plan",
     ),
 }
 
@@ -99,14 +105,17 @@ def load(
             f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
             "A newer kind needs a newer gesturekit"
         )
-    return _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
+    model = _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
+    model.folder = folder.resolve()
+    return model
 
 
 def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = False) -> Path:
     """Train the system that a configuration file names.
 
     Args:
-        config: YAML file, whose `system:` is one of `SYSTEMS`; its parent may say so too.
+        config: YAML file, whose `system:` is one of `SYSTEMS`; its parent may say so too. To
+            resume, the run folder is enough.
         overrides: `key=value` strings that change single settings.
         resume: go on from the last checkpoint of the run folder.
 
@@ -116,11 +125,73 @@ def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = F
     Raises:
         ConfigError: the configuration is wrong.
     """
-    name = read_chain(config).get("system")
+    system, settings = _resolved(config, overrides, resume=resume)
+    return _part(system.train)(settings, resume=resume)
+
+
+def plan(config: str | Path, overrides: Sequence[str] = ()) -> None:
+    """Log what `train` would do, on what, where to, and how long it would take; train nothing.
+
+    Raises:
+        ConfigError: the configuration is wrong, or its run folder holds a run already.
+    """
+    system, settings = _resolved(config, overrides, resume=False)
+    _part(system.plan)(settings)
+
+
+def _resolved(
+    config: str | Path, overrides: Sequence[str], *, resume: bool
+) -> tuple[System, RunConfig]:
+    """The system that a configuration names, and its settings."""
+    path = Path(config)
+    if path.is_dir():
+        if not (path / "config.yaml").is_file():
+            raise ConfigError(f"{path}: a folder without config.yaml, so no run to resume")
+        if not resume:
+            raise ConfigError(f"{path}: a run folder; add --resume to go on with it")
+        # Its own config.yaml holds every setting, and the folder may have been moved.
+        path, overrides = path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
+    elif not path.exists():
+        raise ConfigError(f"{path}: no such configuration file{_near(path)}")
+    name = read_chain(path).get("system")
+    for override in overrides:
+        key, _, value = override.partition("=")
+        if key == "system" and value in SYSTEMS and value != name:
+            raise ConfigError(
+                f"{path}: has the settings of {name!r}; for {value!r} take one of its recipes: "
+                f"{', '.join(_main(_recipes(value))) or f'a config with system: {value}'}"
+            )
+        if key == "system":
+            name = value
     if not isinstance(name, str) or name not in SYSTEMS:
-        raise ConfigError(f"{config}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
-    settings = load_config(config, _part(SYSTEMS[name].config), overrides)
-    return _part(SYSTEMS[name].train)(settings, resume=resume)
+        raise ConfigError(f"{path}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
+    return SYSTEMS[name], load_config(path, _part(SYSTEMS[name].config), overrides)
+
+
+def _near(path: Path) -> str:
+    """Configurations that a missing one may stand for, as the end of a message."""
+    beside = [str(file) for file in path.parent.glob("*.yaml")] if path.parent.is_dir() else []
+    known = {name: name for name in [*beside, *_recipes()]}
+    # A recipe may be meant by its folder's name, as in `recipes/multires_speech`.
+    known |= {str(Path(name).parent): name for name in known if Path(name).name == "config.yaml"}
+    near = difflib.get_close_matches(str(path), known, n=1, cutoff=0.6)
+    if near:
+        return f"; did you mean {known[near[0]]}?"
+    some = _main(_recipes()) or beside
+    return f"; there are {', '.join(some)}" if some else ""
+
+
+def _main(configs: Sequence[str]) -> list[str]:
+    """The first configuration of each recipe, without its variants."""
+    return [name for name in configs if Path(name).name == "config.yaml"]
+
+
+def _recipes(system: str | None = None) -> list[str]:
+    """Configurations below `recipes/` in the current folder, of one system or of all."""
+    found = sorted(Path("recipes").glob("*/*.yaml"))
+    if system is not None:
+        found = [file for file in found if read_chain(file).get("system") == system]
+    return [str(file) for file in found]
 
 
 def _part(where: str) -> Any:

@@ -14,3 +14,10 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     """Return names between commas, and of many the first few and how many more there are."""
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def roughly(seconds: float) -> str:
+    """Return "40 s", "13 min" or "3.2 h": an estimate, or a total whose fractions do not matter."""
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

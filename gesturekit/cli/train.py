@@ -14,8 +14,18 @@ import click
 )
 @click.argument("config", type=click.Path(path_type=Path))
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option("--resume", is_flag=True, help="Go on from the last checkpoint of the run folder.")
-def command(config: Path, overrides: tuple[str, ...], resume: bool) -> None:
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Go on from the last checkpoint: gesturekit train --resume runs/mine.",
+)
+@click.option(
+    "--plan",
+    "only_plan",
+    is_flag=True,
+    help="Say what would be trained, on what, where to and how long it takes, and stop.",
+)
+def command(config: Path, overrides: tuple[str, ...], resume: bool, only_plan: bool) -> None:
     """Train a model as CONFIG says; KEY=VALUE changes single settings (schedule.batch=8).
 
     The run folder (out=...) gets the resolved config, metrics, TensorBoard events, checkpoints,
@@ -23,13 +33,53 @@ def command(config: Path, overrides: tuple[str, ...], resume: bool) -> None:
     """
     import logging
 
-    from gesturekit.systems import train
+    from gesturekit.systems import plan, train
 
+    if resume and only_plan:
+        raise click.UsageError("--plan is for a new run; leave out --resume")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    try:
-        model = train(config, overrides, resume=resume)
-    except KeyboardInterrupt:
-        click.echo("\nStopped; the same command with --resume goes on.", err=True)
-        raise
+    if only_plan:
+        plan(config, overrides)
+        return
+    model = train(config, overrides, resume=resume)
+    run = model.parent
+    click.echo(f"Losses and figures: {run / 'metrics.jsonl'}")
+    click.echo(f"Curves: tensorboard --logdir {run / 'events'}")
     click.echo(f"Model: {model}")
-    click.echo(f"Render with: gesturekit render speech.wav --model {model} --out rendered")
+    for line in _next_steps(model):
+        click.echo(line)
+
+
+def _next_steps(model: Path) -> list[str]:
+    """Commands that render with a model, and measure it on held-out speech where there is some."""
+    import shlex
+
+    from gesturekit.corpus import Manifest
+    from gesturekit.errors import CorpusError
+    from gesturekit.training.config import read_yaml
+
+    config, run = read_yaml(model / "config.yaml"), read_yaml(model.parent / "config.yaml")
+    takes_speech = config.get("features") is not None
+    needed = []
+    if weights := takes_speech and run["features"].get("weights"):
+        needed += ["--weights", weights]
+    if config.get("path"):
+        needed += ["--path", "way.csv"]
+    if styles := config.get("styles"):
+        needed += ["--style", str(styles[0])]
+    start = ["gesturekit", "render"]
+    given = ["speech.wav"] if takes_speech else [] if config.get("path") else ["--seconds", "20"]
+    end = ["--model", str(model), *needed, "--out", "rendered"]
+    lines = [f"Render with: {shlex.join([*start, *given, *end])}"]
+    corpus = run["corpus"]
+    try:
+        is_held_out = takes_speech and bool(Manifest.load(corpus).paired("test"))
+    except CorpusError:
+        is_held_out = False  # gone by now; the model does not need it
+    if is_held_out:
+        split = ["--corpus", corpus, "--split", "test"]
+        lines += [
+            f"Held-out speech: {shlex.join([*start, *split, *end])}",
+            f"Measured by: {shlex.join(['gesturekit', 'evaluate', 'rendered', *split])}",
+        ]
+    return lines

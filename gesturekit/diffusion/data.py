@@ -18,6 +18,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.data_folder import load_data, save_data
+from gesturekit.training.sources import Source, from_values, to_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,7 @@ class TrainingData:
         conditions: what the model is told.
         standardiser: of motion vectors.
         speakers: a reference skeleton for each named speaker.
+        sources: the recordings with speech, or all for a model without speech input.
     """
 
     recordings: tuple[Recording, ...]
@@ -61,6 +63,7 @@ class TrainingData:
     conditions: Conditions
     standardiser: Standardiser
     speakers: dict[str, Skeleton]
+    sources: tuple[Source, ...] = ()
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
         """A motion from (T, X) values in their own units and the (T, C) it was told."""
@@ -97,6 +100,7 @@ class TrainingData:
             "names": [recording.name for recording in self.recordings],
             "is_paired": [recording.is_paired for recording in self.recordings],
             "seconds": list(self.seconds),
+            "sources": to_values(self.sources),
             "conditions": self.conditions.to_values(),
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
@@ -137,6 +141,7 @@ class TrainingData:
                 ),
                 standardiser=Standardiser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
+                sources=from_values(about.get("sources", ())),
             )
 
         return load_data(folder, assemble)

@@ -34,6 +34,7 @@ from gesturekit.training.recordings import (
     speaker_skeletons,
     training_items,
 )
+from gesturekit.training.sources import Source
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
     recorded = load_motions(items, config.corpus, None, config.parts)
     others = _unpaired(config, manifest, recorded[0])
     speakers = speaker_skeletons(items, recorded)
+    sources = tuple(map(Source.of, items, recorded))
     seconds = sum(motion.duration for motion in recorded), sum(m.duration for _, m in others)
     items, motions = _phases(items, recorded, config.fps)
     happens = [item.load_events() if config.events else () for item in items]
@@ -137,6 +139,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
         conditions=conditions,
         standardiser=standardiser,
         speakers=speakers,
+        sources=sources,
     )
 
 

@@ -6,14 +6,12 @@ import contextlib
 import copy
 import logging
 import math
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
-from tqdm import tqdm
 
 from gesturekit.diffusion.batches import Batch, Batches
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
@@ -21,17 +19,22 @@ from gesturekit.diffusion.data import TrainingData
 from gesturekit.diffusion.loading import load_training_data
 from gesturekit.diffusion.losses import change_error, denoising_error
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.monitor import Monitor
+from gesturekit.diffusion.monitor import STEPS, Monitor
 from gesturekit.diffusion.networks import Denoiser
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.errors import ModelError
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.parts import unidentified
+from gesturekit.training.held_out import HeldOut
 from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
 from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import generator, seeded
+from gesturekit.training.session import plan as session_plan
 from gesturekit.training.session import session
+from gesturekit.training.sources import described, save_sources
+from gesturekit.training.steps import Steps
+from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
 
@@ -53,6 +56,11 @@ def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
     """
     with session(config, resume=resume) as (run, device, processes):
         return _Trainer(config, run, device, processes, resume=resume).run()
+
+
+def plan(config: DiffusionConfig) -> None:
+    """Log what `train` would do and how long it would take; see `gesturekit.training.session`."""
+    session_plan(config, _Trainer)
 
 
 def learning_rate(training: TrainingConfig, update: int) -> float:
@@ -79,9 +87,23 @@ class _Trainer:
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(self.data, config)
         self.changes = self.data.changes().to(device) if config.training.changes else None
+        self.held_out = HeldOut(
+            config,
+            run,
+            speech=self.data.conditions.conditioner is not None,
+            styles=self.data.conditions.styles,
+            path=config.path,
+        )
         if processes.is_first:
+            log.info(
+                "Run folder %s: diffusion, %s, %s.",
+                config.out,
+                self._mode(),
+                counted(config.training.updates, "update"),
+            )
             log.info("Training on %s.", ", ".join(self._what()))
             self._say_what_is_missing()
+            log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
         self.network = self._network(resume=resume).to(device)
         # The weights that the model will have.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
@@ -130,17 +152,43 @@ class _Trainer:
     def _what(self) -> list[str]:
         """What there is to train on, for people."""
         data, conditions = self.data, self.data.conditions
-        parts = [f"{data.seconds[0]:.0f} s of motion"]
+        parts = [described(data.sources, data.seconds[0], self.config.fps)]
         if data.seconds[1]:
-            parts.append(f"{data.seconds[1]:.0f} s of unpaired motion")
-        if len(data.recordings) > 1:
-            parts.append(f"{len(data.recordings)} recordings with their variants")
+            parts.append(f"{roughly(data.seconds[1])} of unpaired motion")
+        variants = len(data.recordings)
+        if variants > len(data.sources):
+            parts.append(f"{counted(variants, 'sequence')} with their variants")
         if conditions.conditioner is not None:
-            parts.append(f"{conditions.conditioner.dim} features")
-        for name, known in (("events", conditions.events), ("styles", conditions.styles)):
+            parts.append(counted(conditions.conditioner.dim, "feature"))
+        for known, noun in ((conditions.events, "event"), (conditions.styles, "style")):
             if known:
-                parts.append(f"{len(known)} {name}")
-        return [*parts, f"{len(data.representation.joints)} joints"]
+                parts.append(counted(len(known), noun))
+        representation = data.representation
+        joints = counted(representation.skeleton.n_joints, "joint")
+        return [*parts, f"{len(representation.joints)} of {joints} modelled"]
+
+    def _mode(self) -> str:
+        """What the model is given, for people."""
+        conditions = self.data.conditions
+        given = {
+            "speech": conditions.conditioner,
+            "path": conditions.path,
+            "events": conditions.events,
+            "styles": conditions.styles,
+        }
+        names = [name for name, known in given.items() if known]
+        return f"from {' and '.join(names)}" if names else "no condition"
+
+    def seconds_needed(self) -> float:
+        """Estimate how long the training takes, from a few updates.
+
+        They change the network: for a run that is not kept.
+        """
+        self._update(0)  # compiles
+        began = time.monotonic()
+        for update in (1, 2, 3):
+            self._update(update)
+        return self.config.training.updates * (time.monotonic() - began) / 3
 
     def run(self) -> Path:
         done, state = self.folder.checkpoints.latest() or (0, None)
@@ -152,17 +200,11 @@ class _Trainer:
             self.folder.forget_metrics_after(done)
         losses: list[Tensor] = []
         clock = time.monotonic()
-        with tqdm(
-            total=training.updates,
-            initial=done,
-            disable=not first,
-            # A log file wants a line now and then, a terminal a living bar.
-            mininterval=1.0 if sys.stderr.isatty() else 60.0,
-        ) as progress:
+        with Steps([(training.updates, 1)], done, quiet=not first) as progress:
             for update in range(done, training.updates):
                 losses.append(self._update(update))
                 step = update + 1
-                progress.update()
+                progress.step(1)
                 last = step == training.updates
                 if step % self.config.log_every == 0 or last:
                     loss = float(self.processes.mean(torch.stack(losses).mean()))
@@ -179,6 +221,9 @@ class _Trainer:
                     figures = self.monitor.figures(self.average)
                     if figures:
                         self.folder.log(step, figures, kind="evaluation")
+                fires = self.config.eval_every and step % self.config.eval_every == 0
+                if first and not last and (fires or self.held_out.is_due()):
+                    self._measure(step)
                 if step % self.config.checkpoint_every == 0 or last:
                     weights = [weight.detach().norm() for weight in self.network.parameters()]
                     self._check_finite(step, "weights", float(torch.stack(weights).sum()))
@@ -261,34 +306,48 @@ class _Trainer:
         if self.config.training.ema:
             self.average.load_state_dict(state["average"])
 
-    def _finish(self) -> None:
+    def _measure(self, step: int) -> str:
+        """Log and return the figures on held-out recordings, generated in a few steps."""
+        steps = min(STEPS, self.schedule.steps)
+        model = self._model(copy.deepcopy(self.average))
+        return self.held_out.measure(step, model.generate, steps=steps)
+
+    def _model(self, network: Denoiser) -> DiffusionModel:
+        """The model of a network."""
         training = self.config.training
         # Motion without speech is told nothing either.
         told_nothing = training.dropout_condition or self.data.seconds[1]
         droppable = {"all": told_nothing, "styles": training.dropout_style}
-        model = DiffusionModel(
+        return DiffusionModel(
             fps=self.config.fps,
             representation=self.data.representation,
             conditions=self.data.conditions,
             standardiser=self.data.standardiser,
             network_config=self.config.network,
             noise_config=self.config.noise,
-            network=self.average.cpu().eval(),
+            network=network,
             speakers=self.data.speakers,
             droppable=[name for name, share in droppable.items() if share],
             smooth=self.config.smooth,
         )
+
+    def _finish(self) -> None:
+        training = self.config.training
+        figures = self._measure(training.updates)
+        model = self._model(self.average.cpu())
         paired, unpaired = self.data.seconds
         last = self.folder.last_metrics()
         last.pop("learning_rate", None)
         model.save(
             self.folder.folder / "model",
             notes={
-                "Recordings": f"{paired:.0f} s",
+                "Recordings": described(self.data.sources, paired, self.config.fps),
                 "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
                 "Began with": str(self.config.start_from or "random weights"),
                 "Training steps": str(training.updates),
                 "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
+                **({"Measured": figures} if figures else {}),
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },
         )
+        save_sources(self.folder.folder / "model", self.data.sources)

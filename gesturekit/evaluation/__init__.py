@@ -11,6 +11,7 @@ _HOMES = {
     "Evaluation": "results",
     "FeatureModel": "feature_model",
     "FrechetResult": "frechet",
+    "Items": "pairs",
     "JointLimits": "limits",
     "PatchOptions": "definitions",
     "PatchScores": "patches",

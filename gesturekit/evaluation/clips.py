@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from audio_features import FeatureTrack
+from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.evaluation.frame_rate import at_rate
-from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair, Stretch
 from gesturekit.evaluation.semantic import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
@@ -96,13 +96,22 @@ def load_clip(pair: Pair, fps: float | None = None) -> Clip:
     return Clip(pair, generated, recording, joints, semantic, tuple(notes))
 
 
-def load_recording(path: Path, fps: float) -> Motion:
+def load_recording(path: Path | Stretch, fps: float) -> Motion:
     """Read a recording and bring it to a frame rate.
 
     Raises:
         FormatError, MotionError: the file cannot be read.
     """
     return _resampled(path, fps)
+
+
+def load_wave(source: Path | Stretch) -> Wave:
+    """Read a recording's sound.
+
+    Raises:
+        AudioError: it cannot be read.
+    """
+    return source.item.load_wave() if isinstance(source, Stretch) else Wave.load(source)
 
 
 def bare_name(name: str) -> str:
@@ -155,14 +164,16 @@ def _later(track: FeatureTrack, start: float) -> FeatureTrack:
 
 
 @functools.lru_cache(maxsize=_CACHED)
-def _resampled(path: Path, fps: float) -> Motion:
+def _resampled(path: Path | Stretch, fps: float) -> Motion:
     motion = _read(path)
     if motion.n_frames < 2:
-        raise FormatError(f"{path}: one frame; a motion to be measured has at least 2")
+        raise FormatError(f"{path.name}: one frame; a motion to be measured has at least 2")
     return at_rate(motion, fps)
 
 
-def _read(path: Path) -> Motion:
+def _read(path: Path | Stretch) -> Motion:
+    if isinstance(path, Stretch):
+        return path.item.load_motion()
     try:
         return Motion.load(path)
     except (FormatError, MotionError) as error:

@@ -30,10 +30,11 @@ from gesturekit.evaluation.measures import Known, Measurer, load_sound
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
+    Items,
     Pair,
     Pairs,
     find_pairs,
-    motion_files,
+    recordings,
 )
 from gesturekit.evaluation.physical import joint_speed
 from gesturekit.evaluation.results import ClipResult, Evaluation, Figure, ModelResult
@@ -70,7 +71,7 @@ Progress = Callable[[Sequence[Pair], str], Iterable[Pair]]
 
 def evaluate(
     generated: Path | Mapping[str, Path],
-    reference: Path,
+    reference: Path | Items,
     *,
     audio: Path | None = None,
     semantic: Path | None = None,
@@ -85,8 +86,10 @@ def evaluate(
     Args:
         generated: folder or file of motion, or {label: folder} of several models; clips belong
             to recordings by name (`pairs`).
-        reference: folder or file of recordings; Fréchet distances go to all of them.
+        reference: folder or file of recordings, or `Items` of a manifest, cut as it says;
+            Fréchet distances go to all of them.
         audio: folder or file of the recordings' sound; without it speech is not measured.
+            `Items` have their own.
         semantic: folder or file of semantic tracks, for SRGR.
         protocol: "", or "multires" or "lda", the evaluations of the two papers.
         patches: how patches are compared.
@@ -111,18 +114,19 @@ def evaluate(
         for label, folder in folders.items()
     }
     fps = _frame_rate(next(iter(found.values())))
-    known = Known.of(motion_files(reference), fps)
+    known = Known.of(recordings(reference), fps)
     run = _Run(Measurer(known, PROTOCOLS[protocol], patches), fps, seed, protocol, features)
     models = [run.model(label, folders[label], pairs, progress) for label, pairs in found.items()]
     models[0].excluded += known.excluded
     return Evaluation(
         models=models,
-        reference=reference,
+        reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
         protocol=protocol,
         settings={
             "seed": seed,
             "audio": None if audio is None else str(audio),
+            "split": (reference.split or None) if isinstance(reference, Items) else None,
             "semantic": None if semantic is None else str(semantic),
             "patches": asdict(patches),
             "features": None if features is None else features.fingerprint,

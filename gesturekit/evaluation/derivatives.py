@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.wording import counted
 
 CUTOFF = 6.0
 """Hz; the -6 dB frequency of the low-pass that figures are compared after. Gestures live below."""
@@ -37,7 +38,9 @@ def derivative(paths: np.ndarray, fps: float, order: int, cutoff: float | None) 
     """
     least = _DEGREE + 1 if cutoff is not None else order + 1
     if len(paths) < least:
-        raise MotionError(f"the motion has {len(paths)} frames; at least {least} are needed")
+        raise MotionError(
+            f"the motion has {counted(len(paths), 'frame')}; at least {least} are needed"
+        )
     if cutoff is None:
         return np.diff(paths, n=order, axis=0) * fps**order
     from scipy.interpolate import make_interp_spline

@@ -12,7 +12,7 @@ import numpy as np
 from audio_features import AudioFeaturesError, Wave
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import feet, likeness, physical, rhythm
-from gesturekit.evaluation.clips import Clip, load_recording
+from gesturekit.evaluation.clips import Clip, load_recording, load_wave
 from gesturekit.evaluation.definitions import (
     LIKENESS,
     MOVEMENT,
@@ -24,7 +24,7 @@ from gesturekit.evaluation.derivatives import CUTOFF
 from gesturekit.evaluation.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.limits import JointLimits, joint_limit_share
 from gesturekit.evaluation.listening import sync
-from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, Stretch
 from gesturekit.evaluation.patches import intra_diversity, patch_features, patch_scores
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
@@ -43,13 +43,13 @@ class Sound:
     pulse: np.ndarray
 
     @classmethod
-    def load(cls, path: Path, window: int | None) -> Sound:
+    def load(cls, path: Path | Stretch, window: int | None) -> Sound:
         """Read a sound, or one 10 s window of it.
 
         Raises:
             AudioError: it cannot be read.
         """
-        wave = Wave.load(path)
+        wave = load_wave(path)
         if window is not None:
             wave = wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)
         return cls(wave, rhythm.speech_onsets(wave), rhythm.music_beats(wave))
@@ -75,7 +75,7 @@ class Known:
     excluded: list[Excluded] = field(default_factory=list)
 
     @classmethod
-    def of(cls, recordings: Mapping[str, Path], fps: float) -> Known:
+    def of(cls, recordings: Mapping[str, Path | Stretch], fps: float) -> Known:
         """Read all recordings; nothing is learned from those of another rig than the first."""
         known = cls()
         joints: tuple[str, ...] = ()

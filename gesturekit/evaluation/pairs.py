@@ -7,14 +7,22 @@ render --samples` writes it) and `STEM_w003` (the fourth 10 s window of STEM) be
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 from gesturekit.errors import CorpusError
 from gesturekit.formats.sources import SPEECH_SUFFIXES
+from gesturekit.wording import counted
+
+if TYPE_CHECKING:
+    from audio_features import Wave
+    from gesturekit.motion import Motion
 
 MOTION_SUFFIXES = (".npz", ".bvh")
 """Of a clip that is there as both, the first is read: it holds every digit."""
@@ -26,6 +34,90 @@ _SAMPLE = re.compile(r"_s\d+$")
 _WINDOW = re.compile(r"_w(\d{3,})$")
 
 
+class ManifestItem(Protocol):
+    """An item of a manifest, `gesturekit.corpus.Item`: a stretch of a recording."""
+
+    id: str
+    audio: Path | None
+    motion: Path | None
+    split: str
+    motion_start: float
+    duration: float
+
+    def load_motion(self) -> Motion:
+        """Read the stretch of motion."""
+
+    def load_wave(self) -> Wave:
+        """Read the stretch of sound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A stretch of a recording, in place of a file of its own."""
+
+    item: ManifestItem
+
+    @property
+    def name(self) -> str:
+        """The item's id."""
+        return self.item.id
+
+
+@dataclass(frozen=True)
+class Items:
+    """Recordings that are not simply the files of a folder.
+
+    Attributes:
+        path: the manifest that names them, or a folder or file whose files are read by options.
+        split: the split of the manifest, all of whose items are to be measured; "" for a folder.
+        items: the recordings.
+    """
+
+    path: Path
+    split: str
+    items: tuple[ManifestItem, ...]
+
+    @classmethod
+    def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
+        """Recordings of a folder or file, read by options of `gesturekit.formats.conversion.load`.
+
+        Raises:
+            CorpusError: there is none.
+        """
+        files = motion_files(path).items()
+        return cls(path, "", tuple(_File(key, file, reading) for key, file in files))
+
+    @cached_property
+    def stretches(self) -> dict[str, Stretch]:
+        """Those that have motion, by id."""
+        moving = (item for item in self.items if item.motion is not None)
+        return {item.id: Stretch(item) for item in sorted(moving, key=lambda item: item.id)}
+
+    def __str__(self) -> str:
+        return f"split {self.split} of {self.path}" if self.split else str(self.path)
+
+
+@dataclass(frozen=True)
+class _File:
+    """A motion file that is read by options."""
+
+    id: str
+    motion: Path
+    reading: Mapping[str, Any]
+    audio: Path | None = None
+    split: str = ""
+    motion_start: float = 0.0
+    duration: float = math.inf
+
+    def load_motion(self) -> Motion:
+        from gesturekit.formats.conversion import load
+
+        return load(self.motion, self.reading)
+
+    def load_wave(self) -> Wave:
+        raise CorpusError(f"{self.motion}: no sound goes with it")
+
+
 @dataclass(frozen=True, order=True)
 class Pair:
     """A generated clip and what belongs to it.
@@ -35,8 +127,8 @@ class Pair:
         stem: the key of its recording.
         window: which 10 s window of the recording it stands for; None for the whole.
         generated: its file.
-        reference: the recording's motion file.
-        audio: the recording's sound, or None.
+        reference: the recording's motion, a file or a stretch.
+        audio: the recording's sound, a file or a stretch, or None.
         semantic: the recording's semantic track, or None.
     """
 
@@ -44,8 +136,8 @@ class Pair:
     stem: str
     window: int | None
     generated: Path
-    reference: Path
-    audio: Path | None = None
+    reference: Path | Stretch
+    audio: Path | Stretch | None = None
     semantic: Path | None = None
 
 
@@ -68,7 +160,7 @@ class Pairs:
 
 def find_pairs(
     generated: Path,
-    reference: Path,
+    reference: Path | Items,
     *,
     audio: Path | None = None,
     semantic: Path | None = None,
@@ -77,24 +169,35 @@ def find_pairs(
 
     Args:
         generated: folder or file of motion (npz, BVH).
-        reference: the recordings. A single file is the reference of every generated clip.
-        audio: folder or file of the recordings' sound.
+        reference: the recordings. A single file is the reference of every generated clip; of
+            `Items`, all are expected to have one.
+        audio: folder or file of the recordings' sound; `Items` have their own.
         semantic: folder or file of semantic tracks: feature files (npz) or BEAT's (txt).
 
     Raises:
         CorpusError: a folder that is missing or empty, or no clip that has a recording.
     """
     made = motion_files(generated)
-    recorded = motion_files(reference)
-    sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
+    recorded = recordings(reference)
+    if isinstance(reference, Items) and audio is None:
+        sounds = {key: s for key, s in recorded.items() if s.item.audio is not None}
+    else:
+        sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
     tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
     lookup = _Lookup(recorded)
+    place = reference if isinstance(reference, Path) else reference.path
+    expects_all = isinstance(reference, Items) and bool(reference.split)
+    is_one_file = place.is_file() and not expects_all
     found = Pairs()
     for name, path in made.items():
-        if len(recorded) == 1 and reference.is_file():
+        if is_one_file:
             (stem,), window = recorded, None
         else:
             stem, window, reason = lookup(name)
+            if stem is None and expects_all:
+                # Missing clips are listed below, so a wrong name is noticed all the same.
+                found.excluded.append(Excluded(name, f"not in {reference}", "another split"))
+                continue
             if stem is None:
                 found.excluded.append(Excluded(name, reason))
                 continue
@@ -111,9 +214,9 @@ def find_pairs(
         )
     if not found.pairs:
         raise CorpusError(
-            f"{generated}: none of its {len(made)} clips ({_some(made)}) has a recording of its "
-            f"name in {reference} ({_some(recorded)}); give them the same names, with _s1, _s2 "
-            "... for samples"
+            f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
+            f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
+            "_s1, _s2 ... for samples"
         )
     if sounds and not any(pair.audio for pair in found.pairs):
         raise CorpusError(
@@ -121,6 +224,10 @@ def find_pairs(
             f"({_some(recorded)})"
         )
     found.pairs.sort(key=lambda pair: (pair.stem, pair.name))
+    if expects_all:
+        missing = sorted(set(recorded) - {pair.stem for pair in found.pairs})
+        found.excluded += [Excluded(key, f"{generated} has no clip of it") for key in missing]
+        return found
     for files, folder, what, kind in (
         (sounds, audio, "speech", "sound"),
         (tracks, semantic, "srgr", "semantic track"),
@@ -132,6 +239,19 @@ def find_pairs(
             if files and path is None
         ]
     return found
+
+
+def recordings(reference: Path | Items) -> dict[str, Path | Stretch]:
+    """Return the motion of all recordings by key, of a folder, a file or a manifest's items.
+
+    Raises:
+        CorpusError: there is none.
+    """
+    if isinstance(reference, Path):
+        return motion_files(reference)
+    if not reference.stretches:
+        raise CorpusError(f"{reference}: no item has motion to compare with")
+    return dict(reference.stretches)
 
 
 def motion_files(path: Path) -> dict[str, Path]:

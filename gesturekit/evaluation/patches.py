@@ -33,6 +33,7 @@ from gesturekit.motion import Motion
 from gesturekit.motion.contacts import contact_labels
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import matrix_from_quaternion, sixd_from_quaternion
+from gesturekit.wording import counted
 
 VARIANTS = ("ganimator", "paper")
 THRESHOLD = 2.0
@@ -316,7 +317,7 @@ def _frames(values: np.ndarray, what: str) -> np.ndarray:
 def _samples(samples: Sequence[np.ndarray], least: int) -> list[np.ndarray]:
     arrays = [_frames(sample, f"sample {i}") for i, sample in enumerate(samples)]
     if len(arrays) < least:
-        raise EvaluationError(f"{len(arrays)} samples; at least {least} needed")
+        raise EvaluationError(f"{counted(len(arrays), 'sample')}; at least {least} needed")
     widths = sorted({array.shape[1] for array in arrays})
     if len(widths) > 1:
         raise EvaluationError(f"samples have {widths[0]} and {widths[-1]} numbers a frame")

@@ -18,6 +18,7 @@ from gesturekit.evaluation.results import Evaluation
 from gesturekit.evaluation.showcase import Shown, best_and_worst
 from gesturekit.evaluation.tables import section
 from gesturekit.viewer import player_shell
+from gesturekit.wording import counted
 
 _HERE = Path(__file__).parent / "page"
 
@@ -77,8 +78,8 @@ def _facts(evaluation: Evaluation) -> Iterable[str]:
     recordings = len({clip.pair.stem for clip in model.clips})
     if evaluation.protocol:
         yield f"protocol {evaluation.protocol}"
-    yield f"{len(model.clips)} clips, {seconds:.0f} s"
-    yield f"{recordings} recordings"
+    yield f"{counted(len(model.clips), 'clip')}, {seconds:.0f} s"
+    yield counted(recordings, "recording")
     yield f"measured at {evaluation.fps:g} fps"
     yield f"seed {evaluation.settings['seed']}"
 
@@ -88,7 +89,7 @@ def _warnings(evaluation: Evaluation) -> Iterable[str]:
         who = f"{model.label}: " if len(evaluation.models) > 1 else ""
         left_out = sum(item.what == "clip" for item in model.excluded)
         if left_out:
-            yield f"{who}{left_out} clips are left out; the reasons are below."
+            yield f"{who}left out: {counted(left_out, 'clip')}; the reasons are below."
         units = {f.interval.units for f in model.figures.values() if f.interval.units > 1}
         if units and min(units) < FEW:
             yield (

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from audio_features import AudioFeaturesError, Wave
+from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.clips import load_clip
+from gesturekit.evaluation.clips import load_clip, load_wave
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.pairs import WINDOW_SECONDS
 from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
@@ -79,7 +79,7 @@ def _data(evaluation: Evaluation, result: ClipResult) -> str:
     wave = None
     if result.pair.audio is not None:
         start = (result.pair.window or 0) * WINDOW_SECONDS
-        wave = Wave.load(result.pair.audio).slice(start, min(SECONDS, result.seconds))
+        wave = load_wave(result.pair.audio).slice(start, min(SECONDS, result.seconds))
     return player_data(motions, wave)
 
 

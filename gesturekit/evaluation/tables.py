@@ -8,6 +8,7 @@ from gesturekit.evaluation.definitions import GROUPS, PATCHES, Definition
 from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.plots import colour
 from gesturekit.evaluation.results import Evaluation, Figure, ModelResult
+from gesturekit.wording import counted
 
 _ARROWS = {
     "higher": ("↑", "higher is better"),
@@ -177,7 +178,8 @@ def recordings(evaluation: Evaluation) -> str:
         "Recording by recording",
         "Expectation over the samples of each recording (eq. 18 of Moreno-Villamarín et al. "
         "2024), with the 95 % interval over samples.",
-        f"<details{' open' if len(rows) <= 24 else ''}><summary>{len(rows)} rows</summary>"
+        f"<details{' open' if len(rows) <= 24 else ''}><summary>"
+        f"{counted(len(rows), 'row')}</summary>"
         f'<div class="scroll"><table><thead><tr><th>Recording</th><th>Model</th>{head}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table></div></details>",
     )
@@ -216,7 +218,8 @@ def per_clip(evaluation: Evaluation) -> str:
     return section(
         "Clip by clip",
         lead,
-        f"<details{' open' if len(rows) <= 12 else ''}><summary>{len(rows)} clips</summary>"
+        f"<details{' open' if len(rows) <= 12 else ''}><summary>"
+        f"{counted(len(rows), 'clip')}</summary>"
         f'<div class="scroll"><table><thead><tr><th>Clip</th><th></th>{head}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table></div></details>",
     )

@@ -61,7 +61,7 @@ def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
     state = {
         "finished": f"finished; its model is {folder / 'model'}",
         "running": f"running, as it seems: {ago}",
-        "stopped": f"stopped: {ago}; the same command with --resume goes on",
+        "stopped": f"stopped: {ago}; gesturekit train --resume {folder} goes on",
     }[facts["state"]]
     numbers = {
         key: value

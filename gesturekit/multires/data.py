@@ -40,6 +40,7 @@ from gesturekit.training.recordings import (
     training_items,
 )
 from gesturekit.training.seeds import generator
+from gesturekit.training.sources import Source, from_values, to_values
 
 _SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
 """Below these spreads (6D entries, label, m, m; of the reference body) a channel is scaled as if it
@@ -173,6 +174,7 @@ class TrainingData:
         styles: names of the styles, in alphabetical order; none outside label mode.
         speakers: a reference skeleton for each named speaker.
         window: frames of a training window; None takes whole sequences.
+        sources: the recordings that `paired` was read from.
     """
 
     paired: tuple[PairedSequence, ...]
@@ -185,6 +187,7 @@ class TrainingData:
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     unpaired_is_paired: bool
+    sources: tuple[Source, ...] = ()
 
     def save(self, folder: Path) -> None:
         """Write all of it into a folder, for a run that is resumed."""
@@ -205,6 +208,7 @@ class TrainingData:
             "features": None if self.conditioner is None else conditioner_values(self.conditioner),
             "styles": list(self.styles),
             "style_of": [sequence.style for sequence in self.paired],
+            "sources": to_values(self.sources),
             "window": self.window,
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
@@ -249,6 +253,7 @@ class TrainingData:
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
                 unpaired_is_paired=config.features is not None and not unpaired,
+                sources=from_values(about.get("sources", ())),
             )
 
         return load_data(folder, assemble)
@@ -304,7 +309,9 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     style_of = [0] * len(items)
     if config.styles is not None:
         styles, style_of = item_styles(items, config.corpus)
-    motions = load_motions(items, config.corpus, config.fps, config.parts)
+    recorded = load_motions(items, config.corpus, None, config.parts)
+    sources = tuple(map(Source.of, items, recorded))
+    motions = [motion.resample(config.fps) for motion in recorded]
     representation = MultiresRepresentation.fit(motions, config.joints)
     if config.features is not None and config.network.modulate == "upper":
         try:
@@ -379,6 +386,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         normaliser=normaliser,
         speakers=speaker_skeletons(items, motions),
         unpaired_is_paired=hears and not unpaired,
+        sources=sources,
     )
 
 

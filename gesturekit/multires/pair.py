@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from tqdm import tqdm
 
 import audio_features as af
 from gesturekit.errors import ModelError
@@ -29,6 +28,7 @@ from gesturekit.training.seeds import generator, seeded
 
 if TYPE_CHECKING:
     from gesturekit.multires.trainer import Trainer
+    from gesturekit.training.steps import Steps
 
 
 class Pair:
@@ -83,7 +83,7 @@ class Pair:
         for name, optimiser in self.optimisers.items():
             optimiser.load_state_dict(state["optimisers"][name])
 
-    def train(self, begin: int, offset: int, progress: tqdm, cost: int) -> None:
+    def train(self, begin: int, offset: int, progress: Steps, cost: float) -> None:
         """Run iterations `begin` to the last; `offset` iterations belong to earlier pairs."""
         schedule = self.config.schedule
         totals: dict[str, float] = {}
@@ -98,7 +98,7 @@ class Pair:
             since += 1
             step = offset + iteration + 1
             self._check_finite(step, totals)
-            progress.update(cost)
+            progress.step(cost)
             last = iteration + 1 == self.iterations
             first = self.trainer.processes.is_first
             if first and (step % self.config.log_every == 0 or last):
@@ -112,6 +112,9 @@ class Pair:
                 totals, since, clock = {}, 0, time.monotonic()
             if first and self.config.eval_every and (step % self.config.eval_every == 0 or last):
                 self.trainer.evaluate(step, self.first, self.indices[-1] + 1)
+            fires = self.config.eval_every and step % self.config.eval_every == 0
+            if first and not last and (fires or self.trainer.held_out.is_due()):
+                self.trainer.measure(step, self.indices[-1] + 1)
             if step % self.config.checkpoint_every == 0 or last:
                 networks = nn.ModuleList([self.generators, self.discriminators])
                 norms = [weight.detach().norm() for weight in networks.parameters()]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import copy
 import logging
-import sys
+import math
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import torch
-from tqdm import tqdm
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import find_legs, unidentified
@@ -23,11 +23,16 @@ from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.pair import Pair
+from gesturekit.training.held_out import HeldOut
 from gesturekit.training.processes import Processes
 from gesturekit.training.run import Run
 from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import seeded
+from gesturekit.training.session import plan as session_plan
 from gesturekit.training.session import session
+from gesturekit.training.sources import described, save_sources
+from gesturekit.training.steps import Steps
+from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +56,11 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
     """
     with session(config, resume=resume) as (run, device, processes):
         return Trainer(config, run, device, processes, resume=resume).run()
+
+
+def plan(config: MultiresConfig) -> None:
+    """Log what `train` would do and how long it would take; see `gesturekit.training.session`."""
+    session_plan(config, Trainer)
 
 
 class Trainer:
@@ -80,10 +90,22 @@ class Trainer:
             log.warning(
                 "The corpus has no unpaired speech: random steps draw windows of the paired speech."
             )
+        self.held_out = HeldOut(
+            config, run, speech=self.data.conditioner is not None, styles=self.data.styles
+        )
         self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
         self.heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
         if processes.is_first:
+            steps = sum(iterations for _, iterations in self.pairs())
+            log.info(
+                "Run folder %s: multires, %s, %d levels, %s.",
+                config.out,
+                self._mode(),
+                config.network.levels,
+                counted(steps, "iteration"),
+            )
             log.info("Training on %s.", ", ".join(self._what()))
+            log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
         self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
@@ -145,14 +167,40 @@ class Trainer:
     def _what(self) -> list[str]:
         """What there is to train on, for people."""
         data = self.data
-        parts = [f"{len(data.paired)} recordings ({self.seconds:.0f} s)"]
+        parts = [described(data.sources, self.seconds, self.config.fps)]
         if data.conditioner is not None:
             kind = "the same" if data.unpaired_is_paired else "unpaired"
-            parts.append(f"{self.heard:.0f} s of {kind} speech")
-            parts.append(f"{data.conditioner.dim} features")
+            parts.append(f"{roughly(self.heard)} of {kind} speech")
+            parts.append(counted(data.conditioner.dim, "feature"))
         if data.styles:
-            parts.append(f"{len(data.styles)} styles")
-        return [*parts, f"{len(data.representation.joints)} joints"]
+            parts.append(counted(len(data.styles), "style"))
+        representation = data.representation
+        joints = counted(representation.skeleton.n_joints, "joint")
+        return [*parts, f"{len(representation.joints)} of {joints} modelled"]
+
+    def _mode(self) -> str:
+        """What the model is given, for people."""
+        given = ["speech"] * bool(self.data.conditioner) + ["labels"] * bool(self.data.styles)
+        return f"{' and '.join(given)} mode" if given else "no condition"
+
+    def seconds_needed(self) -> float:
+        """Estimate how long the training takes, from a few iterations of each pair of levels.
+
+        They change the networks: for a run that is not kept.
+        """
+        needed = 0.0
+        for first, iterations in self.pairs():
+            pair = Pair(self, first, iterations)
+            pair.iterate(0)  # compiles
+            clock = [time.monotonic()]
+            for iteration in (0, 1, 2):  # number 0 fills the window cache
+                pair.iterate(iteration)
+                clock.append(time.monotonic())
+            pace = (clock[3] - clock[1]) / 2
+            refill = max(0.0, clock[1] - clock[0] - pace)
+            needed += iterations * pace
+            needed += refill * math.ceil(iterations / self.config.schedule.renew)
+        return needed
 
     def pairs(self) -> list[tuple[int, int]]:
         """(first level, iterations) of each pair."""
@@ -174,21 +222,14 @@ class Trainer:
         # Nobody writes a checkpoint before all have read the one to go on from.
         self.processes.wait()
         pairs = self.pairs()
-        # Time left is told by frames to go, plus a share that does not depend on frames; whole
-        # numbers, so that the bar ends exactly where it should.
+        # An iteration costs what its frames cost, and a share that does not depend on them.
         levels = self.config.network.levels
-        cost = {first: 20 + round(100 * 0.75 ** (levels - 2 - first)) for first, _ in pairs}
-        with tqdm(
-            total=sum(iterations * cost[first] for first, iterations in pairs),
-            bar_format="{l_bar}{bar}| {elapsed} gone, {remaining} left {postfix}",
-            # A log file wants a line now and then, a terminal a living bar.
-            mininterval=1.0 if sys.stderr.isatty() else 60.0,
-            disable=not self.processes.is_first,
-        ) as progress:
+        cost = {first: 20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in pairs}
+        stages = [(iterations, cost[first]) for first, iterations in pairs]
+        with Steps(stages, done, quiet=not self.processes.is_first) as progress:
             start = 0
             for first, iterations in pairs:
                 here = min(max(done - start, 0), iterations)
-                progress.update(cost[first] * here)
                 if here < iterations:
                     own = state if state is not None and state["first"] == first else None
                     pair = Pair(self, first, iterations)
@@ -197,6 +238,17 @@ class Trainer:
                     pair.train(here, start, progress, cost[first])
                 start += iterations
         return self._finish(start)
+
+    def measure(self, step: int, levels: int) -> str:
+        """Log and return figures on held-out recordings, at the rate of the finest level so far."""
+        whole = levels == self.config.network.levels
+        network = copy.deepcopy(self.network)
+        return self.held_out.measure(
+            step,
+            self._model(network).generate,
+            "" if whole else f", levels 1-{levels} of {self.config.network.levels}",
+            **({} if whole else {"levels": levels}),
+        )
 
     def evaluate(self, step: int, first: int, levels: int) -> None:
         """Log cheap measures, write a sample, and keep the best model of the last pair."""
@@ -220,6 +272,7 @@ class Trainer:
 
     def _finish(self, steps: int) -> Path:
         if self.processes.is_first:
+            figures = self.measure(steps, self.config.network.levels)
             last = self.folder.last_metrics()
             self._save(
                 "model",
@@ -227,14 +280,31 @@ class Trainer:
                 {
                     "Training steps": str(steps),
                     "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
+                    **({"Measured": figures} if figures else {}),
                 },
             )
         self.processes.wait()
         return self.folder.folder / "model"
 
     def _save(self, name: str, network: MultiresGenerator, notes: dict[str, str]) -> None:
-        """Write a model of the run and say where it lies."""
-        model = MultiresModel(
+        """Write a model of the run."""
+        files = 0 if self.data.unpaired_is_paired else len(self.data.unpaired)
+        self._model(network).save(
+            self.folder.folder / name,
+            notes={
+                "Recordings": described(self.data.sources, self.seconds, self.config.fps),
+                "Unpaired speech": f"{roughly(self.heard)} in {counted(files, 'file')}"
+                if files and self.data.n_speech
+                else "none",
+                **notes,
+                **{str(key): str(value) for key, value in self.config.notes.items()},
+            },
+        )
+        save_sources(self.folder.folder / name, self.data.sources)
+
+    def _model(self, network: MultiresGenerator) -> MultiresModel:
+        """The model of a network, which is moved to the CPU."""
+        return MultiresModel(
             fps=self.config.fps,
             representation=self.data.representation,
             conditioner=self.data.conditioner,
@@ -264,15 +334,4 @@ class Trainer:
                 for sequence in self.data.paired
             ),
             smooth=self.config.smooth,
-        )
-        model.save(
-            self.folder.folder / name,
-            notes={
-                "Recordings": f"{len(self.data.paired)}, {self.seconds:.0f} s",
-                "Unpaired speech": f"{len(self.data.unpaired)} files, {self.heard:.0f} s"
-                if self.data.n_speech and not self.data.unpaired_is_paired
-                else "none",
-                **notes,
-                **{str(key): str(value) for key, value in self.config.notes.items()},
-            },
         )

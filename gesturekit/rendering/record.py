@@ -29,12 +29,14 @@ class Record:
 
     Args:
         out: the folder; it need not exist.
+        model: where the model lies, for `gesturekit evaluate`; None where it was never saved.
 
     Raises:
         ConfigError: the record is a link to a file elsewhere.
     """
 
-    def __init__(self, out: Path) -> None:
+    def __init__(self, out: Path, model: Path | None = None) -> None:
+        self._about = {"format": _FORMAT} | ({"model_folder": str(model)} if model else {})
         self._out, self._path = out, out / RECORD
         if self._path.is_symlink():
             raise ConfigError(f"{self._path} is a link, and would lead out of {out}: remove it")
@@ -86,7 +88,7 @@ class Record:
 
     def _append(self, line: dict[str, Any]) -> None:
         self._out.mkdir(parents=True, exist_ok=True)
-        text = self._begin + json.dumps({"format": _FORMAT, **line}) + "\n"
+        text = self._begin + json.dumps({**self._about, **line}) + "\n"
         with self._path.open("a", encoding="utf-8") as file:
             file.write(text)
         self._begin = ""

@@ -145,7 +145,7 @@ class _Run:
         self.options = writer_options(
             output.formats, {name: value for name, value in written.items() if value is not None}
         )
-        self.record = Record(out)
+        self.record = Record(out, getattr(model, "folder", None))
         self.input_digest = cache(path_digest)
         settings = {k: v for k, v in self.controls.items() if k != "samples"}
         self.settings = {"model": model_fingerprint(model), "seed": 0} | described(settings)

@@ -59,6 +59,11 @@ class Run:
                 f"{folder}: holds a run already; add --resume to go on with it, or out=OTHER"
             )
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether the folder holds a run that can be resumed."""
+        return (self.folder / "config.yaml").is_file()
+
     def begin(self) -> None:
         """Make the folder that of this run, once it is clear that the run can start."""
         self._write("command.txt", shlex.join(sys.argv) + "\n")
@@ -99,7 +104,7 @@ class Run:
     def last_metrics(self) -> dict[str, float]:
         """The losses logged last, without step, labels and timing."""
         lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
-        losses = [logged for logged in lines if logged.get("kind") != "evaluation"]
+        losses = [logged for logged in lines if "kind" not in logged]
         logged = losses[-1] if losses else {}
         return {
             name: value
@@ -117,6 +122,13 @@ class Run:
             for line in lines
             if line.get("kind") == "evaluation" and line.get("level") == level
         ]
+
+    def has(self, step: int, kind: str) -> bool:
+        """Whether a line of this kind was logged for a step."""
+        if not self._metrics.exists():
+            return False
+        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
+        return any(line.get("kind") == kind and line["step"] == step for line in lines)
 
     def close(self) -> None:
         """Finish writing TensorBoard events."""

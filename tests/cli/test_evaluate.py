@@ -5,7 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+import soundfile
+from scipy.spatial.transform import Rotation
+from tqdm.utils import disp_len
+
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.training.sources import Source, save_sources
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +109,131 @@ def test_a_protocol_samples_models(
         "--samples", 1, "--samples-dir", tmp_path / "samples",
     )  # fmt: skip
     assert again.status == 2 and "samples of an earlier run" in again.err
+
+
+@pytest.fixture(scope="module")
+def held_out(tmp_path_factory, write_pair, gesture):
+    """A manifest of one recording, cut in two, and clips for both items."""
+    from gesturekit.corpus import Manifest, prepare
+
+    root = tmp_path_factory.mktemp("held_out")
+    write_pair(root / "recordings" / "day", "talk", 20.0, fps=25.0)
+    prepare([root / "recordings"], root / "corpus.jsonl")
+    items = {item.split: item for item in Manifest.load(root / "corpus.jsonl")}
+    for item in items.values():
+        clip = root / "rendered" / f"{item.id}.bvh"
+        clip.parent.mkdir(parents=True, exist_ok=True)
+        gesture(item.duration, 25.0, seed=5).save(clip)
+    return root, items
+
+
+def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_path):
+    root, items = held_out
+    test = items["test"]
+    done = gesturekit(
+        "evaluate", root / "rendered", "--corpus", root / "corpus.jsonl",
+        "--json", tmp_path / "r.json", "--out", tmp_path / "r.html",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    assert "Warning" not in done.err
+    assert f"1 clip measured, 0 left out; all of it in {tmp_path / 'r.html'}" in done.out
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert found["settings"]["split"] == "test"
+    ((clip,),) = (model["clips"] for model in found["models"])
+    assert clip["recording"] == test.id and "sync" in clip["figures"]
+    # The same figures as with the stretch cut out by hand.
+    (tmp_path / "cut").mkdir()
+    test.load_motion().save(tmp_path / "cut" / "talk.npz")
+    wave = test.load_wave()
+    soundfile.write(tmp_path / "cut" / "talk.wav", wave.samples, wave.sample_rate, "FLOAT")
+    by_hand = gesturekit(
+        "evaluate", root / "rendered" / f"{test.id}.bvh", tmp_path / "cut" / "talk.npz",
+        "--audio", tmp_path / "cut", "--json", tmp_path / "hand.json",
+    )  # fmt: skip
+    assert by_hand.status == 0, by_hand.err
+    ((other,),) = (m["clips"] for m in json.loads((tmp_path / "hand.json").read_text())["models"])
+    assert other["figures"] == pytest.approx(clip["figures"], rel=1e-4, abs=1e-4)
+
+
+def test_what_was_trained_on_is_warned_about(gesturekit, held_out, tmp_path):
+    root, items = held_out
+    train = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl", "--split", "train")
+    done = gesturekit(*train)
+    assert done.status == 0
+    assert f"trained on 1 of 1 recording, or on a part of each ({items['train'].id})" in done.err
+    # A folder of whole recordings, rendered by a model that says what it was trained on.
+    model, rendered = tmp_path / "model", tmp_path / "rendered"
+    model.mkdir()
+    save_sources(model, [Source.of(items["train"], items["train"].load_motion())])
+    rendered.mkdir()
+    whole = (root / "recordings" / "day" / "talk.bvh").read_bytes()
+    (rendered / "talk.bvh").write_bytes(whole)
+    record = json.dumps({"file": "talk.bvh", "model_folder": str(model)})
+    (rendered / ".gesturekit-render.jsonl").write_text(record + "\n")
+    done = gesturekit("evaluate", rendered, root / "recordings")
+    assert "trained on 1 of 1 recording" in done.err
+    (rendered / ".gesturekit-render.jsonl").unlink()
+    assert "trained on" not in gesturekit("evaluate", rendered, root / "recordings").err
+
+
+def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
+    root, items = held_out
+    corpus = ("--corpus", root / "corpus.jsonl")
+    done = gesturekit("evaluate", root / "rendered" / "day", *corpus, "--split", "valid")
+    assert done.status == 2 and "no item of split valid; it has test, train" in done.err
+    made = tmp_path / "made"
+    made.mkdir()
+    (made / "other.npz").write_bytes(b"")
+    done = gesturekit("evaluate", made, *corpus)
+    assert done.status == 2 and "of 1 clip (other) none has a recording" in done.err
+    both = gesturekit("evaluate", made, root / "recordings", *corpus)
+    assert both.status == 2 and "Add --compare" in both.err
+
+
+def test_a_rig_without_limbs_gets_one_line_of_what_was_left_out(gesturekit, tmp_path):
+    names = tuple(f"seg{i}" for i in range(6))
+    snake = Skeleton(names, (-1, 0, 1, 2, 3, 4), np.array([[0, 0, 0]] + [[0, 0, 0.3]] * 5))
+    for folder, seed in (("recordings", 0), ("made", 1)):
+        angles = np.random.default_rng(seed).normal(0, 0.02, (150, 6, 3)).cumsum(axis=0)
+        rotations = Rotation.from_euler("xyz", angles.reshape(-1, 3)).as_quat()
+        (tmp_path / folder).mkdir()
+        Motion(snake, rotations.reshape(150, 6, 4), np.zeros((150, 3)), 25.0).save(
+            tmp_path / folder / "clip.npz"
+        )
+    done = gesturekit("evaluate", tmp_path / "made", tmp_path / "recordings")
+    assert done.status == 0, done.err
+    assert "Jerk, m/s³" in done.out
+    (line,) = (line for line in done.err.splitlines() if "Arm speed" in line)
+    assert "Wrist speed" in line and "Foot skate" in line
+
+
+def test_recordings_are_read_by_the_units_that_are_named(gesturekit, folders, tmp_path):
+    done = gesturekit(
+        "evaluate", folders / "ours", folders / "recordings", "--in-fps", 50,
+        "--json", tmp_path / "r.json",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    clip = json.loads((tmp_path / "r.json").read_text())["models"][0]["clips"][0]
+    assert any("longer than its recording" in note for note in clip["notes"])
+
+
+def test_columns_stay_under_their_headers_beside_wide_characters(gesturekit, folders, tmp_path):
+    made = tmp_path / "動作"
+    made.mkdir()
+    (made / "clip0.npz").write_bytes((folders / "ours" / "clip0.npz").read_bytes())
+    done = gesturekit("evaluate", made, folders / "recordings")
+    header, *lines = done.out.splitlines()
+    (speed,) = (line for line in lines if line.startswith("Arm speed, rad/s"))
+    end = disp_len(header[: header.index("recording")])
+    assert speed[:end].endswith("  ") and speed[end] != " "
+
+
+def test_an_interrupted_evaluation_says_that_nothing_was_written(
+    gesturekit, folders, tmp_path, monkeypatch
+):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gesturekit.evaluation.comparison.load_clip", interrupted)
+    done = gesturekit("evaluate", folders / "ours", folders / "recordings")
+    assert done.status == 130 and "nothing was written" in done.err

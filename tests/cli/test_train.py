@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import logging
 import re
 import shutil
 
 import pytest
 
+from gesturekit.multires.pair import Pair
 from gesturekit.training.config import read_yaml
+from gesturekit.training.held_out import HeldOut
 
 
 @pytest.fixture
@@ -48,7 +52,8 @@ def error_line(done) -> str:
         ("corpus=", "corpus may not be empty"),
         ("corpus=typo.jsonl", "typo.jsonl: cannot open the manifest"),
         ("corpus=.", "cannot open the manifest"),
-        ("system=diffusion", "'diffusion'"),
+        ("system=diffusion", "for 'diffusion' take one of its recipes"),
+        ("system=foo", "'foo' is not one of multires, diffusion"),
         ("device=abacus", "device: 'abacus'"),
         ("joints=[Hips, Neckk]", "did you mean Neck"),
         ("joints=[Hips, Spine, Head]", "the arms must be modelled"),
@@ -133,3 +138,115 @@ def test_a_finished_run_is_kept(train, tmp_path):
     assert train("--resume").status == 0
     assert (model / "model.safetensors").read_bytes() == before
     assert read_yaml(tmp_path / "run" / "config.yaml")["network"]["levels"] == 4
+
+
+def test_the_run_folder_is_enough_to_resume(gesturekit, train, tmp_path):
+    run = tmp_path / "run"
+    assert train("seed=7").status == 0
+    before = (run / "model" / "model.safetensors").read_bytes()
+    shutil.rmtree(run / "model")
+    (run / "checkpoints" / "step_00000004.pt").unlink()
+    moved = run.rename(tmp_path / "moved")
+    forgotten = gesturekit("train", moved)
+    assert forgotten.status == 2 and "add --resume" in error_line(forgotten)
+    assert gesturekit("train", "--resume", moved).status == 0
+    assert (moved / "model" / "model.safetensors").read_bytes() == before
+    nothing = gesturekit("train", "--resume", tmp_path)
+    assert nothing.status == 2 and "no run to resume" in error_line(nothing)
+
+
+def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monkeypatch, caplog):
+    iterate = Pair.iterate
+
+    def interrupted(self, iteration):
+        if self.first == 2:
+            raise KeyboardInterrupt
+        return iterate(self, iteration)
+
+    monkeypatch.setattr(Pair, "iterate", interrupted)
+    assert train().status == 130
+    command = f"gesturekit train --resume {tmp_path / 'run'}"
+    assert f"Go on with: {command}" in caplog.text
+    monkeypatch.undo()
+    assert gesturekit(*command.split()[1:]).status == 0
+
+
+def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
+    caplog.set_level(logging.INFO)
+    done = train("--plan")
+    assert done.status == 0 and not (tmp_path / "run").exists()
+    assert f"Run folder {tmp_path / 'run'}: multires, speech mode, 4 levels, 4 iterations" in (
+        caplog.text
+    )
+    assert "2 recordings, 9 s at 30 fps, trained at 25 fps" in caplog.text
+    assert "19 of 19 joints modelled" in caplog.text
+    assert re.search(r"Time: about \d+ ", caplog.text)
+    assert train().status == 0
+    taken = train("--plan")
+    assert taken.status == 2 and "holds a run already" in error_line(taken)
+
+
+@pytest.fixture
+def one_recording(gesturekit, write_pair, tmp_path):
+    """A manifest whose only recording is cut: its end is held out."""
+    write_pair(tmp_path / "one", "speech", 40.0)
+    manifest = tmp_path / "one.jsonl"
+    assert gesturekit("prepare", tmp_path / "one", "--out", manifest).status == 0
+    return manifest
+
+
+def test_it_ends_with_figures_on_held_out_speech(train, one_recording, tmp_path, caplog):
+    caplog.set_level(logging.INFO)
+    done = train(f"corpus={one_recording}")
+    assert done.status == 0
+    assert "Training on 1 recording, 32 s at 30 fps" in caplog.text
+    said = r"on 1 held-out recording \(8 s\): sync \S+ \(chance \S+, the recording's own \S+\), "
+    assert re.search(rf"Step 4: {said}arm speed \S+ of the recording's", caplog.text)
+    assert re.search(said, (tmp_path / "run" / "model" / "README.md").read_text())
+    lines = [json.loads(x) for x in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    (figures,) = (line for line in lines if line.get("kind") == "held_out")
+    assert {"held_out/sync", "held_out/sync_chance", "held_out/arm_speed_ratio"} <= figures.keys()
+    assert "metrics.jsonl" in done.out and "tensorboard --logdir" in done.out
+    assert f"render --corpus {one_recording} --split test" in done.out
+
+
+def test_measuring_all_the_time_changes_no_weight(train, one_recording, tmp_path, monkeypatch):
+    corpus = f"corpus={one_recording}"
+    assert train(corpus).status == 0
+    monkeypatch.setattr(HeldOut, "is_due", lambda self: True)
+    assert train(corpus, f"out={tmp_path / 'other'}").status == 0
+    assert '"kind": "held_out"' in (tmp_path / "other" / "metrics.jsonl").read_text()
+    one, other = (
+        (tmp_path / run / "model" / "model.safetensors").read_bytes() for run in ("run", "other")
+    )
+    assert one == other
+
+
+def test_a_corpus_that_is_gone_by_the_end_costs_figures_only(
+    gesturekit, train, one_recording, tmp_path, caplog
+):
+    assert train(f"corpus={one_recording}").status == 0
+    shutil.rmtree(tmp_path / "run" / "model")
+    one_recording.rename(tmp_path / "elsewhere.jsonl")
+    done = gesturekit("train", "--resume", tmp_path / "run")
+    assert done.status == 0, done.err
+    assert "No figures on held-out recordings" in caplog.text
+
+
+def test_a_model_without_speech_is_rendered_for_so_many_seconds(
+    gesturekit, corpus, light, tiny, tmp_path
+):
+    recipe = light.parents[1] / "ganimator" / "config.yaml"
+    done = gesturekit("train", recipe, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
+    assert done.status == 0, done.err
+    assert "gesturekit render --seconds 20 --model" in done.out and ".wav" not in done.out
+    lines = (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
+    assert json.loads(lines[-1])["recorded/speed_ratio"] > 0
+
+
+def test_a_mistyped_configuration_is_met_by_the_nearest(gesturekit, light, monkeypatch):
+    monkeypatch.chdir(light.parents[2])
+    done = gesturekit("train", "recipes/multires_speach/lite.yaml")
+    assert "did you mean recipes/multires_speech/light.yaml?" in error_line(done)
+    done = gesturekit("train", "nothing_like_it")
+    assert done.status == 2 and "recipes/ganimator/config.yaml" in error_line(done)

@@ -27,6 +27,7 @@ def weights(folder):
 
 def logged(config):
     lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
+    lines = [line for line in lines if line.get("kind") != "recorded"]
     return [{k: v for k, v in line.items() if "seconds" not in k} for line in lines]
 
 

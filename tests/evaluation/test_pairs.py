@@ -76,7 +76,7 @@ def test_sound_and_semantic_tracks_come_along(touch):
 
 def test_wrong_folders_are_errors_that_name_what_was_found(touch, tmp_path):
     made, recordings = touch("made", "a.npz"), touch("recordings", "b.bvh")
-    with pytest.raises(CorpusError, match=r"none of its 1 clips \(a\) has a recording .*\(b\)"):
+    with pytest.raises(CorpusError, match=r"of 1 clip \(a\) none has a recording .*\(b\)"):
         find_pairs(made, recordings)
     with pytest.raises(CorpusError, match=r"none of its sounds \(z\) bears the name"):
         find_pairs(touch("again", "b.npz"), recordings, audio=touch("wav", "z.wav"))

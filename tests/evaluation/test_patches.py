@@ -232,7 +232,7 @@ OK = np.random.default_rng(5).normal(size=(40, 3))
         (lambda: global_diversity(OK[:20], OK), "min_segment is 30 frames; generated has 20"),
         (lambda: global_diversity(OK, OK[:35]), "segments of 30 to 35 frames"),
         (lambda: coverage(np.ones((10**5, 1)), np.ones((10**5, 1))), "would take 80 GB"),
-        (lambda: inter_diversity([OK]), "1 samples; at least 2"),
+        (lambda: inter_diversity([OK]), "1 sample; at least 2"),
         (lambda: inter_diversity([OK, OK[:9]], variant="aligned"), "9 and 40 frames"),
         (lambda: intra_diversity(OK[:15]), "at least 16"),
     ],

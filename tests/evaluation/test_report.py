@@ -61,7 +61,7 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
     assert "30 frames (1.20 s)" in text
     assert "Bound to its frame rate" in text
     assert "stranger" in text and "no recording of its name" in text
-    assert "model: 1 clips are left out" in text
+    assert "model: left out: 1 clip;" in text
     assert "rough" in text  # three recordings are few
     assert "gesturekit evaluate model recordings" in text
 

@@ -23,6 +23,12 @@ from gesturekit.multires.trainer import train
 from gesturekit.training.checkpoint import Checkpoints
 
 
+def logged(config) -> list[dict]:
+    """Logged lines, without the figures that a training ends with."""
+    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
+    return [line for line in lines if "kind" not in line]
+
+
 def weights(config):
     return load_file(config.out / "model" / "model.safetensors")
 
@@ -30,7 +36,7 @@ def weights(config):
 def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config):
     config = make_config(losses={"arm_acceleration": 3})
     folder = train(config)
-    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
+    lines = logged(config)
     assert [line["step"] for line in lines] == [2, 4, 6, 8, 10]
     told = {"critic", "adversarial", "contact", "smooth", "arm_speed", "arm_acceleration", "rec"}
     assert told <= set(lines[-1])
@@ -52,7 +58,7 @@ def test_training_moves_towards_the_recording(make_config):
         log_every=10,
     )
     train(config)
-    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
+    lines = logged(config)
     first = [line["rec"] for line in lines if line["level"] == 1]
     assert first[-1] < 0.6 * first[0]
 
@@ -74,7 +80,7 @@ def test_finer_levels_learn_to_leave_what_is_coarse(make_config):
     losses = {"adversarial": 0, "arm_speed": 0, "coarse": 20, "detail": 1}
     config = make_config(schedule=schedule, losses=losses, log_every=10)
     train(config)
-    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
+    lines = logged(config)
     pair = [line for line in lines if line["level"] == 1]
     assert pair[-1]["coarse"] < 0.6 * pair[0]["coarse"]
     assert pair[-1]["detail"] < pair[0]["detail"]

@@ -1,0 +1,216 @@
+"""What a training says of its model: sync and speed on recordings that it does not learn from."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+import audio_features as af
+from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.errors import GestureKitError
+from gesturekit.evaluation.frame_rate import at_rate
+from gesturekit.evaluation.listening import sync
+from gesturekit.evaluation.patches import coverage, patch_features
+from gesturekit.evaluation.physical import arm_speed, joint_speed
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import body_joints
+from gesturekit.training.run import Run
+from gesturekit.training.run_config import RunConfig
+from gesturekit.wording import counted, roughly
+
+log = logging.getLogger(__name__)
+
+MOST_CLIPS = 4
+MOST_SECONDS = 20.0
+"""So many clips are measured, and so much of each."""
+EVERY_SECONDS = 300.0
+"""How often a training is measured that has no `eval_every` ..."""
+MOST_SHARE = 0.05
+"""... or less often, so that measuring takes no more than this share of the time."""
+_PATCH_FRAMES = 30
+
+
+@dataclass(frozen=True, eq=False)
+class _Clip:
+    item: Item
+    recording: Motion
+    wave: af.Wave | None
+
+
+class HeldOut:
+    """Measures a model on the corpus's valid and test items, or on train where there are none.
+
+    Items are read when they are measured first. Nothing here changes the training: a corpus that
+    cannot be read any more is a warning.
+
+    Args:
+        config: of the run.
+        run: its folder, where figures are logged.
+        speech: whether the model is given the items' sound.
+        styles: those that it knows.
+        path: whether it is given the way that the root goes.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        run: Run,
+        *,
+        speech: bool,
+        styles: Collection[str] = (),
+        path: bool = False,
+    ) -> None:
+        self.config = config
+        self.run = run
+        self.speech = speech
+        self.styles = styles
+        self.path = path
+        self._measured = time.monotonic()
+        self._took = 0.0
+
+    @cached_property
+    def items(self) -> tuple[Item, ...]:
+        """The items to measure; none where the corpus cannot be read."""
+        try:
+            fitting = [
+                item
+                for item in Manifest.load(self.config.corpus)
+                if item.motion is not None and (item.audio is not None or not self.speech)
+                if not self.styles or item.style in self.styles
+            ]
+        except GestureKitError as error:
+            log.warning("No figures on held-out recordings: %s", error)
+            return ()
+        kept = [item for item in fitting if item.split != "train"] or fitting
+        return tuple(kept[:: -(-len(kept) // MOST_CLIPS) or 1])
+
+    @property
+    def is_held_out(self) -> bool:
+        """Whether the items are of no split that is trained on."""
+        return all(item.split != "train" for item in self.items)
+
+    @property
+    def what(self) -> str:
+        """ "2 held-out recordings (34 s)"."""
+        seconds = sum(min(item.duration, MOST_SECONDS) for item in self.items)
+        kind = "held-out" if self.is_held_out else "training"
+        return f"{counted(len(self.items), f'{kind} recording')} ({roughly(seconds)})"
+
+    def is_due(self) -> bool:
+        """Whether it is time to measure again."""
+        return time.monotonic() - self._measured > max(EVERY_SECONDS, self._took / MOST_SHARE)
+
+    def measure(
+        self, step: int, generate: Callable[..., Motion], so_far: str = "", **controls: Any
+    ) -> str:
+        """Log the figures of a model, to the run's metrics and as a sentence.
+
+        Args:
+            step: of the training.
+            generate: the model's.
+            so_far: what the sentence adds on a training under way.
+            controls: of `generate`, beside what the items give.
+
+        Returns:
+            the sentence; empty where nothing could be measured.
+        """
+        if not self.items:
+            return ""
+        began = time.monotonic()
+        try:
+            figures = self._figures(generate, controls)
+        except (GestureKitError, af.AudioFeaturesError, OSError) as error:
+            log.warning("Step %d: no figures on %s: %s", step, self.what, error)
+            figures = {}
+        self._measured = time.monotonic()
+        self._took = self._measured - began
+        if not figures:
+            return ""
+        said = f"on {self.what}: {sentence(figures)}"
+        log.info("Step %d%s: %s.", step, so_far, said)
+        kind = "held_out" if self.is_held_out else "recorded"
+        if not self.run.has(step, kind):
+            values = {f"{kind}/{key}": value for key, value in figures.items()}
+            self.run.log(step, values, kind=kind)
+        return said
+
+    @cached_property
+    def _clips(self) -> list[_Clip]:
+        clips = []
+        for item in self.items:
+            motion = item.load_motion(self.config.parts)
+            n_frames = min(motion.n_frames, round(MOST_SECONDS * motion.fps))
+            wave = None
+            if self.speech:
+                wave = item.load_wave().slice(0.0, n_frames / motion.fps)
+            clips.append(_Clip(item, motion.slice(0, n_frames), wave))
+        return clips
+
+    def _figures(
+        self, generate: Callable[..., Motion], controls: Mapping[str, Any]
+    ) -> dict[str, float]:
+        every: dict[str, list[float]] = defaultdict(list)
+        for clip in self._clips:
+            asked: dict[str, Any] = {"seed": 0, **controls}
+            if self.styles:
+                asked["style"] = clip.item.style
+            if self.path:
+                asked["path"] = clip.recording
+            if clip.wave is not None:
+                asked["speech"] = clip.wave
+            elif "path" not in asked:
+                asked["seconds"] = clip.recording.duration
+            made = generate(**asked)
+            for key, value in _compared(made, at_rate(clip.recording, made.fps), clip.wave).items():
+                every[key].append(value)
+        return {key: float(np.mean(values)) for key, values in every.items()}
+
+
+def sentence(figures: Mapping[str, float]) -> str:
+    """The figures in words, each beside what it is to be compared with."""
+    parts = []
+    if "sync" in figures:
+        own = figures.get("sync_recording")
+        beside = "" if own is None else f", the recording's own {own:.2f}"
+        parts.append(f"sync {figures['sync']:.2f} (chance {figures['sync_chance']:.2f}{beside})")
+    if "coverage" in figures:
+        parts.append(f"coverage {figures['coverage']:.0f} %")
+    for key, name in (("arm_speed_ratio", "arm speed"), ("speed_ratio", "speed")):
+        if key in figures:
+            parts.append(f"{name} {figures[key]:.2f} of the recording's")
+            break
+    return ", ".join(parts)
+
+
+def _compared(made: Motion, recording: Motion, wave: af.Wave | None) -> dict[str, float]:
+    """Figures of a motion; those that the rig or the length does not allow are left out."""
+    figures: dict[str, float] = {}
+    joints = body_joints(recording.skeleton)
+    for key, speed in (
+        ("speed_ratio", lambda motion: joint_speed(motion, joints)),
+        ("arm_speed_ratio", arm_speed),
+    ):
+        try:
+            own = float(speed(recording).mean())
+            if own > 0:
+                figures[key] = float(speed(made).mean()) / own
+        except GestureKitError:
+            continue
+    try:
+        if wave is not None:
+            ours, theirs = sync(made, wave), sync(recording, wave)
+            figures |= {"sync": ours.r, "sync_chance": ours.chance_mean}
+            figures["sync_recording"] = theirs.r
+        elif min(made.n_frames, recording.n_frames) > _PATCH_FRAMES:
+            features = [patch_features(m, "ganimator", joints=joints) for m in (made, recording)]
+            figures["coverage"] = 100.0 * coverage(*features, _PATCH_FRAMES)
+    except GestureKitError:
+        pass  # no arms, no feet, or too short
+    return figures

@@ -1,0 +1,134 @@
+"""The recordings that a model was trained on, kept with the run and with the model."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from gesturekit.atomic import atomic_write
+from gesturekit.corpus.manifest import Item
+from gesturekit.motion.motion import Motion
+from gesturekit.wording import counted, roughly
+
+FILE = "trained_on.json"
+"""Name of the file in a model folder."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A stretch of a recording that a model was trained on.
+
+    Attributes:
+        id: the item's id in its manifest.
+        motion: fingerprint of the motion file's content.
+        audio: fingerprint of the sound file's content; None for motion alone.
+        start: where the stretch begins in the motion file, seconds.
+        duration: its length, seconds.
+        fps: frame rate of the motion file.
+    """
+
+    id: str
+    motion: str
+    audio: str | None
+    start: float
+    duration: float
+    fps: float
+
+    @classmethod
+    def of(cls, item: Item, motion: Motion) -> Source:
+        """Describe an item and the motion that was read for it, at the rate of its file."""
+        return cls(
+            id=item.id,
+            motion=fingerprint(item.motion),
+            audio=None if item.audio is None else fingerprint(item.audio),
+            start=item.motion_start,
+            duration=item.duration,
+            fps=motion.fps,
+        )
+
+
+@lru_cache(maxsize=4096)
+def fingerprint(path: Path) -> str:
+    """The first 16 hexadecimal digits of the SHA-256 of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def n_recordings(sources: Iterable[Source]) -> int:
+    """The number of motion files; one that is cut into parts counts once."""
+    return len({source.motion for source in sources})
+
+
+def rates(sources: Iterable[Source], fps: float) -> str:
+    """ "at 30 fps, trained at 25 fps", or "at 25 fps" where nothing is resampled."""
+    own = Counter(f"{rate:.6g} fps" for _, rate in {(s.motion, s.fps) for s in sources})
+    trained = f"{fps:.6g} fps"
+    if not own or set(own) == {trained}:
+        return f"at {trained}"
+    if len(own) == 1:
+        return f"at {next(iter(own))}, trained at {trained}"
+    each = ", ".join(f"{n} at {rate}" for rate, n in own.most_common())
+    return f"({each}), trained at {trained}"
+
+
+def described(sources: Sequence[Source], seconds: float, fps: float) -> str:
+    """ "2 recordings in 3 parts, 14 min at 30 fps, trained at 25 fps"."""
+    count = n_recordings(sources)
+    parts = f" in {len(sources)} parts" if len(sources) > count else ""
+    return f"{counted(count, 'recording')}{parts}, {roughly(seconds)} {rates(sources, fps)}"
+
+
+def is_trained_on(
+    sources: Iterable[Source],
+    motion: Path | None,
+    audio: Path | None = None,
+    *,
+    start: float = 0.0,
+    duration: float = math.inf,
+) -> bool:
+    """Return whether a stretch of a recording overlaps what a model was trained on.
+
+    Args:
+        sources: of the model.
+        motion: the recording's motion file; files are compared by their content.
+        audio: its sound file, which counts where the motion file is another.
+        start: where the stretch begins, seconds.
+        duration: its length, seconds; of the whole recording by default.
+    """
+    files = {fingerprint(path) for path in (motion, audio) if path is not None}
+    return any(
+        files & {source.motion, source.audio}
+        and min(start + duration, source.start + source.duration) - max(start, source.start) > 0.05
+        for source in sources
+    )
+
+
+def to_values(sources: Iterable[Source]) -> list[dict[str, Any]]:
+    """Plain values, ready for JSON."""
+    return [asdict(source) for source in sources]
+
+
+def from_values(values: Iterable[dict[str, Any]]) -> tuple[Source, ...]:
+    """Inverse of `to_values`."""
+    return tuple(Source(**value) for value in values)
+
+
+def save_sources(folder: Path, sources: Iterable[Source]) -> None:
+    """Write `trained_on.json` into a model folder."""
+    with atomic_write(folder / FILE) as temporary:
+        temporary.write_text(json.dumps(to_values(sources), indent=1), encoding="utf-8")
+
+
+def load_sources(folder: Path) -> tuple[Source, ...]:
+    """Read what a model was trained on; nothing where its folder does not say."""
+    try:
+        return from_values(json.loads((folder / FILE).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return ()

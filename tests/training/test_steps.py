@@ -1,0 +1,35 @@
+"""Time left of a training whose steps grow dearer."""
+
+from __future__ import annotations
+
+import pytest
+
+from gesturekit.training import steps
+from gesturekit.training.steps import Steps
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock of our own, by its one entry."""
+    now = [0.0]
+    monkeypatch.setattr(steps.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_time_left_weighs_steps_by_their_cost_and_leaves_out_the_first(clock):
+    progress = Steps([(10, 1.0), (10, 3.0)], 0, quiet=True)
+    clock[0] = 60.0  # compiled
+    progress.step(1.0)
+    assert progress.seconds_left == 0
+    for _ in range(4):
+        clock[0] += 2.0
+        progress.step(1.0)
+    assert progress.seconds_left == pytest.approx((5 * 1.0 + 10 * 3.0) * 2.0)
+
+
+def test_a_resumed_training_has_less_left(clock):
+    progress = Steps([(10, 1.0), (10, 3.0)], 15, quiet=True)
+    progress.step(3.0)
+    clock[0] += 6.0
+    progress.step(3.0)
+    assert progress.seconds_left == pytest.approx(3 * 6.0)
