@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError
+from gesturekit.model import Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 
 
@@ -63,7 +64,7 @@ def load(
     weights: str | Path | None = None,
     device: str = "cpu",
     dtype: Literal["fp32", "bf16"] = "fp32",
-) -> Any:
+) -> Model:
     """Load a model.
 
     Args:
@@ -75,7 +76,7 @@ def load(
             half the time on processors that have it. Its motion differs in small things.
 
     Returns:
-        an object with `generate(speech, *, seconds, samples, seed, ...)`.
+        a model, whose `generate` makes motion.
 
     Raises:
         ModelError: there is no such model, it cannot be read, or has no such dtype.
@@ -102,13 +103,22 @@ def load(
     return _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
 
 
-def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = False) -> Path:
+def train(
+    config: str | Path,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    *,
+    resume: bool = False,
+    **settings: Any,
+) -> Path:
     """Train the system that a configuration file names.
+
+    `train("light.yaml", {"schedule.batch": 8}, corpus="corpus.jsonl", out="runs/mine")`.
 
     Args:
         config: YAML file, whose `system:` is one of `SYSTEMS`; its parent may say so too.
-        overrides: `key=value` strings that change single settings.
+        overrides: single settings, as `key=value` strings, or by dotted name.
         resume: go on from the last checkpoint of the run folder.
+        settings: further settings by name; a mapping changes single settings of a section.
 
     Returns:
         the model folder.
@@ -119,8 +129,10 @@ def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = F
     name = read_chain(config).get("system")
     if not isinstance(name, str) or name not in SYSTEMS:
         raise ConfigError(f"{config}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
-    settings = load_config(config, _part(SYSTEMS[name].config), overrides)
-    return _part(SYSTEMS[name].train)(settings, resume=resume)
+    if isinstance(overrides, Mapping):
+        overrides, settings = (), {**overrides, **settings}
+    loaded = load_config(config, _part(SYSTEMS[name].config), overrides, settings)
+    return _part(SYSTEMS[name].train)(loaded, resume=resume)
 
 
 def _part(where: str) -> Any:

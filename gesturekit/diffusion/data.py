@@ -53,6 +53,7 @@ class TrainingData:
         conditions: what the model is told.
         standardiser: of motion vectors.
         speakers: a reference skeleton for each named speaker.
+        recorded_fps: the commonest frame rate of the recordings; None where older runs lack it.
     """
 
     recordings: tuple[Recording, ...]
@@ -61,6 +62,7 @@ class TrainingData:
     conditions: Conditions
     standardiser: Standardiser
     speakers: dict[str, Skeleton]
+    recorded_fps: float | None = None
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
         """A motion from (T, X) values in their own units and the (T, C) it was told."""
@@ -97,6 +99,7 @@ class TrainingData:
             "names": [recording.name for recording in self.recordings],
             "is_paired": [recording.is_paired for recording in self.recordings],
             "seconds": list(self.seconds),
+            "recorded_fps": self.recorded_fps,
             "conditions": self.conditions.to_values(),
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
@@ -137,6 +140,7 @@ class TrainingData:
                 ),
                 standardiser=Standardiser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
+                recorded_fps=about.get("recorded_fps"),
             )
 
         return load_data(folder, assemble)

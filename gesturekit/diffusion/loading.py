@@ -30,6 +30,7 @@ from gesturekit.training.features import listen
 from gesturekit.training.recordings import (
     item_styles,
     load_motions,
+    recorded_rate,
     speaker_skeletons,
     training_items,
 )
@@ -136,6 +137,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
         conditions=conditions,
         standardiser=standardiser,
         speakers=speakers,
+        recorded_fps=recorded_rate(recorded),
     )
 
 

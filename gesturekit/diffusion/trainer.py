@@ -261,6 +261,7 @@ class _Trainer:
             speakers=self.data.speakers,
             droppable=[name for name, share in droppable.items() if share],
             smooth=self.config.smooth,
+            recorded_fps=self.data.recorded_fps,
         )
         paired, unpaired = self.data.seconds
         last = self.folder.last_metrics()

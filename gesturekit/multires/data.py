@@ -30,6 +30,7 @@ from gesturekit.training.features import conditioner_tensors, listen, load_condi
 from gesturekit.training.recordings import (
     item_styles,
     load_motions,
+    recorded_rate,
     speaker_skeletons,
     training_items,
 )
@@ -166,6 +167,7 @@ class TrainingData:
         styles: names of the styles, in alphabetical order; none outside label mode.
         speakers: a reference skeleton for each named speaker.
         window: frames of a training window; None takes whole sequences.
+        recorded_fps: the commonest frame rate of the recordings; None where older runs lack it.
     """
 
     paired: tuple[PairedSequence, ...]
@@ -178,6 +180,7 @@ class TrainingData:
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     unpaired_is_paired: bool
+    recorded_fps: float | None = None
 
     def save(self, folder: Path) -> None:
         """Write all of it into a folder, for a run that is resumed."""
@@ -199,6 +202,7 @@ class TrainingData:
             "styles": list(self.styles),
             "style_of": [sequence.style for sequence in self.paired],
             "window": self.window,
+            "recorded_fps": self.recorded_fps,
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
             "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
@@ -246,6 +250,7 @@ class TrainingData:
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
                 unpaired_is_paired=config.features is not None and not unpaired,
+                recorded_fps=about.get("recorded_fps"),
             )
 
         return load_data(folder, assemble)
@@ -368,6 +373,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         normaliser=normaliser,
         speakers=speaker_skeletons(items, motions),
         unpaired_is_paired=hears and not unpaired,
+        recorded_fps=recorded_rate(motions),
     )
 
 

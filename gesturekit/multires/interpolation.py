@@ -2,8 +2,8 @@
 
 On a GPU torch can make the backward pass of gathers by index deterministic
 (`torch.use_deterministic_algorithms`), and not that of its own interpolation and reflection
-padding. On a CPU torch gathers frames several times slower than numpy does. The weights are those of
-the audio front-end: motion and features never disagree on where a frame lies.
+padding. On a CPU torch gathers frames several times slower than numpy does. The weights are
+those of the audio front-end: motion and features never disagree on where a frame lies.
 """
 
 from __future__ import annotations

@@ -241,6 +241,7 @@ class Trainer:
                 for sequence in self.data.paired
             ),
             smooth=self.config.smooth,
+            recorded_fps=self.data.recorded_fps,
         )
         model.save(
             self.folder.folder / name,
