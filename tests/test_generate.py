@@ -22,7 +22,7 @@ from gesturekit.training.seeds import seeded
 
 
 def diffusion(gesture, **rates: float) -> DiffusionModel:
-    """A small model of random weights that hears."""
+    """A small model of random weights that takes speech."""
     extractor = af.LogMel(n_mels=4)
     ears = SpeechConditioner(extractor, 30.0, "mean", np.zeros(4), np.full(4, 10.0))
     conditions = Conditions(ears)
