@@ -14,6 +14,8 @@ F0_RANGE = (60.0, 500.0)
 
 _FRAME = 1024  # 64 ms: almost four periods of the lowest voice
 _LONGEST_PERIOD = int(np.ceil(SAMPLE_RATE / F0_RANGE[0]))
+_SHORTEST_PERIOD = int(SAMPLE_RATE // F0_RANGE[1])
+_DIP = 0.1  # depth of d' from which a period is believed, as librosa has it
 _CORE = _FRAME - _LONGEST_PERIOD - 1
 # pyin's best path is sought in stretches of a minute that overlap by 4 s, so that an hour of
 # sound does not take gigabytes.
@@ -67,20 +69,44 @@ def check_tracker(tracker: str) -> None:
 
 
 def _yin(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    import librosa
+    """YIN (de Cheveigne and Kawahara 2002), with the values of librosa.yin.
 
+    Importing librosa compiles for 20 seconds wherever numba's cache is empty.
+    """
     f0 = np.empty(n_frames)
     for first, frames in centred_frames(samples, _FRAME, n_frames):
-        f0[first : first + len(frames)] = librosa.yin(
-            np.ascontiguousarray(frames).reshape(len(frames), _FRAME),
-            fmin=F0_RANGE[0],
-            fmax=F0_RANGE[1],
-            sr=SAMPLE_RATE,
-            frame_length=_FRAME,
-            hop_length=_FRAME,
-            center=False,
-        )[:, 0]
+        difference = _normalised_difference(frames)
+        before, here, after = difference[:, :-2], difference[:, 1:-1], difference[:, 2:]
+        # Of all dips below the threshold the first, else the deepest place.
+        dips = np.empty(difference.shape, bool)
+        dips[:, 0] = difference[:, 0] < difference[:, 1]
+        dips[:, 1:-1] = (here < before) & (here <= after)
+        dips[:, -1] = difference[:, -1] < difference[:, -2]
+        dips &= difference < _DIP
+        place = np.where(dips.any(axis=1), dips.argmax(axis=1), difference.argmin(axis=1))
+        # The vertex of the parabola through a place and its neighbours, where it lies between them.
+        rows, inner = np.arange(len(place)), np.clip(place - 1, 0, here.shape[1] - 1)
+        low, mid, high = (part[rows, inner] for part in (before, here, after))
+        bend, slope = high + low - 2 * mid, (high - low) / 2
+        inside = (inner == place - 1) & (np.abs(slope) < np.abs(bend))
+        shift = np.where(inside, -slope / np.where(inside, bend, 1.0), 0.0)
+        f0[first : first + len(frames)] = SAMPLE_RATE / (_SHORTEST_PERIOD + place + shift)
     return f0
+
+
+def _normalised_difference(frames: np.ndarray) -> np.ndarray:
+    """Cumulative mean normalised difference d' of frames (M, N) at each period (eq. 8)."""
+    from scipy.fft import irfft, rfft
+
+    spectrum = rfft(frames, 2 * _FRAME, axis=1)
+    power = np.square(spectrum.real) + np.square(spectrum.imag)
+    correlation = irfft(power, 2 * _FRAME, axis=1)[:, : _LONGEST_PERIOD + 1]
+    energy = np.cumsum(np.square(frames[:, :_LONGEST_PERIOD]), axis=1)
+    energy[:, 0] = 0.0  # as librosa has it, whose values models were trained on
+    difference = 2 * (correlation[:, :1] - correlation[:, 1:]) - energy
+    mean = np.cumsum(difference, axis=1) / np.arange(1, _LONGEST_PERIOD + 1)
+    wanted = np.s_[:, _SHORTEST_PERIOD - 1 :]
+    return difference[wanted] / (mean[wanted] + np.finfo(mean.dtype).tiny)
 
 
 def _pyin(samples: np.ndarray, n_frames: int) -> np.ndarray:

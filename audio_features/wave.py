@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 import soxr
+from numpy.typing import ArrayLike
 
 from audio_features.errors import AudioError
 from audio_features.sound_file import read_sound
@@ -114,6 +115,31 @@ class Wave:
 
         samples, rate = read_sound(name, stretch, channel)
         return cls(samples, rate, name)
+
+    @classmethod
+    def from_array(
+        cls, samples: ArrayLike, sample_rate: int | None, source: str | None = None
+    ) -> Wave:
+        """Make a wave of an array as librosa, soundfile, torchaudio and transformers give it.
+
+        Args:
+            samples: (N,), or channels (C, N) or (N, C), whose mean is taken; the shorter axis is
+                that of the channels. A numpy array, a list, or a torch tensor on any device.
+                Floats have full scale ±1; integers of 8 to 32 bits are scaled from their own.
+            sample_rate: Hz.
+            source: as in `Wave`.
+
+        Raises AudioError without a rate, and for what is no sound.
+        """
+        name = source or "samples"
+        if sample_rate is None:
+            raise AudioError(
+                f"{name}: an array has no rate of its own: give its sample_rate, as 16000 (Hz)"
+            )
+        values = _numbers(samples, name)
+        if values.ndim == 2:
+            values = values.mean(axis=int(np.argmin(values.shape)), dtype=np.float32)
+        return cls(values, sample_rate, source)
 
     @property
     def duration(self) -> float:
@@ -271,9 +297,38 @@ class Wave:
         return active, level
 
 
+def _numbers(samples: ArrayLike, name: str) -> np.ndarray:
+    """(N,) or two-dimensional float32, full scale ±1."""
+    if hasattr(samples, "detach"):  # a torch tensor: bfloat16 and GPUs are unknown to numpy
+        samples = samples.detach().cpu()
+        samples = samples.float() if samples.is_floating_point() else samples
+    try:
+        values = np.asarray(samples)
+    except (TypeError, ValueError) as error:
+        raise AudioError(f"{name}: not an array of samples ({error})") from None
+    if values.ndim not in (1, 2) or not values.size:
+        raise AudioError(
+            f"{name}: shape {values.shape}, expected samples (N,), or channels (C, N) or (N, C)"
+        )
+    if values.dtype.kind == "f":
+        return values.astype(np.float32)
+    if values.dtype.kind not in "iu" or values.dtype.itemsize > 4:
+        raise AudioError(
+            f"{name}: dtype {values.dtype}, expected floats with full scale ±1, or integers of 8, "
+            "16 or 32 bits"
+        )
+    half = 2.0 ** (8 * values.dtype.itemsize - 1)
+    middle = half if values.dtype.kind == "u" else 0.0
+    return ((values - middle) / half).astype(np.float32)
+
+
 def _checked_rate(rate: int, name: str) -> int:
     low, high = SAMPLE_RATES
-    if int(rate) != rate or not low <= rate <= high:
+    try:
+        is_whole = int(rate) == rate
+    except (TypeError, ValueError, OverflowError):
+        is_whole = False
+    if not is_whole or not low <= rate <= high:
         raise AudioError(
             f"{name}: sample rate {rate} Hz, expected a whole number from {low} to {high}: "
             "resample the sound, or mend its header"

@@ -13,19 +13,38 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gesturekit.corpus import prepare
     from gesturekit.errors import GestureKitError
+    from gesturekit.evaluation import evaluate
+    from gesturekit.model import Model
     from gesturekit.motion.motion import Motion
     from gesturekit.motion.skeleton import Skeleton
-    from gesturekit.systems import load
+    from gesturekit.rendering.render import render
+    from gesturekit.systems import load, train
 
 __version__ = "0.1.0"
-__all__ = ["GestureKitError", "Motion", "Skeleton", "load"]
+__all__ = [
+    "GestureKitError",
+    "Model",
+    "Motion",
+    "Skeleton",
+    "evaluate",
+    "load",
+    "prepare",
+    "render",
+    "train",
+]
 
 _HOMES = {
     "GestureKitError": "gesturekit.errors",
+    "Model": "gesturekit.model",
     "Motion": "gesturekit.motion.motion",
     "Skeleton": "gesturekit.motion.skeleton",
+    "evaluate": "gesturekit.evaluation",
     "load": "gesturekit.systems",
+    "prepare": "gesturekit.corpus",
+    "render": "gesturekit.rendering.render",
+    "train": "gesturekit.systems",
 }
 
 
@@ -37,4 +56,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return [*__all__, "__version__"]

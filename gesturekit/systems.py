@@ -5,12 +5,13 @@ from __future__ import annotations
 import difflib
 import importlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError
+from gesturekit.model import Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.run_config import RunConfig
 
@@ -69,7 +70,7 @@ def load(
     weights: str | Path | None = None,
     device: str = "cpu",
     dtype: Literal["fp32", "bf16"] = "fp32",
-) -> Any:
+) -> Model:
     """Load a model.
 
     Args:
@@ -81,7 +82,7 @@ def load(
             half the time on processors that have it. Its motion differs in small things.
 
     Returns:
-        an object with `generate(speech, *, seconds, samples, seed, ...)`.
+        a model, whose `generate` makes motion.
 
     Raises:
         ModelError: there is no such model, it cannot be read, or has no such dtype.
@@ -110,14 +111,23 @@ def load(
     return model
 
 
-def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = False) -> Path:
+def train(
+    config: str | Path,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    *,
+    resume: bool = False,
+    **settings: Any,
+) -> Path:
     """Train the system that a configuration file names.
+
+    `train("light.yaml", {"schedule.batch": 8}, corpus="corpus.jsonl", out="runs/mine")`.
 
     Args:
         config: YAML file, whose `system:` is one of `SYSTEMS`; its parent may say so too. To
             resume, the run folder is enough.
-        overrides: `key=value` strings that change single settings.
+        overrides: single settings, as `key=value` strings, or by dotted name.
         resume: go on from the last checkpoint of the run folder.
+        settings: further settings by name; a mapping changes single settings of a section.
 
     Returns:
         the model folder.
@@ -125,8 +135,10 @@ def train(config: str | Path, overrides: Sequence[str] = (), *, resume: bool = F
     Raises:
         ConfigError: the configuration is wrong.
     """
-    system, settings = _resolved(config, overrides, resume=resume)
-    return _part(system.train)(settings, resume=resume)
+    if isinstance(overrides, Mapping):
+        overrides, settings = (), {**overrides, **settings}
+    system, loaded = _resolved(config, overrides, settings, resume=resume)
+    return _part(system.train)(loaded, resume=resume)
 
 
 def plan(config: str | Path, overrides: Sequence[str] = ()) -> None:
@@ -135,12 +147,12 @@ def plan(config: str | Path, overrides: Sequence[str] = ()) -> None:
     Raises:
         ConfigError: the configuration is wrong, or its run folder holds a run already.
     """
-    system, settings = _resolved(config, overrides, resume=False)
-    _part(system.plan)(settings)
+    system, loaded = _resolved(config, overrides, {}, resume=False)
+    _part(system.plan)(loaded)
 
 
 def _resolved(
-    config: str | Path, overrides: Sequence[str], *, resume: bool
+    config: str | Path, overrides: Sequence[str], settings: Mapping[str, Any], *, resume: bool
 ) -> tuple[System, RunConfig]:
     """The system that a configuration names, and its settings."""
     path = Path(config)
@@ -165,7 +177,8 @@ def _resolved(
             name = value
     if not isinstance(name, str) or name not in SYSTEMS:
         raise ConfigError(f"{path}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
-    return SYSTEMS[name], load_config(path, _part(SYSTEMS[name].config), overrides)
+    schema = _part(SYSTEMS[name].config)
+    return SYSTEMS[name], load_config(path, schema, overrides, settings)
 
 
 def _near(path: Path) -> str:

@@ -25,7 +25,8 @@ MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}
 MAY_IMPORT["rendering"] = {"multires", "diffusion", *MAY_IMPORT["multires"]}
 MAY_IMPORT["cli"] = {"diagnosis", "inspection", "rendering", "systems", *MAY_IMPORT["rendering"]}
 # Modules that belong to no room. `systems` and the package itself lead upwards by name, lazily.
-MAY_IMPORT["systems"] = {"training"}
+MAY_IMPORT["model"] = {"corpus", "motion"}
+MAY_IMPORT["systems"] = {"model", "training"}
 MAY_IMPORT["diagnosis"] = {"systems"}
 EVERYONE_MAY_IMPORT = {"errors", "atomic", "archive", "compiled", "progress", "wording"}
 MAY_IMPORT |= {module: set() for module in EVERYONE_MAY_IMPORT}

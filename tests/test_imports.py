@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
+import inspect
 import re
 import shlex
 import subprocess
 import sys
+import typing
 from pathlib import Path
 
 import click
@@ -46,9 +50,36 @@ def test_public_names_are_there():
 
     for package in (gk, af):
         for name in package.__all__:
-            assert getattr(package, name) is not None and name in dir(package)
+            assert getattr(package, name) is not None
+        assert set(dir(package)) - {"__version__"} == set(package.__all__)
+        assert (Path(package.__file__).parent / "py.typed").is_file()
         with pytest.raises(AttributeError, match="no_such_name"):
             _ = package.no_such_name
+
+
+def test_type_checkers_see_what_is_exported():
+    """Names under TYPE_CHECKING are those that are imported when they are asked for."""
+    import gesturekit as gk
+
+    tree = ast.parse(Path(gk.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    seen = {alias.name for node in block.body for alias in node.names}
+    assert seen == set(gk.__all__)
+
+
+@pytest.mark.parametrize("system", ["multires", "diffusion"])
+def test_models_of_every_system_have_the_interface_that_load_promises(system):
+    import gesturekit as gk
+    from gesturekit.systems import SYSTEMS
+
+    module, _, name = SYSTEMS[system].model.partition(":")
+    own = inspect.signature(getattr(importlib.import_module(module), name).generate).parameters
+    for promised in typing.get_overloads(gk.Model.generate):
+        for name, parameter in inspect.signature(promised).parameters.items():
+            if name == "controls":
+                continue
+            assert own[name].kind == parameter.kind, name
+            assert parameter.default in (own[name].default, parameter.empty), name
 
 
 def test_the_program_and_the_module_are_the_same():

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import audio_features as af
 from gesturekit.errors import ModelError
+from gesturekit.motion.motion import Motion
 
 log = logging.getLogger(__name__)
 
@@ -24,6 +27,9 @@ _PRIOR_SECONDS = 1.0
 Normalisation = Literal["clip", "corpus", "none"]
 """Speech at one level and features centred clip by clip; features at zero mean and unit variance
 over all training frames (Alexanderson et al. 2023, A.1); or level and features as they are."""
+
+Speech = str | Path | af.Wave | ArrayLike
+"""A sound file, a `Wave`, or samples as `Wave.from_array` takes them."""
 
 Heard = tuple[np.ndarray, np.ndarray]
 """What `extract` gives: features (T, S), not normalised, and where speech is active (T,)."""
@@ -157,6 +163,37 @@ def extract(
     activity = wave.active(hop=_ACTIVITY_HOP)
     nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)
     return values, activity[np.minimum(nearest, len(activity) - 1)]
+
+
+def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af.Wave | None:
+    """The speech that a model is given, an array of samples as a `Wave`; files are not read.
+
+    Args:
+        speech: None for none.
+        sample_rate: Hz, of an array alone.
+
+    Raises:
+        ModelError: a rate beside what has one of its own.
+        AudioError: an array without rate, or one that is no sound.
+    """
+    if speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave)):
+        return af.Wave.from_array(speech, sample_rate, "speech")
+    if sample_rate is not None:
+        reason = "no speech is given" if speech is None else "a file or a Wave has its own rate"
+        raise ModelError(f"sample_rate={sample_rate!r} goes with an array of samples: {reason}")
+    return speech
+
+
+def at_rate(motion: Motion, fps: float, wave: af.Wave | None, seconds: float | None) -> Motion:
+    """Resample what was generated for a sound, for so many seconds, or for neither.
+
+    It gets as many frames as the sound, the seconds or the motion last at this rate, rounded.
+    """
+    if fps == motion.fps:
+        return motion
+    if seconds is not None:
+        return motion.resample(fps, max(1, int(np.floor(seconds * fps + 0.5))))
+    return motion.resample(fps, None if wave is None else max(1, wave.n_frames(fps)))
 
 
 def hear(

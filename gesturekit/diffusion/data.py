@@ -55,6 +55,7 @@ class TrainingData:
         standardiser: of motion vectors.
         speakers: a reference skeleton for each named speaker.
         sources: the recordings with speech, or all for a model without speech input.
+        recorded_fps: the commonest frame rate of the recordings; None where older runs lack it.
     """
 
     recordings: tuple[Recording, ...]
@@ -64,6 +65,7 @@ class TrainingData:
     standardiser: Standardiser
     speakers: dict[str, Skeleton]
     sources: tuple[Source, ...] = ()
+    recorded_fps: float | None = None
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
         """A motion from (T, X) values in their own units and the (T, C) it was told."""
@@ -101,6 +103,7 @@ class TrainingData:
             "is_paired": [recording.is_paired for recording in self.recordings],
             "seconds": list(self.seconds),
             "sources": to_values(self.sources),
+            "recorded_fps": self.recorded_fps,
             "conditions": self.conditions.to_values(),
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
@@ -142,6 +145,7 @@ class TrainingData:
                 standardiser=Standardiser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
                 sources=from_values(about.get("sources", ())),
+                recorded_fps=about.get("recorded_fps"),
             )
 
         return load_data(folder, assemble)

@@ -31,6 +31,7 @@ from gesturekit.training.features import listen
 from gesturekit.training.recordings import (
     item_styles,
     load_motions,
+    recorded_rate,
     speaker_skeletons,
     training_items,
 )
@@ -140,6 +141,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
         standardiser=standardiser,
         speakers=speakers,
         sources=sources,
+        recorded_fps=recorded_rate(recorded),
     )
 
 

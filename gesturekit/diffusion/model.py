@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import audio_features as af
+from gesturekit.corpus.speech import Speech, as_speech, at_rate
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.guidance import bounded
@@ -25,14 +25,20 @@ from gesturekit.diffusion.start import CHANGE, Start
 from gesturekit.diffusion.windows import LONGEST, windowed
 from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.delta_representation import DeltaRepresentation
-from gesturekit.motion.motion import Motion
+from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.device import prepare_device
-from gesturekit.training.model_folder import ModelParts, load_model, model_readme, save_model
+from gesturekit.training.model_folder import (
+    ModelParts,
+    load_model,
+    model_readme,
+    rates,
+    save_model,
+)
 from gesturekit.training.seeds import generator
 
 _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
@@ -42,7 +48,7 @@ class DiffusionModel:
     """Motion by denoising diffusion: for speech or music, a style, a path, events, or nothing.
 
     Args:
-        fps: frames per second of the motion.
+        fps: frames per second at which the network works.
         representation: the rig and its modelled joints.
         conditions: what the model can be told.
         standardiser: of motion vectors.
@@ -54,6 +60,7 @@ class DiffusionModel:
             is told. Guidance leads away from that.
         window: frames of the longest motion that is made as a whole.
         smooth: seconds, of `smooth_motion` on what is generated; None for none.
+        recorded_fps: the recordings' rate, which generated motion gets; None for `fps`.
     """
 
     kind = "diffusion"
@@ -72,6 +79,7 @@ class DiffusionModel:
         droppable: Collection[str] = (),
         window: int = LONGEST,
         smooth: float | None = None,
+        recorded_fps: float | None = None,
     ) -> None:
         self.fps = fps
         self.representation = representation
@@ -85,6 +93,7 @@ class DiffusionModel:
         self.droppable = tuple(droppable)
         self.window = window
         self.smooth = smooth
+        self.recorded_fps = fps if recorded_fps is None else recorded_fps
 
     @property
     def skeleton(self) -> Skeleton:
@@ -98,7 +107,8 @@ class DiffusionModel:
 
     def generate(
         self,
-        speech: str | Path | af.Wave | None = None,
+        speech: Speech | None = None,
+        sample_rate: int | None = None,
         *,
         style: str | None = None,
         path: str | Path | RootPath | Motion | None = None,
@@ -117,12 +127,15 @@ class DiffusionModel:
         solver: Solver | None = None,
         steps: int | None = None,
         batch: int = 1,
+        fps: float | None = None,
     ) -> Motion | list[Motion]:
         """Motion, as long as the speech, the path or `seconds`; frame k is at k / fps.
 
         Args:
-            speech: an audio file or a `Wave`, speech or music, for a model that hears. Without it,
-                such a model moves to silence for `seconds`.
+            speech: an audio file, a `Wave`, or an array of samples (see `Wave.from_array`), speech
+                or music, for a model that hears. Without it, such a model moves to silence for
+                `seconds`.
+            sample_rate: Hz, of an array.
             style: one of `styles`, weights of several, or either over time; see `style_weights`.
                 Styles are mixed as products of experts: each is predicted by itself. None draws
                 one for each sample.
@@ -154,12 +167,16 @@ class DiffusionModel:
             steps: how many denoising steps; None for all that the model was trained with.
             batch: how many samples to make at once. More are faster on a GPU. Motions then differ
                 in their last digits from those that are made one by one.
+            fps: frames per second of the motion, made at the model's own rate and resampled; None
+                takes the recordings' rate.
 
         Raises:
             ModelError: a control, style, event or speaker this model does not have, experts that
                 do not go together, or no length.
-            AudioError, FormatError: a file cannot be read.
+            AudioError, FormatError: a file cannot be read, or an array is no sound.
         """
+        speech = as_speech(speech, sample_rate)
+        rate = self.recorded_fps if fps is None else checked_fps(fps)
         if speaker is not None and speaker not in self.speakers:
             known = ", ".join(sorted(self.speakers)) or "its corpus named none"
             raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
@@ -193,7 +210,9 @@ class DiffusionModel:
         def finished(motion: Motion) -> Motion:
             if seconds_smoothed := self.smooth if smooth is None else smooth:
                 motion = smooth_motion(motion, seconds_smoothed)
-            return lock_feet(motion, keep_path=request.path is not None) if foot_lock else motion
+            if foot_lock:
+                motion = lock_feet(motion, keep_path=request.path is not None)
+            return at_rate(motion, rate, request.wave, seconds)
 
         motions: list[Motion] = []
         # One at a time unless asked otherwise: in a batch, sums are made in another order, and a
@@ -246,6 +265,7 @@ class DiffusionModel:
         config = {
             "kind": self.kind,
             "fps": self.fps,
+            "recorded_fps": self.recorded_fps,
             "joints": list(self.representation.joints),
             **self.conditions.to_values(),
             "droppable": list(self.droppable),
@@ -270,7 +290,7 @@ class DiffusionModel:
         rows = {
             "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks{layers}, "
             f"{self.noise_config.steps} steps",
-            "Motion": f"{self.fps:g} fps, {len(self.representation.joints)} of "
+            "Motion": f"{rates(self.fps, self.recorded_fps)}, {len(self.representation.joints)} of "
             f"{self.skeleton.n_joints} joints modelled",
         }
         call = []
@@ -333,7 +353,7 @@ class DiffusionModel:
     ) -> DiffusionModel:
         config, rig, tensors = parts.config, parts.rig, parts.tensors
         where = str(parts.folder / "config.yaml")
-        fps = float(config["fps"])
+        fps, recorded_fps = float(config["fps"]), config.get("recorded_fps")
         skeleton = Skeleton.from_json(rig["skeleton"])
         representation = DeltaRepresentation.from_json(skeleton, rig["motion"])
         conditions = Conditions.from_values(config, tensors, fps, weights, device)
@@ -361,6 +381,7 @@ class DiffusionModel:
             droppable=tuple(map(str, config["droppable"])),
             window=int(config["window"]),
             smooth=None if config.get("smooth") is None else float(config["smooth"]),
+            recorded_fps=None if recorded_fps is None else checked_fps(recorded_fps),
         )
 
 

@@ -329,6 +329,7 @@ class _Trainer:
             speakers=self.data.speakers,
             droppable=[name for name, share in droppable.items() if share],
             smooth=self.config.smooth,
+            recorded_fps=self.data.recorded_fps,
         )
 
     def _finish(self) -> None:

@@ -14,6 +14,7 @@ from gesturekit.errors import ConfigError, GestureKitError, ModelError
 from gesturekit.inspection.sheet import Sheet, size
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
+from gesturekit.training.model_folder import rates
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
@@ -42,6 +43,7 @@ def inspect_model(folder: Path) -> Sheet:
         skeleton = Skeleton.from_json(rig["skeleton"])
         shapes = _tensors(folder / "model.safetensors")
         fps, joints, features = float(config["fps"]), list(config["joints"]), config["features"]
+        recorded_fps = float(config.get("recorded_fps") or fps)
     except FileNotFoundError as error:
         # safetensors does not say which file it missed.
         missing = Path(error.filename or "model.safetensors").name
@@ -60,6 +62,7 @@ def inspect_model(folder: Path) -> Sheet:
         "format": config.get("format"),
         "model_kind": config.get("kind"),
         "fps": fps,
+        "recorded_fps": recorded_fps,
         "joints": joints,
         "skeleton": list(skeleton.names),
         "features": features,
@@ -85,7 +88,8 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
         (
             "moves",
             f"{len(facts['joints'])} of {counted(skeleton.n_joints, 'joint')} at "
-            f"{facts['fps']:.6g} fps" + (f"; not {listed(still, 4)}" if still else ""),
+            + rates(facts["fps"], facts["recorded_fps"])
+            + (f"; not {listed(still, 4)}" if still else ""),
         ),
         ("hears", _hears(facts["features"].get("spec"))),
         ("network", _settings(facts["network"])),

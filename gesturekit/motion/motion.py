@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -249,20 +250,22 @@ class Motion:
             options: those of the reader.
 
         Raises:
-            FormatError: the file is missing, of another kind, or broken.
+            FormatError: the file is missing, of another kind, or broken, or an option that its
+                format does not have.
             MotionError: a height that cannot be.
         """
         _refuse_special(Path(path))
-        motion = _dispatch(_READERS, path, "read")(path, **options)
+        motion = _dispatch(_READERS, path, "read", options)(path, **options)
         return motion if height is None else motion.with_height(height)
 
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
         """Write a .bvh, .npz, .obj, .html or .png file; `options` are those of the writer.
 
         Raises:
-            FormatError: no such format, or one that cannot hold this motion.
+            FormatError: no such format, one that cannot hold this motion, or an option that it
+                does not have.
         """
-        _dispatch(_WRITERS, path, "write")(self, path, **options)
+        _dispatch(_WRITERS, path, "write", options)(self, path, **options)
 
 
 def _refuse_special(path: Path) -> None:
@@ -288,15 +291,37 @@ def checked_fps(fps: float) -> float:
     return float(fps)
 
 
-def _dispatch(table: Mapping[str, tuple[str, str]], path: str | os.PathLike[str], verb: str) -> Any:
+def _dispatch(
+    table: Mapping[str, tuple[str, str]],
+    path: str | os.PathLike[str],
+    verb: str,
+    options: Iterable[str],
+) -> Callable[..., Any]:
+    """The reader or writer of a file, which has these options."""
     suffix = "a folder" if Path(path).is_dir() else Path(path).suffix.lower()
     if suffix not in table:
         raise FormatError(
             f"{path}: cannot {verb} motion as {suffix or 'a file without suffix'}; "
             f"expected {', '.join(table)}"
         )
-    module, function = table[suffix]
-    return getattr(import_module(module), function)
+
+    def function(suffix: str) -> Callable[..., Any]:
+        module, name = table[suffix]
+        return getattr(import_module(module), name)
+
+    def known(suffix: str) -> list[str]:
+        parameters = signature(function(suffix)).parameters.values()
+        return [each.name for each in parameters if each.default is not each.empty]
+
+    for option in options:
+        if option not in (own := known(suffix)):
+            others = ", ".join(other for other in table if option in known(other))
+            raise FormatError(
+                f"{path}: {suffix} has no option {option!r} to {verb} it with, "
+                f"{f'only {others}' if others else 'nor has any other format'}; "
+                f"{suffix} has {', '.join(own) or 'no options'}"
+            )
+    return function(suffix)
 
 
 def _places(values: np.ndarray, n_frames: int, what: str) -> np.ndarray:

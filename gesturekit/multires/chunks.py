@@ -3,6 +3,10 @@
 A level's frame depends on the frames around it and on nothing else: what lies further away than
 the convolutions reach may as well be missing. So each level is made a piece at a time, each with
 that many more frames at both sides (its halo), which are thrown away. A short motion is one piece.
+
+Motions of up to `SHORT` frames are made by torch alone, which needs tens of milliseconds, longer
+ones by compiled kernels, which are three times as fast and take seconds to compile where numba's
+cache is empty. Nothing but the number of frames decides: the same request gives the same bytes.
 """
 
 from __future__ import annotations
@@ -20,6 +24,8 @@ from gesturekit.multires.skeleton_conv import threads_for
 
 CHUNK = 2048
 """Frames of a level made at a time: 16 of halo are little beside it, and they need some 50 MB."""
+SHORT = 1024
+"""Frames of the finest level asked for, margins included, up to which nothing is compiled."""
 
 Condition = Callable[[int, int, int], Tensor]
 """condition(level, start, stop): (B, S, stop - start) what these frames of a level are told."""
@@ -59,6 +65,7 @@ def sample(
             len(noises[0]), network.levels[0].layers[0].shape[1], lengths[0]
         )
     levels = network.levels[first : first + len(lengths)]
+    compiled = max(lengths, default=0) > SHORT
     with threads_for(network.levels[0].layers[0], coarser):
         for i, (level, noise, n_frames) in enumerate(
             zip(levels, noises, lengths, strict=True), first
@@ -70,7 +77,7 @@ def sample(
                 up = resample_part(coarser, n_frames, begin, end)
                 shaken = up.new_zeros(len(up), 1, 1) if noise is None else noise[..., begin:end]
                 told = None if condition is None else condition(i, begin, end)
-                piece = level(up, shaken, told)
+                piece = level(up, shaken, told, compiled)
                 made[..., start:stop] = piece[..., start - begin : stop - begin]
             coarser = made if hold is None else hold(i, made)
     return coarser

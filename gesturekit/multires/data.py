@@ -36,6 +36,7 @@ from gesturekit.training.features import (
 from gesturekit.training.recordings import (
     item_styles,
     load_motions,
+    recorded_rate,
     speaker_skeletons,
     training_items,
 )
@@ -175,6 +176,7 @@ class TrainingData:
         speakers: a reference skeleton for each named speaker.
         window: frames of a training window; None takes whole sequences.
         sources: the recordings that `paired` was read from.
+        recorded_fps: the commonest frame rate of the recordings; None where older runs lack it.
     """
 
     paired: tuple[PairedSequence, ...]
@@ -188,6 +190,7 @@ class TrainingData:
     speakers: dict[str, Skeleton]
     unpaired_is_paired: bool
     sources: tuple[Source, ...] = ()
+    recorded_fps: float | None = None
 
     def save(self, folder: Path) -> None:
         """Write all of it into a folder, for a run that is resumed."""
@@ -210,6 +213,7 @@ class TrainingData:
             "style_of": [sequence.style for sequence in self.paired],
             "sources": to_values(self.sources),
             "window": self.window,
+            "recorded_fps": self.recorded_fps,
             "skeleton": self.representation.skeleton.to_json(),
             "motion": self.representation.to_json(),
             "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
@@ -254,6 +258,7 @@ class TrainingData:
                 speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
                 unpaired_is_paired=config.features is not None and not unpaired,
                 sources=from_values(about.get("sources", ())),
+                recorded_fps=about.get("recorded_fps"),
             )
 
         return load_data(folder, assemble)
@@ -387,6 +392,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         speakers=speaker_skeletons(items, motions),
         unpaired_is_paired=hears and not unpaired,
         sources=sources,
+        recorded_fps=recorded_rate(motions),
     )
 
 

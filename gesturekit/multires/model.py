@@ -10,9 +10,9 @@ from typing import Any, Literal
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.corpus.speech import SpeechConditioner, hear
+from gesturekit.corpus.speech import Speech, SpeechConditioner, as_speech, at_rate, hear
 from gesturekit.errors import ModelError
-from gesturekit.motion.motion import Motion
+from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
@@ -26,14 +26,14 @@ from gesturekit.multires.pyramid import Pyramid
 from gesturekit.multires.request import Request
 from gesturekit.multires.styles import level_track
 from gesturekit.training.device import prepare_device
-from gesturekit.training.model_folder import load_model, model_readme, save_model
+from gesturekit.training.model_folder import load_model, model_readme, rates, save_model
 
 
 class MultiresModel:
     """Motion by a pyramid of small generators: for speech, for a style, for both or for nothing.
 
     Args:
-        fps: frames per second of the motion.
+        fps: frames per second at which the pyramid works.
         representation: the rig and its modelled joints.
         conditioner: turns waves into the features the model hears; None for one that does not.
         styles: names of the styles it knows; empty for one that was told none.
@@ -49,6 +49,7 @@ class MultiresModel:
         speakers: a reference skeleton for each speaker that the corpus named.
         fastest: m/s over the ground in the fastest second of the training; None if unknown.
         smooth: seconds, of `smooth_motion` on what is generated; None for none.
+        recorded_fps: the recordings' rate, which generated motion gets; None for `fps`.
     """
 
     kind = "multires"
@@ -72,6 +73,7 @@ class MultiresModel:
         speakers: Mapping[str, Skeleton],
         fastest: float | None = None,
         smooth: float | None = None,
+        recorded_fps: float | None = None,
     ) -> None:
         self.fps = fps
         self.representation = representation
@@ -89,6 +91,7 @@ class MultiresModel:
         self.speakers = dict(speakers)
         self.fastest = fastest
         self.smooth = smooth
+        self.recorded_fps = fps if recorded_fps is None else recorded_fps
 
     @property
     def skeleton(self) -> Skeleton:
@@ -97,7 +100,8 @@ class MultiresModel:
 
     def generate(
         self,
-        speech: str | Path | af.Wave | None = None,
+        speech: Speech | None = None,
+        sample_rate: int | None = None,
         *,
         style: str | None = None,
         path: str | Path | RootPath | Motion | None = None,
@@ -115,12 +119,14 @@ class MultiresModel:
         keep: Mapping[float, str | Path | Motion] | None = None,
         foot_lock: bool = True,
         smooth: float | None = None,
+        fps: float | None = None,
     ) -> Motion | list[Motion]:
         """Motion, as long as the speech or `seconds`; frame k is at k / fps.
 
         Args:
-            speech: an audio file or a `Wave`, for a model that hears. Without it, such a model
-                moves idly for `seconds`.
+            speech: an audio file, a `Wave`, or an array of samples (see `Wave.from_array`), for a
+                model that hears. Without it, such a model moves idly for `seconds`.
+            sample_rate: Hz, of an array.
             seconds: length without speech, s.
             samples: how many different motions to make; more than one gives a list.
             seed: the same seed, speech and sample number give the same motion.
@@ -153,16 +159,23 @@ class MultiresModel:
             smooth: seconds; movements of the upper body that are shorter are smoothed away, but for
                 its beats, see `gesturekit.postprocess.smooth_motion`. None takes what the model was
                 trained to be given (its `smooth`), 0 smooths nothing.
+            fps: frames per second of the motion, made at the model's own rate and resampled; None
+                takes the recordings' rate, and the model's own with `keyframes`. Not for `levels`.
 
         Raises:
             ModelError: a control, style or speaker this model does not have, or neither speech
                 nor seconds.
-            AudioError, FormatError: a file cannot be read.
+            AudioError, FormatError: a file cannot be read, or an array is no sound.
             MotionError: a `smooth` below 0.
         """
+        own = self.recorded_fps if keyframes is None else self.fps
+        rate = own if fps is None else checked_fps(fps)
+        coarse = levels not in (None, self.network_config.levels)
+        if coarse and fps is not None:
+            raise ModelError(f"fps={fps:g}: with levels={levels} a motion has that level's rate")
         request = Request.of(
             self,
-            speech=speech,
+            speech=as_speech(speech, sample_rate),
             seconds=seconds,
             samples=samples,
             seed=seed,
@@ -180,14 +193,19 @@ class MultiresModel:
             unknown={"events": events, "guidance": guidance},
         )
         motions = Generation(self, request).motions()
+        if not coarse:
+            motions = [at_rate(motion, rate, request.wave, seconds) for motion in motions]
         return motions[0] if samples == 1 else motions
 
-    def reconstruct(self, name: str, speech: str | Path | af.Wave | None = None) -> Motion:
-        """A training sequence, from the noise that stands for it; it faces +Z on the whole.
+    def reconstruct(
+        self, name: str, speech: Speech | None = None, sample_rate: int | None = None
+    ) -> Motion:
+        """A training sequence at the model's own rate, from its noise; it faces +Z on the whole.
 
         Args:
             name: one of `sequences`.
-            speech: its sound, for a model that hears.
+            speech: its sound, for a model that hears; as in `generate`.
+            sample_rate: Hz, of an array.
 
         Raises:
             ModelError: an unknown sequence, or a model that hears and is given nothing.
@@ -199,7 +217,8 @@ class MultiresModel:
         if self.conditioner is not None and speech is None:
             raise ModelError(f"sequence {name!r}: the model hears; give the sequence's speech")
         seconds = sequence.frames / self.fps if speech is None else None
-        features = hear(self.conditioner, speech, seconds, self.fps)[: sequence.frames]
+        features = hear(self.conditioner, as_speech(speech, sample_rate), seconds, self.fps)
+        features = features[: sequence.frames]
         lengths = af.level_lengths(sequence.frames, self.network_config.levels)
         if len(features) < sequence.frames:
             raise ModelError(
@@ -221,7 +240,7 @@ class MultiresModel:
     def _readme(self, notes: Mapping[str, str]) -> str:
         rows = {
             "Kind": f"multires, {self.network_config.levels} levels",
-            "Motion": f"{self.fps:g} fps, {len(self.representation.joints)} of "
+            "Motion": f"{rates(self.fps, self.recorded_fps)}, {len(self.representation.joints)} of "
             f"{self.skeleton.n_joints} joints modelled",
         }
         call = "seconds=10"

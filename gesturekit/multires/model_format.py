@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
+from gesturekit.motion.motion import checked_fps
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
@@ -40,6 +41,7 @@ def model_parts(
     config = {
         "kind": model.kind,
         "fps": model.fps,
+        "recorded_fps": model.recorded_fps,
         "joints": list(model.representation.joints),
         "features": None
         if model.conditioner is None
@@ -97,6 +99,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         for name, about in config.get("sequences", {}).items()
     }
     fastest, smooth = config.get("fastest"), config.get("smooth")
+    recorded_fps = config.get("recorded_fps")
     return {
         "fps": fps,
         "representation": representation,
@@ -116,4 +119,5 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         "speakers": {name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
         "fastest": None if fastest is None else float(fastest),
         "smooth": None if smooth is None else float(smooth),
+        "recorded_fps": None if recorded_fps is None else checked_fps(recorded_fps),
     }

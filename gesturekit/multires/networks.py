@@ -81,7 +81,9 @@ class LevelGenerator(nn.Module):
             Film(config.embedding, np.repeat(blocks, size)) for size in modulated
         )
 
-    def forward(self, up: Tensor, noise: Tensor, condition: Tensor | None) -> Tensor:
+    def forward(
+        self, up: Tensor, noise: Tensor, condition: Tensor | None, compiled: bool = True
+    ) -> Tensor:
         """One level of motion.
 
         Args:
@@ -89,6 +91,7 @@ class LevelGenerator(nn.Module):
             noise: (B, 1, T), shared by all channels.
             condition: (B, S, T) speech features and style of this level; None leaves out the
                 modulation.
+            compiled: see `chained`.
 
         Returns:
             (B, D, T).
@@ -102,7 +105,7 @@ class LevelGenerator(nn.Module):
         modulated = 0 if y is None else len(self.films)
         if modulated <= 1:
             x = self.films[0](x, y) if modulated else x
-            return chained(self.layers, x, SLOPE) + up
+            return chained(self.layers, x, SLOPE, compiled=compiled) + up
         for i, layer in enumerate(self.layers):
             if i:
                 x = F.leaky_relu(x, SLOPE)
@@ -110,7 +113,7 @@ class LevelGenerator(nn.Module):
                 # After the convolution and before its rectifier would do as well; here the
                 # modulated signal is what the next convolution reads.
                 x = self.films[i](x, y)
-            x = layer(x)
+            x = layer(x, compiled)
         return x + up
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,7 @@ class Request:
     Attributes:
         samples: how many.
         seed: where chance comes from, with the number of a motion.
+        wave: the speech, or None.
         features: (T + 2 margin, S) what the model hears; S is 0 for one that does not.
         margin: frames made before a motion and after it, and cut off.
         lengths: frames of each level, margins included.
@@ -49,6 +51,7 @@ class Request:
 
     samples: int
     seed: int
+    wave: af.Wave | None
     features: np.ndarray
     margin: int
     lengths: list[int]
@@ -114,6 +117,8 @@ class Request:
         if is_led:
             start = start if keyframes is None else fitted(None)
             seconds = _own_seconds(model.fps, start, kept, way)
+        if model.conditioner is not None and not isinstance(speech, (af.Wave, NoneType)):
+            speech = af.Wave.load(speech)
         features = hear(model.conditioner, speech, seconds, model.fps)
         n_frames = len(features)
         if keyframes is not None and not is_led:
@@ -125,6 +130,7 @@ class Request:
         return cls(
             samples=samples,
             seed=seed,
+            wave=speech,
             # Mirrored, the speech goes on as it is at its ends: talking or silent.
             features=np.pad(features, ((margin, margin), (0, 0)), mode="reflect"),
             margin=margin,

@@ -95,9 +95,9 @@ class SkeletonConv1d(nn.Module):
         """The same as `forward`, by one dense convolution."""
         return F.conv1d(reflect(x, self.padding), self.dense_weight(), self.bias)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """(B, channels in, T) to (B, channels out, T)."""
-        return chained([self], x)
+    def forward(self, x: Tensor, compiled: bool = True) -> Tensor:
+        """(B, channels in, T) to (B, channels out, T); `compiled` as in `chained`."""
+        return chained([self], x, compiled=compiled)
 
     def is_live(self, x: Tensor) -> bool:
         """Whether a signal (..., T) is filtered by live weights alone."""
@@ -130,7 +130,11 @@ def threads_for(layer: SkeletonConv1d, like: Tensor) -> AbstractContextManager[N
 
 
 def chained(
-    layers: Sequence[SkeletonConv1d], x: Tensor, slope: float = 1.0, last_slope: float = 1.0
+    layers: Sequence[SkeletonConv1d],
+    x: Tensor,
+    slope: float = 1.0,
+    last_slope: float = 1.0,
+    compiled: bool = True,
 ) -> Tensor:
     """Layers one after the other, with leaky rectifiers between them.
 
@@ -139,12 +143,14 @@ def chained(
         x: (B, channels in, T).
         slope: of the rectifiers below zero.
         last_slope: of the one behind the last layer; 1 for none.
+        compiled: filter live weights by compiled kernels where they can; False takes dense
+            convolutions, which need no compiling and differ in the last bits.
 
     Returns:
         (B, channels out, T).
     """
     slopes = (*(slope for _ in layers[1:]), last_slope)
-    if all(layer.is_live(x) for layer in layers):
+    if compiled and all(layer.is_live(x) for layer in layers):
         weights = (part for layer in layers for part in (layer.weight, layer.bias))
         return _LiveFilters.apply(x, layers, slopes, *weights)
     return _dense(layers, slopes, x)

@@ -334,4 +334,5 @@ class Trainer:
                 for sequence in self.data.paired
             ),
             smooth=self.config.smooth,
+            recorded_fps=self.data.recorded_fps,
         )

@@ -1,7 +1,8 @@
 """Motion as the papers' evaluations ask for it: sampled from a model into a folder.
 
-`gesturekit.evaluation` never sees a model; it measures such folders. Clips are named after their
-recordings, so that they are found again: `STEM_s1` ..., `STEM_w000_s1` ... for windows.
+`gesturekit.evaluation` never sees a model; it measures such folders. Motion stays at the model's
+own frame rate. Clips are named after their recordings, so that they are found again: `STEM_s1` ...,
+`STEM_w000_s1` ... for windows.
 """
 
 from __future__ import annotations
@@ -117,5 +118,5 @@ def _samples(
         path = out / f"{stem}_s{number + 1}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
         if not (skip and path.exists()):
-            model.generate(**asked, seed=seed + number).save(path)
+            model.generate(**asked, seed=seed + number, fps=model.fps).save(path)
         yield path

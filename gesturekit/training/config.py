@@ -13,7 +13,7 @@ import difflib
 import re
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -61,18 +61,25 @@ def read_chain(path: str | Path) -> dict[str, Any]:
     return _with_parents(Path(path), None)
 
 
-def load_config(path: str | Path, schema: type[Schema], overrides: Sequence[str] = ()) -> Schema:
+def load_config(
+    path: str | Path,
+    schema: type[Schema],
+    overrides: Sequence[str] = (),
+    settings: Mapping[str, Any] | None = None,
+) -> Schema:
     """Read a configuration file, its parents, and command-line overrides into `schema`.
 
     Args:
         path: YAML file; its `base:` names a parent, relative to itself.
         schema: the dataclass that holds names, types and defaults.
         overrides: `key.subkey=value` strings; values are read as YAML.
+        settings: the same as Python values, by (dotted) name; they go before `overrides`.
 
     Raises:
         ConfigError: unknown key, wrong type, a chain of parents that does not end.
     """
     merged = _with_parents(Path(path), schema)
+    changes: list[tuple[str, Any]] = []
     for override in overrides:
         key, separator, text = override.partition("=")
         if not separator or not key:
@@ -82,6 +89,8 @@ def load_config(path: str | Path, schema: type[Schema], overrides: Sequence[str]
         except (yaml.YAMLError, ValueError, RecursionError) as error:
             reason = " ".join(str(error).split())
             raise ConfigError(f"{override!r}: the value is not valid YAML ({reason})") from None
+        changes.append((key, value))
+    for key, value in [*changes, *(settings or {}).items()]:
         for part in reversed(key.split(".")):
             value = {part: value}
         resolved = _resolve_paths(value, schema, Path.cwd())
@@ -120,7 +129,7 @@ def _resolve_paths(values: Any, schema: Any, folder: Path) -> Any:
     resolved = {}
     for key, value in values.items():
         options = _options(hints.get(key, Any))
-        if Path in options and isinstance(value, str):
+        if Path in options and isinstance(value, (str, Path)):
             value = str((folder / Path(value).expanduser()).resolve())
         for option in options:
             value = _resolve_paths(value, option, folder)

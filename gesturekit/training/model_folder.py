@@ -126,6 +126,11 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
     return model
 
 
+def rates(fps: float, recorded_fps: float) -> str:
+    """The rate of a model's motion, in words."""
+    return f"{fps:g} fps" + ("" if recorded_fps == fps else f", resampled to {recorded_fps:g} fps")
+
+
 def model_readme(rows: Mapping[str, str], call: str) -> str:
     """The text of a model's README.md.
 

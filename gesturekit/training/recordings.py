@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -60,7 +61,7 @@ def item_styles(items: Sequence[Item], corpus: Path) -> tuple[tuple[str, ...], l
 def load_motions(
     items: Sequence[Item], corpus: Path, fps: float | None, parts: Mapping[str, str]
 ) -> list[Motion]:
-    """The motion of each item at `fps`, all of one rig.
+    """The motion of each item at `fps`, all of one rig; `info["recorded_fps"]` is the file's rate.
 
     Args:
         items: with motion.
@@ -77,6 +78,7 @@ def load_motions(
     for item in items:
         try:
             motion = item.load_motion(parts)
+            motion.info["recorded_fps"] = motion.fps
             motions.append(motion if fps is None else motion.resample(fps))
         except MotionError as error:
             raise ConfigError(f"parts: item {item.id}: {error}") from None
@@ -89,6 +91,11 @@ def load_motions(
         except MotionError as error:
             log.warning("parts: %s", error)
     return motions
+
+
+def recorded_rate(motions: Sequence[Motion]) -> float:
+    """The commonest frame rate of what `load_motions` gave, before it was resampled."""
+    return Counter(motion.info["recorded_fps"] for motion in motions).most_common(1)[0][0]
 
 
 def speaker_skeletons(items: Sequence[Item], motions: Sequence[Motion]) -> dict[str, Skeleton]:

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         rng = np.random.default_rng([options.seed, number])
         track = play(SECONDS, tempo, number % 2 == 1, rng)
         wave = Wave(track.samples.astype(np.float32), RATE)
-        motion = model.generate(wave, steps=options.steps, seed=number)
+        motion = model.generate(wave, steps=options.steps, seed=number, fps=model.fps)
         found = beat_alignment(motion, track.beats)
         ruled = dance(track.beats, SECONDS, rng).resample(model.fps)
         own = beat_alignment(ruled, track.beats)

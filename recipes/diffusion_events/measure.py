@@ -40,7 +40,7 @@ def alone(model, clips: int = 5) -> None:
         rng = np.random.default_rng([200, number])
         events = draw_events(SECONDS, rng)
         text = ",".join(f"{event.name}@{event.time}" for event in events)
-        motion = model.generate(seconds=SECONDS, events=text, seed=number)
+        motion = model.generate(seconds=SECONDS, events=text, seed=number, fps=model.fps)
         for name in MOVES:
             moments = np.array([event.time for event in events if event.name == name])
             rows[name].append((met(motion, name, moments), met(motion, name, moments + 0.5)))
@@ -60,7 +60,9 @@ def danced(model, dance) -> None:
             wave = Wave(track.samples.astype(np.float32), RATE)
             told, others = track.beats[::BEATS_PER_BAR], track.beats[2::BEATS_PER_BAR]
             text = ",".join(f"punch@{time:.3f}" for time in told)
-            motion = dance.generate(wave, events=text, experts=[(model, weight)], seed=number)
+            motion = dance.generate(
+                wave, events=text, experts=[(model, weight)], seed=number, fps=dance.fps
+            )
             found = beat_alignment(motion, track.beats)
             rows.append((found.z, met(motion, "punch", told), met(motion, "punch", others)))
         z, on, off = np.mean(rows, axis=0)

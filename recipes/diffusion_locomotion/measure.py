@@ -68,8 +68,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for number, (name, way) in enumerate(paths().items()):
         path = way.slice(margin, way.n_frames - margin)
         ruled = walk(way, Gait()).resample(model.fps)
-        raw = model.generate(path=path, steps=options.steps, seed=number, foot_lock=False)
-        motion = model.generate(path=path, steps=options.steps, seed=number)
+        request = {"path": path, "steps": options.steps, "seed": number, "fps": model.fps}
+        raw = model.generate(**request, foot_lock=False)
+        motion = model.generate(**request)
         followed = smooth_path(path, model.fps)
         root = motion.positions()[:, model.representation.root][:, [0, 2]]
         off = np.linalg.norm(root - followed.positions, axis=-1).max()

@@ -123,8 +123,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     def make(folder: Path, **told) -> list[gk.Motion]:
         motions = model.generate(
-            seconds=asked.seconds, samples=asked.samples, batch=5, steps=asked.steps, seed=0, **told
-        )  # fmt: skip
+            seconds=asked.seconds,
+            samples=asked.samples,
+            batch=5,
+            steps=asked.steps,
+            fps=model.fps,
+            **told,
+        )
         motions = motions if isinstance(motions, list) else [motions]
         folder.mkdir(parents=True, exist_ok=True)
         for number, motion in enumerate(motions, start=1):

@@ -95,7 +95,11 @@ def main() -> None:
         shares, covered, near, jerks = [], [], [], []
         for seed in range(asked.samples):
             motion = model.generate(
-                seconds=asked.seconds, style=style, seed=seed, foot_lock=asked.foot_lock
+                seconds=asked.seconds,
+                style=style,
+                seed=seed,
+                foot_lock=asked.foot_lock,
+                fps=model.fps,
             )
             heard = classifier(windows(motion))
             shares.append((float((heard == number).mean()), np.bincount(heard).argmax() == number))
@@ -134,7 +138,11 @@ def main() -> None:
             told = f"1-{split}={model.styles[coarse]},{split + 1}-{last}={model.styles[fine]}"
             motions = [
                 model.generate(
-                    seconds=asked.seconds, level_style=told, seed=seed, foot_lock=asked.foot_lock
+                    seconds=asked.seconds,
+                    level_style=told,
+                    seed=seed,
+                    foot_lock=asked.foot_lock,
+                    fps=model.fps,
                 )
                 for seed in range(3)
             ]

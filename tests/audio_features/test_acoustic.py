@@ -6,6 +6,7 @@ import soundfile
 
 from audio_features import MFCC, FeatureError, Liveliness, LogMel, Onset, Prosody, Stack, Wave
 from audio_features import spectrum as spectrum_module
+from audio_features.pitch import track_pitch
 from audio_features.spectrum import FLOOR_DB
 
 EVERYTHING = Stack([LogMel(), MFCC(), Prosody()])
@@ -196,3 +197,30 @@ def test_onsets_are_where_syllables_begin(speech):
     assert 8 <= len(rise) <= 16 and np.mean(np.minimum(rise, 0.4 - rise) < 0.08) > 0.7
     prosody = Prosody().extract(speech)
     np.testing.assert_array_equal(columns(track, "onset_strength"), columns(prosody, "onset"))
+
+
+def test_values_are_those_of_librosa_which_is_not_imported(speech):
+    import librosa
+
+    for n_mels in (1, 24, 80):
+        theirs = librosa.filters.mel(sr=16_000, n_fft=512, n_mels=n_mels, fmin=50.0, norm=None)
+        np.testing.assert_array_equal(spectrum_module.mel_filters(n_mels), theirs)
+    noise = 0.1 * np.random.default_rng(0).standard_normal(16_000).astype(np.float32)
+    for wave in (speech, Wave(noise, 16_000)):
+        prepared = spectrum_module.ShortTimeSpectrum(wave)
+        f0, _ = track_pitch(prepared.wave.samples, prepared.n_frames)
+        theirs = librosa.yin(
+            np.pad(prepared.wave.samples, (512, 1024)),
+            fmin=60.0,
+            fmax=500.0,
+            sr=16_000,
+            frame_length=1024,
+            hop_length=160,
+            center=False,
+        )
+        np.testing.assert_allclose(f0, theirs[: len(f0)], rtol=1e-6)
+        picked = librosa.util.peak_pick(
+            prepared.onset, pre_max=3, post_max=1, pre_avg=10, post_avg=11, delta=1.0, wait=3
+        )
+        assert len(picked) > 3
+        np.testing.assert_array_equal(np.flatnonzero(Onset().extract(wave).values[:, 1]), picked)

@@ -6,6 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import soundfile
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -183,6 +184,54 @@ def test_arrays_are_checked_too():
         Wave(np.zeros(16_000, np.int16), 16_000)
     with pytest.raises(AudioError, match="inf"):
         Wave(np.full(16_000, np.inf, np.float32), 16_000)
+
+
+def test_any_usual_array_of_samples_makes_the_same_wave():
+    mono = noise(16_000).astype(np.float32)
+    theirs = [mono, mono.astype(np.float64), mono.tolist(), torch.tensor(mono, requires_grad=True)]
+    theirs += [np.stack([mono, mono]), np.stack([mono, mono], axis=1), torch.tensor(mono)[None]]
+    theirs += [mono[None], mono[:, None]]
+    for samples in theirs:
+        wave = Wave.from_array(samples, 16_000)
+        np.testing.assert_allclose(wave.samples, mono, rtol=1e-6)
+        assert wave.samples.dtype == np.float32 and wave.sample_rate == 16_000
+    halves = Wave.from_array(torch.tensor(mono).bfloat16(), np.int64(16_000))
+    np.testing.assert_allclose(halves.samples, mono, rtol=1e-2)
+    for dtype, half in (("int8", 127), ("int16", 32_767), ("int32", 2**31 - 1)):
+        whole = np.rint(mono.astype(np.float64) * half).astype(dtype)
+        close = {"rtol": 0, "atol": 1.01 / half + 1e-7}
+        np.testing.assert_allclose(Wave.from_array(whole, 16_000).samples, mono, **close)
+        np.testing.assert_allclose(
+            Wave.from_array(torch.tensor(np.stack([whole, whole])), 16_000).samples, mono, **close
+        )
+    wave = Wave.from_array(np.full(800, 255, np.uint8), 16_000)
+    assert wave.samples[0] == 127 / 128, "of 8-bit samples 128 is the middle"
+    left_and_right = Wave.from_array(np.stack([mono, -mono]), 16_000)
+    assert left_and_right.is_silent, "the mean of all channels"
+
+
+@pytest.mark.parametrize(
+    ("samples", "rate", "says"),
+    [
+        (np.ones(800), None, "give its sample_rate"),
+        (np.full(800, np.nan), 16_000, "sample 0 .* is nan"),
+        (np.zeros(0), 16_000, r"shape \(0,\)"),
+        (np.zeros((2, 0)), 16_000, r"shape \(2, 0\)"),
+        (np.zeros((1, 1, 800)), 16_000, r"shape \(1, 1, 800\)"),
+        (np.zeros(100), 16_000, "give at least 25 ms"),
+        (np.ones(800, np.int64), 16_000, "dtype int64"),
+        (np.ones(800, bool), 16_000, "dtype bool"),
+        (np.ones(800, complex), 16_000, "dtype complex128"),
+        ([[1.0], [1.0, 2.0]], 16_000, "not an array of samples"),
+        ({"array": [0.0]}, 16_000, r"shape \(\)"),
+        (np.ones(800), "fast", "sample rate fast"),
+        (np.ones(800), float("nan"), "sample rate nan"),
+        (np.ones(800), 16, "sample rate 16 Hz"),
+    ],
+)
+def test_an_array_that_is_no_sound_is_refused(samples, rate, says):
+    with pytest.raises(AudioError, match=says):
+        Wave.from_array(samples, rate)
 
 
 @given(

@@ -26,7 +26,7 @@ from gesturekit.corpus import Manifest
 from gesturekit.corpus.manifest import SPLITS
 from gesturekit.multires.model import MultiresModel
 
-FPS = 25
+FPS = 30
 
 
 def make_sound(path: Path, n_samples: int, rate: int, channels: int = 1) -> Path:
@@ -83,7 +83,7 @@ def test_every_sound_becomes_motion_of_its_own_length(gesturekit, model, tmp_pat
         "stereo.wav": (54_551, 44_100, 2),
         "telephone.wav": (9_999, 8_000, 1),
         "lossless.flac": (33_333, 48_000, 1),
-        "half_a_frame.wav": (2_400, 8_000, 1),  # 7.5 frames: rounded up
+        "half_a_frame.wav": (2_000, 8_000, 1),  # 7.5 frames: rounded up
         "odd.wav": (32_321, 16_000, 1),
         "compressed.ogg": (40_000, 32_000, 2),
         "one_frame.wav": (400, 16_000, 1),
@@ -163,7 +163,7 @@ def test_another_body(gesturekit, model, wav, gesture, tmp_path):
     made = ("render", wav, "--model", model, "--out", tmp_path / "out", "--rig")
     done = gesturekit(*made, tmp_path / "avatar.bvh", "--rig-part", "head=Head")
     assert (done.status, problems(done.err)) == (0, [])
-    assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 38
+    assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 45
     for rig, part, says in (
         ("avatar.bvh", "head=LeftHand", "'LeftHand' cannot be the head"),
         ("avatar.bvh", "nose=Head", "part 'nose=Head'; expected PART=JOINT"),
@@ -422,7 +422,7 @@ def test_ctrl_c_leaves_whole_files_only(model, wav, tmp_path):
     for path in map(out.joinpath, names(out)):
         assert re.fullmatch(r"\d{3}\.(npz|html)", path.name), "nothing temporary is left"
         if path.suffix == ".npz":
-            assert Motion.load(path).n_frames == 38
+            assert Motion.load(path).n_frames == 45
         else:
             assert path.read_text(encoding="utf-8").rstrip().endswith("</html>")
     assert not [path for path in out.iterdir() if path.name.startswith((".0", ".1", ".2"))]

@@ -49,7 +49,7 @@ def test_from_weights_to_motion(gesturekit, corpus, write_speech, write_wavlm, t
     # What counts is what the weights are, not where they lie.
     moved = weights.rename(tmp_path / "moved")
     assert gesturekit(*render, "--weights", moved).status == 0
-    assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 33
+    assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 39
 
 
 def test_training_asks_for_the_weights_before_it_listens(gesturekit, corpus, tmp_path, tiny):

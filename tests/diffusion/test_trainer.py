@@ -32,14 +32,16 @@ def logged(config):
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
-    config = make_config(eval_every=4)
+    config = make_config(eval_every=4, fps=15.0)
     folder = train(config)
     assert [line["step"] for line in logged(config)] == [2, 4, 4, 6, 6]
     assert {"arm_speed_ratio", "jerk_ratio"} <= logged(config)[-1].keys()
     assert Checkpoints(config.out / "checkpoints").steps() == [3, 6]
     for name in ("config.yaml", "command.txt", "versions.json", "events"):
         assert (config.out / name).exists(), name
-    motion = gk.load(folder).generate(seconds=2.0)
+    model = gk.load(folder)
+    assert (model.fps, model.recorded_fps) == (15.0, 30.0)
+    motion = model.generate(seconds=2.0)
     assert motion.n_frames == 60 and motion.skeleton.n_joints == 19
 
 

@@ -96,6 +96,17 @@ def test_unknown_suffix_is_refused_by_name(moving_person, tmp_path):
         Motion.load(tmp_path / "a.txt")
 
 
+def test_options_that_a_format_does_not_have_are_refused_by_name(moving_person, tmp_path):
+    with pytest.raises(FormatError, match=r"a\.bvh.*'audio'.*only \.html, \.png.*unit"):
+        moving_person.save(tmp_path / "a.bvh", audio="speech.wav")
+    with pytest.raises(FormatError, match=r"'unti'.*nor has any other format.*rig, up, fps"):
+        moving_person.save(tmp_path / "a.npz", unti="cm")
+    assert not list(tmp_path.iterdir())
+    moving_person.save(tmp_path / "a.npz", fps=15)
+    with pytest.raises(FormatError, match=r"a\.npz.*'units'.*to read"):
+        Motion.load(tmp_path / "a.npz", units="cm")
+
+
 def test_importing_motion_is_light():
     code = (
         "import sys, gesturekit.motion, gesturekit.formats, gesturekit.motion.contacts\n"

@@ -16,6 +16,7 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import arm_speed
 from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.multires import chunks
 from gesturekit.multires.bank import condition_levels
 from gesturekit.multires.chunks import LevelConditions, sample
 from gesturekit.multires.config import NetworkConfig
@@ -64,15 +65,18 @@ def draw(n_frames: int, seed: int) -> tuple[np.ndarray, list[int], list[torch.Te
     chunk=st.integers(1, 120),
     residual=st.booleans(),
     listening=st.booleans(),
+    short=st.sampled_from([0, chunks.SHORT]),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_pieces_are_the_whole(network, n_frames, chunk, residual, listening, seed):
+def test_pieces_are_the_whole(network, n_frames, chunk, residual, listening, short, seed):
     speech, lengths, noises = draw(n_frames, seed)
     conditions = condition_levels(torch.from_numpy(speech.T.copy())[None], lengths, residual)
     # With gradients the layers run as in training: one dense convolution each.
     whole = network(noises, conditions if listening else None, lengths=lengths)[-1].detach()
     condition = LevelConditions(speech, lengths, residual) if listening else None
-    pieces = sample(network, noises, lengths, condition, chunk=chunk)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chunks, "SHORT", short)  # by compiled kernels, or by torch alone
+        pieces = sample(network, noises, lengths, condition, chunk=chunk)
     assert pieces.shape == whole.shape
     torch.testing.assert_close(pieces, whole, rtol=0, atol=1e-5)
 

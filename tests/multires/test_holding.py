@@ -49,7 +49,9 @@ def swaying(motion):
 
 @pytest.fixture(scope="module")
 def model(folder):
-    return gk.load(folder)
+    model = gk.load(folder)
+    model.recorded_fps = model.fps  # what is held is looked at frame by frame
+    return model
 
 
 def circle(seconds: float, fps: float = 30.0, radius: float = 1.0, speed: float = 0.5) -> RootPath:
@@ -214,15 +216,15 @@ def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, capsys
 
     (tmp_path / "path.csv").write_text("time,x,z\n0,0,0\n2,0,0.4\n4,0.4,0.4\n")
     assert render("--path", str(tmp_path / "path.csv")) == 0
-    assert made().n_frames == 101
+    assert made().n_frames == 121
     np.testing.assert_allclose(made().positions()[-1, 0, [0, 2]], [0.4, 0.4], atol=0.1)
     for name, seed in (("a", 1), ("b@home", 2)):
         gesture(2.0, seed=seed).save(tmp_path / f"{name}.bvh")
     clips = [str(tmp_path / name) for name in ("a.bvh", "b@home.bvh")]
     assert render("--keep", clips[1], "--seconds", "3") == 0
-    assert made().n_frames == 75
+    assert made().n_frames == 90
     assert render("--keep", f"{clips[0]},{clips[1]}@3") == 0
-    assert made().n_frames == 125
+    assert made().n_frames == 150
     capsys.readouterr()
     assert render("--keep", ",".join(clips)) == 2
     assert "both begin at 0 s" in capsys.readouterr().err

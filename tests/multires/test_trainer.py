@@ -21,6 +21,7 @@ from gesturekit.multires.networks import LevelDiscriminator, LevelGenerator, Mul
 from gesturekit.multires.pair import Pair
 from gesturekit.multires.trainer import train
 from gesturekit.training.checkpoint import Checkpoints
+from gesturekit.training.config import dump_yaml, to_dict
 
 
 def logged(config) -> list[dict]:
@@ -43,8 +44,21 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config):
     for name in ("config.yaml", "command.txt", "versions.json", "checkpoints", "events"):
         assert (config.out / name).exists(), name
     model = gk.load(folder)
-    motion = model.generate(seconds=2.0)
+    motion = model.generate(seconds=2.0, fps=25)
     assert motion.n_frames == 50 and motion.skeleton.n_joints == 19
+
+
+def test_a_model_keeps_the_rate_of_its_recordings(make_config, corpus, tmp_path):
+    config = make_config(fps=20.0)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(dump_yaml(to_dict(config) | {"corpus": "elsewhere", "fps": 10.0}))
+    folder = gk.train(recipe, {"fps": 20.0}, corpus=corpus, schedule={"further_pairs": 2})
+    model = gk.load(folder)
+    assert (model.fps, model.recorded_fps) == (20.0, 30.0)
+    motion = model.generate(seconds=2.0)
+    assert (motion.fps, motion.n_frames) == (30.0, 60)
+    speech = corpus.parent / "paired" / "b.wav"
+    assert model.reconstruct("b", speech).fps == 20.0
 
 
 def test_training_moves_towards_the_recording(make_config):

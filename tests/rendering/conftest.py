@@ -15,7 +15,7 @@ from gesturekit.training.config import build
 def model(tmp_path_factory, write_pair):
     """Two iterations for each of two pairs of levels, at 25 fps."""
     folder = tmp_path_factory.mktemp("rendering")
-    write_pair(folder / "paired", "a", 3.0)
+    write_pair(folder / "paired", "a", 3.0, fps=25.0)
     prepare([folder / "paired"], folder / "corpus.jsonl", holdout=0.0)
     values = {
         "system": "multires",

@@ -58,6 +58,18 @@ def test_overrides_win_and_their_paths_are_relative_to_the_current_folder(tmp_pa
     )
 
 
+def test_settings_are_python_values_by_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = write(tmp_path, "deep/a.yaml", "corpus: c.jsonl\ninner: {rate: 0.5, steps: [1]}")
+    settings = {"inner": {"steps": (2, 3)}, "window": None, "corpus": Path("here.jsonl")}
+    config = load_config(path, Outer, ["inner.rate=0.2"], settings)
+    assert config.inner == Inner(rate=0.2, steps=(2, 3))
+    assert (config.window, config.corpus) == (None, tmp_path / "here.jsonl")
+    assert load_config(path, Outer, settings={"inner.rate": 1}).inner.rate == 1.0
+    with pytest.raises(ConfigError, match="unknown key inner.rat; did you mean inner.rate"):
+        load_config(path, Outer, settings={"inner": {"rat": 1}})
+
+
 def test_what_is_written_reads_back_the_same(tmp_path):
     config = load_config(write(tmp_path, "a.yaml", "corpus: c\ninner: {mode: [Hips]}"), Outer)
     assert build(Outer, to_dict(config)) == config

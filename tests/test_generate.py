@@ -1,0 +1,124 @@
+"""The call that every model answers: speech in any form, and the rate of what comes back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.diffusion.conditions import Conditions
+from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
+from gesturekit.diffusion.model import DiffusionModel
+from gesturekit.diffusion.networks import Denoiser
+from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.errors import ModelError, MotionError
+from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.motion.rotations import rotation_angles
+from gesturekit.systems import bundled_speech
+from gesturekit.training.seeds import seeded
+
+
+def diffusion(gesture, **rates: float) -> DiffusionModel:
+    """A small model of random weights that takes speech."""
+    extractor = af.LogMel(n_mels=4)
+    ears = SpeechConditioner(extractor, 30.0, "mean", np.zeros(4), np.full(4, 10.0))
+    conditions = Conditions(ears)
+    config = NetworkConfig(blocks=1, layers=1, channels=8, heads=1, feedforward=8, embedding=8)
+    body = DeltaRepresentation.fit([gesture(2.0)])
+    width = body.n_features
+    return DiffusionModel(
+        fps=30.0,
+        representation=body,
+        conditions=conditions,
+        standardiser=Standardiser.fit([body.encode(gesture(2.0))]),
+        network_config=config,
+        noise_config=NoiseConfig(predict="velocity", steps=4),
+        network=seeded("network", lambda: Denoiser(width, conditions.width, config)),
+        speakers={},
+        **rates,
+    )
+
+
+@pytest.fixture(params=["multires", "diffusion"])
+def model(request, gesture) -> gk.Model:
+    return gk.load("demo") if request.param == "multires" else diffusion(gesture)
+
+
+@pytest.fixture(scope="module")
+def wave() -> af.Wave:
+    return af.Wave.load(bundled_speech(), duration=1.509)
+
+
+def same(one: gk.Motion, other: gk.Motion) -> bool:
+    return np.array_equal(one.positions(), other.positions()) and one.fps == other.fps
+
+
+def test_samples_in_an_array_are_speech(model, wave):
+    assert isinstance(model, gk.Model)
+    of_wave, rate = model.generate(wave), wave.sample_rate
+    assert same(model.generate(wave.samples, rate), of_wave)
+    assert same(model.generate(torch.from_numpy(wave.samples)[None], sample_rate=rate), of_wave)
+    two = model.generate(wave.samples.astype(np.float64)[:, None], rate, samples=2)
+    assert len(two) == 2 and same(two[0], of_wave)
+    for speech, sample_rate, says in (
+        (wave.samples, None, "sample_rate"),
+        (np.zeros((1, 1, 9000)), rate, "shape"),
+        (bundled_speech(), rate, "a file or a Wave has its own rate"),
+        (wave, rate, "a file or a Wave has its own rate"),
+        (None, rate, "no speech is given"),
+    ):
+        with pytest.raises(ValueError, match=says) as caught:
+            model.generate(speech, sample_rate, seconds=None if speech is not None else 1.0)
+        assert isinstance(caught.value, (gk.GestureKitError, af.AudioFeaturesError))
+
+
+@pytest.mark.parametrize("fps", [25.0, 60.0, 1000 / 33])
+def test_any_rate_can_be_asked_for_and_time_stays(model, wave, fps):
+    own, other = model.generate(wave), model.generate(wave, fps=fps)
+    assert (own.fps, other.fps) == (model.fps, fps)
+    assert other.n_frames == int(np.floor(len(wave.samples) / wave.sample_rate * fps + 0.5))
+    assert model.generate(seconds=1.51, fps=fps).n_frames == int(np.floor(1.51 * fps + 0.5))
+    assert same(other, own.resample(fps, other.n_frames))
+    assert rotation_angles(own.rotations[:1], other.rotations[:1]).max() < 1e-9, "begins at 0 s"
+    with pytest.raises(MotionError, match="fps is 0"):
+        model.generate(wave, fps=0)
+
+
+def test_the_recordings_rate_is_kept_and_taken_unless_another_is_asked_for(
+    model, wave, gesture, tmp_path
+):
+    own = model.generate(wave)
+    model.recorded_fps = 60.0
+    model.save(tmp_path)
+    again = gk.load(tmp_path)
+    assert (again.fps, again.recorded_fps) == (30.0, 60.0)
+    assert "30 fps, resampled to 60 fps" in (tmp_path / "README.md").read_text()
+    assert again.generate(wave).fps == 60.0
+    assert same(again.generate(wave, fps=30.0), own)
+    config = tmp_path / "config.yaml"
+    config.write_text(config.read_text().replace("recorded_fps: 60.0\n", ""))
+    assert same(gk.load(tmp_path).generate(wave), own), "a model of before rates were kept"
+
+
+def test_levels_and_keyframes_stay_at_the_models_rate(wave):
+    model = gk.load("demo")
+    own = model.generate(wave, levels=2)
+    model.recorded_fps = 60.0
+    assert same(model.generate(wave, levels=2), own) and own.fps < 30
+    assert model.generate(wave, keyframes=own, keyframe_level=2).fps == 30
+    assert model.generate(wave, keyframes=own, keyframe_level=2, fps=24).fps == 24
+    assert model.generate(wave, like=own, keyframe_level=2).fps == 60
+    with pytest.raises(ModelError, match="fps=24: with levels=2"):
+        model.generate(wave, levels=2, fps=24)
+
+
+def test_feet_stay_locked_at_another_rate():
+    model = gk.load("demo")
+    for fps in (24.0, 60.0):
+        motion = model.generate(bundled_speech(), fps=fps)
+        toes = motion.positions()[:, motion.skeleton.index("LeftToeBase")]
+        speed = np.linalg.norm(np.diff(toes, axis=0), axis=1) * fps
+        assert np.quantile(speed, 0.9) < 0.002
