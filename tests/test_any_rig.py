@@ -357,7 +357,7 @@ def swaying(gesture, seed: int) -> Motion:
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Some real motions of each kind; all of one rig differ by their movement alone."""
+    """The real motions, one of each folder that holds many."""
     kinds = [sorted(folder.glob(p)) for p in ("motion/*", "paired/*", "smpl/*.npz")]
     return [
         next(iter(sorted(path.rglob("*.bvh"))), path) if path.is_dir() else path
