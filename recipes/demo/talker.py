@@ -42,7 +42,7 @@ LEAD = 0.05
 _HOP = 0.01  # seconds between frames of prosody
 _SHORT_PAUSE = 0.28  # seconds; a shorter silence is part of a word or of a phrase
 _REST_PAUSE = 1.2  # seconds; in a longer one the hands go back to rest
-_LIVELINESS = (0.4, 1.7)  # pitch range (`af.Liveliness`, semitones) of a calm, a lively talker
+_LIVELINESS = (0.5, 1.7)  # pitch range (`af.Liveliness`, semitones) of a calm, a lively talker
 _HIPS = STANDING_HEIGHT - 0.012  # m; soft knees leave room for the weight to shift
 _TRUNK = np.array([0.185, 0.165])  # m; half axes of the ellipse that wrists stay out of
 _HANDS_APART = 0.26  # m between the wrists: hands that point inwards just do not touch
@@ -393,10 +393,10 @@ class _Talker:
         for phrase in spoken:
             slow = 1.25 - 0.3 * phrase.liveliness
             free = max(free, phrase.start - 0.12)
-            for gesture in self.gestures(phrase):
+            for gesture in self.gestures(phrase, early=0.45 if any(raised) else 0.8):
                 for arm, share in enumerate(gesture.shares):
                     if share > 0.0:
-                        steps[arm].extend(self.stroke(gesture, share, free, slow))
+                        steps[arm].extend(self.stroke(gesture, share, free, raised[arm], slow))
                         raised[arm] = True
                     elif raised[arm]:  # the other hand takes over
                         steps[arm].append(self.retraction(gesture.time, starts[arm], slow))
@@ -413,6 +413,13 @@ class _Talker:
                     middle = max(phrase.stop + 0.15, free + 0.5) + self.rng.uniform(0.0, 0.15)
                     steps[arm].append(self.retraction(middle, starts[arm], slow))
                 raised = [False, False]
+            elif phrase.pause > 0.5:  # held hands relax towards the middle
+                for arm in (0, 1):
+                    if raised[arm]:
+                        last = steps[arm][-1].target
+                        middle = max(phrase.stop, free) + self.rng.uniform(0.1, 0.3)
+                        relaxed = last + 0.45 * (CENTRE + self.space - last)
+                        steps[arm].append(Step(middle, 1.0 * slow, relaxed))
         first = RESTS[0]
         paths = []
         for arm, start in enumerate((first.left, first.right)):
@@ -424,13 +431,16 @@ class _Talker:
             paths.append(path)
         return apart(*paths), self.path(np.zeros(1), shrugs)[:, 0]
 
-    def gestures(self, phrase: Phrase) -> list[Gesture]:
-        """One gesture for each of the phrase's chosen accents, larger for a more prominent one."""
+    def gestures(self, phrase: Phrase, early: float) -> list[Gesture]:
+        """One gesture for each of the phrase's chosen accents, larger for a more prominent one.
+
+        Hands begin to move with the phrase, not before it: accents in its first `early` seconds
+        get none.
+        """
         chosen: list[Syllable] = []
-        apart = 1.3 - 0.65 * phrase.liveliness
-        # Hands begin to move with the phrase, not before it: the first accents may come too early.
-        early = phrase.start + 0.45
-        accents = [a for a in phrase.accents if a.time > early] or phrase.accents[-1:]
+        apart = 1.15 - 0.5 * phrase.liveliness
+        late = [a for a in phrase.accents if a.time > phrase.start + early]
+        accents = late or phrase.accents[-1:]
         for accent in sorted(accents, key=lambda s: -s.prominence):
             if all(abs(accent.time - other.time) >= apart for other in chosen):
                 chosen.append(accent)
@@ -461,7 +471,9 @@ class _Talker:
         leads = self.leading if self.rng.random() < 0.7 else 1 - self.leading
         return (1.0, other) if leads == 0 else (other, 1.0)
 
-    def stroke(self, gesture: Gesture, share: float, free: float, slow: float) -> list[Step]:
+    def stroke(
+        self, gesture: Gesture, share: float, free: float, raised: bool, slow: float
+    ) -> list[Step]:
         """Preparation and stroke of one hand; what follows until the next step is the hold."""
         late = 0.0 if share == 1.0 else self.rng.uniform(0.0, 0.07)
         begin, end = (
@@ -472,8 +484,8 @@ class _Talker:
         starts = centre - 0.5 * gesture.duration
         steps = []
         duration = min(starts - free, 0.8 * slow)
-        if duration > 0.22:  # else there is no time for a preparation
-            duration = max(duration, 0.4)
+        if duration > 0.22 or not raised:  # else there is no time for a preparation
+            duration = max(duration, 0.4 if raised else 0.62 * slow)
             steps.append(Step(starts - 0.42 * duration, duration, begin, 0.0))
         steps.append(Step(centre, gesture.duration, end, gesture.form.arc * gesture.size * share))
         return steps
@@ -494,7 +506,7 @@ class _Talker:
         """Small movements (T, 4) of a raised hand on every syllable, to and fro."""
         steps, side = [], 1.0
         for phrase in spoken:
-            size = 0.7 + 0.7 * phrase.liveliness
+            size = 0.8 + 0.65 * phrase.liveliness
             for syllable in phrase.syllables:
                 side = -side  # twice to the same side would be no movement
                 force = size * self.rng.uniform(0.6, 1.3) * (0.7 + 0.6 * syllable.prominence)
