@@ -107,11 +107,11 @@ STROKES = {
         Stroke("hold a box", (0.30, 0.02, 0.26, 0.1), (0.17, -0.12, 0.36, 0.0), "both"),
     ),
     "large": (
-        Stroke("raise", (0.20, -0.19, 0.26, 0.2), (0.28, 0.36, 0.24, -0.2), arc=0.02),
+        Stroke("raise", (0.20, -0.19, 0.26, 0.2), (0.28, 0.36, 0.24, -0.2), "one", arc=0.02),
         Stroke("spread", (0.15, -0.05, 0.28, 0.5), (0.45, 0.03, 0.26, -0.7), "both", arc=0.09),
         Stroke("sweep", (0.06, -0.04, 0.31, 0.6), (0.47, 0.06, 0.20, -0.4), "one", arc=0.07),
         Stroke("toss", (0.18, -0.23, 0.24, 0.0), (0.38, 0.26, 0.27, -1.1), arc=0.03),
-        Stroke("bring down", (0.27, 0.34, 0.20, 0.2), (0.22, -0.16, 0.38, 0.2)),
+        Stroke("bring down", (0.27, 0.34, 0.20, 0.2), (0.22, -0.16, 0.38, 0.2), "one"),
     ),
 }
 """Gestures by how prominent an accent they go with."""
@@ -453,7 +453,7 @@ class _Talker:
             if rank != "large" and self.rng.random() < 0.22:
                 rank = "large" if rank == "medium" else "medium"
             form = next(self.decks[rank])
-            size = float(np.clip(0.65 + 0.32 * phrase.liveliness + 0.3 * force, 0.7, 1.15))
+            size = float(np.clip(0.65 + 0.32 * phrase.liveliness + 0.3 * force, 0.76, 1.15))
             duration = (0.34 + 0.14 * (rank == "large")) * (1.45 - 0.45 * phrase.liveliness)
             shares = self.shares(form, phrase.liveliness)
             result.append(Gesture(form, accent.time, size, duration, shares))
