@@ -564,12 +564,13 @@ class _Talker:
 
 
 def within_reach(wrist: np.ndarray) -> np.ndarray:
-    """Wrist positions (T, 3) of a left arm, drawn in smoothly where they would stretch it."""
+    """Wrist positions (T, 3) of a left arm, moved smoothly where they would stretch or fold it."""
     away = wrist - SHOULDER
     distance = np.linalg.norm(away, axis=1, keepdims=True)
     over = np.maximum(distance - 0.45, 0.0)
     shorter = distance - over + 0.07 * np.tanh(over / 0.07)
-    return SHOULDER + away * shorter / distance
+    folded = 0.015 * np.logaddexp(0.0, (0.17 - distance) / 0.015)
+    return SHOULDER + away * (shorter + folded) / distance
 
 
 def apart(left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import audio_features as af
+import gesturekit as gk
+import gesturekit.systems
 from gesturekit import Motion
 from gesturekit.evaluation import arm_speed, speech_envelope, sync
 from gesturekit.motion.joint_limits import bent_backwards
@@ -26,14 +28,16 @@ RECIPE = Path(__file__).resolve().parents[2] / "recipes" / "demo"
 def recipe():
     """The recipe's modules, which import each other by their bare names."""
     sys.path.insert(0, str(RECIPE))
+    import bundle
     import measure
     import prepare
     import talker
     import voice
 
-    yield {"prepare": prepare, "talker": talker, "voice": voice, "measure": measure}
+    modules = (bundle, measure, prepare, talker, voice)
+    yield {module.__name__: module for module in modules}
     sys.path.remove(str(RECIPE))
-    for name in ("measure", "prepare", "talker", "rig", "texts", "voice"):
+    for name in ("bundle", "measure", "prepare", "talker", "rig", "texts", "voice"):
         sys.modules.pop(name, None)
 
 
@@ -218,3 +222,32 @@ def test_hands_stay_clear_of_the_trunk_the_head_and_each_other(talks):
             hands.append(hand)
         gaps = np.linalg.norm(hands[0][:, None] - hands[1][None], axis=-1)
         assert gaps.min() > 0.05
+
+
+def test_a_bundle_is_the_model_in_fewer_bytes_with_its_figures(recipe, tmp_path, monkeypatch):
+    """The card states what `measure.py` finds of the bundled files."""
+    monkeypatch.setattr(recipe["measure"], "ITEM_SECONDS", 6.0)
+    model, speech = gk.systems.model_folder("demo"), gk.systems.bundled_speech()
+    run, out = tmp_path / "model", tmp_path / "out"
+    gk.load("demo").save(run)  # in full precision, as a run leaves it
+    recipe["bundle"].bundle(run, speech, out, talks=1)
+    assert {path.name for path in out.iterdir()} == {path.name for path in model.iterdir()}
+    size = {f: (f / "model.safetensors").stat().st_size for f in (run, out)}
+    assert size[out] < 0.55 * size[run]
+    one, other = (gk.load(folder).generate(seconds=3.0, seed=0) for folder in (run, out))
+    assert np.degrees(rotation_angles(one.rotations, other.rotations).max()) < 1.0
+    card = (out / "README.md").read_text(encoding="utf-8")
+    assert recipe["measure"].table(str(out), talks=1) in card
+    assert "measure.py" in card
+
+
+@pytest.mark.stress
+def test_one_command_makes_a_bundle(recipe, tmp_path):
+    tiny = ["network.channels=[2,2]", "network.levels=4", "threads=1"]
+    tiny += ["schedule.first_pair=2", "schedule.further_pairs=2", "schedule.bank=2"]
+    recipe["bundle"].main(
+        [str(tmp_path / "work"), "--out", str(tmp_path / "out"), "--minutes", "0.5", "--talks", "1"]
+        + tiny
+    )
+    motion = gk.load(tmp_path / "out").generate(tmp_path / "out" / "speech.wav")
+    assert motion.duration > 5
