@@ -20,6 +20,8 @@ from measure import table
 from prepare import prepare
 from safetensors.torch import load_file, save_file
 
+from gesturekit.atomic import atomic_write
+
 HERE = Path(__file__).resolve().parent
 BUNDLED = HERE.parents[1] / "gesturekit" / "models" / "demo"
 
@@ -60,7 +62,8 @@ def bundle(model: Path, speech: Path, out: Path, talks: int) -> None:
     shutil.copyfile(speech, out / "speech.wav")
     tensors = load_file(model / "model.safetensors")
     halved = {k: v.half() if k.startswith("network.") else v for k, v in tensors.items()}
-    save_file(halved, out / "model.safetensors")
+    with atomic_write(out / "model.safetensors") as temporary:
+        save_file(halved, temporary)
     figures = (
         "## How it moves\n"
         "Talks of 30 s by voices that the corpus lacks; the teacher is the recipe's rule-based\n"
@@ -70,7 +73,7 @@ def bundle(model: Path, speech: Path, out: Path, talks: int) -> None:
     card = (model / "README.md").read_text(encoding="utf-8")
     (out / "README.md").write_text(f"{card}\n{figures}", encoding="utf-8")
     size = sum(path.stat().st_size for path in out.iterdir())
-    print(f"{out}: {size / 2**20:.2f} MB\n\n{figures}")
+    print(f"{out}: {size / 2**20:.2f} MiB\n\n{figures}")
 
 
 if __name__ == "__main__":
