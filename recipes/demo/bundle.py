@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, default=6.0, help="of paired speech (6)")
     parser.add_argument("--talks", type=int, default=2, help="of each style, for the card (2)")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="for the training")
-    options = parser.parse_args(arguments)
+    options = parser.parse_intermixed_args(arguments)
     corpus, run = options.work / "corpus", options.work / "run"
     prepare(corpus, options.minutes, seed=0)
     manifest = corpus / "corpus.jsonl"
