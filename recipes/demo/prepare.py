@@ -54,6 +54,7 @@ UNPAIRED_VOICES = (
     "en-us+steph",
 )
 DEMO_VOICE = Voice("en-us+m2", rate=180, pitch=55, pitch_range=90)
+DEMO_RATE = 16000  # Hz; the packaged audio is small
 SILENCE_SECONDS = 15.0
 ITEM_SECONDS = 30.0
 
@@ -93,7 +94,8 @@ def prepare(out: Path, minutes: float, seed: int) -> None:
     paired = make_paired(out / "paired", 60 * minutes, seed)
     unpaired = make_unpaired(out / "unpaired", 40 * minutes, seed)
     rng = np.random.default_rng([seed, 3])
-    write_wav(out / "demo.wav", *perform(list(DEMO), DEMO_VOICE, (0.35, 0.6), rng))
+    samples, rate = perform(list(DEMO), DEMO_VOICE, (0.35, 0.6), rng)
+    write_wav(out / "demo.wav", soxr.resample(samples, rate, DEMO_RATE), DEMO_RATE)
     print(
         f"{paired / 60:.1f} minutes of speech with motion, {unpaired / 60:.1f} without, in {out}\n"
         f"Next:\n"

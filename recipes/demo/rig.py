@@ -8,7 +8,7 @@ forearm about its own length. The legs hang between a moving pelvis and feet tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -56,7 +56,8 @@ STANDING_HEIGHT = 0.936
 """Height of the hips: 4 mm below a straight-legged stand, which leaves the knees soft."""
 _ANKLE = np.array([0.11, 0.08, 0.0])
 _TOES_OUT = np.radians(8.0)
-_ELBOW_POLE = np.array([0.30, -0.60, -0.74])
+ELBOW_POLE = np.array([0.30, -0.60, -0.74])
+"""Direction of the left elbow of a hand at the waist: down and back, a little outward."""
 
 
 @dataclass
@@ -65,13 +66,15 @@ class Arm:
 
     wrist: (T, 3) m in the chest's frame; twist: (T,) rad of the forearm, negative turns the
     palm up; extension: (T,) rad of the wrist, positive lifts the hand; lift: (T,) rad of the
-    shoulder girdle, positive is a shrug.
+    shoulder girdle, positive is a shrug; pole: (3,) or (T, 3) direction in the chest's frame
+    towards which the elbow points, as far as the wrist leaves it free.
     """
 
     wrist: np.ndarray
     twist: np.ndarray
     extension: np.ndarray
     lift: np.ndarray
+    pole: np.ndarray = field(default_factory=ELBOW_POLE.copy)
 
 
 def skeleton() -> Skeleton:
@@ -153,7 +156,7 @@ def _arm(arm: Arm) -> tuple[Rotation, Rotation, Rotation, Rotation]:
     reach = girdle.inv().apply(arm.wrist - base) - (SHOULDER - base)
     axis = _unit(reach)
     lead, bend = _bone_angles(np.linalg.norm(reach, axis=1), _UPPER_ARM, _FOREARM)
-    pole = _ELBOW_POLE - (axis @ _ELBOW_POLE)[:, None] * axis
+    pole = arm.pole - np.sum(axis * arm.pole, axis=1, keepdims=True) * axis
     pole = _unit(pole)
     # The upper arm's own axes: x along the bone, z towards which the elbow folds.
     x = np.cos(lead) * axis + np.sin(lead) * pole

@@ -1,31 +1,34 @@
 """A rule-based talker: speech in, plausible gestures out.
 
-It stands in for a motion-capture recording in the demo corpus. The rules, after what is known
-of beat gestures (McNeill 1992; Kendon 2004; and, for the lead over the sound, the recordings
-of real speakers):
+It stands in for a motion-capture recording in the demo corpus. It knows the sound alone, and a
+seed. The rules follow what is known of gestures (McNeill 1992; Kendon 2004):
 
-- Speech falls into phrases, split where it pauses. In a phrase the hands are up, in a long
-  pause they sink back to rest, and in silence there is only breath, sway and a slow gaze.
-- Every syllable moves a raised hand: an accented one by a stroke, the one before it by the
-  stroke's preparation, the others by a small rebound. The size grows with the syllable's
-  prominence (loudness over the clip's median, pitch over its surroundings), so that a lively
-  voice moves more than a flat one. The hands lead the sound: measured over a clip, arm speed
-  comes about 80 ms before the energy of the speech.
-- High pitch lifts the hands, accents spread them, and strong accents may open the palms. The
-  side, the kind of beat and small differences are drawn from a seeded generator.
-- The head nods on accents and turns at the start of phrases; the spine turns a little to the
-  hand that moves; the weight shifts slowly over feet that stand still.
+- Speech falls into phrases, split where it pauses. The talker's liveliness in a phrase is read
+  off the range of its pitch: a lively one gestures more often, faster and wider than a calm one.
+- A phrase's prominent accents get a gesture each: a *preparation* that brings the hands to where
+  the stroke begins, the *stroke* itself on the accent, and a *hold* until the next gesture. Which
+  gesture it is comes from a deck of `STROKES` for that prominence: small beats, medium gestures
+  of one or both hands, large ones up beside the head or wide apart. In long pauses the hands go
+  back to rest, a *retraction*: at the sides, or together before the belly.
+- On all other syllables raised hands beat a little, and hands lead the sound slightly.
+- The trunk turns and leans with the hands and dips on accents, the weight shifts from foot to
+  foot over feet that stand still, and the knees give. The head looks away before a phrase, at
+  one of several listeners in it, and nods on accents.
+- Arms move as arms do: wrists draw arcs and loops, elbows swing out as the hand rises, shoulders
+  rise with it, the hand trails its wrist; nothing reaches into the trunk.
 
 Paths are sums of overlapping minimum-jerk movements (Flash & Henis 1991), so that every angle
-is twice continuously differentiable however the beats fall.
+is twice continuously differentiable however the strokes fall.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
-from rig import STANDING_HEIGHT, Arm, pose
+from rig import ELBOW_POLE, SHOULDER, STANDING_HEIGHT, Arm, pose
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
@@ -34,28 +37,120 @@ import audio_features as af
 from gesturekit.motion.motion import Motion
 
 FPS = 30.0
-LEAD = 0.03
+LEAD = 0.05
 """Seconds by which the middle of a movement goes before its syllable's loudest moment."""
 _HOP = 0.01  # seconds between frames of prosody
 _SHORT_PAUSE = 0.28  # seconds; a shorter silence is part of a word or of a phrase
-_LONG_PAUSE = 1.2  # seconds; the hands sink to rest only in a longer one
+_REST_PAUSE = 1.2  # seconds; in a longer one the hands go back to rest
+_LIVELINESS = (0.5, 1.7)  # pitch range (`af.Liveliness`, semitones) of a calm, a lively talker
+_HIPS = STANDING_HEIGHT - 0.012  # m; soft knees leave room for the weight to shift
+_TRUNK = np.array([0.185, 0.165])  # m; half axes of the ellipse that wrists stay out of
+_HANDS_APART = 0.26  # m between the wrists: hands that point inwards just do not touch
+_LISTENERS = (-0.38, 0.0, 0.0, 0.34)  # rad; where they stand
 
-# Wrist in the chest's frame (m, left side) and twist of the forearm (rad, negative = palm up).
-_REST = np.array([0.232, -0.372, 0.115, 0.05])
-_HOME = np.array([0.195, -0.22, 0.255, -0.05])
-# What the hand does on a syllable, for a size of 1: metres in the chest's frame, rad of twist.
-_PREPARATION = np.array([-0.25, 0.65, 0.00, 0.0])
-_STROKE = np.array([0.25, -0.45, 0.20, 1.2])
-_OPEN = np.array([0.85, -0.15, 0.45, -4.0])  # out and forward, the palm turning up
-_REBOUND = np.array([0.15, 0.40, 0.15, -0.8])
-# How much of the way up a hand goes on the first and the last syllables out of and into rest.
-_RISING = (0.45, 0.75, 0.92)
-_SINKING = (0.8, 0.62, 0.45)
 # Seconds by which x, y, z and twist run late: unequal, so that the hand draws loops.
-_DELAYS = np.array([0.09, 0.0, 0.03, 0.07])
+_DELAYS = np.array([0.06, 0.0, 0.03, 0.05])
+# What a raised hand does on a syllable without a gesture, for a lively talker.
+_BEAT = np.array([0.010, -0.026, 0.014, 0.10])
 
-Step = tuple[float, float, np.ndarray]
-"""One movement: its middle and its length in s, and where it ends."""
+# Places of a hand: x, y, z of the wrist in the chest's frame (m, as of a left arm) and twist of
+# the forearm (rad; 0 is a palm that faces the other hand, negative turns it up).
+CENTRE = np.array([0.20, -0.13, 0.27, 0.1])
+"""The middle of the gesture space, in front of the belly."""
+REST_AT_SIDES = np.array([0.235, -0.375, 0.10, 0.05])
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A rest pose: the places of both hands."""
+
+    left: np.ndarray
+    right: np.ndarray
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """The shape of a gesture: where its stroke begins and where it ends.
+
+    hands: `one` is made by one hand, which the other may echo; `both` by two; `any` by either.
+    arc: height in m by which the stroke's path bulges; shrug: rad of the shoulders.
+    """
+
+    name: str
+    begin: tuple[float, float, float, float]
+    end: tuple[float, float, float, float]
+    hands: Literal["one", "both", "any"] = "any"
+    arc: float = 0.0
+    shrug: float = 0.0
+
+
+_BELLY = np.array([0.115, -0.215, 0.235, 0.35])
+RESTS = (
+    Rest(REST_AT_SIDES, REST_AT_SIDES),
+    Rest(_BELLY, _BELLY + [0.0, -0.03, 0.03, 0.1]),
+    Rest(REST_AT_SIDES, REST_AT_SIDES + [0.01, 0.0, -0.02, 0.1]),
+    Rest(_BELLY + [0.02, 0.0, 0.0, 0.0], REST_AT_SIDES),
+    Rest(REST_AT_SIDES, _BELLY + [0.02, 0.0, 0.0, 0.0]),
+)
+STROKES = {
+    "small": (
+        Stroke("beat", (0.21, -0.02, 0.26, 0.3), (0.20, -0.19, 0.32, 0.3)),
+        Stroke("beat aside", (0.16, -0.06, 0.27, 0.2), (0.30, -0.17, 0.30, 0.0)),
+        Stroke("tilt", (0.17, -0.14, 0.27, 0.7), (0.26, -0.13, 0.31, -0.8), arc=0.03),
+    ),
+    "medium": (
+        Stroke("offer", (0.13, -0.15, 0.24, 0.5), (0.31, -0.12, 0.38, -1.1), arc=0.06),
+        Stroke("chop", (0.22, 0.14, 0.24, 0.0), (0.17, -0.16, 0.38, 0.0)),
+        Stroke("point", (0.25, 0.00, 0.20, 0.2), (0.19, 0.09, 0.45, 0.8), "one"),
+        Stroke("to oneself", (0.32, -0.10, 0.30, -0.4), (0.13, 0.01, 0.23, 0.3), "one"),
+        Stroke("shrug", (0.20, -0.20, 0.26, 0.2), (0.38, -0.17, 0.22, -1.2), "both", shrug=0.16),
+        Stroke("hold a box", (0.30, 0.02, 0.26, 0.1), (0.17, -0.12, 0.36, 0.0), "both"),
+    ),
+    "large": (
+        Stroke("raise", (0.20, -0.19, 0.26, 0.2), (0.28, 0.36, 0.24, -0.2), "one", arc=0.02),
+        Stroke("spread", (0.15, -0.05, 0.28, 0.5), (0.45, 0.03, 0.26, -0.7), "both", arc=0.09),
+        Stroke("sweep", (0.06, -0.04, 0.31, 0.6), (0.47, 0.06, 0.20, -0.4), "one", arc=0.07),
+        Stroke("toss", (0.18, -0.23, 0.24, 0.0), (0.38, 0.26, 0.27, -1.1), arc=0.03),
+        Stroke("bring down", (0.27, 0.34, 0.20, 0.2), (0.22, -0.16, 0.38, 0.2), "one"),
+    ),
+}
+"""Gestures by how prominent an accent they go with."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One movement: its middle and its length in s, where it ends, and its arc in m."""
+
+    centre: float
+    duration: float
+    target: np.ndarray
+    arc: float = 0.0
+
+
+@dataclass(frozen=True)
+class Gesture:
+    """A stroke in time: its middle and its length in s, its size and what each hand does of it."""
+
+    form: Stroke
+    time: float
+    size: float
+    duration: float
+    shares: tuple[float, float]
+
+
+class _Deck:
+    """Endless draws from a few cards, each once before any comes again, none twice in a row."""
+
+    def __init__(self, rng: np.random.Generator, cards: Sequence, first: object = None) -> None:
+        self.rng, self.cards, self.last = rng, cards, None
+        self.pile: list = [] if first is None else [first]
+
+    def __next__(self):
+        if not self.pile:
+            order = [self.cards[k] for k in self.rng.permutation(len(self.cards))]
+            self.pile = order[::-1] if order[-1] is self.last else order
+        self.last = self.pile.pop()
+        return self.last
 
 
 @dataclass(frozen=True)
@@ -71,12 +166,13 @@ class Syllable:
 
 @dataclass(frozen=True)
 class Phrase:
-    """Speech between two pauses; start, stop and the pause after it in s."""
+    """Speech between two pauses; start, stop and the pause after it in s, liveliness 0..1."""
 
     start: float
     stop: float
     pause: float
     syllables: tuple[Syllable, ...]
+    liveliness: float
 
     @property
     def accents(self) -> list[Syllable]:
@@ -113,7 +209,9 @@ def phrases(wave: af.Wave) -> list[Phrase]:
         Syllable(k * _HOP, float(max(p, 0.0)), float(near[k]))
         for k, p in zip(peaks, prominence, strict=True)
     ]
-    return _group(speaking, _accented(syllables))
+    low, high = _LIVELINESS
+    liveliness = np.clip((af.Liveliness().extract(wave).values[:, 0] - low) / (high - low), 0, 1)
+    return _group(speaking, liveliness, _accented(syllables))
 
 
 def _weighted_mean(values: np.ndarray, weights: np.ndarray, sigma: float) -> np.ndarray:
@@ -131,7 +229,7 @@ def _accented(syllables: list[Syllable], apart: float = 0.4) -> list[Syllable]:
     return [replace(s, accent=s in chosen) for s in syllables]
 
 
-def _group(speaking: np.ndarray, syllables: list[Syllable]) -> list[Phrase]:
+def _group(speaking: np.ndarray, liveliness: np.ndarray, syllables: list[Syllable]) -> list[Phrase]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], speaking.astype(int), [0]])))
     spans = [[a * _HOP, b * _HOP] for a, b in edges.reshape(-1, 2)]
     joined = spans[:1]
@@ -145,7 +243,8 @@ def _group(speaking: np.ndarray, syllables: list[Syllable]) -> list[Phrase]:
         inside = tuple(s for s in syllables if start <= s.time <= stop)
         after = joined[k + 1][0] if k + 1 < len(joined) else len(speaking) * _HOP + 10.0
         if inside:
-            result.append(Phrase(start, stop, after - stop, inside))
+            lively = liveliness[round(start / _HOP) : round(stop / _HOP) + 1].mean()
+            result.append(Phrase(start, stop, after - stop, inside, float(lively)))
     return result
 
 
@@ -155,6 +254,11 @@ class _Talker:
     def __init__(self, n_frames: int, rng: np.random.Generator) -> None:
         self.times = np.arange(n_frames) / FPS
         self.rng = rng
+        self.leading = int(rng.integers(2))  # the hand that gestures alone: 0 left, 1 right
+        self.decks = {rank: _Deck(rng, strokes) for rank, strokes in STROKES.items()}
+        self.rests = _Deck(rng, RESTS, first=RESTS[0])
+        # Where this talker gestures: wider, higher or farther from the body than others.
+        self.space = np.array([*rng.normal(0, [0.025, 0.025, 0.015]), rng.normal(0, 0.1)])
 
     # -- curves ------------------------------------------------------------------------------
 
@@ -174,10 +278,13 @@ class _Talker:
         here = np.asarray(start, float)
         delays = np.broadcast_to(delays, here.shape)
         curve = np.tile(here, (len(self.times), 1))
-        for centre, duration, target in steps:
+        for step in steps:
             for d, delay in enumerate(delays):
-                curve[:, d] += (target[d] - here[d]) * self.movement(centre + delay, duration)
-            here = target
+                rise = self.movement(step.centre + delay, step.duration)
+                curve[:, d] += (step.target[d] - here[d]) * rise
+                if d == 1 and step.arc:
+                    curve[:, d] += step.arc * (4 * rise * (1 - rise)) ** 2
+            here = step.target
         return curve
 
     def drift(self, size: float, low: float = 0.05, high: float = 0.3) -> np.ndarray:
@@ -190,183 +297,296 @@ class _Talker:
     # -- the body ----------------------------------------------------------------------------
 
     def move(self, spoken: list[Phrase]) -> Motion:
+        """The whole body: hands first, then the trunk that follows them, then the head."""
         breath = np.sin(
             2 * np.pi * self.times / self.rng.uniform(3.4, 4.2) + self.rng.uniform(0, 6)
         )
-        hands = self.hands(spoken)
-        left, right = (self.arm(path, breath) for path in hands)
-        raised = [np.linalg.norm(path[:, :3] - _REST[:3], axis=1) for path in hands]
-        turn = gaussian_filter1d(raised[0] - raised[1], 0.3 * FPS)
-        effort = gaussian_filter1d(raised[0] + raised[1], 0.3 * FPS)
+        hands, shrug = self.hands(spoken)
+        left, right = (self.arm(path, breath, shrug) for path in hands)
+        # The trunk turns to the side on which the hands are, and follows them with its mass.
+        aside = gaussian_filter1d(hands[0][:, 0] - hands[1][:, 0], 0.25 * FPS)
+        raised = [path[:, 1] - REST_AT_SIDES[1] for path in hands]
+        turn = aside + 0.35 * gaussian_filter1d(raised[0] - raised[1], 0.25 * FPS)
+        effort = gaussian_filter1d(raised[0] + raised[1], 0.2 * FPS)
+        reach = gaussian_filter1d(hands[0][:, 2] + hands[1][:, 2], 0.25 * FPS) - 0.25
+        pulse = self.pulses(spoken)
+        faced = self.rng.choice(_LISTENERS, len(spoken)) + self.rng.normal(0, 0.06, len(spoken))
+        stance = self.stance(spoken, faced)
 
-        shift = self.weight_shift()
+        shift = self.weight_shift(spoken)
+        sway = np.stack([self.drift(0.008), self.drift(0.02), self.drift(0.004)], axis=1)
+        pelvis_yaw = sway[:, 1] + 0.25 * turn + 1.5 * shift + 0.6 * stance[:, 1]
+        pelvis_roll = sway[:, 2] + 0.9 * shift
+        pelvis_pitch = 0.02 + sway[:, 0] + 0.08 * reach + 0.4 * stance[:, 0]
+        pelvis = Rotation.from_euler("YXZ", np.stack([pelvis_yaw, pelvis_pitch, pelvis_roll], 1))
         hips = np.stack(
             [
                 shift + self.drift(0.003),
-                STANDING_HEIGHT - 1.5 * shift**2 + 0.0015 * breath,
-                0.01 + self.drift(0.005),
+                _HIPS + 0.0015 * breath - 1.5 * shift**2 - 0.012 * pulse,
+                0.01 + 0.02 * reach + 0.12 * stance[:, 0] + self.drift(0.006),
             ],
             axis=1,
-        )
-        sway = np.stack([self.drift(0.008), self.drift(0.02), self.drift(0.004)], axis=1)
-        pelvis_yaw = sway[:, 1] + 0.10 * turn
-        pelvis_roll = sway[:, 2] + 0.7 * shift
-        pelvis = Rotation.from_euler(
-            "YXZ", np.stack([pelvis_yaw, 0.02 + sway[:, 0], pelvis_roll], axis=1)
         )
         spine = np.stack(
             [
-                0.02 + 0.011 * breath + 0.07 * effort + self.drift(0.008),
-                0.28 * turn + self.drift(0.012),
-                -0.9 * pelvis_roll + self.drift(0.006),
+                0.02 + 0.011 * breath + 0.25 * reach - 0.09 * effort + 0.11 * pulse,
+                0.55 * turn + 0.4 * stance[:, 1] + self.drift(0.015),
+                -1.1 * pelvis_roll - 0.18 * aside + stance[:, 2] + self.drift(0.01),
             ],
             axis=1,
         )
-        head = self.head(spoken)
+        spine[:, 0] += 0.6 * stance[:, 0] + self.drift(0.012)
+        head = self.head(spoken, faced)
         # The face stays with the listener while the body turns under it.
-        head[:, 0] -= 0.7 * (spine[:, 0] - 0.02)
-        head[:, 1] -= 0.7 * (spine[:, 1] + pelvis_yaw)
+        head[:, 0] -= 0.7 * (spine[:, 0] + pelvis_pitch - 0.04)
+        head[:, 1] -= 0.8 * (spine[:, 1] + pelvis_yaw)
+        head[:, 2] -= 0.5 * (spine[:, 2] + pelvis_roll)
         return pose(FPS, hips, pelvis, spine, head, left, right)
 
-    def weight_shift(self) -> np.ndarray:
-        """Sideways position of the hips (T,) m: from foot to foot every few seconds."""
-        steps, time, side = [], self.rng.uniform(1.0, 4.0), self.rng.choice([-1.0, 1.0])
-        start = np.array([0.02 * side])
+    def pulses(self, spoken: list[Phrase]) -> np.ndarray:
+        """A small dip of the trunk (T,) on every accent, 0 to about 1."""
+        curve = np.zeros(len(self.times))
+        for accent in (a for phrase in spoken for a in phrase.accents):
+            dip = self.movement(accent.time - 0.1, 0.4) - self.movement(accent.time + 0.25, 0.6)
+            curve += accent.prominence * dip
+        return curve
+
+    def stance(self, spoken: list[Phrase], faced: np.ndarray) -> np.ndarray:
+        """Pitch, yaw and roll (T, 3) rad that the trunk takes up anew in every phrase: half way
+        to the listener faced, leaning in or back."""
+        steps = []
+        for phrase, listener in zip(spoken, faced, strict=True):
+            size = 0.5 + 0.5 * phrase.liveliness
+            target = size * np.array(
+                [self.rng.normal(0.02, 0.06), 0.6 * listener, self.rng.normal(0, 0.05)]
+            )
+            centre = phrase.start + self.rng.uniform(0.0, 0.4)
+            steps.append(Step(centre, self.rng.uniform(0.9, 1.4), target))
+        return self.path(np.zeros(3), steps)
+
+    def weight_shift(self, spoken: list[Phrase]) -> np.ndarray:
+        """Sideways position of the hips (T,) m: to another foot as a phrase begins, or in time."""
+        steps, side = [], self.rng.choice([-1.0, 1.0])
+        start = np.array([self.rng.uniform(0.01, 0.035) * side])
+        begins = [phrase.start for phrase in spoken]
+        time = self.rng.uniform(1.0, 5.0)
         while time < self.times[-1] + 2:
+            near = [begin for begin in begins if abs(begin - time) < 1.2]
+            centre = near[0] + 0.1 if near else time
             side = -side
-            target = np.array([side * self.rng.uniform(0.012, 0.034)])
-            steps.append((time, self.rng.uniform(2.0, 3.0), target))
-            time += self.rng.uniform(3.5, 8.0)
+            target = np.array([side * self.rng.uniform(0.012, 0.042)])
+            steps.append(Step(centre, self.rng.uniform(1.3, 2.2), target))
+            time = centre + self.rng.uniform(3.0, 8.0)
         return self.path(start, steps)[:, 0]
 
     # -- the hands ---------------------------------------------------------------------------
 
-    def hands(self, spoken: list[Phrase]) -> tuple[np.ndarray, np.ndarray]:
-        """Paths of the left and the right wrist and palm (T, 4), both as a left arm's."""
+    def hands(self, spoken: list[Phrase]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Paths of the left and the right wrist and palm (T, 4), both as a left arm's, and how
+        far the shoulders shrug (T,) rad."""
         steps: tuple[list[Step], list[Step]] = ([], [])
+        shrugs: list[Step] = []
+        resting = next(self.rests)
+        starts = resting.left, resting.right
         raised = [False, False]
+        free = 0.0  # when the hands have finished their last stroke
         for phrase in spoken:
-            sinks = phrase.pause > _LONG_PAUSE
-            plan = self.plan(phrase)
-            for arm, share in enumerate(self.shares()):
-                if share > 0.0:
-                    home = self.home(phrase, share)
-                    rises = not raised[arm]
-                    steps[arm].extend(self.beats(phrase, plan, home, share, rises, sinks))
-                elif raised[arm]:  # the other hand takes over
-                    steps[arm].append((phrase.start + 0.3, 1.2, _REST))
-                raised[arm] = share > 0.0 and not sinks
-        return tuple(
-            self.path(_REST, steps[arm], _DELAYS)
-            + np.stack([self.drift(s) for s in (0.0015, 0.001, 0.002, 0.006)], axis=1)
-            for arm in (0, 1)
-        )
+            slow = 1.25 - 0.3 * phrase.liveliness
+            free = max(free, phrase.start - 0.12)
+            for gesture in self.gestures(phrase, early=0.45 if any(raised) else 0.8):
+                for arm, share in enumerate(gesture.shares):
+                    if share > 0.0:
+                        steps[arm].extend(self.stroke(gesture, share, free, raised[arm], slow))
+                        raised[arm] = True
+                    elif raised[arm]:  # the other hand takes over
+                        steps[arm].append(self.retraction(gesture.time, starts[arm], slow))
+                        raised[arm] = False
+                if gesture.form.shrug:
+                    up, down = gesture.time - 0.1, gesture.time + 0.9
+                    shrugs.append(Step(up, 0.5, np.array([gesture.form.shrug * gesture.size])))
+                    shrugs.append(Step(down, 0.9, np.zeros(1)))
+                free = gesture.time + 0.5 * gesture.duration
+            if phrase.pause > _REST_PAUSE:
+                resting = next(self.rests)
+                starts = resting.left, resting.right
+                for arm in (0, 1):
+                    middle = max(phrase.stop + 0.15, free + 0.5) + self.rng.uniform(0.0, 0.15)
+                    steps[arm].append(self.retraction(middle, starts[arm], slow))
+                raised = [False, False]
+            elif phrase.pause > 0.5:  # held hands relax towards the middle
+                for arm in (0, 1):
+                    if raised[arm]:
+                        last = steps[arm][-1].target
+                        middle = max(phrase.stop, free) + self.rng.uniform(0.1, 0.3)
+                        relaxed = last + 0.45 * (CENTRE + self.space - last)
+                        steps[arm].append(Step(middle, 1.0 * slow, relaxed))
+        first = RESTS[0]
+        paths = []
+        for arm, start in enumerate((first.left, first.right)):
+            path = self.path(start, steps[arm], _DELAYS)
+            height = np.clip((path[:, 1] - start[1]) / 0.15, 0, 1)
+            up = gaussian_filter1d(height, 0.1 * FPS)[:, None]
+            path += up * self.beats(spoken, arm)
+            path += np.stack([self.drift(s) for s in (0.002, 0.002, 0.003, 0.015)], axis=1)
+            paths.append(path)
+        return apart(*paths), self.path(np.zeros(1), shrugs)[:, 0]
 
-    def plan(self, phrase: Phrase) -> list[tuple[Syllable, np.ndarray]]:
-        """What both hands do on each syllable: an offset (4,) m and rad for a size of 1 m.
+    def gestures(self, phrase: Phrase, early: float) -> list[Gesture]:
+        """One gesture for each of the phrase's chosen accents, larger for a more prominent one.
 
-        Accents get a stroke and the syllable before an accent its preparation; the others let
-        the hand rebound a little.
+        Hands begin to move with the phrase, not before it: accents in its first `early` seconds
+        get none.
         """
-        result: list[tuple[Syllable, np.ndarray]] = []
-        side, syllables = 1.0, phrase.syllables
-        for k, syllable in enumerate(syllables):
-            if syllable.accent:
-                opens = syllable.prominence > 0.5 and self.rng.random() < 0.6
-                offset = _OPEN if opens else _STROKE
-                if k > 0 and syllables[k - 1].accent:  # no syllable between to prepare on
-                    between = (syllables[k - 1].time + syllable.time) / 2
-                    result.append((replace(syllable, time=between, accent=False), _PREPARATION))
-            elif k + 1 < len(syllables) and syllables[k + 1].accent:
-                offset = _PREPARATION
-            else:
-                side = -side  # twice to the same side would be no movement
-                offset = side * _REBOUND
-            result.append((syllable, offset * self.rng.uniform(0.85, 1.15)))
+        chosen: list[Syllable] = []
+        apart = 1.15 - 0.5 * phrase.liveliness
+        late = [a for a in phrase.accents if a.time > phrase.start + early]
+        accents = late or phrase.accents[-1:]
+        for accent in sorted(accents, key=lambda s: -s.prominence):
+            if all(abs(accent.time - other.time) >= apart for other in chosen):
+                chosen.append(accent)
+        result = []
+        for accent in sorted(chosen, key=lambda s: s.time):
+            force = accent.prominence
+            # How large a gesture is follows from the accent; which one is drawn from a deck.
+            usual = 0.34 + 0.16 * phrase.liveliness
+            rank = "small" if force < 0.4 * usual else "medium" if force < usual else "large"
+            if rank != "large" and self.rng.random() < 0.22:
+                rank = "large" if rank == "medium" else "medium"
+            form = next(self.decks[rank])
+            size = float(np.clip(0.65 + 0.32 * phrase.liveliness + 0.3 * force, 0.76, 1.15))
+            duration = (0.34 + 0.14 * (rank == "large")) * (1.45 - 0.45 * phrase.liveliness)
+            shares = self.shares(form, phrase.liveliness)
+            result.append(Gesture(form, accent.time, size, duration, shares))
         return result
 
-    def beats(
-        self,
-        phrase: Phrase,
-        plan: list[tuple[Syllable, np.ndarray]],
-        home: np.ndarray,
-        share: float,
-        rises: bool,
-        sinks: bool,
+    def shares(self, form: Stroke, liveliness: float) -> tuple[float, float]:
+        """How much the left and the right hand do: both, one with a smaller echo, or one alone."""
+        if form.hands == "both":
+            other = self.rng.uniform(0.85, 1.0)
+        else:
+            draw = self.rng.random()
+            mirrors = form.hands == "any" and draw < 0.35
+            echoes = draw < 0.65 + 0.3 * liveliness
+            other = 1.0 if mirrors else self.rng.uniform(0.45, 0.7) if echoes else 0.0
+        leads = self.leading if self.rng.random() < 0.7 else 1 - self.leading
+        return (1.0, other) if leads == 0 else (other, 1.0)
+
+    def stroke(
+        self, gesture: Gesture, share: float, free: float, raised: bool, slow: float
     ) -> list[Step]:
-        """The movements of one hand in one phrase that it starts from or ends in rest, or not."""
+        """Preparation and stroke of one hand; what follows until the next step is the hold."""
+        late = 0.0 if share == 1.0 else self.rng.uniform(0.0, 0.07)
+        begin, end = (
+            self.place(place, gesture.size, share)
+            for place in (gesture.form.begin, gesture.form.end)
+        )
+        centre = gesture.time - LEAD + late
+        starts = centre - 0.5 * gesture.duration
         steps = []
-        for k, (syllable, offset) in enumerate(plan):
-            nearest = syllable
-            if not syllable.accent and k + 1 < len(plan):  # a preparation serves its stroke
-                nearest = max(syllable, plan[k + 1][0], key=lambda s: s.prominence)
-            size = 0.15 * nearest.prominence * (0.3 + 0.7 * share)
-            target = home + offset * size
-            slow = rises and k < len(_RISING)
-            if slow:
-                target = _REST + _RISING[k] * (target - _REST)
-            if sinks and k >= len(plan) - len(_SINKING):
-                target = _REST + _SINKING[k - len(plan)] * (target - _REST)
-            duration = 0.55 if slow else 0.36
-            steps.append((syllable.time - LEAD, duration, target))
-        if sinks:
-            steps.append((phrase.stop - 0.05, self.rng.uniform(0.9, 1.1), _REST))
+        duration = min(starts - free, 0.8 * slow)
+        if duration > 0.22 or not raised:  # else there is no time for a preparation
+            duration = max(duration, 0.4 if raised else 0.62 * slow)
+            steps.append(Step(starts - 0.42 * duration, duration, begin, 0.0))
+        steps.append(Step(centre, gesture.duration, end, gesture.form.arc * gesture.size * share))
         return steps
 
-    def shares(self) -> tuple[float, float]:
-        """How much the left and the right hand do in a phrase; a hand alone does more."""
-        draw = self.rng.random()
-        weaker = self.rng.uniform(0.4, 0.75)
-        if draw < 0.30:
-            return (weaker, 0.85)
-        if draw < 0.55:
-            return (0.85, weaker)
-        return (0.0, 1.6) if draw < 0.8 else (1.6, 0.0)
+    def retraction(self, centre: float, rest: np.ndarray, slow: float) -> Step:
+        return Step(centre, self.rng.uniform(1.1, 1.4) * slow, rest)
 
-    def home(self, phrase: Phrase, share: float) -> np.ndarray:
-        """Where the hand beats in this phrase: higher for a high voice, wider for a loud one."""
-        pitch = np.mean([a.pitch for a in phrase.accents])
-        force = np.mean([a.prominence for a in phrase.accents])
-        target = _HOME + np.array(
-            [
-                0.15 * (force - 0.3) + self.rng.normal(0, 0.015),
-                0.01 * np.clip(pitch, -3, 6) + 0.25 * (force - 0.3) + self.rng.normal(0, 0.025),
-                self.rng.normal(0, 0.012),
-                self.rng.normal(0, 0.10),
-            ]
-        )
-        raise_by = np.clip(0.45 + 1.2 * force, 0.7, 1.1) * (0.4 + 0.6 * min(share, 1.1))
-        return _REST + raise_by * (target - _REST)
+    def place(self, place: np.ndarray, size: float, share: float) -> np.ndarray:
+        """Where a hand goes: nearer to the centre of the gesture space for a smaller gesture."""
+        centre = CENTRE + self.space
+        away = (np.asarray(place) - CENTRE) * self.rng.normal(1.0, 0.08, 4)
+        if share < 1.0:
+            centre = centre - np.array([0.0, 0.07 * (1 - share), 0.02, 0.0])
+            away = np.maximum(away, [-0.06, -np.inf, -np.inf, -np.inf])
+        return centre + size * share * away
 
-    def arm(self, path: np.ndarray, breath: np.ndarray) -> Arm:
-        wrist, twist = path[:, :3], path[:, 3]
+    def beats(self, spoken: list[Phrase], arm: int) -> np.ndarray:
+        """Small movements (T, 4) of a raised hand on every syllable, to and fro."""
+        steps, side = [], 1.0
+        for phrase in spoken:
+            size = 0.8 + 0.65 * phrase.liveliness
+            for syllable in phrase.syllables:
+                side = -side  # twice to the same side would be no movement
+                force = size * self.rng.uniform(0.6, 1.3) * (0.7 + 0.6 * syllable.prominence)
+                steps.append(Step(syllable.time - LEAD, 0.34, side * force * _BEAT))
+            steps.append(Step(phrase.stop + 0.1, 0.5, np.zeros(4)))
+        return self.path(np.zeros(4), steps, _DELAYS + 0.015 * arm)
+
+    def arm(self, path: np.ndarray, breath: np.ndarray, shrug: np.ndarray) -> Arm:
+        """An arm whose wrist follows `path` within reach and clear of the trunk."""
+        wrist, twist = clear_of_trunk(within_reach(path[:, :3])), path[:, 3]
+        velocity = np.gradient(wrist, axis=0) * FPS
         # The hand trails its wrist: it drops on the way up and lifts on the way down.
-        falling = gaussian_filter1d(-np.gradient(wrist[:, 1]) * FPS, 0.06 * FPS)
-        height = wrist[:, 1] - _REST[1]
+        falling = gaussian_filter1d(-velocity[:, 1] * np.cos(twist), 0.05 * FPS)
+        height = wrist[:, 1] - REST_AT_SIDES[1]
+        raised = 0.5 + 0.5 * np.tanh((wrist[:, 1] + 0.02) / 0.14)[:, None]
+        # Elbows hang by a low hand and swing out to the side for a high one; they are carried
+        # along by a hand that moves outward.
+        outward = gaussian_filter1d(velocity[:, 0], 0.12 * FPS)
+        pole = (1 - raised) * ELBOW_POLE + raised * np.array([0.60, -0.77, -0.20])
+        pole[:, 0] += 0.12 * np.tanh(outward)
         return Arm(
             wrist=wrist,
-            twist=twist,
-            extension=0.08 * np.tanh(height / 0.1) + 0.45 * np.tanh(falling / 0.9),
-            lift=0.01 + 0.006 * breath + 0.16 * height,
+            twist=np.clip(twist, -1.4, 1.3),
+            extension=0.12 * np.tanh(height / 0.1) + 0.55 * np.tanh(falling / 1.1),
+            lift=0.01 + 0.006 * breath + 0.17 * height + shrug,
+            pole=pole,
         )
 
     # -- the head ----------------------------------------------------------------------------
 
-    def head(self, spoken: list[Phrase]) -> np.ndarray:
+    def head(self, spoken: list[Phrase], faced: np.ndarray) -> np.ndarray:
         """Pitch, yaw and roll of neck and head together (T, 3) rad."""
         steps = []
-        for phrase in spoken:
-            gaze = self.rng.normal(0, [0.025, 0.14, 0.03])
-            steps.append((phrase.start - 0.05, self.rng.uniform(0.6, 0.9), gaze))
-            if phrase.pause > _LONG_PAUSE:
-                steps.append((phrase.stop + 0.35, 1.1, 0.4 * gaze))
+        for phrase, listener in zip(spoken, faced, strict=True):
+            # Away while the thought is formed, then to the listener.
+            away = self.rng.normal(0, [0.09, 0.24, 0.05])
+            gaze = np.array([self.rng.normal(0, 0.03), listener, self.rng.normal(0, 0.04)])
+            if phrase.stop - phrase.start > 1.5 and self.rng.random() < 0.6:
+                steps.append(Step(phrase.start - 0.15, self.rng.uniform(0.45, 0.7), away))
+                steps.append(Step(phrase.start + self.rng.uniform(0.6, 1.0), 0.55, gaze))
+            else:
+                steps.append(Step(phrase.start - 0.05, self.rng.uniform(0.5, 0.8), gaze))
+            if phrase.pause > _REST_PAUSE:
+                steps.append(Step(phrase.stop + 0.35, 1.0, 0.4 * away))
         angles = self.path(np.zeros(3), steps)
-        angles += np.stack([self.drift(0.012), self.drift(0.03), self.drift(0.01)], axis=1)
+        angles += np.stack([self.drift(0.015), self.drift(0.035), self.drift(0.015)], axis=1)
         for phrase in spoken:
             for accent in phrase.accents:
-                depth = 0.02 + 0.14 * accent.prominence
+                depth = (0.03 + 0.16 * accent.prominence) * (0.6 + 0.6 * phrase.liveliness)
                 middle = accent.time - LEAD
                 nod = self.movement(middle - 0.08, 0.3) - self.movement(middle + 0.22, 0.42)
                 angles[:, 0] += depth * nod
-                angles[:, 2] += self.rng.normal(0, 0.25) * depth * nod
+                angles[:, 2] += self.rng.normal(0, 0.3) * depth * nod
         return angles
+
+
+def within_reach(wrist: np.ndarray) -> np.ndarray:
+    """Wrist positions (T, 3) of a left arm, moved smoothly where they would stretch or fold it."""
+    away = wrist - SHOULDER
+    distance = np.linalg.norm(away, axis=1, keepdims=True)
+    over = np.maximum(distance - 0.45, 0.0)
+    shorter = distance - over + 0.07 * np.tanh(over / 0.07)
+    folded = 0.015 * np.logaddexp(0.0, (0.17 - distance) / 0.015)
+    return SHOULDER + away * (shorter + folded) / distance
+
+
+def apart(left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Paths (T, 4) of both hands, moved smoothly aside where one would reach into the other."""
+    height, depth = left[:, 1] - right[:, 1], left[:, 2] - right[:, 2]
+    gap = np.sqrt((left[:, 0] + right[:, 0]) ** 2 + 4 * height**2 + depth**2)
+    aside = np.logaddexp(0.0, (_HANDS_APART - gap) / 0.03)[:, None] * [0.015, 0, 0, 0]
+    return left + aside, right + aside
+
+
+def clear_of_trunk(wrist: np.ndarray) -> np.ndarray:
+    """Wrist positions (T, 3), pushed smoothly out of an elliptic cylinder round the trunk."""
+    flat = wrist[:, [0, 2]] / _TRUNK
+    distance = np.linalg.norm(flat, axis=1, keepdims=True)
+    outside = 1.0 + np.logaddexp(0.0, (distance - 1.0) / 0.05) * 0.05
+    below = 0.5 - 0.5 * np.tanh((wrist[:, 1:2] - 0.22) / 0.04)  # above the shoulders there is room
+    clear = wrist.copy()
+    clear[:, [0, 2]] *= 1.0 + below * (outside / distance - 1.0)
+    return clear

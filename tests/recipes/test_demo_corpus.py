@@ -7,10 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import audio_features as af
+import gesturekit as gk
+import gesturekit.systems
 from gesturekit import Motion
 from gesturekit.evaluation import arm_speed, speech_envelope, sync
+from gesturekit.motion.joint_limits import bent_backwards
 from gesturekit.motion.rotations import rotation_angles
 
 pytest.importorskip(
@@ -24,13 +28,16 @@ RECIPE = Path(__file__).resolve().parents[2] / "recipes" / "demo"
 def recipe():
     """The recipe's modules, which import each other by their bare names."""
     sys.path.insert(0, str(RECIPE))
+    import bundle
+    import measure
     import prepare
     import talker
     import voice
 
-    yield {"prepare": prepare, "talker": talker, "voice": voice}
+    modules = (bundle, measure, prepare, talker, voice)
+    yield {module.__name__: module for module in modules}
     sys.path.remove(str(RECIPE))
-    for name in ("prepare", "talker", "rig", "texts", "voice"):
+    for name in ("bundle", "measure", "prepare", "talker", "rig", "texts", "voice"):
         sys.modules.pop(name, None)
 
 
@@ -39,6 +46,20 @@ def corpus(recipe, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("corpus")
     recipe["prepare"].main([str(folder), "--minutes", "0.5"])
     return folder
+
+
+@pytest.fixture(scope="module")
+def talks(recipe) -> dict[str, list[tuple[af.Wave, Motion]]]:
+    """A talk of 30 s of each style, gestured to with two seeds."""
+    spoken = {s: recipe["measure"].held_out_talks(s, 1, seed=7)[0] for s in ("calm", "lively")}
+    return {
+        style: [(wave, recipe["talker"].talk(wave, seed)) for seed in (0, 1)]
+        for style, wave in spoken.items()
+    }
+
+
+def wrists(motion: Motion) -> np.ndarray:
+    return motion.positions()[:, [motion.skeleton.index(f"{s}Hand") for s in ("Left", "Right")]]
 
 
 def pairs(corpus: Path, style: str) -> list[tuple[af.Wave, Motion]]:
@@ -74,11 +95,51 @@ def test_another_seed_says_other_things(recipe, corpus):
     assert next(order[0]) != next(order[1])
 
 
-def test_arms_follow_the_speech(corpus):
-    results = [sync(motion, wave) for s in ("calm", "lively") for wave, motion in pairs(corpus, s)]
-    for result in results:
-        assert result.r >= 0.5
-        assert -0.2 <= result.lag <= 0.0  # the hands lead the sound
+def test_arms_follow_the_speech(talks):
+    found = [sync(motion, wave) for wave, motion in talks["calm"] + talks["lively"]]
+    assert np.mean([each.r for each in found]) > 0.4  # a recording of a person has 0.5
+    assert np.mean([each.z for each in found]) > 2.5
+    assert all(each.r > 0.3 and -0.2 <= each.lag <= 0.1 for each in found)
+
+
+def test_hands_move_as_far_and_as_fast_as_a_persons(talks):
+    for style, (slow, fast) in {"calm": (0.1, 0.3), "lively": (0.3, 0.7)}.items():
+        for _, motion in talks[style]:
+            places = wrists(motion)
+            speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) * motion.fps
+            assert slow < np.median(speed) < fast, style
+            assert np.quantile(speed, 0.9) > 2.5 * np.median(speed)  # strokes and holds
+            assert np.ptp(places[..., 1]) > 0.6
+            for hand in (0, 1):
+                assert np.ptp(places[:, hand, 1]) > 0.4
+
+
+def test_hands_gesture_together_and_alone(talks):
+    together = []
+    for _, motion in talks["calm"] + talks["lively"]:
+        left, right = wrists(motion)[..., 1].T
+        up = np.stack([left, right]) > left.min() + 0.15
+        together += [(up[0] & up[1]).mean(), (up[0] ^ up[1]).mean()]
+    assert min(together[::2]) > 0.2 and max(together[1::2]) > 0.1
+
+
+def test_two_seeds_gesture_differently_and_two_speeches_do(talks):
+    (_, one), (_, other) = talks["lively"]
+    calm = talks["calm"][0][1]
+    n = min(one.n_frames, calm.n_frames)
+    for a, b in ((one, other), (one.slice(0, n), calm.slice(0, n))):
+        assert np.linalg.norm(wrists(a) - wrists(b), axis=-1).mean() > 0.12
+
+
+def test_trunk_and_head_take_part_over_feet_that_stand(talks):
+    for style, least in (("calm", 4.0), ("lively", 6.0)):
+        for _, motion in talks[style]:
+            turns = motion.global_rotations()
+            for joint in ("Spine2", "Head"):
+                first = turns[:, motion.skeleton.index(joint)]
+                away = np.degrees(rotation_angles(first, first[:1]))
+                assert np.quantile(away, 0.9) > least, (style, joint)
+            assert 0.04 < np.ptp(motion.translation[:, 0]) < 0.12  # from foot to foot
 
 
 def test_arms_rest_in_silence(corpus):
@@ -88,9 +149,9 @@ def test_arms_rest_in_silence(corpus):
         for style in ("calm", "lively")
         for wave, motion in pairs(corpus, style)
     ]
-    assert idle < 0.1
-    assert min(talking) > 0.5
-    assert max(talking) < 4.0
+    assert idle < 0.15
+    assert min(talking) > 1.5
+    assert max(talking) < 12.0
 
 
 def test_a_lively_voice_moves_more_than_a_monotone_one(recipe):
@@ -121,16 +182,16 @@ def test_feet_stand_still(corpus):
         assert floor == pytest.approx(0.02, abs=0.005)  # the height of the toes' ends
 
 
-def test_bodies_stay_possible(corpus):
-    for path in (corpus / "paired").glob("*.bvh"):
-        motion = Motion.load(path)
+def test_bodies_stay_possible(talks):
+    for _, motion in talks["calm"] + talks["lively"]:
         index = motion.skeleton.index
         speed = rotation_angles(motion.rotations[:-1], motion.rotations[1:]) * motion.fps
-        assert speed.max() < 12  # rad/s
+        assert speed.max() < 16  # rad/s
         # No jerks: acceleration of any joint, smoothed by nothing, stays that of a person.
-        acceleration = np.diff(motion.positions(), n=2, axis=0) * motion.fps**2
-        assert np.linalg.norm(acceleration, axis=-1).max() < 60  # m/s²
         positions = motion.positions()
+        acceleration = np.diff(positions, n=2, axis=0) * motion.fps**2
+        assert np.linalg.norm(acceleration, axis=-1).max() < 60  # m/s²
+        assert not any(frames.any() for frames in bent_backwards(motion).values())
         for side in ("Left", "Right"):
             shoulder, elbow, wrist = (
                 positions[:, index(side + name)] for name in ("Arm", "ForeArm", "Hand")
@@ -140,8 +201,53 @@ def test_bodies_stay_possible(corpus):
             flexion = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
             assert flexion.min() > 5
             assert flexion.max() < 150
-            for spine in ("Hips", "Spine", "Spine1", "Spine2"):
-                aside = (wrist - positions[:, index(spine)])[:, [0, 2]]
-                assert np.linalg.norm(aside, axis=1).min() > 0.18
-        hands = positions[:, index("LeftHand")] - positions[:, index("RightHand")]
-        assert np.linalg.norm(hands, axis=1).min() > 0.15
+
+
+def test_hands_stay_clear_of_the_trunk_the_head_and_each_other(talks):
+    along = np.linspace(0, 1, 5)[:, None, None]
+    for _, motion in talks["calm"] + talks["lively"]:
+        index, positions = motion.skeleton.index, motion.positions()
+        chest = Rotation.from_quat(motion.global_rotations()[:, index("Spine2")])
+        hands = []
+        for side in ("Left", "Right"):
+            wrist = positions[:, index(f"{side}Hand")]
+            tip = motion.end_positions()[f"{side}Hand"].reshape(-1, 3)
+            hand = wrist + along * (tip - wrist)
+            local = np.stack([chest.inv().apply(p - positions[:, index("Spine2")]) for p in hand])
+            # The trunk: an ellipse of 32 by 22 cm, up to the shoulders.
+            inside = np.hypot(local[..., 0] / 0.16, local[..., 2] / 0.11) < 1.15
+            assert not (inside & (local[..., 1] < 0.2)).any()
+            face = positions[:, index("Head")] + [0, 0.08, 0]
+            assert np.linalg.norm(hand - face, axis=-1).min() > 0.12
+            hands.append(hand)
+        gaps = np.linalg.norm(hands[0][:, None] - hands[1][None], axis=-1)
+        assert gaps.min() > 0.05
+
+
+def test_a_bundle_is_the_model_in_fewer_bytes_with_its_figures(recipe, tmp_path, monkeypatch):
+    """The card states what `measure.py` finds of the bundled files."""
+    monkeypatch.setattr(recipe["measure"], "ITEM_SECONDS", 6.0)
+    model, speech = gk.systems.model_folder("demo"), gk.systems.bundled_speech()
+    run, out = tmp_path / "model", tmp_path / "out"
+    gk.load("demo").save(run)  # in full precision, as a run leaves it
+    recipe["bundle"].bundle(run, speech, out, talks=1)
+    assert {path.name for path in out.iterdir()} == {path.name for path in model.iterdir()}
+    size = {f: (f / "model.safetensors").stat().st_size for f in (run, out)}
+    assert size[out] < 0.55 * size[run]
+    one, other = (gk.load(folder).generate(seconds=3.0, seed=0) for folder in (run, out))
+    assert np.degrees(rotation_angles(one.rotations, other.rotations).max()) < 1.0
+    card = (out / "README.md").read_text(encoding="utf-8")
+    assert recipe["measure"].table(str(out), talks=1) in card
+    assert "measure.py" in card
+
+
+@pytest.mark.stress
+def test_one_command_makes_a_bundle(recipe, tmp_path):
+    tiny = ["network.channels=[2,2]", "network.levels=4", "threads=1"]
+    tiny += ["schedule.first_pair=2", "schedule.further_pairs=2", "schedule.bank=2"]
+    recipe["bundle"].main(
+        [str(tmp_path / "work"), "--out", str(tmp_path / "out"), "--minutes", "0.5", "--talks", "1"]
+        + tiny
+    )
+    motion = gk.load(tmp_path / "out").generate(tmp_path / "out" / "speech.wav")
+    assert motion.duration > 5
