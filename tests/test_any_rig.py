@@ -279,6 +279,7 @@ def losses(run: Path) -> list[dict[str, float]]:
     return [
         {key: value for key, value in row.items() if "seconds" not in key and key != "time"}
         for row in rows
+        if "kind" not in row  # the figures that a training ends with
     ]
 
 

@@ -174,7 +174,7 @@ def test_the_command_says_what_it_found(microsoft, wavlm_folder, tmp_path, speec
 
     def run(*options: str):
         arguments = [tmp_path / "a.wav", "--weights", tmp_path / "WavLM.pt", "--out", tmp_path]
-        arguments += ["--extractor", "wavlm,prosody", *options]
+        arguments += ["--extractor", "wavlm,prosody", "--existing", "replace", *options]
         done = CliRunner().invoke(command, [*map(str, arguments)], standalone_mode=False)
         assert done.exception is None, done.output
         return done.output, af.FeatureTrack.load(tmp_path / "a.npz")

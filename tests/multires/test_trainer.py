@@ -155,9 +155,9 @@ def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(
         Pair._draw,
     )
 
-    def record_input(self, up, noise, condition):
+    def record_input(self, up, noise, *others):
         upsampled.append(up)
-        return forward(self, up, noise, condition)
+        return forward(self, up, noise, *others)
 
     def record_windows(self, kind, n_frames, rng, *batches):
         windows = draw(self, kind, n_frames, rng, *batches)
@@ -303,9 +303,8 @@ RANDOM = {"critic", "adversarial", "contact", "smooth", "arm_speed"}
 def test_variants_train_on_the_losses_that_they_name(make_config, changes, losses):
     config = make_config(**changes)
     train(config)
-    lines = [json.loads(line) for line in (config.out / "metrics.jsonl").read_text().splitlines()]
     # The finest level is at the full rate, where every loss applies.
-    named = set(lines[-1]) - {"step", "level", "seconds_per_iteration"}
+    named = set(logged(config)[-1]) - {"step", "level", "seconds_per_iteration"}
     assert named == losses
     trained = weights(config)
     assert all(torch.isfinite(value).all() for value in trained.values())
