@@ -34,6 +34,7 @@ from gesturekit.corpus import prepare
 from gesturekit.formats import write_bvh
 from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion
+from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.networks import SLOPE
@@ -164,13 +165,17 @@ class Masked:
 
     def generator_step(self) -> None:
         made = self.random()
-        losses = []
+        sums = []
         for i in self.levels:
-            contact = self.kinematics.contact_loss(
-                made[i].index_select(1, self.places), FRAMES / self.lengths[i], 12.0, False
+            values = made[i].index_select(1, self.places)
+            contact = losses.contact(
+                self.kinematics.foot_velocity(values, FRAMES / self.lengths[i]),
+                self.kinematics.contact_labels(values),
+                slope=12.0,
+                squared=False,
             )
-            losses.append(5 * contact - self.critics[i](made[i]).mean())
-        self.step(losses)
+            sums.append(5 * contact - self.critics[i](made[i]).mean())
+        self.step(sums)
 
     def reconstruction_step(self) -> None:
         still = [torch.zeros(1, 1, n) for n in self.lengths[1 : self.levels.stop]]

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from gesturekit.multires.config import LossConfig
 from gesturekit.multires.live_conv import Rows, narrowed
+from gesturekit.multires.losses import critic_gap
 from gesturekit.multires.networks import SLOPE, LevelDiscriminator, gradient_penalty, taken
 from gesturekit.multires.row_kernels import (
     mirror_rows,
@@ -97,7 +98,7 @@ def _by_autograd(level: _Level) -> Tensor:
     critic, real, fake, told = level.critic, level.real, level.fake, level.told
     twice = None if told is None else torch.cat([told, told])
     scores = critic(torch.cat([fake, real]), twice)
-    gap = scores[: len(fake)].mean() - scores[len(fake) :].mean()
+    gap = critic_gap(scores[: len(fake)], scores[len(fake) :])
     penalty = gradient_penalty(critic, real, fake, level.mix, level.losses.penalty_on, told)
     loss = level.losses.critic_scale * gap + level.losses.gradient_penalty * penalty
     parameters = list(critic.parameters())

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 import audio_features as af
+from gesturekit.multires import losses
 from gesturekit.multires.data import PairedSequence
 from gesturekit.multires.interpolation import resample
 
@@ -85,11 +86,8 @@ class DetailTarget(nn.Module):
         total = made.sum() * 0
         for style in styles.unique().tolist():
             own = made[styles == style]
-            if (n := len(own)) < 2:
+            if len(own) < 2:
                 continue
             recorded = getattr(self, f"recorded{style}") / made.shape[1] ** 0.5
-            apart = (own[:, None] - recorded).norm(dim=-1).mean()
-            # The 1e-6 keeps the norm of a difference of nothing from having no derivative.
-            among = ((own[:, None] - own).square().sum(dim=-1) + 1e-6).sqrt().sum() / (n * (n - 1))
-            total = total + n / len(made) * (apart - 0.5 * among)
+            total = total + len(own) / len(made) * losses.detail(own, recorded)
         return total

@@ -133,32 +133,25 @@ class VectorKinematics(nn.Module):
         """(B, K, 3, T) where the modelled joints are, metres, the root above the origin."""
         return self.joints(self._sixd(values), values[:, -2]).permute(0, 2, 3, 1)
 
-    def contact_loss(
-        self, values: Tensor, stride: float, slope: float = 10.0, squared: bool = True
-    ) -> Tensor:
-        """Eq. 14: squared foot speed, (m/s)^2, where the contact label says the foot stands.
-
-        GANimator has the speed itself, m/s, and a slope of 12. The rig must have feet.
-        """
+    def foot_velocity(self, values: Tensor, stride: float) -> Tensor:
+        """Return (B, T - 1, F, 3) the velocity of the foot points, m/s, over the floor included."""
         feet = self._foot_places(values)
         drift = _root_drift(values)
-        speed = ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
-        labels = values[:, self.contacts, 1:].transpose(1, 2)
-        speed = speed.square().sum(dim=-1)
-        if not squared:
-            speed = (speed + 1e-12).sqrt()
-        return (speed * torch.sigmoid(slope * labels - slope / 2)).mean()
+        return ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
 
-    def smoothness_loss(self, values: Tensor, places: Tensor, stride: float) -> Tensor:
-        """Eq. 16: distance (m) of each joint from the mean of three frames, a full-rate frame.
+    def contact_labels(self, values: Tensor) -> Tensor:
+        """Return (B, T - 1, F) the contact labels of all frames but the first."""
+        return values[:, self.contacts, 1:].transpose(1, 2)
 
-        `places` are those of `values`.
+    def bend(self, values: Tensor, places: Tensor, stride: float) -> Tensor:
+        """Return (B, K, 3, T - 2) the second difference of the joints' places, metres.
+
+        It counts per full-rate frame, movement over the floor included. `places` are those of
+        `values`.
         """
         drift = _root_drift(values).transpose(1, 2)[:, None]
         bend = places[..., 2:] - 2 * places[..., 1:-1] + places[..., :-2]
-        bend = bend / stride**2 + (drift[..., 2:] - drift[..., 1:-1]) / stride
-        # The small number keeps the gradient of the norm finite where nothing moves.
-        return (bend.square().sum(dim=2) + 1e-12).sqrt().mean() / 3
+        return bend / stride**2 + (drift[..., 2:] - drift[..., 1:-1]) / stride
 
     def arm_speed(
         self, values: Tensor, stride: float, smoothing: float = SMOOTHING_SECONDS

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.multires import losses
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.interpolation import reflect, resample
 from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours, chained
@@ -256,11 +257,4 @@ def gradient_penalty(
     between = (mix * fake + (1 - mix) * real).requires_grad_(True)
     score = discriminator(between, told).sum()
     (gradient,) = torch.autograd.grad(score, between, create_graph=True)
-    if penalty_on == "frame":
-        return ((gradient.norm(dim=1) - 1) ** 2).mean()
-    norm = gradient.flatten(1).norm(dim=1)
-    if penalty_on == "window":
-        # The score is a mean over T frames, so its gradient shrinks as 1/sqrt(T) with length; long
-        # windows would be punished for their length.
-        norm = norm * between.shape[-1] ** 0.5
-    return ((norm - 1) ** 2).mean()
+    return losses.gradient_penalty(gradient, penalty_on)

@@ -9,11 +9,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 import audio_features as af
 from gesturekit.errors import ModelError
+from gesturekit.multires import losses
 from gesturekit.multires.bank import Windows
 from gesturekit.multires.critic import critic_gradients
 from gesturekit.multires.detail import DetailTarget
@@ -328,7 +328,7 @@ class Pair:
             heard = zip(self.targets, windows.speech, strict=True)
             aims = self._within([target(speech) for target, speech in heard], n_frames)
 
-        def losses(i: int) -> dict[str, Tensor]:
+        def of_level(i: int) -> dict[str, Tensor]:
             motion, kinematics = within[i], self.trainer.kinematics
             stride = n_frames / motion.shape[-1]
             values = self.trainer.normaliser.inverse(motion)
@@ -337,24 +337,28 @@ class Pair:
                 critic = self.discriminators[i]
                 critic.requires_grad_(False)  # what the score is by its weights is not asked for
                 with self._precision():
-                    score = -critic(motion, told[i]).mean()
+                    loss = losses.adversarial(critic(motion, told[i]))
                 critic.requires_grad_(True)
-                parts["adversarial"] = weights.adversarial * score
+                parts["adversarial"] = weights.adversarial * loss
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1
             if weights.contact and moves:  # 0 on a rig without feet
-                squared = weights.contact_speed == "squared"
-                loss = kinematics.contact_loss(values, stride, weights.contact_slope, squared)
+                loss = losses.contact(
+                    kinematics.foot_velocity(values, stride),
+                    kinematics.contact_labels(values),
+                    weights.contact_slope,
+                    squared=weights.contact_speed == "squared",
+                )
                 parts["contact"] = weights.contact * loss
             # Rounding makes strides of two levels straddle 2; half the full rate is meant.
             smooth, detailed = weights.smoothness and stride < 2.05, self.first + i in self.details
             places = kinematics.places(values) if smooth or detailed else None
             if smooth:
-                loss = kinematics.smoothness_loss(values, places, stride)
+                loss = losses.smoothness(kinematics.bend(values, places, stride))
                 parts["smooth"] = weights.smoothness * loss
             if weights.coarse and self.first + i:
                 given = windows.coarser if i == 0 else made[i - 1].detach()
-                loss = F.l1_loss(resample(made[i], given.shape[-1]), given)
+                loss = losses.coarse(resample(made[i], given.shape[-1]), given)
                 parts["coarse"] = weights.coarse * loss
             if detailed:
                 loss = self.details[self.first + i](places, windows.styles[:, self.first + i])
@@ -365,7 +369,7 @@ class Pair:
                     kinematics.arm_acceleration(values, stride),
                     stride / self.config.fps,
                 )
-                distances = (arms - aims[i]).abs().mean(dim=(0, 2))
+                distances = losses.movement(arms, aims[i])
                 for name, distance in zip(
                     ("arm_speed", "arm_acceleration"), distances, strict=True
                 ):
@@ -373,7 +377,7 @@ class Pair:
                         parts[name] = weight * distance
             return parts
 
-        return self._descend(losses)
+        return self._descend(of_level)
 
     def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
         """Reconstruction of paired motion from z* and its own speech (eq. 15)."""
@@ -394,7 +398,7 @@ class Pair:
                 ]
         else:
             made = self._generate(windows)
-        errors = [F.l1_loss(m, target) for m, target in zip(made, windows.targets, strict=True)]
+        errors = list(map(losses.reconstruction, made, windows.targets))
         self._descend(lambda i: {"rec": self.config.losses.reconstruction * errors[i]})
         return float(torch.stack(errors).detach().mean())
 

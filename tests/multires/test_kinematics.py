@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from gesturekit.evaluation import arm_speed
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.representation import MultiresRepresentation
+from gesturekit.multires import losses
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.kinematics import VectorKinematics
 
@@ -91,19 +92,24 @@ def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(repre
     still = values[:, :, :1].expand(-1, -1, 50).clone()
     still[:, representation.root_columns] = torch.tensor([0.02, 0.9, 0.0])[:, None]
     still[:, representation.contact_columns] = 1.0
-    standing = float(kinematics.contact_loss(still, stride=1.0))
+
+    def contact(stride):
+        velocity = kinematics.foot_velocity(still, stride)
+        return float(losses.contact(velocity, kinematics.contact_labels(still)))
+
+    standing = contact(1.0)
     # 0.02 m a frame at 25 fps is 0.5 m/s; the label 1 weighs 1 / (1 + exp(5 - 10)).
     assert standing == pytest.approx(0.25 / (1 + np.exp(-5)), rel=1e-3)
-    assert float(kinematics.contact_loss(still, stride=4.0)) == pytest.approx(standing, rel=1e-3)
+    assert contact(4.0) == pytest.approx(standing, rel=1e-3)
     still[:, representation.contact_columns] = 0.0
-    assert float(kinematics.contact_loss(still, stride=1.0)) < 0.01 * standing
+    assert contact(1.0) < 0.01 * standing
 
 
 def test_smoothness_counts_per_full_rate_frame(representation, values):
     kinematics = VectorKinematics(representation, 25.0)
 
     def loss(values, stride):
-        return float(kinematics.smoothness_loss(values, kinematics.places(values), stride))
+        return float(losses.smoothness(kinematics.bend(values, kinematics.places(values), stride)))
 
     full = loss(values, 1.0)
     half = resample(values, values.shape[-1] // 2)

@@ -1,0 +1,237 @@
+"""The training objective, against numbers worked out by hand: signs, weights, units, noise."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from gesturekit.multires import losses
+from gesturekit.multires.bank import Bank
+from gesturekit.multires.data import load_training_data
+from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.pair import Pair
+from gesturekit.multires.trainer import Trainer, train
+from gesturekit.training.seeds import generator
+from gesturekit.training.session import session
+
+
+def test_generators_want_high_scores_and_discriminators_a_gap():
+    scores = torch.tensor([1.0, 3.0])
+    assert float(losses.adversarial(scores)) == -2.0
+    assert float(losses.critic_gap(scores, torch.tensor([4.0, 6.0]))) == -3.0
+
+
+def test_the_gradient_penalty_wants_a_norm_of_one():
+    # Two channels, two frames: frame norms 5 and 0, the window's norm is 5.
+    gradient = torch.tensor([[[3.0, 0.0], [4.0, 0.0]]])
+    assert float(losses.gradient_penalty(gradient, "printed")) == 16.0
+    assert float(losses.gradient_penalty(gradient, "frame")) == (16.0 + 1.0) / 2
+    # The gradient of the sum over two frames' scores is sqrt(2) larger in units of the mean's.
+    expected = (5 * math.sqrt(2) - 1) ** 2
+    assert float(losses.gradient_penalty(gradient, "window")) == pytest.approx(expected)
+
+
+def test_the_contact_loss_is_squared_speed_where_the_label_says_standing():
+    velocity = torch.tensor([[[[0.3, 0.0, 0.4]], [[0.0, 2.0, 0.0]]]])  # 0.5 and 2 m/s
+    labels = torch.tensor([[[1.0], [0.0]]])
+    stands, lifted = 1 / (1 + math.exp(-5)), 1 / (1 + math.exp(5))
+    expected = (0.25 * stands + 4.0 * lifted) / 2
+    assert float(losses.contact(velocity, labels)) == pytest.approx(expected, rel=1e-5)
+    # GANimator: the speed itself, and a slope of 12.
+    stands, lifted = 1 / (1 + math.exp(-6)), 1 / (1 + math.exp(6))
+    expected = (0.5 * stands + 2.0 * lifted) / 2
+    loss = losses.contact(velocity, labels, slope=12.0, squared=False)
+    assert float(loss) == pytest.approx(expected, rel=1e-5)
+
+
+def test_reconstruction_and_coarse_are_mean_absolute_errors():
+    one, other = torch.tensor([[[1.0, -2.0, 0.0]]]), torch.tensor([[[0.0, 2.0, 1.0]]])
+    for loss in (losses.reconstruction, losses.coarse):
+        assert float(loss(one, other)) == 2.0
+
+
+def test_smoothness_is_the_distance_from_the_mean_of_three_frames():
+    # One joint at 0, 0 and 3 m along x: it is 1 m from the mean of the three.
+    bend = torch.tensor([0.0 - 2 * 0.0 + 3.0, 0.0, 0.0]).reshape(1, 1, 3, 1)
+    assert float(losses.smoothness(bend)) == pytest.approx(1.0)
+
+
+def test_movement_errors_are_means_of_speed_and_of_acceleration():
+    made = torch.tensor([[[1.0, 1.0], [0.0, 4.0]], [[3.0, 1.0], [0.0, 0.0]]])
+    assert losses.movement(made, torch.zeros_like(made)).tolist() == [1.5, 1.0]
+
+
+def test_detail_is_the_energy_distance():
+    made, recorded = torch.tensor([[0.0], [2.0]]), torch.tensor([[1.0], [4.0]])
+    # Mean of |0-1|, |0-4|, |2-1|, |2-4| less half the mean distance of the generated ones.
+    assert float(losses.detail(made, recorded)) == pytest.approx(2.0 - 0.5 * 2.0, abs=2e-3)
+
+
+ALONE = dict.fromkeys(("adversarial", "contact", "smoothness", "arm_speed", "reconstruction"), 0)
+ALONE |= {"gradient_penalty": 1, "arm_acceleration": 0, "detail": 0, "coarse": 0}
+
+
+@pytest.fixture
+def pair_of(make_config, tmp_path):
+    """The first pair of levels, or another, of the small configuration with changes."""
+
+    def make(first: int = 0, **changes) -> Pair:
+        config = make_config(**changes, out=str(tmp_path / f"{first} {changes}"))
+        with session(config, resume=False) as (run, device, processes):
+            trainer = Trainer(config, run, device, processes, resume=False)
+        for number, level in enumerate(trainer.network.levels):
+            # As it is made, modulation is the identity: give every part a say.
+            for name, weight in level.named_parameters():
+                rng = generator("shaken", number, name)
+                weight.data += 0.05 * torch.randn(weight.shape, generator=rng)
+        pair = Pair(trainer, first, iterations=10)
+        pair._fill_bank(0)
+        return pair
+
+    return make
+
+
+def steps_of(pair: Pair, kind: str):
+    """One step's gradients by the generators' parameters, and what it reports."""
+    pair._update = lambda name: None
+    n_frames = max(pair.trainer.groups)
+    step = {"random": pair._random_step, "paired": pair._reconstruction_step}[kind]
+    report = step(n_frames, generator("step"))
+    gradients = [p.grad.clone() for p in pair.generators.parameters() if p.grad is not None]
+    return torch.cat([gradient.flatten() for gradient in gradients]), report
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "first"),
+    [
+        ("adversarial", "random", 0),
+        ("contact", "random", 0),
+        ("smoothness", "random", 2),
+        ("arm_speed", "random", 0),
+        ("arm_acceleration", "random", 0),
+        ("detail", "random", 2),
+        ("coarse", "random", 2),
+        ("reconstruction", "paired", 0),
+    ],
+)
+def test_every_weight_scales_its_gradient(pair_of, name, kind, first):
+    once, _ = steps_of(pair_of(first, losses={**ALONE, name: 1.0}), kind)
+    thrice, _ = steps_of(pair_of(first, losses={**ALONE, name: 3.0}), kind)
+    assert float(once.norm()) > 0
+    torch.testing.assert_close(thrice, 3 * once, rtol=1e-3, atol=1e-6 * float(once.norm()))
+
+
+def test_the_penalty_and_the_critics_scale_count(pair_of):
+    def gradient(**changes):
+        pair = pair_of(losses={**ALONE, **changes})
+        n_frames = max(pair.trainer.groups)
+        pair._update = lambda name: None
+        pair._discriminator_steps([n_frames], generator("step"))
+        return torch.cat([p.grad.flatten() for p in pair.discriminators.parameters()])
+
+    gap = gradient(gradient_penalty=0.0)
+    both = gradient(gradient_penalty=1.0)
+    more = gradient(gradient_penalty=3.0)
+    torch.testing.assert_close(more - gap, 3 * (both - gap), rtol=1e-3, atol=1e-5)
+    torch.testing.assert_close(gradient(gradient_penalty=0.0, critic_scale=0.5), 0.5 * gap)
+
+
+def scores_of(pair: Pair) -> tuple[float, float]:
+    """Mean scores of generated and of recorded windows, by the finer level's discriminator."""
+    n_frames = max(pair.trainer.groups)
+    with torch.no_grad():
+        made = pair._generate(pair._draw("random", n_frames, generator("judged")))
+        data = [pair.trainer.data.paired[i] for i in pair.trainer.groups[n_frames]]
+        reals = pair.trainer.bank.reals(data, n_frames, pair.first, 4, generator("judged"))
+        critic = pair.discriminators[-1]
+        return float(critic(made[-1]).mean()), float(critic(reals[-1]).mean())
+
+
+def test_random_steps_alone_raise_the_score_of_what_is_generated(pair_of):
+    pair = pair_of(losses={**ALONE, "adversarial": 1.0})
+    n_frames = max(pair.trainer.groups)
+    before = scores_of(pair)[0]
+    for k in range(8):
+        pair._random_step(n_frames, generator("random", k))
+    assert scores_of(pair)[0] > before + 0.01
+
+
+def test_discriminator_steps_alone_tell_recorded_from_generated(pair_of):
+    pair = pair_of(losses=ALONE)
+    n_frames = max(pair.trainer.groups)
+    fake, real = scores_of(pair)
+    pair._discriminator_steps([n_frames] * 12, generator("discriminator"))
+    fake_after, real_after = scores_of(pair)
+    assert real_after - fake_after > real - fake + 0.01
+
+
+def test_the_learning_rate_falls_to_a_tenth_where_it_is_told(make_config, monkeypatch):
+    rates = []
+    iterate = Pair._iterate
+
+    def record(self, iteration):
+        groups = [o.param_groups for o in self.optimisers.values()]
+        rates.append({group["lr"] for members in groups for group in members})
+        return iterate(self, iteration)
+
+    monkeypatch.setattr(Pair, "_iterate", record)
+    train(make_config(schedule={"decay_at": 0.7, "first_pair": 10, "further_pairs": 10}))
+    assert rates == 2 * (7 * [{1e-3}] + 3 * [{1e-4}])
+
+
+@pytest.fixture
+def bank(make_config):
+    config = make_config(schedule={"silence": 0.0})
+    data = load_training_data(config)
+    network = MultiresGenerator(data.representation, data.n_speech, config.network)
+    return Bank(data, config, network)
+
+
+def noises_of(bank: Bank, first: int, count: int = 64):
+    n_frames = next(iter(bank.data.window_lengths()))
+    windows = bank.random(bank.data.paired, n_frames, first, count, generator("bank"))
+    return windows.noise
+
+
+def test_random_steps_have_noise_of_each_levels_own_sigma(bank):
+    for first in (0, 2):
+        for i, noise in enumerate(noises_of(bank, first)):
+            sigma = float(bank.sigma[first + i])
+            # Shared by all channels, drawn anew for every window and frame.
+            assert noise.shape[1] == 1
+            assert float(noise.std()) == pytest.approx(sigma, rel=0.15)
+            assert not torch.equal(noise[0], noise[1])
+
+
+def test_reconstruction_has_z_star_at_the_first_level_and_no_noise_above(bank):
+    n_frames, members = max(bank.data.window_lengths().items())
+    sequences = [bank.data.paired[i] for i in members]
+    windows = bank.paired(sequences, n_frames, 0, 8, generator("paired"))
+    first, second = windows.noise
+    assert second is None
+    n_coarsest = first.shape[-1]
+    stars = [s.z_star_window(start, n_coarsest) for s in sequences for start in range(s.n_frames)]
+    for noise in first:
+        assert any(torch.equal(noise, star) for star in stars)
+
+
+def test_sampling_noise_is_scaled_by_the_first_levels_sigma(make_config):
+    import gesturekit as gk
+
+    model = gk.load(train(make_config(schedule={"first_pair": 1, "further_pairs": 1})))
+    quiet = model.generate(seconds=2.0, fps=model.fps, foot_lock=False)
+    model.sigma[:, 0] *= 100
+    loud = model.generate(seconds=2.0, fps=model.fps, foot_lock=False)
+    other = model.generate(seconds=2.0, fps=model.fps, foot_lock=False, seed=1)
+    assert abs(loud.rotations - quiet.rotations).max() > 0.05
+    assert abs(loud.rotations - other.rotations).max() > 0.05
+
+
+def test_unpaired_speech_is_read_from_anywhere(bank):
+    clip = torch.arange(300.0).expand(bank.data.n_speech, -1)
+    object.__setattr__(bank.data, "unpaired", (clip,))
+    starts = [int(bank.data.speech_window(50, generator("start", k))[0, 0]) for k in range(200)]
+    assert min(starts) < 15 and max(starts) > 235
+    assert len(set(starts)) > 100
