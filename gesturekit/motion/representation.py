@@ -10,7 +10,7 @@ six foot points that is 24 x 6 + 6 + 3 = 153 numbers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -38,27 +38,42 @@ _FRAMES_AT_ONCE = 1024  # decoded, so that what a rotation passes through on its
 
 @dataclass(frozen=True, eq=False)
 class MultiresRepresentation(ModelJoints):
-    """Encodes motions of one rig as vectors, and vectors as motions."""
+    """Encodes motions of one rig as vectors, and vectors as motions.
+
+    Attributes:
+        contact_speed: m/s on the reference body; a slower foot point stands.
+    """
+
+    contact_speed: float = field(default=CONTACT_SPEED, kw_only=True)
 
     @classmethod
     def fit(
-        cls, motions: Sequence[Motion], joints: str | Sequence[str] = "body"
+        cls,
+        motions: Sequence[Motion],
+        joints: str | Sequence[str] = "body",
+        contact_speed: float = CONTACT_SPEED,
     ) -> MultiresRepresentation:
         """Learn from training motions which joints to model and how to hold the others.
 
         Args:
             motions: motions of one rig (same names and parents); see `reference_skeleton`.
             joints: "body" (no fingers, no end joints), "all", or names.
+            contact_speed: see the class.
 
         Raises:
             MotionError: no motions, or a name that the rig does not have.
         """
-        return cls(**cls.choose(motions, joints))
+        return cls(**cls.choose(motions, joints), contact_speed=contact_speed)
 
     @classmethod
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> MultiresRepresentation:
-        """Inverse of `to_json`."""
-        return cls(**cls.chosen(skeleton, values))
+        """Inverse of `to_json`; values of older models have no contact speed."""
+        speed = float(values.get("contact_speed", CONTACT_SPEED))
+        return cls(**cls.chosen(skeleton, values), contact_speed=speed)
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the skeleton, as plain values."""
+        return super().to_json() | {"contact_speed": self.contact_speed}
 
     @cached_property
     def foot_points(self) -> tuple:
@@ -113,7 +128,7 @@ class MultiresRepresentation(ModelJoints):
             displacement[0] = displacement[1]
         root = np.stack([displacement[:, 0], position[:, 1], displacement[:, 2]], axis=-1)
         root /= self.scale
-        contacts = contact_labels(motion, threshold=CONTACT_SPEED)
+        contacts = contact_labels(motion, threshold=self.contact_speed)
         sixd = sixd_from_quaternion(rotations).reshape(motion.n_frames, -1)
         return np.concatenate([sixd, contacts, root], axis=-1)
 

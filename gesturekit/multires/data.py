@@ -317,7 +317,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     recorded = load_motions(items, config.corpus, None, config.parts)
     sources = tuple(map(Source.of, items, recorded))
     motions = [motion.resample(config.fps) for motion in recorded]
-    representation = MultiresRepresentation.fit(motions, config.joints)
+    representation = MultiresRepresentation.fit(motions, config.joints, config.contact_threshold)
     if config.features is not None and config.network.modulate == "upper":
         try:
             find_parts(representation.skeleton)

@@ -90,3 +90,16 @@ def test_the_reference_skeleton_is_the_commonest_one(gesture):
     offsets[1] += [0.0, 0.0, -4.5]
     odd = replace(motion, skeleton=replace(motion.skeleton, offsets=offsets))
     assert reference_skeleton([odd, motion, motion]) is motion.skeleton
+
+
+def test_the_speed_below_which_a_foot_stands_is_kept_with_the_model(gesture):
+    motion = gesture(2.0)
+    motion.translation[:, 0] += 0.4 * motion.times  # feet slide at 0.4 m/s
+    usual = MultiresRepresentation.fit([motion])
+    ganimator = MultiresRepresentation.fit([motion], contact_speed=0.54)
+    kept = MultiresRepresentation.from_json(ganimator.skeleton, ganimator.to_json())
+    for representation, stands in ((usual, 0.0), (ganimator, 1.0), (kept, 1.0)):
+        labels = representation.contacts(representation.encode(motion))
+        assert labels.mean() == pytest.approx(stands, abs=0.05)
+    old = {k: v for k, v in usual.to_json().items() if k != "contact_speed"}
+    assert MultiresRepresentation.from_json(usual.skeleton, old).contact_speed == 0.2

@@ -124,6 +124,7 @@ SPEECH = {
     "smooth": (None, "no post-processing of the upper body"),
     "normalise": (False, "GANimator: none"),
     "face_forward": (False, "GANimator: none"),
+    "contact_threshold": (0.2, "ours: eq. 1 gives no value"),
     "z_star": ("shared", "3.2: shared along the channel axis"),
     "recall": (0, "3.2: noise is drawn anew"),
     "noise_levels": (1, "GANimator: noise at level 1 only when sampling"),
@@ -183,6 +184,7 @@ LABELS = {name: SPEECH[name] for name in SPEECH if name != "styles"} | NO_SPEECH
 }  # fmt: skip
 GANIMATOR = SPEECH | {
     "features": (None, "no condition"),
+    "contact_threshold": (0.54, "code: 0.018 a frame at 30 fps"),
     "z_star": ("full", "code: of each channel, unscaled"),
     "network.levels": (7, "code: 7 at ratio 1/5"),
     "network.film": ("all", "unused without a condition"),
