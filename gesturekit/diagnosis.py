@@ -156,7 +156,7 @@ def _ffmpeg() -> Finding:
         return Finding("ffmpeg", "ok", imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError):
         text = "not found; only videos need it, and sound in m4a"
-        return Finding("ffmpeg", "note", text, "pip install 'gesturekit[video]', or apt, brew")
+        return Finding("ffmpeg", "note", text, "apt install ffmpeg, or brew install ffmpeg")
 
 
 def _player() -> Finding:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 from collections.abc import Callable, Iterator
@@ -14,6 +15,21 @@ import soundfile
 from scipy.spatial.transform import Rotation
 
 from gesturekit.motion import Motion, Skeleton
+
+NEVER_SKIPPED_IN_CI = ("Chromium", "smplx", "ffmpeg")
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail where continuous integration has a tool and its tests were skipped all the same."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if "GESTUREKIT_SKIP_IS_FAILURE" not in os.environ or reporter is None:
+        return
+    reasons = {report.longrepr[2] for report in reporter.stats.get("skipped", [])}
+    wrong = [reason for reason in reasons if any(tool in reason for tool in NEVER_SKIPPED_IN_CI)]
+    if wrong:
+        reporter.write_line(f"Skipped, though it must run here: {'; '.join(wrong)}", red=True)
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
