@@ -13,7 +13,7 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test stress mutants lint format bench interop clean
+.PHONY: help setup demo test stress mutants lint format bench interop picture clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
@@ -24,6 +24,7 @@ help:
 	@echo "make lint    check style only          make format  put style right"
 	@echo "make bench   run every benchmark, the quick way"
 	@echo "make interop opens files we wrote in Blender and three.js (installs Blender: 1.6 GB)"
+	@echo "make picture makes docs/demo.png anew (wants chromium)"
 	@echo "make clean   remove what these commands made, $(VENV) included"
 
 setup: $(READY) $(BUNDLE)
@@ -66,6 +67,14 @@ $(VENV)/interop/ready:
 
 interop: setup $(VENV)/interop/ready
 	@$(BIN)/python tests/interop/interop.py $(VENV)/interop/bin/python
+
+# The picture in README.md: the bundled model's demo in the player, 5.6 s into it.
+picture: setup
+	@folder=$$(mktemp -d) && $(BIN)/gesturekit demo --out "$$folder" >/dev/null && \
+	    chromium --headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader \
+	    --disable-background-networking --hide-scrollbars --window-size=1100,720 \
+	    --virtual-time-budget=8000 --screenshot="$(CURDIR)/docs/demo.png" \
+	    "file://$$folder/speech.html#t=5.6" 2>/dev/null; rm -rf "$$folder"
 
 clean:
 	rm -rf $(VENV) $(BUNDLE) $(PLAYER)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
