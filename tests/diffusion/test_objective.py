@@ -12,6 +12,7 @@ from gesturekit.diffusion.losses import change_error, denoising_error
 from gesturekit.diffusion.sampling import sample
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.diffusion.trainer import _Trainer
+from gesturekit.training.session import session
 
 
 def of_two_steps(predict="noise"):
@@ -88,10 +89,53 @@ def test_deterministic_steps_keep_the_noise_and_end_at_the_clean_motion():
     assert made.item() == pytest.approx((second + math.sqrt(0.2) * 0.2) / math.sqrt(0.8))
 
 
+def test_second_order_steps_are_those_of_dpm_solver_plus_plus():
+    # DPM-Solver++ 2M (Lu et al. 2022, algorithm 2) in its own symbols, over three steps.
+    schedule = NoiseSchedule.of(NoiseConfig(steps=3, first_beta=0.1, last_beta=0.5))
+    kept = (0.9, 0.9 * 0.7, 0.9 * 0.7 * 0.5)
+    alpha, sigma = ([math.sqrt(f(k)) for k in kept] for f in (lambda k: k, lambda k: 1 - k))
+    lam = [math.log(a / s) for a, s in zip(alpha, sigma, strict=True)]
+    noises = {2: 0.3, 1: -0.4, 0: 0.6}
+    x = 1.0
+    clean_2 = (x - sigma[2] * noises[2]) / alpha[2]
+    h = lam[1] - lam[2]
+    x = sigma[1] / sigma[2] * x - alpha[1] * (math.exp(-h) - 1) * clean_2
+    clean_1 = (x - sigma[1] * noises[1]) / alpha[1]
+    h_before, h = h, lam[0] - lam[1]
+    r = h_before / h
+    ahead = (1 + 1 / (2 * r)) * clean_1 - 1 / (2 * r) * clean_2
+    x = sigma[0] / sigma[1] * x - alpha[0] * (math.exp(-h) - 1) * ahead
+    clean_0 = (x - sigma[0] * noises[0]) / alpha[0]
+    made = sample(
+        lambda noisy, step: clip(noises[step]), lambda k: clip(1.0), schedule, solver="dpm"
+    )
+    assert made.item() == pytest.approx(clean_0, rel=1e-9)
+
+
+def test_a_given_start_is_noised_to_its_step():
+    seen = []
+
+    def predict(noisy, step):
+        seen.append((noisy.item(), step))
+        return clip(0.0)
+
+    sample(predict, lambda k: clip(-1.0), of_two_steps(), start=(clip(2.0), 1))
+    first, step = seen[0]
+    assert step == 1 and first == pytest.approx(2 * math.sqrt(0.4) - math.sqrt(0.6))
+
+
+def test_gradients_are_clipped_to_their_norm(make_config, tmp_path):
+    config = make_config(training={"clip": 1e-3}, out=str(tmp_path / "clipped"))
+    with session(config, resume=False) as (run, device, processes):
+        trainer = _Trainer(config, run, device, processes, resume=False)
+    trainer._update(0)
+    norms = [p.grad.norm() for p in trainer.network.parameters() if p.grad is not None]
+    assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
+
+
 @pytest.fixture
 def trainer_of(make_config, tmp_path):
     """A trainer of the small configuration with changes, its network replaced by zeros."""
-    from gesturekit.training.session import session
 
     def make(**changes):
         config = make_config(**changes, out=str(tmp_path / str(changes)))
