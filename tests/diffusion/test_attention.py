@@ -113,3 +113,10 @@ def test_gradients_of_blocks_equal_those_of_the_full_computation():
     for ours, exact in zip(short, full, strict=True):
         assert exact.abs().max() > 1e-3
         torch.testing.assert_close(ours, exact, atol=2e-5, rtol=2e-4)
+
+
+def test_the_bias_does_not_depend_on_the_sign_of_its_floor():
+    bias = PositionBias(NetworkConfig())
+    before = bias.table(20)
+    bias.floors.data *= -1
+    torch.testing.assert_close(bias.table(20), before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 
+import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
@@ -186,3 +187,60 @@ def test_faults_are_told():
         NetworkConfig(architecture="diffwave")
     with pytest.raises(ConfigError, match="heads: 7 must divide channels, which is 256"):
         NetworkConfig(heads=7)
+
+
+def test_a_denoiser_without_attention_is_the_published_arithmetic():
+    """Two DiffWave blocks in numpy, as the released code has them, on weights drawn at random."""
+    config = NetworkConfig(
+        architecture="diffwave", blocks=2, channels=3, heads=1, embedding=5, dilations=(1, 2)
+    )
+    torch.manual_seed(0)
+    network = Denoiser(2, 1, config).eval()
+    rng = np.random.default_rng(0)
+    for value in network.parameters():
+        value.data = torch.from_numpy(rng.normal(0, 0.5, value.shape).astype(np.float32))
+    w = {name: value.numpy().astype(np.float64) for name, value in network.state_dict().items()}
+    noisy, condition = rng.normal(size=(7, 2)), rng.normal(size=(7, 1))
+
+    def linear(name, x):
+        return x @ w[f"{name}.weight"].T + w[f"{name}.bias"]
+
+    def sigmoid(x):
+        return 1 / (1 + np.exp(-x))
+
+    # 64 frequencies from 1 to 1e4 radians a step, then two layers with SiLU.
+    angles = 13 * 10.0 ** (4 * np.arange(64) / 63)
+    step = np.concatenate([np.sin(angles), np.cos(angles)])
+    for layer in ("embed_step.0", "embed_step.2"):
+        step = linear(layer, step)
+        step = step * sigmoid(step)
+    steps = linear("project_step", step).reshape(2, 3)
+    conditions = linear("project_condition", condition).reshape(7, 2, 3)
+    x, total = np.maximum(linear("enter", noisy), 0), 0
+    for i, dilation in enumerate((1, 2)):
+        y = x + steps[i] + conditions[:, i]
+        padded = np.pad(y, ((dilation, dilation), (0, 0)))
+        taps = [padded[k * dilation : k * dilation + 7] for k in range(3)]
+        y = np.concatenate(taps, axis=1) @ w[f"stacks.{i}.weight"].T + w[f"stacks.{i}.bias"]
+        y = linear(f"split.{i}", sigmoid(y[:, :3]) * np.tanh(y[:, 3:]))
+        x, total = (x + y[:, :3]) / np.sqrt(2), total + y[:, 3:]
+    expected = linear("leave", np.maximum(linear("gather", total / np.sqrt(2)), 0))
+    made = network(
+        torch.from_numpy(noisy).float()[None],
+        torch.from_numpy(condition).float()[None],
+        torch.tensor([13]),
+    )
+    np.testing.assert_allclose(made[0].detach().numpy(), expected, rtol=1e-3, atol=1e-4)
+
+
+def test_layers_add_to_what_goes_into_them_and_normalise():
+    config = NetworkConfig(blocks=1, layers=1, channels=8, heads=2, feedforward=8, embedding=4)
+    network = Denoiser(3, 0, config).eval()
+    layer = network.stacks[0].layers[0]
+    for part in (layer.attention.write, layer.narrow):
+        torch.nn.init.zeros_(part.weight)
+    torch.nn.init.zeros_(layer.attention.write.bias)
+    x = torch.randn(2, 6, 8, generator=torch.Generator().manual_seed(0))
+    once = torch.nn.functional.layer_norm(x, (8,))
+    twice = torch.nn.functional.layer_norm(once, (8,))
+    torch.testing.assert_close(layer(x, network._bands(6)[0][0]), twice)
