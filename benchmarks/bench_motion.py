@@ -1,4 +1,4 @@
-"""Reading, writing and forward kinematics of BVH, against bvhio.
+"""Reading, writing and forward kinematics of BVH, against bvhio and plain numpy.
 
 A rig of 75 joints that gestures at 60 fps. bvhio keeps a pose object for each joint and frame, so
 it gets a few seconds of motion; the ten minutes that we promise are read against numpy.loadtxt of
@@ -20,6 +20,7 @@ from harness import arguments, compare, report
 from scipy.spatial.transform import Rotation
 
 from gesturekit.formats import read_bvh, write_bvh
+from gesturekit.formats.bvh_rows import Lines, parse_rows
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.rotations import matrix_from_quaternion
 from gesturekit.motion.torch_kinematics import ForwardKinematics
@@ -73,6 +74,19 @@ def bvhio_positions(root: bvhio.Joint, n_frames: int) -> np.ndarray:
     return places
 
 
+def plain_positions(motion: Motion) -> np.ndarray:
+    """Forward kinematics as one writes it in numpy: matrices, one joint after the other."""
+    n_frames, n_joints = motion.rotations.shape[:2]
+    local = Rotation.from_quat(motion.rotations.reshape(-1, 4)).as_matrix()
+    local = local.reshape(n_frames, n_joints, 3, 3)
+    turned, places = np.empty_like(local), np.empty((n_frames, n_joints, 3))
+    turned[:, 0], places[:, 0] = local[:, 0], motion.translation
+    for j, parent in enumerate(motion.skeleton.parents[1:], start=1):
+        turned[:, j] = turned[:, parent] @ local[:, j]
+        places[:, j] = places[:, parent] + turned[:, parent] @ motion.skeleton.offsets[j]
+    return places
+
+
 def main() -> None:
     options = arguments(__doc__.splitlines()[0])
     runs = 2 if options.quick else 5
@@ -89,6 +103,12 @@ def main() -> None:
             runs,
             f"{long} frames of {N_JOINTS} joints, +{peak(path)} MB at most; other: numpy.loadtxt "
             "of the numbers",
+        )
+        figures["numbers_long"] = compare(
+            lambda: parse_rows(Lines(io.StringIO(rows), path), long, 3 * N_JOINTS + 3),
+            lambda: np.loadtxt(io.StringIO(rows)),
+            runs,
+            f"the numbers of the same {long} frames alone; other: numpy.loadtxt",
         )
         motion = motion.slice(0, short)
         write_bvh(motion, path)
@@ -115,6 +135,12 @@ def main() -> None:
             return bvhio_positions(root, short)
 
         figures["fk_numpy"] = compare(motion.positions, theirs, runs, note)
+        if np.abs(plain_positions(motion) - motion.positions()).max() > 1e-9:
+            raise SystemExit("plain numpy puts joints elsewhere: nothing to compare")
+        plain_note = f"{short} frames of {N_JOINTS} joints; other: matrices in plain numpy"
+        figures["fk_plain"] = compare(
+            motion.positions, lambda: plain_positions(motion), runs, plain_note
+        )
         for device in ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]:
             kinematics = ForwardKinematics(motion.skeleton.parents, motion.skeleton.offsets)
             kinematics = kinematics.to(device)
