@@ -176,3 +176,12 @@ def test_steps_and_noise_are_drawn_anew_for_every_row_and_update(trainer_of):
     quarter = trainer.config.noise.steps // 4
     shares = [(steps // quarter == q).float().mean().item() for q in range(4)]
     assert all(0.17 < share < 0.33 for share in shares)
+
+
+def test_windows_begin_anywhere_in_a_recording(trainer_of):
+    trainer = trainer_of(augmentation={"stretch": 0.0, "mirror": False})
+    firsts = {
+        tuple(trainer.batches.draw(update, slice(0, 1)).clean[0, 0].tolist())
+        for update in range(60)
+    }
+    assert len(firsts) > 30

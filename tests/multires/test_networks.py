@@ -119,3 +119,35 @@ def test_gradients_stay_within_their_level(representation):
     made[1].sum().backward()
     assert all(p.grad is None for p in network.levels[0].parameters())
     assert network.levels[1].layers[0].weight.grad.abs().sum() > 0
+
+
+def test_film_multiplies_by_one_plus_gamma_and_adds_delta():
+    film = Film(1, np.array([False, True]))
+    film.gain.weight.data[:] = 2.0
+    film.shift.weight.data[:] = 5.0
+    x, y = torch.tensor([[[3.0], [3.0]]]), torch.tensor([[[0.5]]])
+    # The first channel is not modulated; the second is (1 + 2 * 0.5) * 3 + 5 * 0.5.
+    assert film(x, y).flatten().tolist() == [3.0, 8.5]
+
+
+def test_noise_enters_with_the_coarser_motion(representation):
+    level = MultiresGenerator(representation, 0, CONFIG).levels[0]
+    up = torch.zeros(1, representation.n_features, 12)
+    noise = torch.randn(1, 1, 12, generator=torch.Generator().manual_seed(0))
+    still = level(up, torch.zeros_like(noise), None)
+    assert (level(up, noise, None) - still).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("rectified", [True, False])
+def test_the_embedding_is_rectified_or_linear(representation, rectified):
+    config = NetworkConfig(levels=2, channels=(3, 3), embedding=8, rectify_embedding=rectified)
+    level = MultiresGenerator(representation, 2, config).levels[0]
+    torch.nn.init.zeros_(level.embed.bias)
+    seen = []
+    level.films[0].register_forward_hook(lambda film, given, made: seen.append(given[1]))
+    up, noise = torch.zeros(1, representation.n_features, 6), torch.zeros(1, 1, 6)
+    condition = torch.randn(1, 2, 6, generator=torch.Generator().manual_seed(0))
+    for sign in (1, -1):
+        level(up, noise, sign * condition)
+    there, back = seen
+    assert torch.allclose(there, -back, atol=1e-6) != rectified

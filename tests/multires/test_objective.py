@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ import torch
 from gesturekit.multires import losses
 from gesturekit.multires.bank import Bank
 from gesturekit.multires.data import load_training_data
+from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.pair import Pair
 from gesturekit.multires.trainer import Trainer, train
@@ -59,8 +61,9 @@ def test_smoothness_is_the_distance_from_the_mean_of_three_frames():
 
 
 def test_movement_errors_are_means_of_speed_and_of_acceleration():
-    made = torch.tensor([[[1.0, 1.0], [0.0, 4.0]], [[3.0, 1.0], [0.0, 0.0]]])
-    assert losses.movement(made, torch.zeros_like(made)).tolist() == [1.5, 1.0]
+    made = torch.tensor([[[1.0, 1.0], [0.0, 8.0]], [[3.0, 1.0], [0.0, 0.0]]])
+    # Speeds 1, 1, 3, 1 and accelerations 0, 8, 0, 0 of two motions of two frames.
+    assert losses.movement(made, torch.zeros_like(made)).tolist() == [1.5, 2.0]
 
 
 def test_detail_is_the_energy_distance():
@@ -121,6 +124,32 @@ def test_every_weight_scales_its_gradient(pair_of, name, kind, first):
     thrice, _ = steps_of(pair_of(first, losses={**ALONE, name: 3.0}), kind)
     assert float(once.norm()) > 0
     torch.testing.assert_close(thrice, 3 * once, rtol=1e-3, atol=1e-6 * float(once.norm()))
+
+
+def test_smoothness_counts_from_half_the_full_rate_on(pair_of):
+    # Levels of 32, 42, 56 and 75 frames: the second has 0.56 of the full rate, the first 0.43.
+    pair = pair_of(0, losses={**ALONE, "smoothness": 1.0})
+    steps_of(pair, "random")
+    coarse, finer = pair.generators
+    assert all(p.grad is None or not p.grad.any() for p in coarse.parameters())
+    assert any(p.grad is not None and p.grad.any() for p in finer.parameters())
+
+
+def test_recorded_arms_are_read_raw_for_speed_and_without_capture_noise_for_jerks(
+    pair_of, monkeypatch
+):
+    read = {"arm_speed": [], "arm_acceleration": []}
+    for name, seen in read.items():
+        measure = getattr(VectorKinematics, name)
+
+        def record(self, values, stride, smoothing, seen=seen, measure=measure):
+            seen.append(smoothing)
+            return measure(self, values, stride, smoothing)
+
+        monkeypatch.setattr(VectorKinematics, name, record)
+    pair_of(losses={**ALONE, "arm_speed": 1.0})
+    assert set(read["arm_speed"]) == {0.0}
+    assert set(read["arm_acceleration"]) == {CAPTURE_SECONDS}
 
 
 def test_the_penalty_and_the_critics_scale_count(pair_of):
@@ -203,6 +232,17 @@ def test_random_steps_have_noise_of_each_levels_own_sigma(bank):
             assert noise.shape[1] == 1
             assert float(noise.std()) == pytest.approx(sigma, rel=0.15)
             assert not torch.equal(noise[0], noise[1])
+
+
+def test_a_share_of_random_windows_is_silent(bank):
+    n_frames = max(bank.data.window_lengths())
+    for share in (0.0, 0.3):
+        schedule = replace(bank.config.schedule, silence=share)
+        bank.config = replace(bank.config, schedule=schedule)
+        bank.config = replace(bank.config, features=replace(bank.config.features, residual=False))
+        windows = bank.random(bank.data.paired, n_frames, 2, 200, generator("silent"))
+        silent = (windows.conditions[-1] == bank.data.silence[:, :n_frames]).all(dim=(1, 2))
+        assert float(silent.float().mean()) == pytest.approx(share, abs=0.1)
 
 
 def test_reconstruction_has_z_star_at_the_first_level_and_no_noise_above(bank):
