@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gesturekit.multires import losses
-from gesturekit.multires.bank import Bank
+from gesturekit.multires.bank import Bank, random_windows
 from gesturekit.multires.data import load_training_data
 from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
 from gesturekit.multires.networks import MultiresGenerator
@@ -232,6 +232,20 @@ def test_random_steps_have_noise_of_each_levels_own_sigma(bank):
             assert noise.shape[1] == 1
             assert float(noise.std()) == pytest.approx(sigma, rel=0.15)
             assert not torch.equal(noise[0], noise[1])
+
+
+def test_random_windows_have_the_mean_sigma_of_the_recordings(bank):
+    one, *others = (sequence.sigma.double() for sequence in bank.data.paired)
+    expected = sum(others, one) / (1 + len(others))
+    assert others and not torch.allclose(one, others[0])
+    torch.testing.assert_close(bank.sigma.double(), expected, rtol=1e-5, atol=0)
+
+
+def test_windows_of_recordings_begin_anywhere(bank):
+    longest = max(bank.data.paired, key=lambda sequence: sequence.n_frames)
+    starts = {start for _, start in random_windows([longest], 25, 800, generator("windows"))}
+    last = longest.n_frames - 25
+    assert min(starts) == 0 and max(starts) == last and len(starts) > 0.9 * last
 
 
 def test_a_share_of_random_windows_is_silent(bank):
