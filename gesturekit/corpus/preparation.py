@@ -122,7 +122,7 @@ def _find(
 
     def new_files(folder: Any) -> list[Found]:
         found, trouble = scan(folder)
-        problems.extend(trouble)
+        problems.extend(problem for problem in trouble if problem not in problems)
         fresh = [file for file in found if absolute(file.path) not in seen]
         seen.update(absolute(file.path) for file in fresh)
         return fresh

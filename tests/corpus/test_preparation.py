@@ -11,6 +11,7 @@ import soundfile
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.inspection.corpus import inspect_recordings
 from gesturekit.motion.body_size import body_height
 
 
@@ -526,3 +527,20 @@ def test_every_file_that_looks_like_sound_or_motion_is_used_or_named(tmp_path, w
     for path in report.left_over:
         path.unlink()
     assert prepare(tmp_path, holdout=0.0).is_complete
+
+
+def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gesture):
+    for seed, name in enumerate("ab"):
+        write_pair(tmp_path, name, seed=seed)
+        gesture(4.0, seed=seed).save(tmp_path / f"{name}.npz")
+    report = prepare(tmp_path, holdout=0.0)
+    assert [item.motion.name for item in report.manifest] == ["a.npz", "b.npz"]
+    assert [item.motion.name for item in report.manifest.paired()] == ["a.npz", "b.npz"]
+    (note,) = texts(report, "note")
+    assert "of a bvh and an npz of one name" in note and report.is_complete
+    for path in tmp_path.glob("*.wav"):
+        path.unlink()
+    alone = prepare([], unpaired_motion=[tmp_path], holdout=0.5)
+    assert [item.motion.name for item in alone.manifest] == ["a.npz", "b.npz"]
+    sheet = inspect_recordings(tmp_path)
+    assert sheet.facts["items"] == 2 and len(sheet.problems) == 1
