@@ -56,6 +56,7 @@ def command(
     from audio_features import Wave
     from gesturekit.errors import ConfigError
     from gesturekit.formats.conversion import load
+    from gesturekit.formats.doubts import doubts
     from gesturekit.motion.parts import parse_parts
     from gesturekit.viewer import write_html
 
@@ -70,8 +71,9 @@ def command(
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", UserWarning)
             motion = load(clip, options, named)
-        for warning in said:
-            click.echo(f"Warning: {warning.message}", err=True)
+        lines = [str(warning.message) for warning in said]
+        for line in [*lines, *(f"{clip}: {doubt}" for doubt in doubts(motion, options))]:
+            click.echo(f"Warning: {line}", err=True)
         motions[str(clip) if same else clip.stem] = motion
     if out is None:
         page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{clips[0].stem or 'motion'}.html"

@@ -33,10 +33,10 @@ class Problem:
 
 
 def printed(problems: Iterable[Problem], *, files_shown: int = 3) -> list[str]:
-    """Lines for people: errors first; equal notes on several files share a line."""
+    """Lines for people: errors first; equal notes or warnings on several files share a line."""
     groups: dict[tuple[object, ...], list[Problem]] = {}
     for problem in sorted(problems, key=lambda problem: SEVERITIES.index(problem.severity)):
-        together = None if problem.severity == "note" else problem.file
+        together = problem.file if problem.severity == "error" else None
         groups.setdefault((problem.severity, problem.message, together), []).append(problem)
     lines = []
     for members in groups.values():
@@ -46,5 +46,7 @@ def printed(problems: Iterable[Problem], *, files_shown: int = 3) -> list[str]:
             continue
         more = f" and {len(files) - files_shown} more" if len(files) > files_shown else ""
         shown = ", ".join(files[:files_shown])
-        lines.append(f"note: {len(files)} files: {members[0].message}: {shown}{more}")
+        lines.append(
+            f"{members[0].severity}: {len(files)} files: {members[0].message}: {shown}{more}"
+        )
     return lines

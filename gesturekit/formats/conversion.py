@@ -13,6 +13,7 @@ import numpy as np
 
 from gesturekit.errors import ConfigError, FormatError, GestureKitError
 from gesturekit.formats.changes import Changes
+from gesturekit.formats.doubts import doubts
 from gesturekit.formats.smpl import is_smpl
 from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, Job, plan, unreadable_media
 from gesturekit.motion.motion import Motion
@@ -219,6 +220,8 @@ def _convert(
             warnings.simplefilter("always", UserWarning)
             if job.error is None:
                 motion = load(job.source, read, parts)
+                for doubt in doubts(motion, read):
+                    warnings.warn(f"{job.source}: {doubt}", stacklevel=2)
                 outcome = replace(outcome, found=describe(motion))
                 motion, done = changes(motion)
                 outcome = replace(outcome, done=tuple(done))

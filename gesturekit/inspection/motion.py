@@ -14,6 +14,7 @@ import numpy as np
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
 from gesturekit.errors import MotionError
 from gesturekit.formats.conversion import axes_in_words, load
+from gesturekit.formats.doubts import doubts
 from gesturekit.inspection.sheet import Sheet, size, span
 from gesturekit.inspection.tree import tree
 from gesturekit.motion.body_size import body_scale
@@ -77,7 +78,7 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **opti
         **_movement(motion, figure, labels),
         **_feet(motion, labels),
     }
-    problems = [str(warning.message) for warning in said]
+    problems = [*(str(warning.message) for warning in said), *doubts(motion, options)]
     problems += [*([riddle] if riddle else []), *_defects(motion)]
     return Sheet(
         kind="motion",
