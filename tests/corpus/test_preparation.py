@@ -199,7 +199,9 @@ def test_parts_that_cannot_be_told_are_noted_and_may_be_named(tmp_path, write_sp
     report = prepare(tmp_path, holdout=0.0)
     (note,) = texts(report, "note")
     assert len(report.manifest) == 1
-    assert re.search(r"a.bvh: cannot tell left_elbow.*where is forward.*parts: \{left_elbow:", note)
+    assert re.search(
+        r"a.bvh: cannot identify the arms.*where is forward.*parts: \{left_elbow:", note
+    )
     by_hand = {
         f"{side}_{part}": names[rig.index(side.title() + joint)]
         for side in ("left", "right")

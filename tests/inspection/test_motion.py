@@ -16,6 +16,7 @@ from gesturekit.formats.conversion import convert
 from gesturekit.inspection import Sheet, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.joint_selection import keep_joints
 
 
 def row(sheet: Sheet, label: str) -> str:
@@ -57,10 +58,11 @@ def test_parts_can_be_named_by_hand(gesture, tmp_path):
     for parts, says in (
         ({"left_elbo": "LeftArm"}, "no part is called 'left_elbo'"),
         ({"left_elbow": "Elbow"}, "no joint 'Elbow'"),
-        ({"left_elbow": "RightFoot"}, "RightFoot"),
     ):
         with pytest.raises(GestureKitError, match=says):
             inspect(tmp_path / "take.bvh", parts=parts)
+    wrong = inspect(tmp_path / "take.bvh", parts={"left_elbow": "RightFoot"})
+    assert "'RightFoot'" in wrong.problems[0] and wrong.facts["parts"]["Head"] == "head"
 
 
 def test_a_rig_that_is_no_body_is_told_as_it_is(tmp_path, save_as_others):
@@ -96,8 +98,6 @@ def test_the_tree_names_every_joint_but_fingers_and_fits(shared_data):
 
 
 def test_a_tree_of_one_joint_and_of_no_parts(gesture):
-    from gesturekit.motion.joint_selection import keep_joints
-
     motion = gesture(0.5)
     assert tree(keep_joints(motion, ["Hips"]).skeleton, {}) == ["Hips"]
     assert "LeftHand" in "\n".join(tree(motion.skeleton, {}))
@@ -189,3 +189,19 @@ def test_a_body_is_as_tall_as_it_was_asked_to_be(gesture, tmp_path):
     replace(motion, skeleton=rig).save(tmp_path / "a.npz")
     sheet = inspect(tmp_path / "a.npz", read={"height": 1.0})
     assert sheet.facts["height"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("parts", [{}, {"right_elbow": "RightForeArm"}])
+def test_a_rig_that_lacks_an_arm_shows_all_its_other_parts(gesture, tmp_path, parts):
+    motion = gesture(1.0)
+    kept = [name for name in motion.skeleton.names if not name.startswith(("LeftSh", "LeftArm"))]
+    kept = [name for name in kept if name not in ("LeftForeArm", "LeftHand")]
+    keep_joints(motion, kept).save(tmp_path / "a.npz")
+    sheet = inspect(tmp_path / "a.npz", parts=parts)
+    labels = sheet.facts["parts"]
+    told = {name: labels[name] for name in ("Hips", "Chest", "Neck", "Head", "LeftFoot")}
+    assert list(told.values()) == ["pelvis", "spine", "neck", "head", "left ankle"]
+    assert labels["RightForeArm"] == "right elbow" and "feet" in dict(sheet.rows)
+    (problem,) = sheet.problems
+    assert problem.startswith("cannot identify the left arm: harmless") and len(problem) < 120
+    assert "speed" in dict(sheet.rows)  # that of both hands is not known
