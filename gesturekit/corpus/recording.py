@@ -90,15 +90,23 @@ def examine(
         ]
         if wave is not None:
             _check_lengths(wave.duration, motion, recording.motion, tolerance, problems)
-            if any(problem.severity == "error" for problem in problems):
-                return None, problems
+        stop = min(stop, motion.duration)
+        if any(problem.severity == "error" for problem in problems):
+            return None, problems
+    if stop < MIN_DURATION:
+        return None, [*problems, _too_short(recording, stop)]
+    if motion is not None:
         first, end = _check_motion(motion, recording.motion, problems)
         start, motion_stop = first / motion.fps, end / motion.fps
         stop = min(stop, motion_stop)
     if stop - start < MIN_DURATION:
-        length = f"{max(stop - start, 0.0):.2f} s of use in it; {MIN_DURATION:g} s are needed"
-        return None, [*problems, Problem("error", recording.file, f"too short: {length}")]
+        return None, [*problems, _too_short(recording, stop - start)]
     return replace(recording, start=start, stop=stop), problems
+
+
+def _too_short(recording: Recording, seconds: float) -> Problem:
+    length = f"{max(seconds, 0.0):.2f} s of use in it; {MIN_DURATION:g} s are needed"
+    return Problem("error", recording.file, f"too short: {length}")
 
 
 def _loaded(

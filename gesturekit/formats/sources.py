@@ -31,6 +31,7 @@ OTHER_MOTION_SUFFIXES = (
 """Motion that is not read; Blender and others export BVH of most of it."""
 WRITABLE = ("bvh", "npz", "html", "png", "obj")
 EXISTING = ("refuse", "skip", "replace")
+_NO_MOTION = f"no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap folders"
 _SHOWN = 3
 _GLANCE = 1 << 16
 
@@ -111,6 +112,21 @@ def motions_in(folder: Path, *, but: Path | None = None) -> Iterator[Path | OSEr
             folders[:] = [name for name in folders if name not in SUBFOLDERS]
         yield from filter(is_motion, files)
     yield from trouble
+
+
+def motions_of(source: Path) -> list[Path]:
+    """Return the motions that a path stands for: itself, or all below a folder, copies left out.
+
+    Raises:
+        ConfigError: a folder without motion.
+    """
+    if not source.is_dir() or is_sequence(source):
+        return [source]
+    found = [path for path in motions_in(source) if not isinstance(path, OSError)]
+    copies, _ = one_of_two_formats(found)
+    if not found:
+        raise ConfigError(f"{source}: {_NO_MOTION}")
+    return [path for path in found if path not in copies]
 
 
 def visible_folders(
@@ -235,10 +251,7 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
             jobs.setdefault((os.path.realpath(path), key), Job(path, targets))
     _warn_of_unread(sources, jobs.values())
     if not jobs:
-        raise ConfigError(
-            f"{sources[0]}: no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap "
-            "folders"
-        )
+        raise ConfigError(f"{sources[0]}: {_NO_MOTION}")
     return list(jobs.values())
 
 

@@ -48,6 +48,7 @@ def test_some_left_out(recordings, tmp_path):
     assert told[0].startswith("error: ") and str(recordings / "a.wav") in told[0]
     assert told[1].startswith("left out: speech without motion") and "alone.wav" in told[1]
     assert "paired        2 recordings" in done.stdout
+    assert "left out      1 recording with errors, 1 file not used" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -71,6 +72,7 @@ def test_nothing_usable(tmp_path):
     done = run(tmp_path / "empty", "--out", tmp_path / "corpus.jsonl")
     assert done.returncode == 2
     assert "no usable recording" in done.stderr
+    assert f"{tmp_path / 'empty'}: neither sound (.wav, " in done.stderr and ".npz" in done.stderr
     assert not (tmp_path / "corpus.jsonl").exists()
 
 

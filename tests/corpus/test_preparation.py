@@ -546,3 +546,24 @@ def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gestu
     assert [item.motion.name for item in alone.manifest] == ["a.npz", "b.npz"]
     sheet = inspect_recordings(tmp_path)
     assert sheet.facts["items"] == 2 and len(sheet.problems) == 1
+
+
+def test_a_file_that_is_left_out_gets_no_warnings_of_its_motion(
+    tmp_path, write_pair, write_speech, gesture
+):
+    write_pair(tmp_path, "long", 4.0, t_pose=20)
+    write_speech(tmp_path / "long.wav", 9.0)
+    write_pair(tmp_path, "fine")
+    write_pair(tmp_path, "also")
+    odd = gesture(4.0, t_pose=20)
+    names = ("Pelvis", *odd.skeleton.names[1:])
+    replace(odd, skeleton=replace(odd.skeleton, names=names)).save(tmp_path / "odd.bvh")
+    write_speech(tmp_path / "odd.wav", 4.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert len(errors(report)) == 2 and not texts(report, "warning")
+
+
+def test_the_rate_may_be_what_makes_motion_jump(tmp_path, gesture):
+    replace(gesture(20.0), fps=900.0).save(tmp_path / "a.npz")
+    warning = texts(prepare([], unpaired_motion=[tmp_path]), "warning")[0]
+    assert "--in-fps" in warning

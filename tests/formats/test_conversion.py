@@ -252,7 +252,7 @@ def test_other_trims_are_refused(text):
 
 def test_trimming_everything_away_is_an_error(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "a.npz", changes=Changes(trim=(5.0, 6.0)))
-    assert "a motion of 2 s" in done.error and str(take) in done.error
+    assert "trim begins at 5 s, the motion lasts 2 s" in done.error and str(take) in done.error
 
 
 def test_another_rig_of_the_smpl_family_and_its_keys(tmp_path):
