@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,10 @@ class Problem:
     @property
     def text(self) -> str:
         """The message with its file in front, unless the message already names the file."""
-        if self.file is None or str(self.file) in self.message:
+        if self.file is None:
+            return self.message
+        # As a whole: a folder "e" is not named by each word with an e in it.
+        if re.search(rf"(?<!\w){re.escape(str(self.file))}(?!\w)", self.message):
             return self.message
         return f"{self.file}: {self.message}"
 
