@@ -28,6 +28,15 @@ class Progress(tqdm):
             self.bar_format = f"{'{desc}: ' if self.desc else ''}{line}{{postfix}}"
             self._next_line = self.start_t + SECONDS_BETWEEN_LINES
 
+    @property
+    def format_dict(self) -> dict[str, Any]:
+        """What a line is made of; outside a terminal, the unit as it stands after a number."""
+        values = super().format_dict
+        number = self.n if self.total is None else self.total
+        if not self._in_place and number != 1:
+            values["unit"] += "s"
+        return values
+
     def display(self, msg: str | None = None, pos: int | None = None) -> bool:
         """Draw the bar; outside a terminal, print a line if it is time for one."""
         if self._in_place:

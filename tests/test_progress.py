@@ -4,11 +4,11 @@ import gesturekit.progress
 from gesturekit.progress import Progress
 
 
-def counted(seconds_per_item, **options):
-    """What the log file holds after five items, on a clock of our own."""
+def counted(seconds_per_item, items=5, **options):
+    """What the log file holds after some items, on a clock of our own."""
     now = [0.0]
     file = io.StringIO()
-    bar = Progress(range(5), file=file, unit="file", **options)
+    bar = Progress(iter(range(items)), file=file, unit="file", **{"total": items} | options)
     bar._time = lambda: now[0]
     bar.start_t = bar.last_print_t = 0.0
     bar._next_line = gesturekit.progress.SECONDS_BETWEEN_LINES
@@ -21,7 +21,7 @@ def counted(seconds_per_item, **options):
 def test_a_log_file_gets_whole_lines_with_count_and_time_left():
     lines = counted(16.0, desc="Rendering", smoothing=0).splitlines()
     assert len(lines) in (4, 5)
-    assert lines[0] == "Rendering:  20%, 1 of 5 file, 00:16 passed, 01:04 left"
+    assert lines[0] == "Rendering:  20%, 1 of 5 files, 00:16 passed, 01:04 left"
 
 
 def test_a_log_file_gets_no_carriage_return():
@@ -30,3 +30,8 @@ def test_a_log_file_gets_no_carriage_return():
 
 def test_short_work_leaves_no_trace_in_a_log_file():
     assert counted(0.1) == ""
+
+
+def test_what_is_counted_stands_in_the_plural_where_it_is_many():
+    assert " 1 of 1 file, " in counted(16.0, items=1)
+    assert counted(16.0, total=None).splitlines()[1].startswith("2 files")

@@ -96,6 +96,8 @@ def command(
 
     if rig_parts and rig is None:
         raise click.UsageError("--rig-part names parts of the body that --rig gives.")
+    if antialias and fps is None:
+        click.echo("Warning: --antialias has no effect without --fps", err=True)
     changes = Changes(
         trim=parse_trim(trim) if trim is not None else None,
         mirror=mirror,

@@ -171,7 +171,7 @@ def command(
             patches=PatchOptions(variant, threshold),
             features=None if features is None else FeatureModel.load(features),
             seed=seed,
-            progress=lambda pairs, label: Progress(pairs, desc=label, unit="clips"),
+            progress=lambda pairs, label: Progress(pairs, desc=label, unit="clip"),
         )
     except KeyboardInterrupt:
         click.echo("Stopped, and nothing was written. The same command measures anew.", err=True)

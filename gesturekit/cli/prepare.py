@@ -109,7 +109,8 @@ def command(
     for line in report.problem_lines():
         click.echo(line, err=True)
     if len(report.manifest) == 0:
-        click.echo("Error: no usable recording found; no manifest written", err=True)
+        where = ", ".join(map(str, [*folders, *options["unpaired"], *options["unpaired_motion"]]))
+        click.echo(f"Error: no usable recording found in {where}; no manifest written", err=True)
         return 2
     for line in report.table():
         click.echo(line)

@@ -14,6 +14,8 @@ from gesturekit.cli.options import (
     reading_options,
 )
 
+_MOST = 8
+"""Motions that a page shows of a folder."""
 _TOLERANCE = 1.0
 """Seconds by which sound and motion may differ in length without a word."""
 
@@ -46,7 +48,8 @@ def command(
     parts: tuple[str, ...],
     **reading: object,
 ) -> None:
-    """Play MOTION (bvh, npz, EasyMocap) in the browser; several stand side by side.
+    """Play MOTION (bvh, npz, EasyMocap, or a folder of them) in the browser; several stand side
+    by side.
 
     The page is one file that needs no network: send it by mail, put it on a server.
     """
@@ -54,25 +57,45 @@ def command(
     import warnings
 
     from audio_features import Wave
-    from gesturekit.errors import ConfigError
+    from gesturekit.errors import ConfigError, GestureKitError
     from gesturekit.formats.conversion import load
+    from gesturekit.formats.doubts import doubts
+    from gesturekit.formats.sources import motions_of
     from gesturekit.motion.parts import parse_parts
     from gesturekit.viewer import write_html
 
     if out is not None and is_left([out], existing):
         return
     options, named = read_from(reading), parse_parts(parts)
+    found = [motion for clip in clips for motion in motions_of(clip)]
+    if len(found) > (most := max(len(clips), _MOST)):
+        click.echo(
+            f"Warning: {len(found)} motions; the page shows the first {most}, or those you name",
+            err=True,
+        )
+        found = found[:most]
+    named_clips, clips = set(clips), tuple(found)
     # Clips of one name come from different folders.
     same = len({clip.stem for clip in clips}) < len(clips)
-    motions = {}
+    motions, failed = {}, 0
     for clip in clips:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", UserWarning)
-            motion = load(clip, options, named)
-        for warning in said:
-            click.echo(f"Warning: {warning.message}", err=True)
+            try:
+                motion = load(clip, options, named)
+            except GestureKitError as error:
+                if clip in named_clips:
+                    raise
+                click.echo(f"Failed: {error}", err=True)
+                failed += 1
+                continue
+        lines = [str(warning.message) for warning in said]
+        for line in [*lines, *(f"{clip}: {doubt}" for doubt in doubts(motion, options))]:
+            click.echo(f"Warning: {line}", err=True)
         motions[str(clip) if same else clip.stem] = motion
+    if not motions:
+        raise ConfigError("no motion to show")
     if out is None:
         page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{clips[0].stem or 'motion'}.html"
     elif out.suffix.lower() not in (".html", ".htm"):
@@ -91,6 +114,7 @@ def command(
     click.echo(click.format_filename(page))
     if out is None and not _opened(page):
         click.echo("No browser found here: open this file in one.", err=True)
+    ctx.exit(1 if failed else 0)
 
 
 def _opened(page: Path) -> bool:

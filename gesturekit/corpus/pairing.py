@@ -14,6 +14,7 @@ from gesturekit.formats.sources import (
     MOTION_SUFFIXES,
     SPEECH_SUFFIXES,
     is_motion,
+    one_of_two_formats,
     unreadable_media,
     visible_folders,
 )
@@ -52,7 +53,8 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
     """All speech (`SPEECH_SUFFIXES`) and motion (bvh, npz) files below a folder, sorted.
 
     Hidden files and folders are passed over, and so are npz files of features, which may lie
-    beside the speech that they came from, and of body models. Links to folders are followed once.
+    beside the speech that they came from, and of body models. Of a motion that lies there as
+    STEM.bvh and STEM.npz, one is found. Links to folders are followed once.
 
     Raises:
         CorpusError: there is no such folder.
@@ -87,7 +89,9 @@ def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
                 )
             elif is_speech or is_motion(path):
                 found.append(Found(key, path, folder))
-    return sorted(found), problems
+    copies, lines = one_of_two_formats(file.path for file in found if not file.is_speech)
+    problems += [Problem("note", None, line) for line in lines]
+    return sorted(file for file in found if file.path not in copies), problems
 
 
 def unread(folder: str | os.PathLike[str]) -> list[Path]:

@@ -19,7 +19,7 @@ from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError, MotionError
 from gesturekit.formats.conversion import reading_of, refuse_idle_reading
-from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES
+from gesturekit.formats.sources import MOTION_SUFFIXES, OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
 
 
@@ -103,6 +103,8 @@ def prepare(
             found += unlabelled
         problems += found
     recordings, odd = _of_one_skeleton(recordings)
+    left_out = {problem.file for problem in odd}
+    problems = [one for one in problems if one.file not in left_out or one.severity == "error"]
     problems += odd + _notes(recordings)
 
     items, cut = _items(recordings, holdout, hold_out_seconds, seed)
@@ -122,7 +124,12 @@ def _find(
 
     def new_files(folder: Any) -> list[Found]:
         found, trouble = scan(folder)
-        problems.extend(trouble)
+        if not (found or trouble or unread(folder)):
+            sought = (
+                f"sound ({', '.join(SPEECH_SUFFIXES)}) nor motion ({', '.join(MOTION_SUFFIXES)})"
+            )
+            trouble.append(Problem("warning", Path(folder), f"neither {sought} in it"))
+        problems.extend(problem for problem in trouble if problem not in problems)
         fresh = [file for file in found if absolute(file.path) not in seen]
         seen.update(absolute(file.path) for file in fresh)
         return fresh

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,16 +28,19 @@ class Problem:
     @property
     def text(self) -> str:
         """The message with its file in front, unless the message already names the file."""
-        if self.file is None or str(self.file) in self.message:
+        if self.file is None:
+            return self.message
+        # As a whole: a folder "e" is not named by each word with an e in it.
+        if re.search(rf"(?<!\w){re.escape(str(self.file))}(?!\w)", self.message):
             return self.message
         return f"{self.file}: {self.message}"
 
 
 def printed(problems: Iterable[Problem], *, files_shown: int = 3) -> list[str]:
-    """Lines for people: errors first; equal notes on several files share a line."""
+    """Lines for people: errors first; equal notes or warnings on several files share a line."""
     groups: dict[tuple[object, ...], list[Problem]] = {}
     for problem in sorted(problems, key=lambda problem: SEVERITIES.index(problem.severity)):
-        together = None if problem.severity == "note" else problem.file
+        together = problem.file if problem.severity == "error" else None
         groups.setdefault((problem.severity, problem.message, together), []).append(problem)
     lines = []
     for members in groups.values():
@@ -46,5 +50,7 @@ def printed(problems: Iterable[Problem], *, files_shown: int = 3) -> list[str]:
             continue
         more = f" and {len(files) - files_shown} more" if len(files) > files_shown else ""
         shown = ", ".join(files[:files_shown])
-        lines.append(f"note: {len(files)} files: {members[0].message}: {shown}{more}")
+        lines.append(
+            f"{members[0].severity}: {len(files)} files: {members[0].message}: {shown}{more}"
+        )
     return lines

@@ -16,6 +16,7 @@ from gesturekit.corpus.manifest import CONDITIONS
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import FormatError, GestureKitError
 from gesturekit.formats.conversion import load
+from gesturekit.formats.doubts import doubts
 from gesturekit.formats.events import load_events
 from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
@@ -84,17 +85,28 @@ def examine(
         if "unit" in motion.info.get("guessed", ()) and "height" not in recording.reading:
             text = f"read in {motion.info['unit']}, a guess; --in-unit or --height settles it"
             problems.append(Problem("note", recording.motion, text))
-        first, end = _check_motion(motion, recording.motion, problems)
-        start, motion_stop = first / motion.fps, end / motion.fps
+        problems += [
+            Problem("warning", recording.motion, text) for text in doubts(motion, recording.reading)
+        ]
         if wave is not None:
             _check_lengths(wave.duration, motion, recording.motion, tolerance, problems)
+        stop = min(stop, motion.duration)
+        if any(problem.severity == "error" for problem in problems):
+            return None, problems
+    if stop < MIN_DURATION:
+        return None, [*problems, _too_short(recording, stop)]
+    if motion is not None:
+        first, end = _check_motion(motion, recording.motion, problems)
+        start, motion_stop = first / motion.fps, end / motion.fps
         stop = min(stop, motion_stop)
-    if any(problem.severity == "error" for problem in problems):
-        return None, problems
     if stop - start < MIN_DURATION:
-        length = f"{max(stop - start, 0.0):.2f} s of use in it; {MIN_DURATION:g} s are needed"
-        return None, [*problems, Problem("error", recording.file, f"too short: {length}")]
+        return None, [*problems, _too_short(recording, stop - start)]
     return replace(recording, start=start, stop=stop), problems
+
+
+def _too_short(recording: Recording, seconds: float) -> Problem:
+    length = f"{max(seconds, 0.0):.2f} s of use in it; {MIN_DURATION:g} s are needed"
+    return Problem("error", recording.file, f"too short: {length}")
 
 
 def _loaded(
@@ -188,7 +200,7 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
             f"fastest is {jumps.joint!r} with {defects.in_words(jumps.speed)}"
         )
         if len(jumps.frames) > checks.MAX_JUMP_SHARE * used.n_frames:
-            text += ": are its frame rate and its unit right (--in-unit, --height)?"
+            text += ": are its frame rate and its unit right (--in-fps, --in-unit, --height)?"
         problems.append(Problem("warning", file, text))
     pops = defects.find_pops(used, jumps)
     if pops is not None:

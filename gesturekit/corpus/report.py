@@ -58,8 +58,16 @@ class Report:
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
             ("speakers", _counted(r.speaker or "not named" for r in self.recordings)),
             ("styles", _counted(r.style or "none" for r in self.recordings)),
+            ("left out", self._left_out()),
         ]
         return [(name, value) for name, value in rows if value]
+
+    def _left_out(self) -> str:
+        """Return how much is not used, and why; "" where all is."""
+        errors = {p.file or p.message for p in self.problems if p.severity == "error"}
+        broken = [f"{counted(len(errors), 'recording')} with errors"] if errors else []
+        alone = [f"{counted(len(self.left_over), 'file')} not used"] if self.left_over else []
+        return ", ".join(broken + alone)
 
     def problem_lines(self) -> list[str]:
         """Every problem with its file, then the files left over by folder."""

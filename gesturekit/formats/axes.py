@@ -81,6 +81,11 @@ def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAx
     return FileAxes("y", "z", guessed=("up", "forward"))
 
 
+def standing_axis(motion: Motion) -> str | None:
+    """Return the axis that the body stands along in most frames; None where that is not clear."""
+    return _evidence(motion)[1]
+
+
 def turn_to_law(up: str, forward: str) -> np.ndarray:
     """(4,) the rotation from axes `up` and `forward` to Y up, +Z forward.
 

@@ -11,6 +11,7 @@ caller names comes first, then the mark, then detection.
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from gesturekit.motion.body_size import first_fork
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler
 from gesturekit.motion.skeleton import ROTATION_ORDERS, Skeleton
+from gesturekit.wording import listed
 
 STILL = 2.1e-6
 """Position channels that vary by no more than this, in the file's unit, are an OFFSET: what is
@@ -100,6 +102,9 @@ def write_bvh(
         unit: of its lengths, one of `units.METRES`.
         decimals: of offsets and channels (longer units get up to two more, millimetres one less).
 
+    Warns:
+        UserWarning: joint names with blanks, which some readers split.
+
     Raises:
         FormatError: a unit or a joint name that the format cannot hold.
     """
@@ -108,6 +113,12 @@ def write_bvh(
     for name in motion.skeleton.names:
         if set("{}") & set(name) or name != " ".join(name.split()):
             raise FormatError(f"{path}: a BVH file cannot hold the joint name {name!r}")
+    if split := [name for name in motion.skeleton.names if " " in name]:
+        warnings.warn(
+            f"joint names with blanks ({listed(split, 3)}): they are kept, but some readers of "
+            "BVH, bvhio among them, split them",
+            stacklevel=2,
+        )
     places = decimals + int(np.ceil(np.log10(METRES[unit] / METRES["cm"])))
     hierarchy = _hierarchy(motion, unit, places)
     values, lengths = _channels(motion, METRES[unit])

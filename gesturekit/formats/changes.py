@@ -7,7 +7,7 @@ import re
 import warnings
 from dataclasses import dataclass
 
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, MotionError
 from gesturekit.formats.rig import Rig
 from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.motion import Motion
@@ -50,6 +50,11 @@ class Changes:
         if self.trim is not None:
             # Clips of a folder may be shorter than what is asked for.
             start, end = self.trim
+            if start >= motion.duration:
+                raise MotionError(
+                    f"nothing is left of it: trim begins at {start:g} s, the motion lasts "
+                    f"{motion.duration:g} s"
+                )
             motion = motion.trim(start, min(end, motion.duration))
             done.append(f"cut to {motion.duration:.2f} s")
         if self.mirror:

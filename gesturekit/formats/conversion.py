@@ -13,6 +13,7 @@ import numpy as np
 
 from gesturekit.errors import ConfigError, FormatError, GestureKitError
 from gesturekit.formats.changes import Changes
+from gesturekit.formats.doubts import doubts
 from gesturekit.formats.smpl import is_smpl
 from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, Job, plan, unreadable_media
 from gesturekit.motion.motion import Motion
@@ -26,6 +27,8 @@ _READS = {
     ".json": _SEQUENCE,
     "EasyMocap": _SEQUENCE,
 }
+_IN = {name: f"in-{name}" for name in ("unit", "up", "forward")}
+"""Options of readers that the command line gives another name."""
 _OF_ANY_FORMAT = ("fps", "height")
 _WRITES = {
     ".bvh": {"unit"},
@@ -91,9 +94,14 @@ def convert(
 
     Raises:
         ConfigError: nothing can start; see `gesturekit.formats.sources.plan`.
+
+    Warns:
+        UserWarning: meshes that cannot be written without a body model, beside other formats.
     """
     if isinstance(sources, str | os.PathLike):
         sources = [sources]
+    if body_model is None:
+        formats = _without_mesh(formats, Path(out))
     jobs = plan([Path(source) for source in sources], Path(out), formats, existing=existing)
     read, write, changes = dict(read or {}), dict(write or {}), changes or Changes()
     found = {_format(job.source) for job in jobs if not job.error}
@@ -103,9 +111,13 @@ def convert(
     if body_model is not None:
         _refuse_idle({"body_model": body_model}, _READS | _WRITES, found | written, "converted")
         read["body_model"] = write["body_model"] = body_model
+    said: set[str] = set()
     for job in progress(jobs):
         if job.targets or job.error:
-            yield _convert(job, changes, read, parts, write, dry_run)
+            outcome = _convert(job, changes, read, parts, write, dry_run)
+            fresh = tuple(line for line in outcome.warnings if line not in said)
+            said.update(fresh)
+            yield replace(outcome, warnings=fresh)
         else:
             yield Converted(job.source)
 
@@ -185,6 +197,18 @@ def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[s
     }
 
 
+def _without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
+    """Return the formats that can be written without a body model."""
+    if "obj" not in (formats or [out.suffix.lower()[1:]]):
+        return formats
+    needs = "obj holds the skin of a body model: give it as --body-model SMPLX_NEUTRAL.npz"
+    others = [name for name in formats if name != "obj"]
+    if not others:
+        raise ConfigError(needs)
+    warnings.warn(f"no obj is written; {needs}", stacklevel=3)
+    return others
+
+
 def _refuse_idle(
     options: Mapping[str, Any], table: Mapping[str, set[str]], formats: set[str], verb: str
 ) -> None:
@@ -192,9 +216,10 @@ def _refuse_idle(
     for name in options:
         fitting = [form for form, known in table.items() if name in known]
         if formats and not formats & set(fitting):
+            option = f"--{_IN.get(name, name) if verb == 'read' else name}".replace("_", "-")
             raise ConfigError(
-                f"{name} is an option of {', '.join(fitting)}; only {', '.join(sorted(formats))} "
-                f"is {verb}"
+                f"{option} is an option of {', '.join(fitting)}; only "
+                f"{', '.join(sorted(formats))} is {verb}"
             )
 
 
@@ -219,6 +244,8 @@ def _convert(
             warnings.simplefilter("always", UserWarning)
             if job.error is None:
                 motion = load(job.source, read, parts)
+                for doubt in doubts(motion, read):
+                    warnings.warn(f"{job.source}: {doubt}", stacklevel=2)
                 outcome = replace(outcome, found=describe(motion))
                 motion, done = changes(motion)
                 outcome = replace(outcome, done=tuple(done))

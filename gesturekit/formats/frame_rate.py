@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from decimal import Decimal, InvalidOperation
 
-_COMMON_RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 240)
+COMMON_RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 240)
 _NTSC = Decimal("1.001")
 
 
@@ -17,11 +17,12 @@ def frame_rate(text: str) -> float:
     try:
         seconds = Decimal(text)
     except InvalidOperation:
-        raise ValueError(f"Frame Time: {text[:40]!r} is no number") from None
+        hint = "; decimals need a point" if "," in text else ""
+        raise ValueError(f"Frame Time: {text[:40]!r} is no number{hint}") from None
     if not seconds.is_finite() or not Decimal("1e-5") <= seconds <= 100_000:
         raise ValueError(f"Frame Time: {text[:40]!r} s; expected 0.00001 to 100000")
     whole = round(1 / seconds)
-    common = min(_COMMON_RATES, key=lambda rate: abs(1 / Decimal(rate) - seconds))
+    common = min(COMMON_RATES, key=lambda rate: abs(1 / Decimal(rate) - seconds))
     # The likeliest rate that what was written cannot be told from: less than its last digit away.
     digit = Decimal(1).scaleb(seconds.as_tuple().exponent)
     rates = ((whole, digit / 1000), (common, digit), (whole, digit), (whole / _NTSC, digit))

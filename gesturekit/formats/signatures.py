@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 from gesturekit.wording import listed
@@ -23,6 +25,7 @@ _SIGNATURES = {
     b"%PDF": "a PDF document",
     b"{": A_JSON_FILE,
 }
+REPORT_IN_WORDS = "figures that gesturekit evaluate wrote (--json); --out FILE.html shows them"
 _REPORT = {"reference", "models", "definitions"}  # keys
 _SHOWN = 6
 
@@ -33,11 +36,20 @@ def kind_by_content(start: bytes) -> str | None:
     return next(kinds, None)
 
 
+def is_report(path: Path) -> bool:
+    """Whether a JSON file holds the figures of an evaluation."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.keys() >= _REPORT
+
+
 def json_in_words(content: Any) -> str:
     """Return what the content of a JSON file is."""
     if not isinstance(content, dict):
         return f"a JSON {type(content).__name__}"
     if content.keys() >= _REPORT:
-        return "figures that gesturekit evaluate wrote (--json); --out FILE.html shows them"
+        return REPORT_IN_WORDS
     keys = [ascii(key)[1:-1][:40] for key in content]
     return f"a JSON object with {'the keys ' + listed(keys, _SHOWN) if keys else 'no keys'}"

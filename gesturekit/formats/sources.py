@@ -31,6 +31,7 @@ OTHER_MOTION_SUFFIXES = (
 """Motion that is not read; Blender and others export BVH of most of it."""
 WRITABLE = ("bvh", "npz", "html", "png", "obj")
 EXISTING = ("refuse", "skip", "replace")
+_NO_MOTION = f"no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap folders"
 _SHOWN = 3
 _GLANCE = 1 << 16
 
@@ -84,7 +85,7 @@ def plan(
         jobs = found = [Job(sources[0], (out,))]
     else:
         found = _into_folder(sources, out, formats)
-        jobs = _one_of_two_formats(found)
+        jobs = _without_copies(found)
         refuse_leaving(jobs, out)
     _refuse_clashes(jobs, {os.path.realpath(job.source) for job in found})
     jobs = _without_existing(jobs, existing)
@@ -111,6 +112,21 @@ def motions_in(folder: Path, *, but: Path | None = None) -> Iterator[Path | OSEr
             folders[:] = [name for name in folders if name not in SUBFOLDERS]
         yield from filter(is_motion, files)
     yield from trouble
+
+
+def motions_of(source: Path) -> list[Path]:
+    """Return the motions that a path stands for: itself, or all below a folder, copies left out.
+
+    Raises:
+        ConfigError: a folder without motion.
+    """
+    if not source.is_dir() or is_sequence(source):
+        return [source]
+    found = [path for path in motions_in(source) if not isinstance(path, OSError)]
+    copies, _ = one_of_two_formats(found)
+    if not found:
+        raise ConfigError(f"{source}: {_NO_MOTION}")
+    return [path for path in found if path not in copies]
 
 
 def visible_folders(
@@ -235,10 +251,7 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
             jobs.setdefault((os.path.realpath(path), key), Job(path, targets))
     _warn_of_unread(sources, jobs.values())
     if not jobs:
-        raise ConfigError(
-            f"{sources[0]}: no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap "
-            "folders"
-        )
+        raise ConfigError(f"{sources[0]}: {_NO_MOTION}")
     return list(jobs.values())
 
 
@@ -275,28 +288,45 @@ def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
             yield path, path.relative_to(source).with_suffix("").as_posix()
 
 
-def _one_of_two_formats(jobs: list[Job]) -> list[Job]:
-    """Return the jobs without the copies: of STEM.bvh and STEM.npz the one that holds more."""
-    there = {(job.source, job.targets) for job in jobs}
+def one_of_two_formats(motions: Iterable[Path]) -> tuple[set[Path], list[str]]:
+    """Return which motions are copies, and lines that say so.
+
+    Of STEM.bvh and STEM.npz in one folder the one that holds more is read; the other is its copy.
+    """
+    groups: dict[Path, dict[str, Path]] = {}
+    for path in motions:
+        groups.setdefault(path.with_suffix(""), {})[path.suffix.lower()] = path
     kept: dict[str, list[str]] = {".npz": [], ".bvh": []}
     copies = set()
+    for group in groups.values():
+        if not group.keys() >= kept.keys():
+            continue
+        suffix, other = ".bvh", ".npz"
+        if _has_keys(group[".npz"], "gk_version"):
+            suffix, other = other, suffix
+        kept[suffix].append(str(group[suffix]))
+        copies.add(group[other])
+    lines = [
+        f"of a bvh and an npz of one name, one is read: {listed(kept[suffix], _SHOWN)} ({why})"
+        for suffix, why in (
+            (".npz", "the npz is gesturekit's own and holds all of it, unrounded"),
+            (".bvh", "the bvh has the rig that was recorded; the npz may have another"),
+        )
+        if kept[suffix]
+    ]
+    return copies, lines
+
+
+def _without_copies(jobs: list[Job]) -> list[Job]:
+    by_target: dict[tuple[Path, ...], list[Path]] = {}
     for job in jobs:
-        bvh, npz = job.source, job.source.with_suffix(".npz")
-        if bvh.suffix.lower() == ".bvh" and (npz, job.targets) in there:
-            one, other = (npz, bvh) if _has_keys(npz, "gk_version") else (bvh, npz)
-            kept[one.suffix.lower()].append(str(one))
-            copies.add((other, job.targets))
-    for suffix, why in (
-        (".npz", "the npz is gesturekit's own and holds all of it, unrounded"),
-        (".bvh", "the bvh has the rig that was recorded; the npz may have another"),
-    ):
-        if kept[suffix]:
-            warnings.warn(
-                f"of a bvh and an npz of one name, one is read: {listed(kept[suffix], _SHOWN)} "
-                f"({why})",
-                stacklevel=2,
-            )
-    return [job for job in jobs if (job.source, job.targets) not in copies]
+        by_target.setdefault(job.targets, []).append(job.source)
+    # Only those that would be written to the same place: each copy may be asked for by its name.
+    rivals = [path for sources in by_target.values() if len(sources) > 1 for path in sources]
+    copies, lines = one_of_two_formats(rivals)
+    for line in lines:
+        warnings.warn(line, stacklevel=2)
+    return [job for job in jobs if len(by_target[job.targets]) == 1 or job.source not in copies]
 
 
 def _refuse_clashes(jobs: Sequence[Job], sources: set[str]) -> None:

@@ -101,7 +101,7 @@ def inspect_recordings(
         progress=progress,
     )
     report = replace(report, problems=tuple(dict.fromkeys(report.problems)))
-    if not (report.manifest.items or report.problems or report.left_over):
+    if report.is_complete and not report.manifest.items:
         raise CorpusError(f"{folder}: no recordings in it, neither motion nor sound")
     manifest = report.manifest
     seconds = sum(item.duration for item in manifest)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
-from gesturekit.errors import MotionError
 from gesturekit.formats.conversion import axes_in_words, load
+from gesturekit.formats.doubts import doubts
 from gesturekit.inspection.sheet import Sheet, size, span
 from gesturekit.inspection.tree import tree
 from gesturekit.motion.body_size import body_scale
@@ -27,7 +27,7 @@ from gesturekit.motion.defects import (
     speed_limit,
 )
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import SIDES, part_labels
+from gesturekit.motion.parts import SIDES, known_part_labels
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.viewer.figure import Figure
@@ -56,7 +56,7 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **opti
         warnings.simplefilter("always", UserWarning)
         motion = load(path, options, parts)
     skeleton = motion.skeleton
-    labels, riddle = _labels(skeleton)
+    labels, unknown = known_part_labels(skeleton)
     figure = Figure.of(motion)
     facts = {
         "path": str(path),
@@ -77,26 +77,16 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **opti
         **_movement(motion, figure, labels),
         **_feet(motion, labels),
     }
-    problems = [str(warning.message) for warning in said]
-    problems += [*([riddle] if riddle else []), *_defects(motion)]
+    problems = [*(str(warning.message) for warning in said), *doubts(motion, options)]
+    problems += [*([unknown] if unknown else []), *_defects(motion)]
     return Sheet(
         kind="motion",
         title=f"{path}: motion, {facts['format']}, {size(facts['bytes'])}",
         facts=facts,
-        rows=tuple(_rows(motion, facts, labels)),
+        rows=tuple(_rows(motion, facts, labels, figure.speed_of)),
         drawing=partial(tree, skeleton, labels),
         problems=tuple(problems),
     )
-
-
-def _labels(skeleton: Skeleton) -> tuple[dict[str, str], str | None]:
-    """What each joint is, and why that cannot be told where it cannot."""
-    try:
-        return part_labels(skeleton), None
-    except MotionError as error:
-        if skeleton.parts:
-            raise
-        return {}, str(error)
 
 
 def _movement(motion: Motion, figure: Figure, labels: Mapping[str, str]) -> dict[str, Any]:
@@ -120,9 +110,9 @@ def _movement(motion: Motion, figure: Figure, labels: Mapping[str, str]) -> dict
 
 def _feet(motion: Motion, labels: Mapping[str, str]) -> dict[str, Any]:
     """Share of the frames in which a foot of each side stands; nothing where feet are unknown."""
-    if not labels:
-        return {}
     points = foot_points(motion.skeleton)
+    if not points:
+        return {}
     contacts = contact_labels(motion)
     sides = np.array([labels.get(point.joint, "").partition(" ")[0] for point in points])
     shares = {
@@ -171,7 +161,7 @@ def _at(frames: Sequence[int], fps: float, most: int = 4) -> str:
 
 
 def _rows(
-    motion: Motion, facts: Mapping[str, Any], labels: Mapping[str, str]
+    motion: Motion, facts: Mapping[str, Any], labels: Mapping[str, str], speed_of: str
 ) -> list[tuple[str, str]]:
     skeleton, info = motion.skeleton, motion.info
     rows = [
@@ -187,10 +177,11 @@ def _rows(
     if facts["format"] == "bvh":
         rows.insert(3, ("channels", _channels(motion)))
     if motion.n_frames > 1:
-        who = "both together, relative to the root" if labels else "mean of all joints"
+        hands = speed_of == "hand speed"
+        who = "both together, relative to the root" if hands else "mean of all joints"
         rows.append(
             (
-                "hands" if labels else "speed",
+                "hands" if hands else "speed",
                 f"{facts['hand_speed_mean']:.2f} m/s on average, {facts['hand_speed_max']:.2f} "
                 f"at most ({who})",
             )

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gesturekit.formats.signatures import kind_by_content
+from gesturekit.formats.signatures import A_JSON_FILE, REPORT_IN_WORDS, is_report, kind_by_content
 from gesturekit.formats.sources import unreadable_media
 
 _READ_HERE = ("BVH", "wav", "flac", "ogg", "npz")
 _GLANCE = 4096  # bytes
 _OUR_PAGE = b'<meta name="generator" content="gesturekit">'
-_IN_RUN = ("command.txt", "versions.json", "metrics.jsonl", "data.json", "data.safetensors")
-_IN_MODEL = ("model.safetensors", "skeleton.json", "README.md")
+_IN_RUN = ("command.txt", "versions.json", "metrics.jsonl")
+_IN_MODEL = ("model.safetensors", "skeleton.json", "README.md", "trained_on.json")
+_IN_DATA = ("data.json", "data.safetensors")
 _IN_FEATURE_MODEL = ("feature_model.json", "feature_model.safetensors")
 _TABLES = {  # columns in the first line
     ("time", "name"): "a table of events, which goes with a recording as STEM.events.csv",
@@ -43,6 +44,8 @@ def what_it_is(path: Path) -> str | None:
         return next((text for known, text in _TABLES.items() if names.issuperset(known)), None)
     if (what := kind_by_content(start)) is None:
         return None
+    if what == A_JSON_FILE and suffix == ".json" and is_report(path):
+        return REPORT_IN_WORDS
     if any(kind in what for kind in _READ_HERE):
         return f"looks like {what} inside; give it the suffix of one"
     return what
@@ -60,6 +63,10 @@ def _part_of(path: Path) -> str | None:
     has = {name for name in (*_IN_RUN, *_IN_MODEL) if (folder / name).exists()}
     if (folder / "config.yaml").is_file() and (name in has or (name == "config.yaml" and has)):
         return f"part of a model or a run; inspect its folder, {folder}"
+    if name in _IN_DATA and (folder.parent / "config.yaml").is_file():
+        return f"the prepared data of a run; inspect its folder, {folder.parent}"
+    if name == "trained_on.json":
+        return "the list of recordings that a model was trained on; it belongs into its folder"
     if path.suffix in (".yaml", ".yml"):
         return f"a configuration; gesturekit train {path} trains with it"
     return None

@@ -57,6 +57,9 @@ def inspect(
         from gesturekit.inspection.corpus import inspect_recordings
 
         return inspect_recordings(Path(path), parts=parts, read=read, progress=progress)
+    if kind == "other":
+        text = _recognised(Path(path))
+        return Sheet("other", f"{path}: {text}", {"path": str(path), "what": text})
     if parts or read:
         raise ConfigError(f"{path}: a {kind}; only motion has parts, axes, a unit and a height")
     if kind == "model":
@@ -81,7 +84,7 @@ def inspect(
 
 
 def kind_of(path: str | Path) -> str:
-    """motion, audio, features, model, corpus or run.
+    """motion, audio, features, model, corpus or run; "other" for what is known and has no sheet.
 
     Raises:
         FormatError: none of these.
@@ -101,9 +104,7 @@ def kind_of(path: str | Path) -> str:
     if suffix == ".npz" and is_feature_file(path):
         return "features"
     if suffix == ".npz" and is_body_model(path):
-        raise FormatError(
-            f"{path}: a body model of the SMPL family; give it as --body-model with a motion"
-        )
+        return "other"
     if suffix in MOTION_SUFFIXES:
         return "motion"
     if suffix in SPEECH_SUFFIXES:
@@ -111,10 +112,21 @@ def kind_of(path: str | Path) -> str:
     try:
         what = what_it_is(path)
     except OSError as error:
-        what = error.strerror
+        raise FormatError(f"{path}: {error.strerror}") from None
     if suffix in _JSON and what in (None, A_JSON_FILE):
         return _JSON[suffix]  # its reader says what it is where it is something else
-    raise FormatError(f"{path}: {what or f'not known; gesturekit inspects {_KNOWN}'}")
+    if what is None:
+        raise FormatError(f"{path}: not known; gesturekit inspects {_KNOWN}")
+    return "other"
+
+
+def _recognised(path: Path) -> str:
+    """Return what a path of kind "other" is."""
+    if path.is_dir():
+        return "a feature model of fit-features; give it to evaluate"
+    if path.suffix.lower() == ".npz":
+        return "a body model of the SMPL family; give it as --body-model with a motion"
+    return what_it_is(path) or ""
 
 
 def _kind_of_folder(folder: Path) -> str:
@@ -123,7 +135,7 @@ def _kind_of_folder(folder: Path) -> str:
     if is_sequence(folder):
         return "motion"
     if (folder / "feature_model.json").is_file():
-        raise FormatError(f"{folder}: a feature model of fit-features; give it to evaluate")
+        return "other"
     found, _ = scan(folder)
     if found:
         return "corpus"

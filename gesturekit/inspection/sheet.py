@@ -19,7 +19,7 @@ class Sheet:
     """One thing, told.
 
     Attributes:
-        kind: motion, audio, features, model, corpus or run.
+        kind: motion, audio, features, model, corpus, run, or other.
         title: what it is, in a line.
         facts: for programs: plain values that JSON can hold.
         rows: (label, text) for people.

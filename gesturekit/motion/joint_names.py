@@ -14,6 +14,9 @@ _LEFT_WORD = re.compile("left", re.IGNORECASE)
 # letter): "L_Hip", "b_l_arm", "upper_arm.L", "HandL", "lfemur".
 _LEFT_LETTER = re.compile(r"(?<![A-Za-z])[lL]|(?<=[a-z])L(?![a-z])")
 
+# The same of either side, where the letter stands apart: "lfemur" has no side by itself.
+_SIDE_LETTER = re.compile(r"(?<![A-Za-z])[lLrR](?![a-z])|(?<=[a-z])[LR](?![a-z])")
+
 
 def named_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     """(left, right) names of the joints that differ by the mark of a side alone, in order."""
@@ -35,6 +38,16 @@ def _right_names(name: str) -> Iterable[str]:
     for match in _LEFT_LETTER.finditer(name):
         right = "R" if match[0] == "L" else "r"
         yield name[: match.start()] + right + name[match.end() :]
+
+
+def named_side(name: str) -> str:
+    """Return the side that a name tells by itself, "left" or "right"; "" where it tells none."""
+    small = name.lower()
+    found = {side for side in SIDES if side in small}
+    if not found:
+        letters = (match[0].lower() for match in _SIDE_LETTER.finditer(name))
+        found = {SIDES["lr".index(letter)] for letter in letters}
+    return found.pop() if len(found) == 1 else ""
 
 
 def bare_name(name: str, side: str) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.wording import counted
 
 _ALIKE = 0.15
 """Lengths of left and right bones differ by less than this share."""
@@ -67,7 +68,7 @@ class _Shape:
     def limbs(self) -> Limbs:
         forks = self._pairs_of_limbs()
         if len(forks) != 2:
-            raise MotionError(f"{len(forks)} pairs of limbs of equal length, not 2")
+            raise MotionError(f"{counted(len(forks), 'pair')} of limbs of equal length, not 2")
         (pelvis, legs), (chest, arms) = forks
         if pelvis not in self.skeleton.ancestors(chest):
             raise MotionError("the two pairs of limbs do not hang on one trunk")

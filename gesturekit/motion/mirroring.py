@@ -66,9 +66,8 @@ def mirror_motion(motion: Motion) -> Motion:
     other = _counterparts(skeleton)
     if not can_be_mirrored(skeleton):
         raise MotionError(
-            f"cannot tell left from right by the joint names {', '.join(skeleton.names[:6])}, ..., "
-            "nor by the rig's shape, so that it cannot be mirrored; name limbs by hand "
-            "(parts: left_elbow: JOINT, right_elbow: JOINT, ...)"
+            "cannot tell left from right by joint names or shape, so that the rig cannot be "
+            "mirrored; name limbs by hand (parts: left_elbow: JOINT, right_elbow: JOINT, ...)"
         )
     kind = _reflections(motion, other)
     above = np.array([kind[p] if p >= 0 else _WORLD for p in skeleton.parents])

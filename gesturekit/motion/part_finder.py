@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.joint_names import SIDES, bare_name, named_pairs
+from gesturekit.motion.joint_names import SIDES, bare_name, named_pairs, named_side
 from gesturekit.motion.limb_shapes import Limbs, find_limbs
 from gesturekit.motion.part_checks import check_limbs
 from gesturekit.motion.skeleton import Skeleton
@@ -69,11 +69,39 @@ class PartFinder:
         shape = self._limbs_by_shape() if self.missing else None
         check_limbs(skeleton, self.limbs, guessed)
         self._trunk(shape)
-        self.ends = {
-            j
-            for j in range(skeleton.n_joints)
-            if skeleton.is_leaf(j) and self.bare[j].endswith(_END)
-        }
+
+    @classmethod
+    def of_known(cls, skeleton: Skeleton) -> PartFinder:
+        """Return what names and hand tell of a rig that lacks parts of a body.
+
+        Limbs that cannot be identified have None for joints; `pelvis` and `head` are None, `spine`
+        and `neck` empty where they cannot be.
+        """
+        found = cls.__new__(cls)
+        found._read_names(skeleton, skeleton.parts)
+        # A limb without its counterpart: no pair of names tells its side.
+        for j, name in enumerate(skeleton.names):
+            if not found.side[j] and (side := named_side(name)):
+                found.side[j], found.bare[j] = side, bare_name(name, side)
+        for side in SIDES:
+            found._arm(side)
+            found._leg(side)
+            for limb in (ARM, LEG):
+                parts = {f"{side}_{part}": found.limbs[f"{side}_{part}"] for part in limb}
+                try:
+                    check_limbs(skeleton, parts, guessed=False)
+                except MotionError:
+                    found.limbs |= {p: found.by_hand.get(p) for p in parts}
+        found._known_trunk()
+        return found
+
+    def missing_limbs(self) -> str:
+        """Return the limbs of which a joint is missing, in words: "arms and left leg"."""
+        words = []
+        for kind, limb in (("arm", ARM), ("leg", LEG)):
+            sides = [s for s in SIDES if {f"{s}_{part}" for part in limb} & set(self.missing)]
+            words += [f"{kind}s"] if len(sides) == 2 else [f"{side} {kind}" for side in sides]
+        return " and ".join(words)
 
     def _read_names(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
         """What names and hand tell of joints one by one; limbs are not looked for yet."""
@@ -91,6 +119,11 @@ class PartFinder:
         self.bare = [bare_name(name, side) for name, side in zip(skeleton.names, self.side)]
         self.missing: list[str] = []
         self.limbs: dict[str, int | None] = {}
+        self.ends = {
+            j
+            for j in range(skeleton.n_joints)
+            if skeleton.is_leaf(j) and self.bare[j].endswith(_END)
+        }
 
     def helpers(self) -> set[int]:
         """Joints that only turn a bone about itself."""
@@ -117,6 +150,25 @@ class PartFinder:
         # 3ds Max hangs arms on the neck.
         if len(self.spine) > 1 and self.bare[chest].endswith("neck"):
             self.neck.insert(0, self.spine.pop())
+
+    def _known_trunk(self) -> None:
+        limbs, side = self.limbs, self.side
+        hips = [j for s in SIDES if (j := limbs[f"{s}_hip"]) is not None]
+        arms = [limbs[f"{s}_clavicle"] or limbs[f"{s}_shoulder"] for s in SIDES]
+        hanging = [
+            next((above for above in self.skeleton.ancestors(j) if not side[above]), 0)
+            for j in arms
+            if j is not None
+        ]
+        self.pelvis = self._meeting(*hips) if len(hips) == 2 else None
+        chest = self._meeting(hanging[0], hanging[-1]) if hanging else None
+        way = [] if None in (self.pelvis, chest) else self._way_down(self.pelvis, chest)
+        self.spine, self.neck = way[1:], []
+        named = [j for j, bare in enumerate(self.bare) if not side[j] and bare.endswith(_HEAD)]
+        nearest = min(named, key=lambda j: self.skeleton.depth[j], default=None)
+        self.head = self.by_hand.get("head", nearest)
+        if None not in (self.head, chest):
+            self.neck = self._way_down(chest, self.head)[1:-1]
 
     def _arm(self, side: str) -> None:
         of_side = [j for j, s in enumerate(self.side) if s == side]
@@ -179,25 +231,23 @@ class PartFinder:
             MotionError: the shape does not tell either, or contradicts the names.
         """
         names = self.skeleton.names
-        shown, more = self.missing[:3], len(self.missing) - 3
-        missing = ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+        told = f"cannot identify the {self.missing_limbs()}"
+        first = self.missing[0]
         by_hand = (
-            f"name them by hand: --part {self.missing[0]}=JOINT (--rig-part where it is --rig's), "
-            f"`parts: {{{self.missing[0]}: JOINT, ...}}` in the configuration, "
-            f"overrides={{{self.missing[0]!r}: 'JOINT', ...}} in Python"
+            f"name what the rig has: --part {first}=JOINT (--rig-part for --rig), or "
+            f"`parts: {{{first}: JOINT}}`"
         )
-        told = f"cannot tell {missing} from the joint names {', '.join(names[:8])}, ..."
         try:
             shape = find_limbs(self.skeleton)
         except MotionError as error:
-            raise MotionError(f"{told}, nor from the rig's shape ({error}); {by_hand}") from None
+            raise MotionError(f"{told} ({error}); {by_hand}") from None
         for part, joint in self.limbs.items():
             if joint is None:
                 self.limbs[part] = shape.joints.get(part)
             elif part in shape.joints and shape.joints[part] != joint:
                 raise MotionError(
-                    f"{told}; the rig's shape tells, but has {names[shape.joints[part]]!r} for the "
-                    f"{part.replace('_', ' ')}, where names say {names[joint]!r}; {by_hand}"
+                    f"{told}: the {part.replace('_', ' ')} is {names[shape.joints[part]]!r} by the "
+                    f"rig's shape, {names[joint]!r} by its name; {by_hand}"
                 )
         self.missing = []
         return shape

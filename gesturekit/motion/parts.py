@@ -23,6 +23,7 @@ __all__ = [
     "body_joints",
     "find_legs",
     "find_parts",
+    "known_part_labels",
     "left_right_pairs",
     "leg_length",
     "parse_parts",
@@ -198,27 +199,49 @@ def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) 
     Raises:
         MotionError: as `find_parts`.
     """
-    parts = find_parts(skeleton, overrides)
-    labels = dict.fromkeys(skeleton.names, "other")
-    pelvis = skeleton.index(parts.pelvis)
-    labels |= {skeleton.names[j]: "root" for j in skeleton.ancestors(pelvis)}
-    helpers = PartFinder(skeleton, {**skeleton.parts, **(overrides or {})}).helpers()
-    labels |= {skeleton.names[j]: "twist" for j in helpers}
-    for label, joints in (("finger", parts.fingers), ("face", parts.face), ("end", parts.ends)):
-        labels |= dict.fromkeys(joints, label)
-    labels[parts.pelvis] = "pelvis"
-    labels |= dict.fromkeys(parts.spine, "spine")
-    if parts.head is not None:
-        if parts.neck is not None:
-            head, neck = skeleton.index(parts.head), skeleton.index(parts.neck)
-            between = [j for j in skeleton.ancestors(head) if j >= neck]
-            labels |= {skeleton.names[j]: "neck" for j in between}
-        labels[parts.head] = "head"
-    for side in SIDES:
-        for limb in (parts.arms[side], parts.legs[side]):
-            named = {joint: f"{side} {part}" for part, joint in vars(limb).items()}
-            labels |= {joint: label for joint, label in named.items() if joint is not None}
-    return labels
+    return _labels(PartFinder(skeleton, {**skeleton.parts, **(overrides or {})}))
+
+
+def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
+    """Return what `part_labels` does for any rig, and in a line what cannot be identified.
+
+    The labels are empty where no part can be, the line where all can.
+    """
+    try:
+        return part_labels(skeleton), ""
+    except MotionError as error:
+        reason = str(error)
+    found = PartFinder.of_known(skeleton)
+    if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
+        reason = (
+            f"cannot identify the {found.missing_limbs()}: harmless where the rig has none, else "
+            f"name it: --part {found.missing[0]}=JOINT"
+        )
+    labels = _labels(found)
+    is_body = set(labels.values()) - {"other", "root", "end", "twist"}
+    return (labels if is_body else {}), reason
+
+
+def _labels(found: PartFinder) -> dict[str, str]:
+    skeleton = found.skeleton
+    labels = dict.fromkeys(range(skeleton.n_joints), "other")
+    if found.pelvis is not None:
+        labels |= dict.fromkeys(skeleton.ancestors(found.pelvis), "root")
+    labels |= dict.fromkeys(found.helpers(), "twist")
+    labels |= dict.fromkeys(found.fingers(), "finger")
+    if found.head is not None:
+        labels |= dict.fromkeys(skeleton.descendants(found.head), "face")
+    labels |= dict.fromkeys(found.ends, "end")
+    if found.pelvis is not None:
+        labels[found.pelvis] = "pelvis"
+    labels |= dict.fromkeys(found.spine, "spine")
+    labels |= dict.fromkeys(found.neck, "neck")
+    if found.head is not None:
+        labels[found.head] = "head"
+    for part, joint in found.limbs.items():
+        if joint is not None:
+            labels[joint] = part.replace("_", " ")
+    return {name: labels[j] for j, name in enumerate(skeleton.names)}
 
 
 def body_joints(skeleton: Skeleton) -> tuple[str, ...]:

@@ -104,10 +104,10 @@ class Figure:
             parts = find_parts(motion.skeleton)
         except MotionError:
             parts = None
+        height = _height(motion.skeleton)  # of the rig as it is: ends that are made up tell parts
         ends = real_end_sites(motion.skeleton)
         motion = replace(motion, skeleton=replace(motion.skeleton, end_sites=ends))
         points = _Points(motion)
-        height = _height(motion.skeleton)
         head = _head(points, parts, height) if parts and parts.head else None
         limbs = _limbs(points, parts, height)
         drawn = points.stacked()

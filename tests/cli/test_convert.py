@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -233,3 +234,25 @@ def test_a_warning_about_the_rig_is_one_line(gesture, tmp_path):
     assert done.returncode == 0
     (line,) = done.stderr.splitlines()
     assert line.startswith("Warning: people: several people")
+
+
+def test_antialias_without_a_rate_is_said_to_do_nothing(gesturekit, takes, tmp_path):
+    done = gesturekit("convert", takes / "a.bvh", tmp_path / "a.npz", "--antialias")
+    assert done.status == 0 and "--antialias has no effect without --fps" in done.err
+
+
+def test_a_folder_is_viewed_by_its_motions(gesturekit, gesture, takes, tmp_path):
+    page = tmp_path / "page.html"
+    gesture(1.0).save(takes / "a.npz")  # the same take once more
+    done = gesturekit("view", takes, "--out", page)
+    assert done.status == 1 and done.err.startswith("Failed: ") and "broken.bvh:1" in done.err
+    assert re.findall('"label":"(.*?)"', page.read_text()) == ["a", "f\\u00fcr sp\\u00e4ter"]
+    (takes / "broken.bvh").unlink()
+    for number in range(8):
+        shutil.copy(takes / "a.bvh", takes / f"b{number}.bvh")
+    done = gesturekit("view", takes, "--out", page)
+    assert done.status == 0 and "10 motions; the page shows the first 8" in done.err
+    assert page.read_text().count('"label":') == 8
+    (tmp_path / "empty").mkdir()
+    done = gesturekit("view", tmp_path / "empty")
+    assert done.status == 2 and "no motion in it; looked for .bvh" in done.err

@@ -48,6 +48,7 @@ def test_some_left_out(recordings, tmp_path):
     assert told[0].startswith("error: ") and str(recordings / "a.wav") in told[0]
     assert told[1].startswith("left out: speech without motion") and "alone.wav" in told[1]
     assert "paired        2 recordings" in done.stdout
+    assert "left out      1 recording with errors, 1 file not used" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -66,11 +67,13 @@ def test_nothing_can_start(arguments, tmp_path):
     assert "Error: " in done.stderr and "Traceback" not in done.stderr
 
 
-def test_nothing_usable(tmp_path):
-    (tmp_path / "empty").mkdir()
-    done = run(tmp_path / "empty", "--out", tmp_path / "corpus.jsonl")
+def test_nothing_usable(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("e").mkdir()
+    done = run("e", "--out", "corpus.jsonl")
     assert done.returncode == 2
     assert "no usable recording" in done.stderr
+    assert "warning: e: neither sound (.wav, " in done.stderr and ".npz" in done.stderr
     assert not (tmp_path / "corpus.jsonl").exists()
 
 

@@ -42,7 +42,11 @@ def test_a_unique_stem_is_a_pair(tmp_path):
 
 @pytest.mark.parametrize(
     "names",
-    [("a.wav", "a.flac", "a.bvh"), ("a.wav", "a.bvh", "a.npz"), ("x/a.wav", "y/a.wav", "z/a.bvh")],
+    [
+        ("a.wav", "a.flac", "a.bvh"),
+        ("a.wav", "x/a.bvh", "y/a.npz"),
+        ("x/a.wav", "y/a.wav", "z/a.bvh"),
+    ],
 )
 def test_an_ambiguous_name_lists_every_file_and_pairs_none(tmp_path, names):
     touch(tmp_path, *names, "fine.wav", "fine.bvh")

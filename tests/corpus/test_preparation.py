@@ -11,6 +11,7 @@ import soundfile
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
+from gesturekit.inspection.corpus import inspect_recordings
 from gesturekit.motion.body_size import body_height
 
 
@@ -198,7 +199,9 @@ def test_parts_that_cannot_be_told_are_noted_and_may_be_named(tmp_path, write_sp
     report = prepare(tmp_path, holdout=0.0)
     (note,) = texts(report, "note")
     assert len(report.manifest) == 1
-    assert re.search(r"a.bvh: cannot tell left_elbow.*where is forward.*parts: \{left_elbow:", note)
+    assert re.search(
+        r"a.bvh: cannot identify the arms.*where is forward.*parts: \{left_elbow:", note
+    )
     by_hand = {
         f"{side}_{part}": names[rig.index(side.title() + joint)]
         for side in ("left", "right")
@@ -526,3 +529,41 @@ def test_every_file_that_looks_like_sound_or_motion_is_used_or_named(tmp_path, w
     for path in report.left_over:
         path.unlink()
     assert prepare(tmp_path, holdout=0.0).is_complete
+
+
+def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gesture):
+    for seed, name in enumerate("ab"):
+        write_pair(tmp_path, name, seed=seed)
+        gesture(4.0, seed=seed).save(tmp_path / f"{name}.npz")
+    report = prepare(tmp_path, holdout=0.0)
+    assert [item.motion.name for item in report.manifest] == ["a.npz", "b.npz"]
+    assert [item.motion.name for item in report.manifest.paired()] == ["a.npz", "b.npz"]
+    (note,) = texts(report, "note")
+    assert "of a bvh and an npz of one name" in note and report.is_complete
+    for path in tmp_path.glob("*.wav"):
+        path.unlink()
+    alone = prepare([], unpaired_motion=[tmp_path], holdout=0.5)
+    assert [item.motion.name for item in alone.manifest] == ["a.npz", "b.npz"]
+    sheet = inspect_recordings(tmp_path)
+    assert sheet.facts["items"] == 2 and len(sheet.problems) == 1
+
+
+def test_a_file_that_is_left_out_gets_no_warnings_of_its_motion(
+    tmp_path, write_pair, write_speech, gesture
+):
+    write_pair(tmp_path, "long", 4.0, t_pose=20)
+    write_speech(tmp_path / "long.wav", 9.0)
+    write_pair(tmp_path, "fine")
+    write_pair(tmp_path, "also")
+    odd = gesture(4.0, t_pose=20)
+    names = ("Pelvis", *odd.skeleton.names[1:])
+    replace(odd, skeleton=replace(odd.skeleton, names=names)).save(tmp_path / "odd.bvh")
+    write_speech(tmp_path / "odd.wav", 4.0)
+    report = prepare(tmp_path, holdout=0.0)
+    assert len(errors(report)) == 2 and not texts(report, "warning")
+
+
+def test_the_rate_may_be_what_makes_motion_jump(tmp_path, gesture):
+    replace(gesture(20.0), fps=900.0).save(tmp_path / "a.npz")
+    warning = texts(prepare([], unpaired_motion=[tmp_path]), "warning")[0]
+    assert "--in-fps" in warning

@@ -350,3 +350,11 @@ def test_another_kind_of_file_is_called_by_its_name(tmp_path, start, kind):
     with pytest.raises(FormatError, match="begins with") as told:
         read_bvh(path)
     assert str(told.value).isprintable()
+
+
+def test_a_decimal_comma_in_the_frame_time_is_named(gesture, tmp_path):
+    gesture(0.5).save(tmp_path / "a.bvh")
+    text = (tmp_path / "a.bvh").read_text()
+    (tmp_path / "a.bvh").write_text(re.sub("Frame Time: .*", "Frame Time: 0,0333", text))
+    with pytest.raises(FormatError, match="'0,0333' is no number; decimals need a point"):
+        read_bvh(tmp_path / "a.bvh")

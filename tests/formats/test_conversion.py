@@ -147,9 +147,12 @@ def test_what_cannot_start_is_refused_before_anything_is_written(take, gesture, 
         (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "no motion in it"),
         ([], tmp_path / "x", {"formats": ["bvh"]}, "nothing to convert"),
         ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, "would both be written as"),
-        (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "unit is an option of .bvh"),
-        (take, tmp_path / "x.npz", {"read": {"person": 2}}, "person is an option of"),
-        (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "body_model is an option of"),
+        (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "--unit is an option of .bvh"),
+        (take, tmp_path / "x.npz", {"read": {"person": 2}}, "--person is an option of"),
+        (tmp_path / "x.npz", tmp_path / "x.bvh", {"read": {"unit": "m"}}, "--in-unit is an"),
+        (take, tmp_path / "x.obj", {}, "--body-model"),
+        (tmp_path, tmp_path / "out", {"formats": ["obj"]}, "--body-model"),
+        (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "--body-model is an option of"),
         (take, tmp_path / "x.npz", {"existing": "ask"}, "existing is 'ask'"),
     ):
         with pytest.raises(ConfigError, match=says):
@@ -249,7 +252,7 @@ def test_other_trims_are_refused(text):
 
 def test_trimming_everything_away_is_an_error(take, tmp_path):
     (done,) = outcomes(take, tmp_path / "a.npz", changes=Changes(trim=(5.0, 6.0)))
-    assert "a motion of 2 s" in done.error and str(take) in done.error
+    assert "trim begins at 5 s, the motion lasts 2 s" in done.error and str(take) in done.error
 
 
 def test_another_rig_of_the_smpl_family_and_its_keys(tmp_path):
@@ -291,8 +294,9 @@ def test_what_a_format_does_not_hold_is_told(tmp_path):
 
 def test_a_mesh_needs_its_model(capsule_body, tmp_path):
     smpl_motion(n_joints=24).save(tmp_path / "a.npz")
-    (done,) = outcomes(tmp_path / "a.npz", tmp_path / "a.obj")
-    assert "--body-model" in done.error
+    with pytest.warns(UserWarning, match="no obj is written.*--body-model") as said:
+        (done,) = outcomes(tmp_path / "a.npz", tmp_path / "out", formats=["obj", "bvh"])
+    assert done.error is None and written(tmp_path / "out") == {"a.bvh"} and len(said) == 1
     np.savez(tmp_path / "model.npz", **capsule_body(24))
     (done,) = outcomes(tmp_path / "a.npz", tmp_path / "a.obj", body_model=tmp_path / "model.npz")
     assert done.error is None and (tmp_path / "a.obj").read_text().startswith("v ")
@@ -337,3 +341,15 @@ def test_parts_of_a_rig_that_is_known_are_refused():
 def test_media_that_is_not_read_is_named_with_what_to_do(name, what_to_do):
     reason = unreadable_media(Path(name))
     assert (reason and what_to_do in reason) or reason is what_to_do is None
+
+
+def test_blanks_in_joint_names_are_said_once(gesture, tmp_path):
+    motion = gesture(0.5)
+    names = tuple(f"Bip01 {name}" for name in motion.skeleton.names)
+    rig = replace(motion.skeleton, names=names, end_sites={})
+    for name in "ab":
+        replace(motion, skeleton=rig).save(tmp_path / f"{name}.npz")
+    done = outcomes(tmp_path, tmp_path / "out", formats=["bvh"])
+    (warning,) = [line for outcome in done for line in outcome.warnings]
+    assert "Bip01 Hips, Bip01 Spine, Bip01 Chest and 16 more" in warning and "bvhio" in warning
+    assert Motion.load(tmp_path / "out" / "a.bvh").skeleton.names == names

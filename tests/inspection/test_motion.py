@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gesturekit.corpus import prepare
 from gesturekit.errors import GestureKitError
+from gesturekit.formats.conversion import convert
 from gesturekit.inspection import Sheet, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.joint_selection import keep_joints
 
 
 def row(sheet: Sheet, label: str) -> str:
@@ -53,10 +58,11 @@ def test_parts_can_be_named_by_hand(gesture, tmp_path):
     for parts, says in (
         ({"left_elbo": "LeftArm"}, "no part is called 'left_elbo'"),
         ({"left_elbow": "Elbow"}, "no joint 'Elbow'"),
-        ({"left_elbow": "RightFoot"}, "RightFoot"),
     ):
         with pytest.raises(GestureKitError, match=says):
             inspect(tmp_path / "take.bvh", parts=parts)
+    wrong = inspect(tmp_path / "take.bvh", parts={"left_elbow": "RightFoot"})
+    assert "'RightFoot'" in wrong.problems[0] and wrong.facts["parts"]["Head"] == "head"
 
 
 def test_a_rig_that_is_no_body_is_told_as_it_is(tmp_path, save_as_others):
@@ -92,8 +98,6 @@ def test_the_tree_names_every_joint_but_fingers_and_fits(shared_data):
 
 
 def test_a_tree_of_one_joint_and_of_no_parts(gesture):
-    from gesturekit.motion.joint_selection import keep_joints
-
     motion = gesture(0.5)
     assert tree(keep_joints(motion, ["Hips"]).skeleton, {}) == ["Hips"]
     assert "LeftHand" in "\n".join(tree(motion.skeleton, {}))
@@ -124,3 +128,80 @@ def test_every_recording_is_told(shared_data):
         sheet = inspect(path)
         assert sheet.facts["frames"] == Motion.load(path).n_frames
         assert np.isfinite(sheet.facts["height"]) and 1.2 < sheet.facts["height"] < 2.1
+
+
+def with_frame_time(motion: Motion, path: Path, text: str) -> Path:
+    motion.save(path)
+    path.write_text(re.sub("Frame Time: .*", f"Frame Time: {text}", path.read_text()))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("frame_time", "says"),
+    [
+        ("33.333", "0.03 fps: is Frame Time in milliseconds? --in-fps 30 sets the rate"),
+        ("30", "0.033 fps: does Frame Time hold the rate? --in-fps 30 sets the rate"),
+        ("0.0000333", "30030 fps: is Frame Time 1000 times too small? --in-fps 30 sets the rate"),
+    ],
+)
+def test_a_rate_that_nobody_records_at_is_doubted(gesture, tmp_path, frame_time, says):
+    path = with_frame_time(gesture(2.0), tmp_path / "a.bvh", frame_time)
+    assert inspect(path).problems[0] == says
+    assert not any("fps" in problem for problem in inspect(path, read={"fps": 30.0}).problems)
+    (outcome,) = convert(path, tmp_path / "b.npz", dry_run=True)
+    assert outcome.warnings == (f"{path}: {says}",)
+    report = prepare([], unpaired_motion=[tmp_path])
+    assert says in [problem.message for problem in report.problems]
+
+
+def test_bones_without_length_are_doubted(gesture, tmp_path):
+    motion = gesture(2.0)
+    flat = replace(motion.skeleton, offsets=np.zeros((motion.skeleton.n_joints, 3)))
+    replace(motion, skeleton=flat).save(tmp_path / "a.npz")
+    assert any("all bones have length 0" in text for text in inspect(tmp_path / "a.npz").problems)
+    report = prepare([], unpaired_motion=[tmp_path])
+    assert any("all bones have length 0" in problem.message for problem in report.problems)
+
+
+@pytest.mark.parametrize(
+    ("read", "says"),
+    [
+        ({"height": 0.1}, "--height 0.1 makes the body 0.10 m tall"),
+        ({"unit": "m"}, "--in-unit m makes the body "),
+        ({"up": "z"}, "--in-up z lays the body down"),
+    ],
+)
+def test_an_option_that_cannot_be_meant_is_doubted(gesture, tmp_path, read, says):
+    gesture(2.0).save(tmp_path / "a.bvh")
+    assert any(says in problem for problem in inspect(tmp_path / "a.bvh", read=read).problems)
+    usual = {"height": 1.2, "unit": "cm", "up": "y"}
+    assert inspect(tmp_path / "a.bvh", read=usual).problems == ()
+
+
+def test_a_body_is_as_tall_as_it_was_asked_to_be(gesture, tmp_path):
+    """Nothing but its feet tells the parts of this rig, and an exporter made up their ends."""
+    motion = gesture(1.0)
+    usual = motion.skeleton
+    names = tuple(f"Joint{j}" for j in range(usual.n_joints))
+    ends = [j for j, name in enumerate(usual.names) if name.endswith(("Foot", "Hand"))]
+    sites = {names[j]: (np.array([0.0, -0.05, 0.15]),) for j in ends}
+    rig = replace(usual, names=names, end_sites=sites)
+    replace(motion, skeleton=rig).save(tmp_path / "a.npz")
+    sheet = inspect(tmp_path / "a.npz", read={"height": 1.0})
+    assert sheet.facts["height"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("parts", [{}, {"right_elbow": "RightForeArm"}])
+def test_a_rig_that_lacks_an_arm_shows_all_its_other_parts(gesture, tmp_path, parts):
+    motion = gesture(1.0)
+    kept = [name for name in motion.skeleton.names if not name.startswith(("LeftSh", "LeftArm"))]
+    kept = [name for name in kept if name not in ("LeftForeArm", "LeftHand")]
+    keep_joints(motion, kept).save(tmp_path / "a.npz")
+    sheet = inspect(tmp_path / "a.npz", parts=parts)
+    labels = sheet.facts["parts"]
+    told = {name: labels[name] for name in ("Hips", "Chest", "Neck", "Head", "LeftFoot")}
+    assert list(told.values()) == ["pelvis", "spine", "neck", "head", "left ankle"]
+    assert labels["RightForeArm"] == "right elbow" and "feet" in dict(sheet.rows)
+    (problem,) = sheet.problems
+    assert problem.startswith("cannot identify the left arm: harmless") and len(problem) < 120
+    assert "speed" in dict(sheet.rows)  # that of both hands is not known

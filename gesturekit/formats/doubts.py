@@ -1,0 +1,68 @@
+"""Doubts about a motion that reads well but can hardly be meant so: its rate, size and axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.formats.axes import standing_axis
+from gesturekit.formats.frame_rate import COMMON_RATES
+from gesturekit.motion.body_size import body_height
+from gesturekit.motion.motion import Motion
+
+SLOWEST, FASTEST = 1.0, 1000.0
+"""Frames per second beyond which a file's rate is doubted."""
+SMALLEST, TALLEST = 0.3, 5.0
+"""Metres beyond which a height that somebody asked for is doubted."""
+
+
+def doubts(motion: Motion, reading: Mapping[str, Any]) -> list[str]:
+    """Return what is doubtful of a motion, one line each, with the option that settles it.
+
+    Args:
+        motion: as it was read.
+        reading: the options that it was read with, see `gesturekit.formats.conversion.load`.
+    """
+    found = []
+    if "fps" not in reading and not SLOWEST <= motion.fps <= FASTEST:
+        found.append(_rate(motion))
+    bones = motion.skeleton.offsets[1:]
+    if len(bones) and not bones.any():
+        return [*found, "all bones have length 0: there is no body to see or to measure"]
+    named = [name for name in ("unit", "height") if name in reading]
+    if named and (height := _height(motion)) and not SMALLEST <= height <= TALLEST:
+        option = {"unit": "--in-unit", "height": "--height"}[named[-1]]
+        found.append(f"{option} {reading[named[-1]]} makes the body {height:.2f} m tall")
+    if "up" in reading and standing_axis(motion) not in (None, "y"):
+        found.append(
+            f"--in-up {reading['up']} lays the body down; without it the file's own axis is found"
+        )
+    return found
+
+
+def _height(motion: Motion) -> float | None:
+    try:
+        return body_height(motion.skeleton)
+    except MotionError:
+        return None
+
+
+def _rate(motion: Motion) -> str:
+    """Return the question of a frame rate that nobody records at."""
+    period = 1 / motion.fps
+    if motion.fps > FASTEST:
+        question, likely = "is Frame Time 1000 times too small", motion.fps / 1000
+    elif np.isclose(period, COMMON_RATES, rtol=1e-3).any():
+        question, likely = "does Frame Time hold the rate", period
+    else:
+        question, likely = "is Frame Time in milliseconds", 1000 * motion.fps
+    if "frame_time" not in motion.info:
+        question = "is its rate right"
+    nearest = min(COMMON_RATES, key=lambda rate: abs(rate - likely))
+    likely = nearest if abs(nearest - likely) < 0.01 * likely else likely
+    rate = f"{likely:.4g}" if SLOWEST <= likely <= FASTEST else "RATE"
+    here = f"{motion.fps:.2g}" if motion.fps < SLOWEST else f"{motion.fps:.0f}"
+    return f"{here} fps: {question}? --in-fps {rate} sets the rate"
