@@ -215,7 +215,7 @@ def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
     if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
         reason = (
             f"cannot identify the {found.missing_limbs()}: harmless where the rig has none, else "
-            f"name it: --part {found.missing[0]}=JOINT"
+            f"--part {found.missing[0]}=JOINT names a joint"
         )
     labels = _labels(found)
     is_body = set(labels.values()) - {"other", "root", "end", "twist"}
