@@ -104,3 +104,11 @@ def test_the_speed_below_which_a_foot_stands_is_kept_with_the_model(gesture):
         assert labels.mean() == pytest.approx(stands, abs=0.05)
     old = {k: v for k, v in usual.to_json().items() if k != "contact_speed"}
     assert MultiresRepresentation.from_json(usual.skeleton, old).contact_speed == 0.2
+
+
+def test_the_first_frame_has_the_displacement_of_the_second(gesture):
+    motion = gesture(1.0)
+    motion.translation[:, 0] += 0.5 * motion.times
+    representation = MultiresRepresentation.fit([motion])
+    dx = representation.encode(motion)[:, representation.root_columns][:, 0]
+    np.testing.assert_allclose(dx, 0.5 / 30 / representation.scale, rtol=1e-9)

@@ -116,3 +116,16 @@ def test_smoothness_counts_per_full_rate_frame(representation, values):
     assert loss(half, 2.0) == pytest.approx(full, rel=0.2)
     steady = values[:, :, :1].expand(-1, -1, 20)
     assert loss(steady, 1.0) < 1e-5
+
+
+def test_speeds_count_per_second_at_every_level(representation, walker, values):
+    kinematics = VectorKinematics(representation, walker.fps)
+    standing = values.clone()
+    standing[:, representation.root_columns] = 0.0  # what is left is the swing of legs and arms
+    half = resample(standing, standing.shape[-1] // 2)
+    for measure in (
+        lambda v, stride: kinematics.foot_velocity(v, stride).norm(dim=-1).mean(),
+        lambda v, stride: kinematics.arm_speed(v, stride, smoothing=0.0).mean(),
+    ):
+        full, coarse = float(measure(standing, 1.0)), float(measure(half, 2.0))
+        assert full > 0.01 and coarse == pytest.approx(full, rel=0.15)

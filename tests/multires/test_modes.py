@@ -14,10 +14,15 @@ from gesturekit.cli import main
 from gesturekit.corpus import Manifest
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
-from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from gesturekit.motion.rotations import (
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+    rotate_vectors,
+)
+from gesturekit.multires.data import load_training_data
 from gesturekit.multires.interpolation import resample
 from gesturekit.multires.networks import LevelDiscriminator
-from gesturekit.multires.styles import asked_styles, level_track, mixed_styles
+from gesturekit.multires.styles import agreed_style, asked_styles, level_track, mixed_styles
 from gesturekit.multires.trainer import train
 from gesturekit.training.checkpoint import Checkpoints
 
@@ -315,3 +320,42 @@ def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_pa
     assert render("--seconds", "4", "--style", "sad") == 1
     assert "the model knows angry, old" in capsys.readouterr().err
     assert render("--keyframes", str(edit), "--like", str(edit)) == 2
+
+
+def test_a_style_is_agreed_on_up_to_a_level():
+    styles = torch.tensor([[1, 1, 0], [1, 1, 1]])
+    assert agreed_style(styles, 2, 1).tolist() == [[0, 1], [0, 1]]
+    assert agreed_style(styles, 2, 2).tolist() == [[0, 0], [0, 1]]
+
+
+def test_finer_noise_has_its_levels_sigma(make_config, motions):
+    corpus = motions(none=[4.0])
+    changes = {"schedule": {"first_pair": 1, "further_pairs": 1, "window": None}}
+    config = make_config(corpus=str(corpus), features=None, noise_levels=4, **changes)
+    model = gk.load(train(config))
+    loud = model.generate(seconds=3.0)
+    model.sigma[:, 1:] = 0
+    quiet = model.generate(seconds=3.0)
+    model.noise_levels = 1
+    first_alone = model.generate(seconds=3.0)
+    assert np.array_equal(quiet.rotations, first_alone.rotations)
+    assert not np.array_equal(quiet.rotations, loud.rotations)
+
+
+def test_recordings_are_turned_to_face_forward_unless_told_not_to(make_config, motions, tmp_path):
+    corpus = motions(none=[4.0])
+    path = corpus.parent / "none_0.bvh"
+    about_y = np.array([0.0, np.sin(0.5), 0.0, np.cos(0.5)])  # by 1 radian
+
+    def vectors(face_forward):
+        config = make_config(corpus=str(corpus), features=None, face_forward=face_forward)
+        data = load_training_data(config)
+        return data.normaliser.inverse(data.paired[0].motion[None])[0]
+
+    forward, as_recorded = vectors(True), vectors(False)
+    motion = gk.Motion.load(path)
+    motion.rotations[:, 0] = multiply_quaternions(about_y, motion.rotations[:, 0])
+    motion.translation[:] = rotate_vectors(about_y, motion.translation)
+    motion.save(path)
+    torch.testing.assert_close(vectors(True), forward, atol=1e-4, rtol=0)
+    assert (vectors(False) - as_recorded).abs().max() > 0.5
