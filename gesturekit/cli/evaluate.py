@@ -129,7 +129,8 @@ def command(
     --in-unit and the like say how REFERENCE is read; a manifest keeps its own.
 
     Exit codes: 0 every clip was measured; 1 some were left out, as listed; 2 nothing could be
-    measured.
+    measured. Clips of other splits of --corpus, and of its items without motion, are not meant to
+    be measured: a note names them.
     """
     import shlex
     import sys
@@ -203,8 +204,6 @@ def _recordings(
     reading: Mapping[str, Any],
 ) -> Path | Items:
     """The recordings to compare with: a folder or file, or items of a manifest."""
-    from gesturekit.corpus import Manifest
-    from gesturekit.errors import CorpusError
     from gesturekit.evaluation import Items
 
     if corpus is None:
@@ -217,13 +216,7 @@ def _recordings(
         raise click.UsageError("--corpus says where the sound is and how motion is read")
     if protocol is not None:
         raise click.UsageError("--protocol goes with a folder of recordings, not with --corpus")
-    split = split or "test"
-    manifest = Manifest.load(corpus)
-    items = tuple(item for item in manifest if item.split == split)
-    if not items:
-        known = ", ".join(sorted({item.split for item in manifest})) or "none"
-        raise CorpusError(f"{corpus}: no item of split {split}; it has {known}: --split")
-    return Items(corpus, split, items)
+    return Items.of_manifest(corpus, split or "test")
 
 
 def _notes(found: Evaluation) -> Iterator[str]:

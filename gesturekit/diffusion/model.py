@@ -23,7 +23,7 @@ from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.start import CHANGE, Start
 from gesturekit.diffusion.windows import LONGEST, windowed
-from gesturekit.errors import ModelError, MotionError
+from gesturekit.errors import ModelError, MotionError, gesturekit_errors
 from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.root_path import RootPath
@@ -105,6 +105,7 @@ class DiffusionModel:
         """Names of the styles it knows; empty for a model that was told none."""
         return self.conditions.styles
 
+    @gesturekit_errors()
     def generate(
         self,
         speech: Speech | None = None,

@@ -11,7 +11,7 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.corpus.speech import Speech, SpeechConditioner, as_speech, at_rate, hear
-from gesturekit.errors import ModelError
+from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.root_path import RootPath
@@ -98,6 +98,7 @@ class MultiresModel:
         """The rig, with all the joints of the training files."""
         return self.representation.skeleton
 
+    @gesturekit_errors()
     def generate(
         self,
         speech: Speech | None = None,

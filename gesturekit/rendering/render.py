@@ -18,7 +18,7 @@ from gesturekit.formats.rig import Rig
 from gesturekit.formats.sources import EXISTING, Job, refuse_existing, refuse_leaving
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.record import Record, described, model_fingerprint, path_digest
-from gesturekit.rendering.tasks import Task, find_tasks
+from gesturekit.rendering.tasks import Source, Task, find_tasks
 
 FORMATS = ("bvh", "npz", "html", "png")
 # torch says RuntimeError where memory runs out.
@@ -30,7 +30,8 @@ class Output:
     """Settings of the files that are written.
 
     Attributes:
-        formats: of bvh, npz, html (a player with sound), png (a picture).
+        formats: of bvh, npz, html (a player with sound), png (a picture); `"bvh,html"` or
+            `(".BVH", "html")` mean the same as `("bvh", "html")`.
         existing: what to do about files that are there and were not made with the same model,
             settings and input: refuse, skip or replace. Files that were are kept.
         rig: the body to move instead of the model's: a motion file, of any names, size and rest
@@ -39,11 +40,16 @@ class Output:
         up: the axis that points up in SMPL npz, "y" or "z"; None for y.
     """
 
-    formats: Sequence[str] = ("bvh",)
+    formats: str | Sequence[str] = ("bvh",)
     existing: str = "refuse"
     rig: str | os.PathLike[str] | Rig | None = None
     unit: str | None = None
     up: str | None = None
+
+    def __post_init__(self) -> None:
+        formats = self.formats.split(",") if isinstance(self.formats, str) else self.formats
+        plain = (name.strip().lower().removeprefix(".") for name in formats)
+        object.__setattr__(self, "formats", tuple(dict.fromkeys(filter(None, plain))))
 
 
 @dataclass(frozen=True)
@@ -67,7 +73,7 @@ class Outcome:
 
 def render(
     model: Any,
-    sources: Sequence[str | Path | Item],
+    sources: Source | Sequence[Source],
     out: str | Path,
     *,
     output: Output | None = None,

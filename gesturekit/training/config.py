@@ -143,7 +143,31 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
     Raises:
         ConfigError: with `where`, the dotted key, the value and what was expected.
     """
-    return _build(schema, values, where, "")
+    try:
+        return _build(schema, values, where, "")
+    except _UnknownKey as error:
+        leaf = error.key.rsplit(".", 1)[-1]
+        same = [name for name in _settings(schema) if name.rsplit(".", 1)[-1] == leaf]
+        hint = f"did you mean {' or '.join(same)}?" if same else f"known: {', '.join(error.known)}"
+        raise ConfigError(f"{where}: unknown key {error.key}; {hint}") from None
+
+
+class _UnknownKey(ConfigError):
+    """A dotted key that its section does not have, nor one like it."""
+
+    def __init__(self, key: str, known: Sequence[str]) -> None:
+        super().__init__(key)
+        self.key, self.known = key, known
+
+
+def _settings(schema: Any, prefix: str = "") -> list[str]:
+    """Return the dotted names of all settings of a dataclass."""
+    names = []
+    for name, hint in typing.get_type_hints(schema).items():
+        sections = [option for option in _options(hint) if dataclasses.is_dataclass(option)]
+        names += [f"{prefix}{name}"]
+        names += [inner for section in sections for inner in _settings(section, f"{prefix}{name}.")]
+    return names
 
 
 def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
@@ -155,8 +179,11 @@ def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
     for key in values:
         if key not in names:
             near = difflib.get_close_matches(str(key), names, n=1, cutoff=0.5)
-            hint = f"did you mean {prefix}{near[0]}?" if near else f"known: {', '.join(names)}"
-            raise ConfigError(f"{where}: unknown key {prefix}{key}; {hint}")
+            if near:
+                hint = f"did you mean {prefix}{near[0]}?"
+                raise ConfigError(f"{where}: unknown key {prefix}{key}; {hint}")
+            inner = next(iter(_dotted(values[key])), "")
+            raise _UnknownKey(f"{prefix}{key}{inner}", names)
     made = {
         key: _convert(value, hints[key], where, f"{prefix}{key}") for key, value in values.items()
     }
@@ -172,6 +199,13 @@ def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
     except ConfigError as error:
         # Checks of a dataclass's own (__post_init__) know neither the file nor the section.
         raise ConfigError(f"{where}: {prefix}{error}") from None
+
+
+def _dotted(values: Any) -> list[str]:
+    """Return the keys of nested mappings, each with a dot in front: ".updates"."""
+    if not isinstance(values, dict):
+        return []
+    return [f".{key}{inner}" for key, value in values.items() for inner in _dotted(value) or [""]]
 
 
 def _options(hint: Any) -> tuple[Any, ...]:

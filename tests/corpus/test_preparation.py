@@ -526,3 +526,18 @@ def test_every_file_that_looks_like_sound_or_motion_is_used_or_named(tmp_path, w
     for path in report.left_over:
         path.unlink()
     assert prepare(tmp_path, holdout=0.0).is_complete
+
+
+def test_bodies_of_very_different_size_are_warned_about(gesture, tmp_path):
+    for name, factor in (("a", 1.0), ("b", 1.05), ("c", 2.54)):
+        gesture(2.0).scaled(factor).save(tmp_path / f"{name}.npz")
+    report = prepare([], unpaired_motion=tmp_path)
+    (warning,) = (text for text in report.problem_lines() if text.startswith("warning: "))
+    assert "c.npz" in warning and "a.npz" not in warning
+    assert "--in-unit" in warning and "--height" in warning
+    heights = dict(report.rows())["body heights"].split()
+    assert float(heights[2]) == pytest.approx(2.54 * float(heights[0]), rel=0.01)
+    (tmp_path / "c.npz").unlink()
+    assert not any(
+        "warning" in line for line in prepare([], unpaired_motion=tmp_path).problem_lines()
+    )

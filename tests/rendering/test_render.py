@@ -151,7 +151,7 @@ def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("formats", "names"), [(("bvh", "obj"), "obj"), ((), "none"), (("BVH",), "BVH")]
+    ("formats", "names"), [(("bvh", "obj"), "obj"), ((), "none"), ((".fbx",), "fbx")]
 )
 def test_unknown_formats(model, sounds, tmp_path, formats, names):
     with pytest.raises(ConfigError, match=f"{names}.*known: bvh, npz, html, png"):
