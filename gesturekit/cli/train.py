@@ -41,6 +41,8 @@ def command(config: Path, overrides: tuple[str, ...], resume: bool, only_plan: b
     for text in (str(config), *overrides):
         if text.startswith("-"):
             key = text.lstrip("-").partition("=")[0]
+            if "." not in key:
+                raise click.NoSuchOption(text, ["--resume", "--plan"])
             raise click.UsageError(f"No such option: {text}; a setting is written as {key}=VALUE.")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if only_plan:
