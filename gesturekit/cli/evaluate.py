@@ -144,6 +144,8 @@ def command(
     recordings = _recordings(reference, corpus, split, audio, protocol, read_from(reading))
     if others and not compare:
         raise click.UsageError(f"what is {others[0]}? Add --compare to compare with it")
+    if out is not None and out.suffix.lower() not in (".html", ".htm"):
+        raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
     if compare and not others:
         raise click.UsageError("--compare needs folders to compare with, named last")
     out, json_out = (

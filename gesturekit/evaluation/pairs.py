@@ -32,6 +32,7 @@ WINDOW_SECONDS = 10.0
 """Length of the windows that names ending in _w000, _w001 ... stand for."""
 
 _SAMPLE = re.compile(r"_s\d+$")
+_CUT = re.compile(r"@\d+(\.\d+)?-\d+(\.\d+)?(_s\d+)?$")
 _WINDOW = re.compile(r"_w(\d{3,})$")
 
 
@@ -246,10 +247,12 @@ def find_pairs(
     if not found.pairs:
         if aside and not found.excluded:
             raise CorpusError(f"{generated}: nothing to measure: {'; '.join(found.notes)}")
+        are_items = not expects_all and any(map(_CUT.search, made))
+        advice = "; names with @START-END are items of a manifest: --corpus" if are_items else ""
         raise CorpusError(
             f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
             f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
-            "_s1, _s2 ... for samples"
+            f"_s1, _s2 ... for samples{advice}"
         )
     if sounds and not any(pair.audio for pair in found.pairs):
         raise CorpusError(
