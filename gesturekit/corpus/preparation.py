@@ -22,7 +22,7 @@ from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.formats.conversion import reading_of, refuse_idle_reading
 from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
-from gesturekit.wording import listed
+from gesturekit.wording import counted, listed
 
 MAX_SIZE_RATIO = 1.5
 """Bodies of one corpus that differ in height by more are warned about."""
@@ -99,6 +99,7 @@ def prepare(
         read or {}, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
     )
     recordings: list[Recording] = []
+    unmatched = 0
     for recording, is_alone in progress(tasks):
         recording = replace(recording, channel=channel)
         if recording.motion is not None:
@@ -111,7 +112,14 @@ def prepare(
             checked, unlabelled = label(checked, None if is_alone else speaker)
             recordings.append(checked)
             found += unlabelled
+            unmatched += len(unlabelled)
         problems += found
+    if style_pattern and recordings and unmatched == len(recordings):
+        text = (
+            f"style pattern {style_pattern} matches none of "
+            f"{counted(len(recordings), 'recording')}, such as {recordings[0].id}"
+        )
+        problems.append(Problem("warning", None, text))
     recordings, odd = _of_one_skeleton(recordings)
     problems += odd + _notes(recordings)
 

@@ -541,3 +541,16 @@ def test_bodies_of_very_different_size_are_warned_about(gesture, tmp_path):
     assert not any(
         "warning" in line for line in prepare([], unpaired_motion=tmp_path).problem_lines()
     )
+
+
+def test_a_style_pattern_that_fits_no_file_is_warned_about(gesture, tmp_path):
+    for name in ("calm_1", "lively_1"):
+        gesture(2.0).save(tmp_path / f"{name}.npz")
+
+    def warnings(pattern: str) -> list[str]:
+        report = prepare([], unpaired_motion=tmp_path, style_pattern=pattern)
+        return [line for line in report.problem_lines() if line.startswith("warning: ")]
+
+    (line,) = warnings("(?P<style>x|y)-")
+    assert "matches none of 2 recordings, such as calm_1" in line
+    assert warnings("(?P<style>calm)_") == []
