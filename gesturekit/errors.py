@@ -13,7 +13,11 @@ from audio_features.errors import AudioError, AudioFeaturesError, FeatureError, 
 
 
 class GestureKitError(Exception):
-    """Root of every error that gesturekit raises on purpose."""
+    """Root of every error that gesturekit raises on purpose.
+
+    Errors of sounds, weights and features (`SpeechError`, `SpeechWeightsError`,
+    `SpeechFeatureError`) are also those of `audio_features` (`AudioError`, ...).
+    """
 
 
 class MotionError(GestureKitError, ValueError):

@@ -96,3 +96,35 @@ def test_one_class_catches_every_expected_error(demo, tmp_path):
             fails()
         assert isinstance(caught.value, af.AudioError) and isinstance(caught.value, ValueError)
         assert isinstance(caught.value.__cause__, af.AudioError)
+
+
+@pytest.mark.parametrize("suffix", ["html", "png"])
+def test_a_motion_is_saved_with_an_array_of_sound(demo, tmp_path, suffix):
+    motion, samples = demo.generate(seconds=1.0), np.zeros(16000, np.float32)
+    motion.save(tmp_path / f"x.{suffix}", audio=(samples, 16000))
+    assert (tmp_path / f"x.{suffix}").is_file()
+    with pytest.raises(gk.GestureKitError, match=r"\(samples, rate in Hz\)"):
+        motion.save(tmp_path / f"y.{suffix}", audio=samples)
+
+
+@pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf")])
+def test_a_body_is_not_scaled_to_nothing(demo, factor):
+    with pytest.raises(gk.GestureKitError, match="give a number above 0"):
+        demo.generate(seconds=0.5).scaled(factor)
+
+
+@pytest.mark.parametrize("seed", [1.5, "one", None])
+def test_a_seed_is_a_whole_number(demo, seed):
+    with pytest.raises(gk.GestureKitError, match="seed=.*whole number"):
+        demo.generate(seconds=0.5, seed=seed)
+
+
+def test_a_seed_of_numpy_is_the_same_number(demo):
+    one, other = (demo.generate(seconds=0.5, seed=seed) for seed in (3, np.int64(3)))
+    assert (one.rotations == other.rotations).all()
+
+
+def test_a_run_folder_stands_for_its_model(demo, tmp_path):
+    demo.save(tmp_path / "run" / "model")
+    (tmp_path / "run" / "config.yaml").write_text("system: multires\n")
+    assert gk.load(tmp_path / "run").folder == (tmp_path / "run" / "model").resolve()

@@ -259,6 +259,8 @@ def command(
 
     def summary() -> str:
         said = [f"{n} {what}" for what, n in counts.items() if n or what == "rendered"]
+        if options["samples"] > 1:
+            said[0] += f" ({options['samples'] * counts['rendered']} motions)"
         return f"{', '.join(said)} in {time_in_words(time.monotonic() - begin)}: {out}"
 
     with (

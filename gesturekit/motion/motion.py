@@ -157,7 +157,11 @@ class Motion:
         return mirror_motion(self)
 
     def scaled(self, factor: float) -> Motion:
-        """Multiply all lengths by `factor`: rig, path of the root, joints that move."""
+        """Multiply all lengths by `factor`: rig, path of the root, joints that move.
+
+        Raises:
+            MotionError: a factor that is not above 0 and finite.
+        """
         return replace(
             self,
             skeleton=self.skeleton.scaled(factor),

@@ -114,6 +114,7 @@ def render(
         FormatError, MotionError: a rig that cannot be read, or whose parts cannot be found.
     """
     run = _Run(model, Path(out), output or Output(), seconds, channel, controls)
+    model.check_controls(**run.controls)
     tasks = find_tasks(sources, run.out) if sources else [Task("motion", "motion")]
     refuse_leaving([Job(Path(task.source), run.targets(task)) for task in tasks], run.out)
     kept = run.settle_existing(tasks)
@@ -236,7 +237,10 @@ class _Run:
                     refused.append(file)
                     another.update(self.record.differences(file, made_with))
         if refused:
-            reason = f", made with another {', '.join(sorted(another))}" if another else ""
+            named = (
+                f"{'other' if name.endswith('s') else 'another'} {name}" for name in sorted(another)
+            )
+            reason = f", made with {', '.join(named)}" if another else ""
             reason += (
                 f" ({len(refused)} refused, {len(kept)} kept, "
                 f"{count - len(refused) - len(kept)} to make: nothing was done)"
