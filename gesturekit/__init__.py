@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gesturekit.model import Model
     from gesturekit.motion.motion import Motion
     from gesturekit.motion.skeleton import Skeleton
-    from gesturekit.rendering.render import render
+    from gesturekit.rendering.batch import render
     from gesturekit.systems import load, train
 
 __version__ = "0.1.0"
@@ -43,7 +43,7 @@ _HOMES = {
     "evaluate": "gesturekit.evaluation",
     "load": "gesturekit.systems",
     "prepare": "gesturekit.corpus",
-    "render": "gesturekit.rendering.render",
+    "render": "gesturekit.rendering.batch",
     "train": "gesturekit.systems",
 }
 

@@ -6,9 +6,18 @@ what to do. On the command line they become one line and an exit code, never a t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from audio_features.errors import AudioError, AudioFeaturesError, FeatureError, WeightsError
+
 
 class GestureKitError(Exception):
-    """Root of every error that gesturekit raises on purpose."""
+    """Root of every error that gesturekit raises on purpose.
+
+    Errors of sounds, weights and features (`SpeechError`, `SpeechWeightsError`,
+    `SpeechFeatureError`) are also those of `audio_features` (`AudioError`, ...).
+    """
 
 
 class MotionError(GestureKitError, ValueError):
@@ -33,3 +42,38 @@ class ModelError(GestureKitError, ValueError):
 
 class EvaluationError(GestureKitError, ValueError):
     """A metric that cannot be computed from what it was given."""
+
+
+class SpeechError(GestureKitError, AudioError):
+    """A sound file, or an array of samples, that cannot be used."""
+
+
+class SpeechWeightsError(GestureKitError, WeightsError):
+    """A folder of WavLM weights that is missing, incomplete, or not the one asked for."""
+
+
+class SpeechFeatureError(GestureKitError, FeatureError):
+    """A feature track, a feature file, or an extractor setting that cannot be used."""
+
+
+_SPEECH_ERRORS = {
+    AudioError: SpeechError,
+    WeightsError: SpeechWeightsError,
+    FeatureError: SpeechFeatureError,
+}
+
+
+@contextmanager
+def gesturekit_errors() -> Iterator[None]:
+    """Raise errors of `audio_features` as the `GestureKitError` that is also of their class.
+
+    As a decorator of a public function: `except gesturekit.GestureKitError` then catches
+    everything that it raises on purpose.
+    """
+    try:
+        yield
+    except AudioFeaturesError as error:
+        ours = _SPEECH_ERRORS.get(type(error))
+        if ours is None:
+            raise
+        raise ours(*error.args) from error

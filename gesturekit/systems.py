@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from gesturekit.errors import ConfigError, ModelError
+from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.model import Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.run_config import RunConfig
@@ -64,6 +64,7 @@ def model_folder(model: str | Path) -> Path:
     return _BUNDLED / str(model) if str(model) in bundled_models() else Path(model)
 
 
+@gesturekit_errors()
 def load(
     model: str | Path,
     *,
@@ -74,7 +75,7 @@ def load(
     """Load a model.
 
     Args:
-        model: a bundled name such as "demo", or a model folder.
+        model: a bundled name such as "demo", a model folder, or a run folder that holds one.
         weights: folder of WavLM weights, for models that hear by WavLM.
         device: where its networks compute: cpu, cuda, cuda:1, or auto (a GPU if there is one).
             A pyramid of multires stays on the CPU, which makes its motion in milliseconds.
@@ -90,6 +91,8 @@ def load(
         WeightsError: the model needs weights, or other weights.
     """
     folder = model_folder(model)
+    if not _is_model(folder) and _is_model(folder / "model"):
+        folder /= "model"  # a run folder stands for its model
     if not folder.is_dir():
         raise ModelError(
             f"{model}: neither a model folder nor a bundled model "
@@ -99,8 +102,6 @@ def load(
         kind = read_yaml(folder / "config.yaml").get("kind")
     except ConfigError as error:
         raise ModelError(f"not a model folder: {error}") from None
-    if kind is None and (folder / "model" / "config.yaml").is_file():
-        raise ModelError(f"{folder}: a run folder; its model is {folder / 'model'}")
     if not isinstance(kind, str) or kind not in SYSTEMS:
         raise ModelError(
             f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
@@ -111,6 +112,7 @@ def load(
     return model
 
 
+@gesturekit_errors()
 def train(
     config: str | Path,
     overrides: Sequence[str] | Mapping[str, Any] = (),
@@ -145,7 +147,7 @@ def plan(config: str | Path, overrides: Sequence[str] = ()) -> None:
     """Log what `train` would do, on what, where to, and how long it would take; train nothing.
 
     Raises:
-        ConfigError: the configuration is wrong, or its run folder holds a run already.
+        ConfigError: the configuration is wrong. A run folder that holds a run is a warning.
     """
     system, loaded = _resolved(config, overrides, {}, resume=False)
     _part(system.plan)(loaded)
@@ -156,15 +158,24 @@ def _resolved(
 ) -> tuple[System, RunConfig]:
     """The system that a configuration names, and its settings."""
     path = Path(config)
+    if resume and not path.exists():
+        raise ConfigError(f"{path}: no such run")
     if path.is_dir():
+        if _is_model(path) and (path.parent / "config.yaml").is_file():
+            path = path.parent  # the model of a run stands for the run
         if not (path / "config.yaml").is_file():
-            raise ConfigError(f"{path}: a folder without config.yaml, so no run to resume")
+            raise ConfigError(
+                f"{path}: a folder without config.yaml, so no run to resume; to train on what is "
+                "in it, run gesturekit prepare on it and name a configuration (.yaml)"
+            )
         if not resume:
             raise ConfigError(f"{path}: a run folder; add --resume to go on with it")
         # Its own config.yaml holds every setting, and the folder may have been moved.
         path, overrides = path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
     elif not path.exists():
         raise ConfigError(f"{path}: no such configuration file{_near(path)}")
+    elif path.suffix.lower() not in (".yaml", ".yml"):
+        raise ConfigError(f"{path}: {_not_a_config(path)}")
     name = read_chain(path).get("system")
     for override in overrides:
         key, _, value = override.partition("=")
@@ -181,12 +192,35 @@ def _resolved(
     return SYSTEMS[name], load_config(path, schema, overrides, settings)
 
 
+def _is_model(folder: Path) -> bool:
+    """Tell whether a folder holds a model: a config.yaml that names its kind."""
+    try:
+        return "kind" in read_yaml(folder / "config.yaml")
+    except ConfigError:
+        return False
+
+
+def _not_a_config(path: Path) -> str:
+    """Return what a file is that was named in place of a configuration, and what to do."""
+    if path.suffix.lower() == ".jsonl":
+        what = f"a manifest, not a configuration; give it as corpus={path} beside one"
+    elif path.suffix.lower() in (".bvh", ".npz", ".wav"):
+        what = "a recording, not a configuration; run gesturekit prepare on its folder"
+    else:
+        what = "not a configuration, which is a .yaml file"
+    some = _main(_recipes())
+    return what + (f": {', '.join(some)}" if some else "")
+
+
 def _near(path: Path) -> str:
     """Configurations that a missing one may stand for, as the end of a message."""
     beside = [str(file) for file in path.parent.glob("*.yaml")] if path.parent.is_dir() else []
     known = {name: name for name in [*beside, *_recipes()]}
     # A recipe may be meant by its folder's name, as in `recipes/multires_speech`.
     known |= {str(Path(name).parent): name for name in known if Path(name).name == "config.yaml"}
+    same = [name for name in known if Path(name).name == path.name]
+    if same:
+        return f"; did you mean {' or '.join(same)}?"
     near = difflib.get_close_matches(str(path), known, n=1, cutoff=0.6)
     if near:
         return f"; did you mean {known[near[0]]}?"

@@ -17,12 +17,12 @@ MAY_IMPORT: dict[str, set[str]] = {"motion": set()}
 MAY_IMPORT["formats"] = MAY_IMPORT["postprocess"] = {"motion"}
 for _room in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_room] = {"formats", "motion"}
-MAY_IMPORT["evaluation"].add("viewer")  # its report embeds the player
+MAY_IMPORT["evaluation"] |= {"corpus", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
 MAY_IMPORT["multires"] = {"postprocess", "training", *MAY_IMPORT["training"]}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
 MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}
-MAY_IMPORT["rendering"] = {"multires", "diffusion", *MAY_IMPORT["multires"]}
+MAY_IMPORT["rendering"] = {"model", "systems", "multires", "diffusion", *MAY_IMPORT["multires"]}
 MAY_IMPORT["cli"] = {"diagnosis", "inspection", "rendering", "systems", *MAY_IMPORT["rendering"]}
 # Modules that belong to no room. `systems` and the package itself lead upwards by name, lazily.
 MAY_IMPORT["model"] = {"corpus", "motion"}

@@ -67,9 +67,10 @@ def read_promise(name: str) -> Promise:
 
             file.seek(0)
             return mpeg.read_promise(file, name, size)
+    is_text = all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in head)
     raise AudioError(
         f"{name}: cannot be read as sound (it begins with {head[:8]!r}): give a wav, flac, ogg, "
-        f"mp3 or aiff file, or run {ffmpeg_line(name)}"
+        "mp3 or aiff file" + ("" if is_text else f", or run {ffmpeg_line(name)}")
     )
 
 

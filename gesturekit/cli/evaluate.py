@@ -129,7 +129,8 @@ def command(
     --in-unit and the like say how REFERENCE is read; a manifest keeps its own.
 
     Exit codes: 0 every clip was measured; 1 some were left out, as listed; 2 nothing could be
-    measured.
+    measured. Clips of other splits of --corpus, and of its items without motion, are not meant to
+    be measured: a note names them.
     """
     import shlex
     import sys
@@ -143,6 +144,8 @@ def command(
     recordings = _recordings(reference, corpus, split, audio, protocol, read_from(reading))
     if others and not compare:
         raise click.UsageError(f"what is {others[0]}? Add --compare to compare with it")
+    if out is not None and out.suffix.lower() not in (".html", ".htm"):
+        raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
     if compare and not others:
         raise click.UsageError("--compare needs folders to compare with, named last")
     out, json_out = (
@@ -203,8 +206,6 @@ def _recordings(
     reading: Mapping[str, Any],
 ) -> Path | Items:
     """The recordings to compare with: a folder or file, or items of a manifest."""
-    from gesturekit.corpus import Manifest
-    from gesturekit.errors import CorpusError
     from gesturekit.evaluation import Items
 
     if corpus is None:
@@ -217,13 +218,7 @@ def _recordings(
         raise click.UsageError("--corpus says where the sound is and how motion is read")
     if protocol is not None:
         raise click.UsageError("--protocol goes with a folder of recordings, not with --corpus")
-    split = split or "test"
-    manifest = Manifest.load(corpus)
-    items = tuple(item for item in manifest if item.split == split)
-    if not items:
-        known = ", ".join(sorted({item.split for item in manifest})) or "none"
-        raise CorpusError(f"{corpus}: no item of split {split}; it has {known}: --split")
-    return Items(corpus, split, items)
+    return Items.of_manifest(corpus, split or "test")
 
 
 def _notes(found: Evaluation) -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -20,9 +20,6 @@ from gesturekit.cli.options import (
     resumable,
     rig_part_option,
 )
-
-if TYPE_CHECKING:
-    from gesturekit.corpus import Item
 
 EXAMPLES = """\
 gesturekit render speech.wav --model demo --out rendered --format bvh,html
@@ -245,12 +242,15 @@ def command(
     begin = time.monotonic()
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     _check(sources, corpus, split, seconds, options)
-    items = () if corpus is None else _items(corpus, split or "test")
 
+    from gesturekit.corpus import Manifest
     from gesturekit.progress import Progress, time_in_words
     from gesturekit.rendering.render import render
     from gesturekit.systems import load
 
+    items = ()
+    if corpus is not None:
+        items = Manifest.load(corpus).in_split(split or "test", str(corpus))
     names = ("weights", "device", "dtype")
     open_model = partial(load, **{name: options.pop(name) for name in names})
     loaded = open_model(model)
@@ -259,6 +259,8 @@ def command(
 
     def summary() -> str:
         said = [f"{n} {what}" for what, n in counts.items() if n or what == "rendered"]
+        if options["samples"] > 1:
+            said[0] += f" ({options['samples'] * counts['rendered']} motions)"
         return f"{', '.join(said)} in {time_in_words(time.monotonic() - begin)}: {out}"
 
     with (
@@ -332,26 +334,6 @@ def _check(
         raise click.UsageError("--seconds goes without audio: a motion is as long as its speech.")
 
 
-def _items(corpus: Path, split: str) -> list[Item]:
-    """Items of one split of a manifest.
-
-    Raises:
-        CorpusError: the manifest cannot be read, or has no item in that split.
-    """
-    from collections import Counter
-
-    from gesturekit.corpus import Manifest
-    from gesturekit.errors import CorpusError
-
-    manifest = Manifest.load(corpus)
-    items = [item for item in manifest if item.split == split]
-    if not items:
-        counts = Counter(item.split for item in manifest)
-        found = ", ".join(f"{n} in {name}" for name, n in sorted(counts.items())) or "none at all"
-        raise CorpusError(f"{corpus}: no item is in split {split} ({found}); choose with --split")
-    return items
-
-
 def _output(options: dict[str, Any]) -> Any:
     """Take the options of the output out of all options."""
     from gesturekit.formats.rig import Rig
@@ -360,7 +342,7 @@ def _output(options: dict[str, Any]) -> Any:
 
     rig, parts = options.pop("rig"), parse_parts(options.pop("rig_parts"))
     return Output(
-        formats=comma_separated(options.pop("formats")),
+        formats=options.pop("formats"),
         rig=None if rig is None else Rig.load(rig, parts),
         **{name: options.pop(name) for name in ("existing", "unit", "up")},
     )

@@ -9,6 +9,7 @@ import click
 
 @click.command(
     "train",
+    context_settings={"ignore_unknown_options": True},  # refused below, in words of settings
     epilog="Example: gesturekit train recipes/multires_speech/light.yaml corpus=corpus.jsonl "
     "out=runs/mine",
 )
@@ -37,6 +38,12 @@ def command(config: Path, overrides: tuple[str, ...], resume: bool, only_plan: b
 
     if resume and only_plan:
         raise click.UsageError("--plan is for a new run; leave out --resume")
+    for text in (str(config), *overrides):
+        if text.startswith("-"):
+            key = text.lstrip("-").partition("=")[0]
+            if "." not in key:
+                raise click.NoSuchOption(text, ["--resume", "--plan"])
+            raise click.UsageError(f"No such option: {text}; a setting is written as {key}=VALUE.")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if only_plan:
         plan(config, overrides)

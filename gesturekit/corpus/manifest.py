@@ -214,6 +214,26 @@ class Manifest:
     def __iter__(self) -> Iterator[Item]:
         return iter(self.items)
 
+    def in_split(self, split: str, where: str = "the manifest") -> tuple[Item, ...]:
+        """Items of one split, of which there is at least one.
+
+        Args:
+            split: train, valid or test.
+            where: name of the manifest in messages.
+
+        Raises:
+            CorpusError: no item is in that split.
+        """
+        items = self._of(split)
+        if not items:
+            counts = Counter(item.split for item in self.items)
+            found = ", ".join(f"{n} in {name}" for name, n in sorted(counts.items()))
+            raise CorpusError(
+                f"{where}: no item is in split {split} ({found or 'it is empty'}); "
+                "choose another split"
+            )
+        return items
+
     def paired(self, split: str | None = None) -> tuple[Item, ...]:
         """Items with both speech and motion, of one split or of all."""
         return tuple(item for item in self._of(split) if item.is_paired)
@@ -292,7 +312,10 @@ def _records(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     try:
         file = path.open("rb")
     except OSError as error:
-        raise CorpusError(f"{path}: cannot open the manifest: {error.strerror}") from error
+        reason = error.strerror
+        if path.is_dir():
+            reason = f"it is a folder; run gesturekit prepare {path} --out corpus.jsonl"
+        raise CorpusError(f"{path}: cannot open the manifest: {reason}") from error
     with file:
         number = 0
         while line := file.readline(_MAX_LINE_BYTES + 1):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import statistics
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -17,20 +18,28 @@ from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
 from gesturekit.corpus.report import Report
-from gesturekit.errors import CorpusError, MotionError
+from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.formats.conversion import reading_of, refuse_idle_reading
 from gesturekit.formats.sources import MOTION_SUFFIXES, OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
+from gesturekit.wording import counted, listed
+
+MAX_SIZE_RATIO = 1.5
+"""Bodies of one corpus that differ in height by more are warned about."""
+
+Folders = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+"""A folder, or several."""
 
 
+@gesturekit_errors()
 def prepare(
-    folders: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
+    folders: Folders,
     out: str | os.PathLike[str] | None = None,
     *,
-    unpaired: Iterable[str | os.PathLike[str]] = (),
-    unpaired_motion: Iterable[str | os.PathLike[str]] = (),
+    unpaired: Folders = (),
+    unpaired_motion: Folders = (),
     holdout: float = 0.1,
-    hold_out_seconds: Sequence[splits.Interval] = (),
+    hold_out_seconds: str | Sequence[splits.Interval] = (),
     seed: int = 0,
     speaker: str | None = None,
     style: str | None = None,
@@ -55,7 +64,8 @@ def prepare(
         unpaired_motion: folders of motion to be used alone.
         holdout: fraction of recordings that training never sees, 0 to below 1. Of paired
             recordings at least one is held out; of a single one, its last 20 %.
-        hold_out_seconds: intervals to hold out of each paired recording as "test" instead.
+        hold_out_seconds: intervals to hold out of each paired recording as "test" instead:
+            `"10-15,50-"` or `[(10, 15), (50, math.inf)]`.
         seed: chooses the recordings held out.
         speaker: name of the speaker of all recordings of `folders`.
         style: label of all recordings.
@@ -74,8 +84,8 @@ def prepare(
         CorpusError: a folder does not exist, or an argument is out of range.
         ConfigError: an option of `read` that no motion found here has a use for.
     """
-    if isinstance(folders, str | os.PathLike):
-        folders = [folders]
+    folders, unpaired, unpaired_motion = map(_several, (folders, unpaired, unpaired_motion))
+    intervals = splits.as_intervals(hold_out_seconds)
     if not 0 <= holdout < 1:
         raise CorpusError(f"holdout is {holdout}; it must be a fraction from 0 to below 1")
     if not (math.isfinite(tolerance) and tolerance >= 0):
@@ -89,6 +99,7 @@ def prepare(
         read or {}, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
     )
     recordings: list[Recording] = []
+    unmatched = 0
     for recording, is_alone in progress(tasks):
         recording = replace(recording, channel=channel)
         if recording.motion is not None:
@@ -101,24 +112,34 @@ def prepare(
             checked, unlabelled = label(checked, None if is_alone else speaker)
             recordings.append(checked)
             found += unlabelled
+            unmatched += len(unlabelled)
         problems += found
+    if style_pattern and recordings and unmatched == len(recordings):
+        text = (
+            f"style pattern {style_pattern} matches none of "
+            f"{counted(len(recordings), 'recording')}, such as {recordings[0].id}"
+        )
+        problems.append(Problem("warning", None, text))
     recordings, odd = _of_one_skeleton(recordings)
     left_out = {problem.file for problem in odd}
     problems = [one for one in problems if one.file not in left_out or one.severity == "error"]
     problems += odd + _notes(recordings)
 
-    items, cut = _items(recordings, holdout, hold_out_seconds, seed)
+    items, cut = _items(recordings, holdout, intervals, seed)
     report = Report(Manifest(items), tuple(recordings), tuple(problems + cut), tuple(left_over))
     if out is not None and items:
         report.manifest.save(out)
     return report
 
 
+def _several(folders: Folders) -> list[str | os.PathLike[str]]:
+    return [folders] if isinstance(folders, str | os.PathLike) else list(folders)
+
+
 def _find(
-    folders: Iterable[Any], unpaired: Iterable[Any], unpaired_motion: Iterable[Any]
+    folders: list[Any], unpaired: list[Any], unpaired_motion: list[Any]
 ) -> tuple[list[tuple[Recording, bool]], list[Path], list[Problem]]:
     """Recordings to check (with whether each is alone), files left over, problems."""
-    folders, unpaired, unpaired_motion = map(list, (folders, unpaired, unpaired_motion))
     problems: list[Problem] = []
     seen: set[Path] = set()
 
@@ -223,7 +244,7 @@ def _of_one_skeleton(
 
 def _notes(recordings: list[Recording]) -> list[Problem]:
     """What is true of the corpus as a whole."""
-    notes = _missing_parts(recordings)
+    notes = _missing_parts(recordings) + _differing_sizes(recordings)
     by_fps: dict[str, int] = defaultdict(int)
     for recording in recordings:
         if recording.fps is not None:
@@ -249,6 +270,28 @@ def _missing_parts(recordings: list[Recording]) -> list[Problem]:
             what += "; multires by speech needs them, or network.modulate=all"
         return [Problem("note", first.motion, f"{error}. Without them {what}")]
     return []
+
+
+def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
+    """Warn once of bodies so different in size that a file was probably read in a wrong unit."""
+    heights = {one.motion: one.height for one in recordings if one.height is not None}
+    if not heights or max(heights.values()) <= MAX_SIZE_RATIO * min(heights.values()):
+        return []
+    usual = statistics.median_low(heights.values())
+    odd = [
+        f"{file} ({height:.3g} m)"
+        for file, height in heights.items()
+        if max(height / usual, usual / height) > MAX_SIZE_RATIO
+    ]
+    if not odd:
+        ends = min(heights, key=heights.get), max(heights, key=heights.get)
+        odd = [f"{file} ({heights[file]:.3g} m)" for file in ends]
+    text = (
+        f"body heights differ by a factor of {max(heights.values()) / min(heights.values()):.3g}; "
+        f"the usual is {usual:.3g} m, but not of {listed(odd, 3)}. If a unit was read wrongly, "
+        "prepare those files on their own with --in-unit, or all with --height"
+    )
+    return [Problem("warning", None, text)]
 
 
 def _number(entry: tuple[str, int]) -> float:

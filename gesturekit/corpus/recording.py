@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,13 @@ from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import checks
 from gesturekit.corpus.manifest import CONDITIONS
 from gesturekit.corpus.problem import Problem
-from gesturekit.errors import FormatError, GestureKitError
+from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conversion import load
 from gesturekit.formats.doubts import doubts
 from gesturekit.formats.events import load_events
 from gesturekit.formats.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
+from gesturekit.motion.body_size import body_height
 from gesturekit.wording import counted
 
 MIN_DURATION = 0.5
@@ -54,6 +56,14 @@ class Recording:
     def file(self) -> Path:
         """The file that problems of this recording are told of."""
         return self.motion or self.audio
+
+    @cached_property
+    def height(self) -> float | None:
+        """Height of its body, sole to crown, metres; None without motion, or without any bone."""
+        try:
+            return None if self.skeleton is None else body_height(self.skeleton)
+        except MotionError:
+            return None
 
 
 def examine(

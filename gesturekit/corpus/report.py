@@ -54,6 +54,7 @@ class Report:
             ("speech alone", _by_split(manifest.unpaired())),
             ("motion alone", _by_split(manifest.motion_alone())),
             ("frame rates", _counted(f"{r.fps:.6g} fps" for r in self._moving)),
+            ("body heights", self._heights()),
             ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving)),
             ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
             ("speakers", _counted(r.speaker or "not named" for r in self.recordings)),
@@ -87,6 +88,11 @@ class Report:
                 f"left out: {what} in {folder}: {names} (to use it alone: {option} {folder})"
             )
         return lines
+
+    def _heights(self) -> str:
+        heights = sorted(one.height for one in self.recordings if one.height is not None)
+        ends = dict.fromkeys(f"{height:.3g}" for height in [*heights[:1], *heights[-1:]])
+        return f"{' to '.join(ends)} m" if ends else ""
 
     @property
     def _moving(self) -> list[Recording]:

@@ -217,7 +217,7 @@ def hear(
     """
     if speech is not None:
         if conditioner is None:
-            raise ModelError("speech: this model does not hear; give seconds instead")
+            raise ModelError("speech: this model takes no speech; give seconds instead (--seconds)")
         if seconds is not None:
             raise ModelError("seconds goes without speech: the motion is as long as the speech")
         wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)

@@ -42,6 +42,29 @@ def held_out(
     return splits
 
 
+def as_intervals(wanted: str | Sequence[Interval]) -> list[Interval]:
+    """Return intervals in seconds, of a text (`parse_intervals`) or a sequence of (start, end).
+
+    Raises:
+        CorpusError: neither, or an interval that ends before it begins.
+    """
+    if isinstance(wanted, str):
+        return parse_intervals(wanted) if wanted else []
+    intervals = []
+    for interval in wanted:
+        try:
+            start, stop = map(float, interval)
+        except (TypeError, ValueError):
+            raise CorpusError(
+                f'hold_out_seconds: {interval!r} is not an interval; write "10-15,50-" or '
+                "[(10, 15), (50, math.inf)]"
+            ) from None
+        if not 0 <= start < stop:
+            raise CorpusError(f"hold_out_seconds: {interval!r} ends before it begins, or before 0")
+        intervals.append((start, stop))
+    return intervals
+
+
 def parse_intervals(text: str) -> list[Interval]:
     """``"10-20,55-"`` as intervals in seconds; without an end, to the end of the recording.
 

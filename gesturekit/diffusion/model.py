@@ -17,13 +17,13 @@ from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.guidance import bounded
 from gesturekit.diffusion.networks import Denoiser
 from gesturekit.diffusion.product import Product
-from gesturekit.diffusion.request import Request
-from gesturekit.diffusion.sampling import Predict, Solver, chosen_steps, sample
+from gesturekit.diffusion.request import Request, check_events
+from gesturekit.diffusion.sampling import SOLVERS, Predict, Solver, chosen_steps, sample
 from gesturekit.diffusion.schedule import NoiseSchedule
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.start import CHANGE, Start
 from gesturekit.diffusion.windows import LONGEST, windowed
-from gesturekit.errors import ModelError, MotionError
+from gesturekit.errors import ModelError, MotionError, gesturekit_errors
 from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.root_path import RootPath
@@ -39,7 +39,7 @@ from gesturekit.training.model_folder import (
     rates,
     save_model,
 )
-from gesturekit.training.seeds import generator
+from gesturekit.training.seeds import checked_seed, generator
 
 _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 
@@ -105,6 +105,7 @@ class DiffusionModel:
         """Names of the styles it knows; empty for a model that was told none."""
         return self.conditions.styles
 
+    @gesturekit_errors()
     def generate(
         self,
         speech: Speech | None = None,
@@ -175,14 +176,21 @@ class DiffusionModel:
                 do not go together, or no length.
             AudioError, FormatError: a file cannot be read, or an array is no sound.
         """
+        seed = checked_seed(seed)
         speech = as_speech(speech, sample_rate)
         rate = self.recorded_fps if fps is None else checked_fps(fps)
-        if speaker is not None and speaker not in self.speakers:
-            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
-            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
-        for name, value in {"samples": samples, "batch": batch}.items():
-            if value < 1:
-                raise ModelError(f"{name}={value}: ask for at least 1")
+        self.check_controls(
+            samples=samples,
+            speaker=speaker,
+            batch=batch,
+            style=style,
+            guidance=guidance,
+            unconditional=unconditional,
+            experts=experts,
+            events=events,
+            solver=solver,
+            steps=steps if like is None else None,
+        )
         product = Product.of(self, style, guidance, unconditional, experts)
         start = None if like is None else Start.of(self, like, change)
         if start is not None and self.conditions.path and path is None:
@@ -229,6 +237,45 @@ class DiffusionModel:
                 )
                 motions += map(finished, self._motions(vectors, request.path, place, speaker))
         return motions[0] if samples == 1 else motions
+
+    def check_controls(
+        self,
+        *,
+        samples: int = 1,
+        seed: int = 0,
+        speaker: str | None = None,
+        batch: int = 1,
+        style: str | None = None,
+        guidance: float | None = None,
+        unconditional: DiffusionModel | None = None,
+        experts: Sequence[tuple] = (),
+        events: str | Path | None = None,
+        solver: Solver | None = None,
+        steps: int | None = None,
+        **others: object,
+    ) -> None:
+        """Check the controls of `generate` that do not depend on the speech.
+
+        Raises:
+            ModelError: a control, style, event or speaker that this model does not have, or
+                experts that do not go together.
+            FormatError: a table of events that cannot be read.
+        """
+        checked_seed(seed)
+        if speaker is not None and speaker not in self.speakers:
+            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
+            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
+        for name, value in {"samples": samples, "batch": batch}.items():
+            if value < 1:
+                raise ModelError(f"{name}={value}: ask for at least 1")
+        Product.of(self, style, guidance, unconditional, experts).check_styles()
+        if events is not None:
+            models = [self, *(expert[0] for expert in experts)]
+            check_events(events, [model.conditions for model in models])
+        if solver is not None and solver not in SOLVERS:
+            raise ModelError(f"solver: {solver!r} is unknown; choose one of {', '.join(SOLVERS)}")
+        if others.get("like") is None:
+            chosen_steps(self.schedule, steps)
 
     @property
     def device(self) -> torch.device:

@@ -154,6 +154,12 @@ class Product:
             unconditional,
         )
 
+    def check_styles(self) -> None:
+        """Raises ModelError for a style that a model which is asked for it does not know."""
+        for model, style in zip(self.models, self.styles, strict=False):
+            if model.styles and style is not None:
+                style_weights(model.styles, style, 1, model.fps)
+
     def told(self, request: Request) -> Told:
         """Tell each model what was asked."""
         terms: list[Term] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,6 +110,20 @@ class Request:
             known = [event for event in self.events if event.name in conditions.events]
         path = self.path.scaled(1 / self.scale) if conditions.path else None
         return conditions.encode(self.n_frames, self.fps, speech=heard, path=path, events=known)
+
+
+def check_events(events: str | Path, models: Sequence[Conditions]) -> None:
+    """Check the names of events that are asked for, whatever the sound.
+
+    Raises:
+        ModelError: a text that cannot be read, or a name that none of the models knows.
+        FormatError: a table that cannot be read.
+    """
+    if not any(model.events for model in models):
+        raise ModelError(f"events={str(events)!r}: this model knows no events")
+    if wants_beats(events):
+        events = re.sub(r"@beats\b", "@0", events)
+    _check_events(asked_events(events, None), models)
 
 
 def _check_events(events: Sequence[Event], models: Sequence[Conditions]) -> None:

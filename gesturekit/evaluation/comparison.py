@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from audio_features import AudioFeaturesError
-from gesturekit.errors import EvaluationError, GestureKitError
+from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.clips import Clip, load_clip
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
@@ -69,12 +69,14 @@ Which = tuple[str, int | None]
 Progress = Callable[[Sequence[Pair], str], Iterable[Pair]]
 
 
+@gesturekit_errors()
 def evaluate(
-    generated: Path | Mapping[str, Path],
-    reference: Path | Items,
+    generated: str | Path | Mapping[str, str | Path],
+    reference: str | Path | Items,
     *,
-    audio: Path | None = None,
-    semantic: Path | None = None,
+    split: str | None = None,
+    audio: str | Path | None = None,
+    semantic: str | Path | None = None,
     protocol: str = "",
     patches: PatchOptions | None = None,
     features: FeatureModel | None = None,
@@ -86,8 +88,9 @@ def evaluate(
     Args:
         generated: folder or file of motion, or {label: folder} of several models; clips belong
             to recordings by name (`pairs`).
-        reference: folder or file of recordings, or `Items` of a manifest, cut as it says;
-            Fréchet distances go to all of them.
+        reference: folder or file of recordings, or a manifest (corpus.jsonl, or `Items` of it),
+            cut as it says; Fréchet distances go to all of them.
+        split: which items of a manifest; None for "test".
         audio: folder or file of the recordings' sound; without it speech is not measured.
             `Items` have their own.
         semantic: folder or file of semantic tracks, for SRGR.
@@ -107,7 +110,12 @@ def evaluate(
     if protocol not in PROTOCOLS:
         known = ", ".join(filter(None, PROTOCOLS))
         raise EvaluationError(f"protocol {protocol!r}; expected one of {known}")
-    folders = dict(generated) if isinstance(generated, Mapping) else {"generated": generated}
+    named = generated if isinstance(generated, Mapping) else {"generated": generated}
+    folders = {label: Path(folder) for label, folder in named.items()}
+    reference = _recordings(reference, split)
+    if isinstance(reference, Items) and reference.split and audio is not None:
+        raise EvaluationError(f"{reference.path} says where the sound is: leave audio out")
+    audio, semantic = (None if path is None else Path(path) for path in (audio, semantic))
     patches = patches or PatchOptions()
     found = {
         label: find_pairs(folder, reference, audio=audio, semantic=semantic)
@@ -137,6 +145,22 @@ def evaluate(
         recorded_speeds=run.recorded_speeds(),
         recorded_wrists=run.recorded_wrists(),
     )
+
+
+def _recordings(reference: str | Path | Items, split: str | None) -> Path | Items:
+    """Return the recordings that a path stands for.
+
+    Raises:
+        CorpusError: a manifest that cannot be read, or that has no item of the split.
+        EvaluationError: a split of what is no manifest.
+    """
+    if not isinstance(reference, Items):
+        reference = Path(reference)
+        if reference.suffix.lower() == ".jsonl":
+            return Items.of_manifest(reference, split or "test")
+    if split is not None:
+        raise EvaluationError(f"split={split!r} chooses items of a manifest (.jsonl): {reference}")
+    return reference
 
 
 def _frame_rate(pairs: Pairs) -> float:
@@ -177,7 +201,7 @@ class _Run:
         Raises:
             EvaluationError: none of them can be measured.
         """
-        result = ModelResult(label, path, excluded=list(found.excluded))
+        result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
         gathered = Gathered(self.measurer, self.seed)
         problems: dict[tuple[str, str], list[str]] = {}
         for pair in progress(found.pairs, label):

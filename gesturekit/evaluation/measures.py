@@ -23,7 +23,7 @@ from gesturekit.evaluation.definitions import (
 from gesturekit.evaluation.derivatives import CUTOFF
 from gesturekit.evaluation.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.limits import JointLimits, joint_limit_share
-from gesturekit.evaluation.listening import sync
+from gesturekit.evaluation.listening import SyncResult, sync
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, Stretch
 from gesturekit.evaluation.patches import intra_diversity, patch_features, patch_scores
 from gesturekit.motion import Motion
@@ -203,7 +203,7 @@ class Measurer:
             taken("joint_limits", lambda: 100.0 * joint_limit_share(motion, limits))
 
     def _heard(self, taken: _Taken, clip: Clip, motion: Motion, sound: Sound) -> None:
-        heard = taken("sync", lambda: sync(motion, sound.wave), lambda result: result.r)
+        heard = taken("sync", lambda: _sync(motion, clip, sound), lambda result: result.r)
         aligned = taken(
             "bas",
             lambda: rhythm.beat_alignment(motion, sound.pulse, joints=clip.joints),
@@ -273,6 +273,17 @@ def _check_size(one: Motion, other: Motion) -> None:
             f"{one.n_frames} × {other.n_frames} frames are too many to compare patch by patch; "
             "cut the clips"
         )
+
+
+def _sync(motion: Motion, clip: Clip, sound: Sound) -> SyncResult:
+    result = sync(motion, sound.wave)
+    own = physical.arm_speed(clip.recording).mean()
+    if not result.note and physical.arm_speed(motion).mean() < physical.HARDLY_MOVING * own:
+        raise EvaluationError(
+            f"not informative: the arms move at less than {100 * physical.HARDLY_MOVING:.0f} % of "
+            "the recording's speed"
+        )
+    return result
 
 
 def _speed_distance(clip: Clip) -> float:

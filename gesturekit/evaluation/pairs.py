@@ -16,9 +16,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import CorpusError
 from gesturekit.formats.sources import SPEECH_SUFFIXES
-from gesturekit.wording import counted
+from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from audio_features import Wave
@@ -31,6 +32,7 @@ WINDOW_SECONDS = 10.0
 """Length of the windows that names ending in _w000, _w001 ... stand for."""
 
 _SAMPLE = re.compile(r"_s\d+$")
+_CUT = re.compile(r"@\d+(\.\d+)?-\d+(\.\d+)?(_s\d+)?$")
 _WINDOW = re.compile(r"_w(\d{3,})$")
 
 
@@ -71,11 +73,14 @@ class Items:
         path: the manifest that names them, or a folder or file whose files are read by options.
         split: the split of the manifest, all of whose items are to be measured; "" for a folder.
         items: the recordings.
+        aside: further items of the manifest by id, whose clips are not measured, and why not:
+            "no motion", or "split train".
     """
 
     path: Path
     split: str
     items: tuple[ManifestItem, ...]
+    aside: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
@@ -86,6 +91,19 @@ class Items:
         """
         files = motion_files(path).items()
         return cls(path, "", tuple(_File(key, file, reading) for key, file in files))
+
+    @classmethod
+    def of_manifest(cls, path: Path, split: str) -> Items:
+        """Items of one split of a manifest.
+
+        Raises:
+            CorpusError: it cannot be read, or has no item of the split.
+        """
+        manifest = Manifest.load(path)
+        items = manifest.in_split(split, str(path))
+        aside = {item.id: f"split {item.split}" for item in manifest if item.split != split}
+        aside |= {item.id: "no motion" for item in manifest if item.motion is None}
+        return cls(path, split, items, aside)
 
     @cached_property
     def stretches(self) -> dict[str, Stretch]:
@@ -152,10 +170,17 @@ class Excluded:
 
 @dataclass
 class Pairs:
-    """What was found: pairs in order of stem and name, and clips that have no recording."""
+    """What was found.
+
+    Attributes:
+        pairs: in order of stem and name.
+        excluded: clips that have no recording, and why.
+        notes: clips that are not meant to be measured.
+    """
 
     pairs: list[Pair] = field(default_factory=list)
     excluded: list[Excluded] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
 def find_pairs(
@@ -189,14 +214,16 @@ def find_pairs(
     expects_all = isinstance(reference, Items) and bool(reference.split)
     is_one_file = place.is_file() and not expects_all
     found = Pairs()
+    aside: dict[str, list[str]] = defaultdict(list)
+    not_measured = _Lookup(reference.aside if isinstance(reference, Items) else {})
     for name, path in made.items():
         if is_one_file:
             (stem,), window = recorded, None
         else:
             stem, window, reason = lookup(name)
-            if stem is None and expects_all:
-                # Missing clips are listed below, so a wrong name is noticed all the same.
-                found.excluded.append(Excluded(name, f"not in {reference}", "another split"))
+            other = None if stem is not None else not_measured(name)[0]
+            if other is not None:
+                aside[reference.aside[other]].append(name)
                 continue
             if stem is None:
                 found.excluded.append(Excluded(name, reason))
@@ -212,11 +239,20 @@ def find_pairs(
                 _beside(stem, tracks, semantic),
             )
         )
+    for reason, names in sorted(aside.items()):
+        what = "whose items have no motion" if reason == "no motion" else f"of {reason}"
+        found.notes.append(
+            f"{counted(len(names), 'clip')} {what} in {place}, not measured: {listed(names, 3)}"
+        )
     if not found.pairs:
+        if aside and not found.excluded:
+            raise CorpusError(f"{generated}: nothing to measure: {'; '.join(found.notes)}")
+        are_items = not expects_all and any(map(_CUT.search, made))
+        advice = "; names with @START-END are items of a manifest: --corpus" if are_items else ""
         raise CorpusError(
             f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
             f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
-            "_s1, _s2 ... for samples"
+            f"_s1, _s2 ... for samples{advice}"
         )
     if sounds and not any(pair.audio for pair in found.pairs):
         raise CorpusError(
@@ -296,7 +332,7 @@ def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, 
 class _Lookup:
     """From a generated clip's name to the recording it belongs to."""
 
-    def __init__(self, recorded: Mapping[str, Path]) -> None:
+    def __init__(self, recorded: Mapping[str, object]) -> None:
         self.recorded = recorded
         self.by_stem: dict[str, list[str]] = defaultdict(list)
         for key in recorded:

@@ -121,6 +121,10 @@ def max_speed(motion: Motion) -> float:
     return float(joint_speed(motion).max())
 
 
+HARDLY_MOVING = 0.05
+"""Arms slower than this share of the recording's hardly move; their sync is not informative."""
+
+
 def arm_speed_ratio(motion: Motion, recording: Motion) -> float:
     """Mean arm speed of a motion over that of a recording; 1 is as lively as the recording.
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.errors import FormatError, MotionError
+from gesturekit.errors import FormatError, MotionError, gesturekit_errors
 from gesturekit.motion import kinematics
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import FARTHEST, Skeleton
@@ -157,7 +157,11 @@ class Motion:
         return mirror_motion(self)
 
     def scaled(self, factor: float) -> Motion:
-        """Multiply all lengths by `factor`: rig, path of the root, joints that move."""
+        """Multiply all lengths by `factor`: rig, path of the root, joints that move.
+
+        Raises:
+            MotionError: a factor that is not above 0 and finite.
+        """
         return replace(
             self,
             skeleton=self.skeleton.scaled(factor),
@@ -258,6 +262,7 @@ class Motion:
         motion = _dispatch(_READERS, path, "read", options)(path, **options)
         return motion if height is None else motion.with_height(height)
 
+    @gesturekit_errors()
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
         """Write a .bvh, .npz, .obj, .html or .png file; `options` are those of the writer.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -153,7 +154,13 @@ class Skeleton:
         return tuple(sorted(below - {joint}))
 
     def scaled(self, factor: float) -> Skeleton:
-        """The same rig with every offset and end site multiplied by `factor`."""
+        """The same rig with every offset and end site multiplied by `factor`.
+
+        Raises:
+            MotionError: a factor that is not above 0 and finite.
+        """
+        if not 0 < factor < math.inf:
+            raise MotionError(f"scaled: factor is {factor!r}; give a number above 0")
         ends = {name: tuple(s * factor for s in sites) for name, sites in self.end_sites.items()}
         return replace(self, offsets=self.offsets * factor, end_sites=ends)
 

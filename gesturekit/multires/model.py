@@ -11,7 +11,7 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.corpus.speech import Speech, SpeechConditioner, as_speech, at_rate, hear
-from gesturekit.errors import ModelError
+from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.root_path import RootPath
@@ -23,10 +23,11 @@ from gesturekit.multires.interpolation import resample
 from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.pyramid import Pyramid
-from gesturekit.multires.request import Request
+from gesturekit.multires.request import Request, check_controls
 from gesturekit.multires.styles import level_track
 from gesturekit.training.device import prepare_device
 from gesturekit.training.model_folder import load_model, model_readme, rates, save_model
+from gesturekit.training.seeds import checked_seed
 
 
 class MultiresModel:
@@ -98,6 +99,7 @@ class MultiresModel:
         """The rig, with all the joints of the training files."""
         return self.representation.skeleton
 
+    @gesturekit_errors()
     def generate(
         self,
         speech: Speech | None = None,
@@ -168,6 +170,7 @@ class MultiresModel:
             AudioError, FormatError: a file cannot be read, or an array is no sound.
             MotionError: a `smooth` below 0.
         """
+        seed = checked_seed(seed)
         own = self.recorded_fps if keyframes is None else self.fps
         rate = own if fps is None else checked_fps(fps)
         coarse = levels not in (None, self.network_config.levels)
@@ -196,6 +199,37 @@ class MultiresModel:
         if not coarse:
             motions = [at_rate(motion, rate, request.wave, seconds) for motion in motions]
         return motions[0] if samples == 1 else motions
+
+    def check_controls(
+        self,
+        *,
+        samples: int = 1,
+        seed: int = 0,
+        style: str | None = None,
+        level_style: str | None = None,
+        speaker: str | None = None,
+        levels: int | None = None,
+        keyframe_level: int = 1,
+        events: str | Path | None = None,
+        guidance: float | None = None,
+        **others: Any,
+    ) -> None:
+        """Check the controls of `generate` that do not depend on the speech.
+
+        Raises:
+            ModelError: a control, style, level or speaker that this model does not have.
+        """
+        checked_seed(seed)
+        check_controls(
+            self,
+            samples=samples,
+            style=style,
+            level_style=level_style,
+            speaker=speaker,
+            levels=levels,
+            keyframe_level=keyframe_level,
+            unknown={"events": events, "guidance": guidance},
+        )
 
     def reconstruct(
         self, name: str, speech: Speech | None = None, sample_rate: int | None = None

@@ -19,6 +19,8 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.editing import fit_keyframes, full_frames
 from gesturekit.multires.keeping import KeptParts
+from gesturekit.multires.styles import asked_styles
+from gesturekit.training.seeds import generator
 
 if TYPE_CHECKING:
     from gesturekit.multires.model import MultiresModel
@@ -94,10 +96,16 @@ class Request:
         Args:
             unknown: what no model of this kind can be asked, by name.
         """
-        if not model.styles:
-            unknown = {**unknown, "style": style, "level_style": level_style}
-        _check_known(model, unknown, speaker, samples)
-        _check_levels(model, levels=levels, keyframe_level=keyframe_level)
+        check_controls(
+            model,
+            samples=samples,
+            style=style,
+            level_style=level_style,
+            speaker=speaker,
+            levels=levels,
+            keyframe_level=keyframe_level,
+            unknown=unknown,
+        )
         start = keyframes if like is None else like
         n_levels = model.network_config.levels
         whole = start is None and levels in (None, n_levels)
@@ -152,6 +160,32 @@ class Request:
     def n_frames(self) -> int:
         """T."""
         return self.lengths[-1] - 2 * self.margin
+
+
+def check_controls(
+    model: MultiresModel,
+    *,
+    samples: int,
+    style: str | None,
+    level_style: str | None,
+    speaker: str | None,
+    levels: int | None,
+    keyframe_level: int,
+    unknown: Mapping[str, Any],
+) -> None:
+    """Check what does not depend on the speech; arguments as for `Request.of`.
+
+    Raises:
+        ModelError: a control, style, level or speaker that the model does not have.
+    """
+    if model.styles:
+        lengths = [1] * model.network_config.levels
+        rng = generator(0, "check")
+        asked_styles(model.styles, style, level_style, lengths, model.fps, rng)
+    else:
+        unknown = {**unknown, "style": style, "level_style": level_style}
+    _check_known(model, unknown, speaker, samples)
+    _check_levels(model, levels=levels, keyframe_level=keyframe_level)
 
 
 def _check_known(

@@ -8,6 +8,7 @@ run may leave one, is ignored.
 from __future__ import annotations
 
 import dataclasses
+import glob
 import hashlib
 import json
 import os
@@ -75,7 +76,10 @@ class Record:
         return [name for name in {**was, **made_with} if was.get(name) != made_with.get(name)]
 
     def begin(self, file: Path, made_with: Mapping[str, Any]) -> None:
-        """Note that a file is about to be written."""
+        """Note that a file is about to be written, and remove what a killed run left of it."""
+        if "sha256" not in self._lines.get(self._key(file), {"sha256": ""}):
+            for left in file.parent.glob(f".{glob.escape(file.stem)}-????????{file.suffix}"):
+                left.unlink(missing_ok=True)
         self._append({"file": self._key(file), "made_with": dict(made_with)})
 
     def finish(self, file: Path, made_with: Mapping[str, Any]) -> None:

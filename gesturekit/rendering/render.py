@@ -18,7 +18,7 @@ from gesturekit.formats.rig import Rig
 from gesturekit.formats.sources import EXISTING, Job, refuse_existing, refuse_leaving
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.record import Record, described, model_fingerprint, path_digest
-from gesturekit.rendering.tasks import Task, find_tasks
+from gesturekit.rendering.tasks import Source, Task, find_tasks
 
 FORMATS = ("bvh", "npz", "html", "png")
 # torch says RuntimeError where memory runs out.
@@ -30,7 +30,8 @@ class Output:
     """Settings of the files that are written.
 
     Attributes:
-        formats: of bvh, npz, html (a player with sound), png (a picture).
+        formats: of bvh, npz, html (a player with sound), png (a picture); `"bvh,html"` or
+            `(".BVH", "html")` mean the same as `("bvh", "html")`.
         existing: what to do about files that are there and were not made with the same model,
             settings and input: refuse, skip or replace. Files that were are kept.
         rig: the body to move instead of the model's: a motion file, of any names, size and rest
@@ -39,11 +40,16 @@ class Output:
         up: the axis that points up in SMPL npz, "y" or "z"; None for y.
     """
 
-    formats: Sequence[str] = ("bvh",)
+    formats: str | Sequence[str] = ("bvh",)
     existing: str = "refuse"
     rig: str | os.PathLike[str] | Rig | None = None
     unit: str | None = None
     up: str | None = None
+
+    def __post_init__(self) -> None:
+        formats = self.formats.split(",") if isinstance(self.formats, str) else self.formats
+        plain = (name.strip().lower().removeprefix(".") for name in formats)
+        object.__setattr__(self, "formats", tuple(dict.fromkeys(filter(None, plain))))
 
 
 @dataclass(frozen=True)
@@ -67,7 +73,7 @@ class Outcome:
 
 def render(
     model: Any,
-    sources: Sequence[str | Path | Item],
+    sources: Source | Sequence[Source],
     out: str | Path,
     *,
     output: Output | None = None,
@@ -108,6 +114,7 @@ def render(
         FormatError, MotionError: a rig that cannot be read, or whose parts cannot be found.
     """
     run = _Run(model, Path(out), output or Output(), seconds, channel, controls)
+    model.check_controls(**run.controls)
     tasks = find_tasks(sources, run.out) if sources else [Task("motion", "motion")]
     refuse_leaving([Job(Path(task.source), run.targets(task)) for task in tasks], run.out)
     kept = run.settle_existing(tasks)
@@ -230,7 +237,10 @@ class _Run:
                     refused.append(file)
                     another.update(self.record.differences(file, made_with))
         if refused:
-            reason = f", made with another {', '.join(sorted(another))}" if another else ""
+            named = (
+                f"{'other' if name.endswith('s') else 'another'} {name}" for name in sorted(another)
+            )
+            reason = f", made with {', '.join(named)}" if another else ""
             reason += (
                 f" ({len(refused)} refused, {len(kept)} kept, "
                 f"{count - len(refused) - len(kept)} to make: nothing was done)"

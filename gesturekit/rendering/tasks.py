@@ -20,6 +20,9 @@ from gesturekit.formats.sources import (
 
 _SHOWN = 3
 
+Source = str | os.PathLike[str] | Item
+"""A sound file, a folder of them, or an item of a manifest."""
+
 log = logging.getLogger(__name__)
 
 
@@ -59,19 +62,22 @@ class Task:
         return wave
 
 
-def find_tasks(sources: Sequence[str | Path | Item], out: Path) -> list[Task]:
+def find_tasks(sources: Source | Sequence[Source], out: Path) -> list[Task]:
     """List what to render.
 
     A folder stands for all sounds below it, which keep their path within it; other files that
     hold sound are warned about. Hidden files, and `out` itself, are passed over.
 
     Args:
-        sources: sound files, folders, and items of a manifest, which are named by their ids.
+        sources: sound files, folders, and items of a manifest, which are named by their ids; one
+            of them, or several.
         out: folder for the results.
 
     Raises:
         ConfigError: a folder without sound, or two sources that would write the same file.
     """
+    if isinstance(sources, str | os.PathLike | Item):
+        sources = [sources]
     tasks: dict[tuple[str, str], Task] = {}
     for source in sources:
         if isinstance(source, Item):

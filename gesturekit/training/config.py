@@ -143,7 +143,44 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
     Raises:
         ConfigError: with `where`, the dotted key, the value and what was expected.
     """
-    return _build(schema, values, where, "")
+    try:
+        return _build(schema, values, where, "")
+    except _UnknownKey as error:
+        full = f"{error.key}{error.inner}"
+        leaf = full.rsplit(".", 1)[-1]
+        same = [name for name in _settings(schema) if name.rsplit(".", 1)[-1] == leaf]
+        # A section's name may be misspelt; a setting that another section has is in the wrong one.
+        meant = (error.near or same) if error.inner else (same or error.near)
+        hint = (
+            f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(error.known)}"
+        )
+        unknown = error.key if meant == error.near else full
+        raise ConfigError(f"{where}: unknown key {unknown}; {hint}") from None
+
+
+class _UnknownKey(ConfigError):
+    """A key that its section does not have.
+
+    Args:
+        key: dotted name.
+        inner: the rest of the first setting below it, such as ".updates"; "" for a single setting.
+        near: the key like it in its section, if there is one.
+        known: all keys of its section.
+    """
+
+    def __init__(self, key: str, inner: str, near: Sequence[str], known: Sequence[str]) -> None:
+        super().__init__(key)
+        self.key, self.inner, self.near, self.known = key, inner, near, known
+
+
+def _settings(schema: Any, prefix: str = "") -> list[str]:
+    """Return the dotted names of all settings of a dataclass."""
+    names = []
+    for name, hint in typing.get_type_hints(schema).items():
+        names += [f"{prefix}{name}"]
+        for section in _sections(hint):
+            names += _settings(section, f"{prefix}{name}.")
+    return names
 
 
 def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
@@ -154,9 +191,10 @@ def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
     names = [field.name for field in dataclasses.fields(schema)]
     for key in values:
         if key not in names:
-            near = difflib.get_close_matches(str(key), names, n=1, cutoff=0.5)
-            hint = f"did you mean {prefix}{near[0]}?" if near else f"known: {', '.join(names)}"
-            raise ConfigError(f"{where}: unknown key {prefix}{key}; {hint}")
+            inner = next(iter(_dotted(values[key])), "")
+            fitting = [name for name in names if not inner or _sections(hints[name])]
+            near = difflib.get_close_matches(str(key), fitting, n=1, cutoff=0.5)
+            raise _UnknownKey(f"{prefix}{key}", inner, [f"{prefix}{name}" for name in near], names)
     made = {
         key: _convert(value, hints[key], where, f"{prefix}{key}") for key, value in values.items()
     }
@@ -172,6 +210,17 @@ def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
     except ConfigError as error:
         # Checks of a dataclass's own (__post_init__) know neither the file nor the section.
         raise ConfigError(f"{where}: {prefix}{error}") from None
+
+
+def _sections(hint: Any) -> list[Any]:
+    return [option for option in _options(hint) if dataclasses.is_dataclass(option)]
+
+
+def _dotted(values: Any) -> list[str]:
+    """Return the keys of nested mappings, each with a dot in front: ".updates"."""
+    if not isinstance(values, dict):
+        return []
+    return [f".{key}{inner}" for key, value in values.items() for inner in _dotted(value) or [""]]
 
 
 def _options(hint: Any) -> tuple[Any, ...]:

@@ -18,7 +18,7 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.evaluation.listening import sync
 from gesturekit.evaluation.patches import coverage, patch_features
-from gesturekit.evaluation.physical import arm_speed, joint_speed
+from gesturekit.evaluation.physical import HARDLY_MOVING, arm_speed, joint_speed
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.training.run import Run
@@ -176,7 +176,9 @@ class HeldOut:
 def sentence(figures: Mapping[str, float]) -> str:
     """The figures in words, each beside what it is to be compared with."""
     parts = []
-    if "sync" in figures:
+    if figures.get("arm_speed_ratio", 1.0) < HARDLY_MOVING and "sync" in figures:
+        parts.append("the arms hardly move, so sync is not informative")
+    elif "sync" in figures:
         own = figures.get("sync_recording")
         beside = "" if own is None else f", the recording's own {own:.2f}"
         parts.append(f"sync {figures['sync']:.2f} (chance {figures['sync_chance']:.2f}{beside})")

@@ -42,6 +42,8 @@ class Run:
         self._metrics = folder / "metrics.jsonl"
         self._events: Any = None
         config_file = folder / "config.yaml"
+        if folder.exists() and not folder.is_dir():
+            raise ConfigError(f"{folder}: a file, not a run folder; name a folder by out=OTHER")
         if resume:
             if not config_file.is_file():
                 raise ConfigError(f"{folder}: no run to resume here; start it without --resume")

@@ -7,12 +7,27 @@ checkpoints: a resumed run asks for the same numbers again.
 from __future__ import annotations
 
 import hashlib
+import operator
 from collections.abc import Callable
 from typing import TypeVar
 
 import torch
 
+from gesturekit.errors import ModelError
+
 Made = TypeVar("Made")
+
+
+def checked_seed(seed: int) -> int:
+    """Return a seed as a plain whole number.
+
+    Raises:
+        ModelError: it is none.
+    """
+    try:
+        return operator.index(seed)
+    except TypeError:
+        raise ModelError(f"seed={seed!r}: give a whole number") from None
 
 
 def generator(*keys: int | str) -> torch.Generator:

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from tqdm.contrib.logging import logging_redirect_tqdm
 
+from gesturekit.errors import ConfigError
 from gesturekit.progress import Progress
 from gesturekit.training.config import to_dict
 from gesturekit.training.device import prepare_device
@@ -79,9 +80,14 @@ def plan(config: RunConfig, trainer: Callable[..., Any]) -> None:
             itself, and has `seconds_needed()`, an estimate of the whole training.
 
     Raises:
-        ConfigError: `config.out` holds a run already, or no such device.
+        ConfigError: `config.out` is a file, or no such device.
     """
-    Run(config.out, to_dict(config), resume=False)
+    try:
+        Run(config.out, to_dict(config), resume=False)
+    except ConfigError as error:
+        if not (config.out / "config.yaml").is_file():
+            raise
+        log.warning("Before this can be trained: %s.", error)
     with (
         TemporaryDirectory() as folder,
         session(config, resume=False, folder=Path(folder)) as (run, device, processes),

@@ -28,7 +28,7 @@ from gesturekit.formats.smpl import fit_body
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.skin import Skin, steady_turns
-from gesturekit.viewer.sound import OUTLINE_RATE, Sound, outline
+from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -100,7 +100,7 @@ def player_data(
     if body_model is not None:
         body = BodyModel.of(body_model)
         motions = {label: fit_body(motion, body) for label, motion in motions.items()}
-    return _json(_page(motions, audio, body))
+    return _json(_page(motions, None if audio is None else as_sound(audio), body))
 
 
 @cache

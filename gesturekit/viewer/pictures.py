@@ -16,6 +16,7 @@ from audio_features import LogMel, Wave
 from gesturekit.atomic import atomic_write
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.sound import as_sound
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -43,6 +44,7 @@ def write_picture(
     if audio is None:
         contact_sheet(motion, path)
     else:
+        audio = as_sound(audio)
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
         speech_and_motion(motion, wave, path)
 

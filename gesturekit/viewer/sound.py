@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from audio_features import Wave
+from audio_features import AudioError, Wave
 
 EMBED_LIMIT = 2_000_000
 """Recordings of at most this many bytes are embedded as they are; bigger ones become MP3."""
@@ -29,6 +29,24 @@ _BROWSER_TYPES = {
 }
 _MP3_RATES = (16_000, 22_050, 24_000, 32_000, 44_100, 48_000)
 _BLOCK = 1 << 16
+
+
+Playable = str | os.PathLike[str] | Wave | tuple[np.ndarray, int]
+"""A file, a `Wave`, or an array of samples with its rate in Hz."""
+
+
+def as_sound(audio: Playable) -> str | os.PathLike[str] | Wave:
+    """Return (samples, rate) as a `Wave`, and anything else as it is.
+
+    Raises AudioError where that is no sound, or an array has no rate.
+    """
+    if isinstance(audio, tuple) and len(audio) == 2:
+        return Wave.from_array(*audio, "audio")
+    if not isinstance(audio, str | os.PathLike | Wave):
+        raise AudioError(
+            f"audio is {type(audio).__name__}: give a file, a Wave, or (samples, rate in Hz)"
+        )
+    return audio
 
 
 @dataclass(frozen=True)

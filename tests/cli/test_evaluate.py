@@ -180,7 +180,7 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     root, items = held_out
     corpus = ("--corpus", root / "corpus.jsonl")
     done = gesturekit("evaluate", root / "rendered" / "day", *corpus, "--split", "valid")
-    assert done.status == 2 and "no item of split valid; it has test, train" in done.err
+    assert done.status == 2 and "no item is in split valid (1 in test, 1 in train)" in done.err
     made = tmp_path / "made"
     made.mkdir()
     (made / "other.npz").write_bytes(b"")
@@ -237,3 +237,59 @@ def test_an_interrupted_evaluation_says_that_nothing_was_written(
     monkeypatch.setattr("gesturekit.evaluation.comparison.load_clip", interrupted)
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
     assert done.status == 130 and "nothing was written" in done.err
+
+
+def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0(
+    gesturekit, write_pair, write_speech, gesture, tmp_path
+):
+    from gesturekit.corpus import Manifest, prepare
+
+    for i in range(2):
+        write_pair(tmp_path / "recordings", f"clip{i}", 3.0, fps=25.0, seed=i)
+    for i in range(10):
+        write_speech(tmp_path / "speech" / f"talk{i}.wav", 2.0)
+    corpus = tmp_path / "corpus.jsonl"
+    prepare(tmp_path / "recordings", corpus, unpaired=tmp_path / "speech")
+    alone = [item.id for item in Manifest.load(corpus).unpaired("test")]
+    for name in ("clip0", "clip1", *alone):
+        gesture(3.0, 25.0, seed=9).save(tmp_path / "made" / f"{name}.npz")
+    done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus)
+    assert done.status == 0, done.err
+    assert f"1 clip whose items have no motion in {corpus}, not measured: {alone[0]}" in done.err
+    assert f"1 clip of split train in {corpus}, not measured: clip" in done.err
+    assert "1 clip measured, 0 left out" in done.out
+    gesture(3.0, 25.0).save(tmp_path / "made" / "nobody.npz")
+    done = gesturekit("evaluate", tmp_path / "made", "--corpus", corpus)
+    assert done.status == 1 and "nobody: clip: no recording of its name" in done.err
+
+
+def test_a_report_of_another_format_is_refused(gesturekit, folders, tmp_path):
+    done = gesturekit(
+        "evaluate", folders / "ours", folders / "recordings", "--out", tmp_path / "report.pdf"
+    )
+    assert done.status == 2 and "name it .html" in done.err
+    assert not (tmp_path / "report.pdf").exists()
+
+
+def test_clips_named_as_items_lead_to_the_manifest(gesturekit, held_out):
+    root, items = held_out
+    done = gesturekit("evaluate", root / "rendered" / "day", root / "recordings")
+    assert done.status == 2 and "items of a manifest: --corpus" in done.err
+
+
+def test_sync_of_arms_that_hardly_move_is_not_given(gesturekit, write_pair, tmp_path):
+    write_pair(tmp_path / "recordings", "a", 5.0, fps=25.0)
+    recording = Motion.load(tmp_path / "recordings" / "a.bvh")
+    slow = Rotation.from_quat(recording.rotations.reshape(-1, 4)).as_rotvec()
+    still = slow.reshape(125, -1, 3)[:1]
+    slow = still + 0.02 * (slow.reshape(125, -1, 3) - still)
+    rotations = Rotation.from_rotvec(slow.reshape(-1, 3)).as_quat().reshape(125, -1, 4)
+    (tmp_path / "made").mkdir()
+    Motion(recording.skeleton, rotations, recording.translation, 25.0).save(
+        tmp_path / "made" / "a.npz"
+    )
+    folders = (tmp_path / "made", tmp_path / "recordings", "--audio", tmp_path / "recordings")
+    done = gesturekit("evaluate", *folders)
+    assert done.status == 0, done.err
+    assert "less than 5 % of the recording's speed" in done.err
+    assert not any(line.startswith("Sync  ") for line in done.out.splitlines())

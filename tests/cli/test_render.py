@@ -365,10 +365,10 @@ def test_a_damaged_model_is_refused_in_one_line(gesturekit, model, wav, tmp_path
     assert not (tmp_path / "out").exists()
 
 
-def test_a_run_folder_leads_to_its_model(gesturekit, model, wav, tmp_path):
+def test_a_run_folder_stands_for_its_model(gesturekit, model, wav, tmp_path):
     done = gesturekit("render", wav, "--model", model.parent, "--out", tmp_path / "out")
-    assert done.status == 2
-    assert done.err == f"Error: {model.parent}: a run folder; its model is {model}\n"
+    assert done.status == 0, done.err
+    assert names(tmp_path / "out") == ["speech.bvh"]
 
 
 def test_bytes_changed_at_random_never_end_in_a_traceback(gesturekit, model, tmp_path):
@@ -501,3 +501,22 @@ def test_help_shows_examples_first_and_every_option_in_one_group(gesturekit):
 def test_the_splits_to_choose_from_are_those_of_a_manifest():
     (split,) = (param for param in render.params if param.name == "split")
     assert set(split.type.choices) == set(SPLITS)
+
+
+def test_a_mistake_about_the_model_is_said_once(gesturekit, model, wav, tmp_path):
+    for name in "bc":
+        shutil.copy(wav, wav.with_name(f"{name}.wav"))
+    done = gesturekit(
+        "render", wav.parent, "--model", model, "--out", tmp_path / "out", "--levels", 40
+    )
+    assert done.status == 2
+    assert done.err.count("levels=40: the model has levels") == 1 and "Failed" not in done.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_summary_counts_sounds_and_motions(gesturekit, model, wav, tmp_path):
+    done = gesturekit(
+        "render", wav, "--model", model, "--out", tmp_path, "--samples", 3, "--format", ".BVH"
+    )
+    assert done.status == 0
+    assert re.search(r"^1 rendered \(3 motions\) in ", done.err, re.MULTILINE)

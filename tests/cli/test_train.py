@@ -183,7 +183,8 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert re.search(r"Time: about \d+ ", caplog.text)
     assert train().status == 0
     taken = train("--plan")
-    assert taken.status == 2 and "holds a run already" in error_line(taken)
+    assert taken.status == 0
+    assert "holds a run already; add --resume to go on with it, or out=OTHER" in caplog.text
 
 
 @pytest.fixture
@@ -250,3 +251,52 @@ def test_a_mistyped_configuration_is_met_by_the_nearest(gesturekit, light, monke
     assert "did you mean recipes/multires_speech/light.yaml?" in error_line(done)
     done = gesturekit("train", "nothing_like_it")
     assert done.status == 2 and "recipes/ganimator/config.yaml" in error_line(done)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--resume", "runs/none"], "runs/none: no such run"),
+        (["c.jsonl"], "c.jsonl: a manifest, not a configuration; give it as corpus=c.jsonl"),
+        (["a.bvh"], "a.bvh: a recording, not a configuration; run gesturekit prepare"),
+        (["light.yaml"], "did you mean recipes/speech/light.yaml?"),
+        (["folder"], "run gesturekit prepare on it"),
+        (["recipes/speech/light.yaml", "corpus=folder"], "it is a folder; run gesturekit prepare"),
+        (["recipes/speech/light.yaml", "out=c.jsonl"], "c.jsonl: a file, not a run folder"),
+        (["recipes/speech/light.yaml", "out=c.jsonl", "--plan"], "c.jsonl: a file, not a run"),
+        (["recipes/speech/light.yaml", "training.window=3"], "did you mean schedule.window?"),
+        (["recipes/speech/light.yaml", "window=3"], "did you mean schedule.window?"),
+    ],
+)
+def test_what_newcomers_name_in_place_of_a_run_a_recipe_or_a_setting(
+    gesturekit, corpus, tmp_path, monkeypatch, arguments, says
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "recipes" / "speech").mkdir(parents=True)
+    (tmp_path / "recipes" / "speech" / "light.yaml").write_text(
+        f"system: multires\ncorpus: {corpus}\nfps: 25\n"
+    )
+    (tmp_path / "folder").mkdir()
+    for name in ("c.jsonl", "a.bvh"):
+        (tmp_path / name).touch()
+    done = gesturekit("train", *arguments)
+    assert done.status == 2
+    assert says in error_line(done)
+
+
+def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light):
+    done = gesturekit("train", light, "--schedule.first_pair", "20")
+    assert done.status == 2
+    assert "schedule.first_pair=VALUE" in done.err
+
+
+def test_the_model_of_a_run_stands_for_the_run(gesturekit, train, tmp_path):
+    assert train().status == 0
+    done = gesturekit("train", "--resume", tmp_path / "run" / "model")
+    assert done.status == 0, done.err
+    assert f"Model: {tmp_path / 'run' / 'model'}" in done.out
+
+
+def test_a_misspelt_option_leads_to_the_right_one(gesturekit, light):
+    done = gesturekit("train", light, "--resum")
+    assert done.status == 2 and "--resume" in done.err

@@ -567,3 +567,31 @@ def test_the_rate_may_be_what_makes_motion_jump(tmp_path, gesture):
     replace(gesture(20.0), fps=900.0).save(tmp_path / "a.npz")
     warning = texts(prepare([], unpaired_motion=[tmp_path]), "warning")[0]
     assert "--in-fps" in warning
+
+
+def test_bodies_of_very_different_size_are_warned_about(gesture, tmp_path):
+    for name, factor in (("a", 1.0), ("b", 1.05), ("c", 2.54)):
+        gesture(2.0).scaled(factor).save(tmp_path / f"{name}.npz")
+    report = prepare([], unpaired_motion=tmp_path)
+    (warning,) = (text for text in report.problem_lines() if text.startswith("warning: "))
+    assert "c.npz" in warning and "a.npz" not in warning
+    assert "--in-unit" in warning and "--height" in warning
+    heights = dict(report.rows())["body heights"].split()
+    assert float(heights[2]) == pytest.approx(2.54 * float(heights[0]), rel=0.01)
+    (tmp_path / "c.npz").unlink()
+    assert not any(
+        "warning" in line for line in prepare([], unpaired_motion=tmp_path).problem_lines()
+    )
+
+
+def test_a_style_pattern_that_fits_no_file_is_warned_about(gesture, tmp_path):
+    for name in ("calm_1", "lively_1"):
+        gesture(2.0).save(tmp_path / f"{name}.npz")
+
+    def warnings(pattern: str) -> list[str]:
+        report = prepare([], unpaired_motion=tmp_path, style_pattern=pattern)
+        return [line for line in report.problem_lines() if line.startswith("warning: ")]
+
+    (line,) = warnings("(?P<style>x|y)-")
+    assert "matches none of 2 recordings, such as calm_1" in line
+    assert warnings("(?P<style>calm)_") == []

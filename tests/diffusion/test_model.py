@@ -336,7 +336,7 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
         plain.generate(**QUICK, guidance=1.5)
     with pytest.raises(ModelError, match="never trained without its style"):
         untrained(styles=("old",)).generate(**QUICK, guidance=1.5)
-    with pytest.raises(ModelError, match="does not hear"):
+    with pytest.raises(ModelError, match="takes no speech; give seconds instead"):
         plain.generate("speech.wav")
     with pytest.raises(ModelError, match="nothing to generate from"):
         plain.generate()

@@ -142,3 +142,20 @@ def test_what_a_model_cannot_do_is_one_line(render, folders, name, options, told
     status, motion, err = render(folders.get(name, name), "--seconds", 1, *options)
     assert status in (1, 2) and motion is None
     assert told in err and "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "says"),
+    [
+        ("styled", ["--events", "kik@beats"], "did you mean kick?"),
+        ("styled", ["--style", "young"], "the model knows old, angry"),
+        ("styled", ["--steps", "100000"], "steps: 100000 must be between"),
+        ("plain", ["--events", "kick@1.0"], "this model knows no events"),
+    ],
+)
+def test_a_mistake_about_the_model_is_said_once_for_all_sounds(
+    render, folders, write_speech, tmp_path, name, options, says
+):
+    sounds = [write_speech(tmp_path / "in" / f"{stem}.wav", 1.0) for stem in "ab"]
+    status, _, err = render(folders[name], *sounds, *options)
+    assert (status, err.count(says), "Failed" in err) == (2, 1, False)

@@ -12,7 +12,7 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit import Motion, Skeleton
 from gesturekit.corpus import Item
-from gesturekit.errors import ConfigError, FormatError, MotionError
+from gesturekit.errors import ConfigError, FormatError, ModelError, MotionError
 from gesturekit.formats.rig import Rig
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.kinematics import global_rotations
@@ -151,7 +151,7 @@ def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("formats", "names"), [(("bvh", "obj"), "obj"), ((), "none"), (("BVH",), "BVH")]
+    ("formats", "names"), [(("bvh", "obj"), "obj"), ((), "none"), ((".fbx",), "fbx")]
 )
 def test_unknown_formats(model, sounds, tmp_path, formats, names):
     with pytest.raises(ConfigError, match=f"{names}.*known: bvh, npz, html, png"):
@@ -390,3 +390,47 @@ def test_sampling_for_an_evaluation_goes_on_where_it_was(model, tmp_path, write_
     before = files[0].stat().st_mtime_ns
     assert list(sample_lda(model, tmp_path / "in", out, samples=2, skip=True)) == files
     assert files[0].stat().st_mtime_ns == before and files[1].is_file()
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(model, sounds, tmp_path, monkeypatch):
+    def killed(self, path, **options):
+        (path.parent / f".{path.stem}-a1b2_c3d{path.suffix}").write_text("half")
+        (path.parent / f".{path.stem}-of-mine{path.suffix}.keep").write_text("mine")
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Motion, "save", killed)
+        list(render(model, sounds[:1], tmp_path / "out"))
+    (outcome,) = render(model, sounds[:1], tmp_path / "out")
+    assert outcome.error is None
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        RECORD, "a.bvh", ".a-of-mine.bvh.keep",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("control", "says"),
+    [
+        ({"levels": 40}, "levels=40: the model has levels 1"),
+        ({"style": "angry"}, "knows no style"),
+        ({"seed": 1.5}, "whole number"),
+        ({"samples": 0}, "at least 1"),
+    ],
+)
+def test_a_mistake_about_the_model_is_one_error_before_anything_else(
+    model, sounds, tmp_path, control, says
+):
+    list(render(model, sounds, tmp_path))
+    sounds[0].write_text("changed")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(ModelError, match=says):
+        list(render(model, sounds, tmp_path, **control))
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_words_about_existing_results_name_other_settings(model, sounds, tmp_path):
+    list(render(model, sounds[:1], tmp_path))
+    with pytest.raises(ConfigError, match=r"made with other seconds \("):
+        list(render(model, sounds[:1], tmp_path, seconds=2.0))
+    with pytest.raises(ConfigError, match=r"made with another seed \("):
+        list(render(model, sounds[:1], tmp_path, seed=4))

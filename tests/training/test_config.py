@@ -95,3 +95,13 @@ def test_mistakes_are_named(tmp_path, text, overrides, says):
     with pytest.raises(ConfigError, match="(?s)" + says.replace("(", r"\(")) as caught:
         load_config(write(tmp_path, "a.yaml", text), Outer, overrides)
     assert "a.yaml" in str(caught.value) or overrides
+
+
+def test_a_setting_in_the_wrong_section_leads_to_the_right_one():
+    from gesturekit.diffusion.config import DiffusionConfig
+
+    for values in ({"schedule": {"updates": 3}}, {"updates": 3}, {"network": {"updates": 3}}):
+        with pytest.raises(ConfigError, match=r"did you mean training\.updates\?"):
+            build(DiffusionConfig, values)
+    with pytest.raises(ConfigError, match=r"unknown key netwrk; did you mean network\?"):
+        build(DiffusionConfig, {"netwrk": {"blocks": 3}})

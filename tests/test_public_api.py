@@ -1,0 +1,130 @@
+"""The functions of `import gesturekit as gk`, called as a newcomer would call them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.corpus import Manifest
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return gk.load("demo")
+
+
+@pytest.fixture
+def sound(tmp_path, write_speech):
+    return write_speech(tmp_path / "in" / "x.wav", 1.0)
+
+
+def test_render_takes_one_source_as_text_and_renders_at_once(demo, sound, tmp_path):
+    outcomes = gk.render(demo, str(sound), str(tmp_path / "out"))
+    assert [outcome.files for outcome in outcomes] == [(tmp_path / "out" / "x.bvh",)]
+    assert (tmp_path / "out" / "x.bvh").is_file()
+    (outcome,) = gk.render(demo, sound.parent, tmp_path / "folder")
+    assert outcome.files == (tmp_path / "folder" / "x.bvh",)
+
+
+def test_render_takes_an_item_of_a_manifest(demo, corpus, tmp_path):
+    (item,) = Manifest.load(corpus).unpaired()
+    (outcome,) = gk.render(demo, item, tmp_path)
+    assert outcome.source == item.id and outcome.error is None
+
+
+@pytest.mark.parametrize("formats", ["bvh,npz", ("BVH", ".npz")])
+def test_render_takes_a_model_by_name_and_formats_as_people_write_them(sound, tmp_path, formats):
+    (outcome,) = gk.render("demo", [sound], tmp_path, formats=formats, seed=3)
+    assert [file.name for file in outcome.files] == ["x.bvh", "x.npz"]
+
+
+@pytest.mark.parametrize("seconds", ["1-2", [(1, 2)], [(1.0, 2.0)]])
+def test_prepare_takes_single_folders_and_intervals(write_pair, write_speech, tmp_path, seconds):
+    write_pair(tmp_path / "pairs", "a", 3.0)
+    write_speech(tmp_path / "speech" / "b.wav", 2.0)
+    write_pair(tmp_path / "moves", "c", 2.0)[0].unlink()
+    report = gk.prepare(
+        str(tmp_path / "pairs"),
+        unpaired=str(tmp_path / "speech"),
+        unpaired_motion=str(tmp_path / "moves"),
+        hold_out_seconds=seconds,
+    )
+    assert [item.id for item in report.manifest.unpaired()] == ["b"]
+    assert [item.id for item in report.manifest.motion_alone()] == ["c"]
+    assert [item.id for item in report.manifest.paired("test")] == ["a@1.00-2.00"]
+
+
+@pytest.mark.parametrize("seconds", ["50-", [(50, 40)], [5, 10], [(1, 2, 3)]])
+def test_prepare_refuses_what_is_no_interval(write_pair, tmp_path, seconds):
+    write_pair(tmp_path, "a", 2.0)
+    if seconds == "50-":
+        report = gk.prepare(tmp_path, hold_out_seconds=seconds)
+        assert any("seconds held out" in problem.text for problem in report.problems)
+        return
+    with pytest.raises(gk.GestureKitError, match="hold_out_seconds"):
+        gk.prepare(tmp_path, hold_out_seconds=seconds)
+
+
+def test_evaluate_takes_texts_and_a_manifest(write_pair, gesture, tmp_path):
+    write_pair(tmp_path / "recordings", "a", 5.0, fps=25.0)
+    gesture(5.0, 25.0, seed=5).save(tmp_path / "made" / "a.npz")
+    folders = [str(tmp_path / name) for name in ("made", "recordings")]
+    found = gk.evaluate(*folders, audio=folders[1])
+    assert "sync" in found.models[0].figures
+    assert str(found.reference) == folders[1]
+    manifest = tmp_path / "corpus.jsonl"
+    gk.prepare(folders[1], manifest, holdout=0.0)
+    (model,) = gk.evaluate({"ours": folders[0]}, str(manifest), split="train").models
+    assert (model.label, "sync" in model.figures) == ("ours", True)
+    with pytest.raises(gk.GestureKitError, match="no item is in split test"):
+        gk.evaluate(folders[0], manifest)
+    with pytest.raises(gk.GestureKitError, match="split='train' chooses items of a manifest"):
+        gk.evaluate(*folders, split="train")
+
+
+def test_one_class_catches_every_expected_error(demo, tmp_path):
+    (tmp_path / "x.wav").write_text("no sound")
+    motion = demo.generate(seconds=1.0)
+    for fails in (
+        lambda: demo.generate(tmp_path / "x.wav"),
+        lambda: demo.generate(np.zeros(100), 16000),
+        lambda: motion.save(tmp_path / "x.html", audio=tmp_path / "x.wav"),
+    ):
+        with pytest.raises(gk.GestureKitError) as caught:
+            fails()
+        assert isinstance(caught.value, af.AudioError) and isinstance(caught.value, ValueError)
+        assert isinstance(caught.value.__cause__, af.AudioError)
+
+
+@pytest.mark.parametrize("suffix", ["html", "png"])
+def test_a_motion_is_saved_with_an_array_of_sound(demo, tmp_path, suffix):
+    motion, samples = demo.generate(seconds=1.0), np.zeros(16000, np.float32)
+    motion.save(tmp_path / f"x.{suffix}", audio=(samples, 16000))
+    assert (tmp_path / f"x.{suffix}").is_file()
+    with pytest.raises(gk.GestureKitError, match=r"\(samples, rate in Hz\)"):
+        motion.save(tmp_path / f"y.{suffix}", audio=samples)
+
+
+@pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf")])
+def test_a_body_is_not_scaled_to_nothing(demo, factor):
+    with pytest.raises(gk.GestureKitError, match="give a number above 0"):
+        demo.generate(seconds=0.5).scaled(factor)
+
+
+@pytest.mark.parametrize("seed", [1.5, "one", None])
+def test_a_seed_is_a_whole_number(demo, seed):
+    with pytest.raises(gk.GestureKitError, match="seed=.*whole number"):
+        demo.generate(seconds=0.5, seed=seed)
+
+
+def test_a_seed_of_numpy_is_the_same_number(demo):
+    one, other = (demo.generate(seconds=0.5, seed=seed) for seed in (3, np.int64(3)))
+    assert (one.rotations == other.rotations).all()
+
+
+def test_a_run_folder_stands_for_its_model(demo, tmp_path):
+    demo.save(tmp_path / "run" / "model")
+    (tmp_path / "run" / "config.yaml").write_text("system: multires\n")
+    assert gk.load(tmp_path / "run").folder == (tmp_path / "run" / "model").resolve()
