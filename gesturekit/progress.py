@@ -30,7 +30,7 @@ class Progress(tqdm):
 
     @property
     def format_dict(self) -> dict[str, Any]:
-        """What a line is made of; outside a terminal, the unit as it stands after a number."""
+        """Return the fields of a line; outside a terminal the unit is worded for its number."""
         values = super().format_dict
         number = self.n if self.total is None else self.total
         if not self._in_place and number != 1:

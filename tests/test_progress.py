@@ -5,7 +5,7 @@ from gesturekit.progress import Progress
 
 
 def counted(seconds_per_item, items=5, **options):
-    """What the log file holds after some items, on a clock of our own."""
+    """Return the log file after some items, on a clock of our own."""
     now = [0.0]
     file = io.StringIO()
     bar = Progress(iter(range(items)), file=file, unit="file", **{"total": items} | options)

@@ -222,7 +222,7 @@ def _recordings(
 
 
 def _notes(found: Evaluation) -> Iterator[str]:
-    """What is to be known of the figures; measures left out for one reason share a line."""
+    """Return the notes on the figures; metrics left out for one reason share a line."""
     for model in found.models:
         yield from (f"Note: {model.label}: {note}" for note in model.notes)
         measures: dict[str, tuple[list[str], list[str]]] = {}

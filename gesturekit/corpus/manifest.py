@@ -34,7 +34,7 @@ READING: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(("fps", "height"), (int, float)),
     "parts": Mapping,
 }
-"""What an item can say of how its motion file is read, and the types of it."""
+"""Options for reading an item's motion file, by name, with their types."""
 
 # A line holds a handful of names and numbers; far more than that is not a manifest.
 _MAX_LINE_BYTES = 1 << 20

@@ -168,7 +168,7 @@ class _Trainer:
         return [*parts, f"{len(representation.joints)} of {joints} modelled"]
 
     def _mode(self) -> str:
-        """What the model is given, for people."""
+        """Return the model's inputs in words."""
         conditions = self.data.conditions
         given = {
             "speech": conditions.conditioner,

@@ -37,7 +37,7 @@ def kind_by_content(start: bytes) -> str | None:
 
 
 def is_report(path: Path) -> bool:
-    """Whether a JSON file holds the figures of an evaluation."""
+    """Return True where a JSON file holds the figures of an evaluation."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""What a file is that there is no sheet for: ours or not, with what to do with it."""
+"""Files that have no sheet of their own: name what they are and what to do with them."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class FootPoint:
 
 
 def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
-    """Where the left foot touches the floor, then where the right one does; none without legs.
+    """Return the points where the left foot touches the floor, then the right; none without legs.
 
     Heel and toe. The heel is the ankle joint. The toe is the toe joint, or where the
     rig has none the farthest end of the foot (a leaf or an end site on the ankle); without that

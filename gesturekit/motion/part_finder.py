@@ -104,7 +104,7 @@ class PartFinder:
         return " and ".join(words)
 
     def _read_names(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
-        """What names and hand tell of joints one by one; limbs are not looked for yet."""
+        """Identify single joints by name or by hand; limbs are not looked for yet."""
         for key in by_hand:
             if key not in KNOWN_PARTS:
                 raise MotionError(

@@ -35,7 +35,7 @@ class _Places(nn.Module):
         joints: Sequence[int],
         points: np.ndarray | None = None,
     ) -> None:
-        """Of one joint of the skeleton at least, or of a point (F, 3) on each, metres from it."""
+        """Take joints of the skeleton, at least one, or a point (F, 3) on each, metres from it."""
         super().__init__()
         skeleton = representation.skeleton
         modelled = [skeleton.index(name) for name in representation.joints]

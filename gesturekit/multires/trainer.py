@@ -179,7 +179,7 @@ class Trainer:
         return [*parts, f"{len(representation.joints)} of {joints} modelled"]
 
     def _mode(self) -> str:
-        """What the model is given, for people."""
+        """Return the model's inputs in words."""
         given = ["speech"] * bool(self.data.conditioner) + ["labels"] * bool(self.data.styles)
         return f"{' and '.join(given)} mode" if given else "no condition"
 

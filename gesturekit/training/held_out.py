@@ -1,4 +1,4 @@
-"""What a training says of its model: sync and speed on recordings that it does not learn from."""
+"""Measure a model in training: sync and speed on recordings that it does not learn from."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MOST_CLIPS = 4
 MOST_SECONDS = 20.0
 """So many clips are measured, and so much of each."""
 EVERY_SECONDS = 300.0
-"""How often a training is measured that has no `eval_every` ..."""
+"""Seconds between measurements of a training without `eval_every` ..."""
 MOST_SHARE = 0.05
 """... or less often, so that measuring takes no more than this share of the time."""
 _PATCH_FRAMES = 30
@@ -93,7 +93,7 @@ class HeldOut:
 
     @property
     def is_held_out(self) -> bool:
-        """Whether the items are of no split that is trained on."""
+        """Return True where no item is of a split that is trained on."""
         return all(item.split != "train" for item in self.items)
 
     @property
@@ -104,7 +104,7 @@ class HeldOut:
         return f"{counted(len(self.items), f'{kind} recording')} ({roughly(seconds)})"
 
     def is_due(self) -> bool:
-        """Whether it is time to measure again."""
+        """Return True where it is time to measure again."""
         return time.monotonic() - self._measured > max(EVERY_SECONDS, self._took / MOST_SHARE)
 
     def measure(

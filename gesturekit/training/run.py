@@ -63,7 +63,7 @@ class Run:
 
     @property
     def has_begun(self) -> bool:
-        """Whether the folder holds a run that can be resumed."""
+        """Return True where the folder holds a run that can be resumed."""
         return (self.folder / "config.yaml").is_file()
 
     def begin(self) -> None:
@@ -126,7 +126,7 @@ class Run:
         ]
 
     def has(self, step: int, kind: str) -> bool:
-        """Whether a line of this kind was logged for a step."""
+        """Return True where a line of this kind was logged for a step."""
         if not self._metrics.exists():
             return False
         lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())

@@ -460,7 +460,7 @@ class _Talker:
         return result
 
     def shares(self, form: Stroke, liveliness: float) -> tuple[float, float]:
-        """How much the left and the right hand do: both, one with a smaller echo, or one alone."""
+        """Draw the share of left and right hand: both, one with a smaller echo, or one alone."""
         if form.hands == "both":
             other = self.rng.uniform(0.85, 1.0)
         else:
@@ -494,7 +494,7 @@ class _Talker:
         return Step(centre, self.rng.uniform(1.1, 1.4) * slow, rest)
 
     def place(self, place: np.ndarray, size: float, share: float) -> np.ndarray:
-        """Where a hand goes: nearer to the centre of the gesture space for a smaller gesture."""
+        """Return the place of a hand, nearer to the centre for a smaller gesture."""
         centre = CENTRE + self.space
         away = (np.asarray(place) - CENTRE) * self.rng.normal(1.0, 0.08, 4)
         if share < 1.0:
