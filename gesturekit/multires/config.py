@@ -87,8 +87,8 @@ class LossConfig:
     """Of the critic's score in its own loss, before the penalty; 1/2 in GANimator."""
     penalty_on: Literal["window", "frame", "printed"] = "window"
     """Norm that the gradient penalty holds at 1: over a window, of the score's sum rather than its
-    mean, so that it does not depend on the length; of each frame's gradient (GANimator); or over a
-    window of the mean score's gradient, as eq. 13 is printed."""
+    mean, so that it does not depend on the length; of each frame's gradient of the scores' sum
+    (GANimator); or over a window of the mean score's gradient, as eq. 13 is printed."""
 
     def __post_init__(self) -> None:
         check_not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})

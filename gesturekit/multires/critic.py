@@ -202,7 +202,7 @@ class _Step:
         towards = gradients[0]
         penalty = level.losses.gradient_penalty / self.count
         penalty_on = level.losses.penalty_on
-        scale = rows.n_frames**0.5 if penalty_on == "window" else 1.0
+        scale = rows.n_frames ** {"window": 0.5, "frame": 1.0, "printed": 0.0}[penalty_on]
         per_frame = penalty_on == "frame"
         penalty_gradient(towards, rows.batch, rows.n_frames, penalty, per_frame, scale)
         mirror_rows(towards, rows.batch, rows.n_frames)

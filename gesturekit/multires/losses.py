@@ -37,7 +37,8 @@ def gradient_penalty(gradient: Tensor, penalty_on: str) -> Tensor:
         penalty_on: whose norm, see `LossConfig.penalty_on`.
     """
     if penalty_on == "frame":
-        return ((gradient.norm(dim=1) - 1) ** 2).mean()
+        # GANimator differentiates the sum of T scores, not their mean.
+        return ((gradient.norm(dim=1) * gradient.shape[-1] - 1) ** 2).mean()
     norm = gradient.flatten(1).norm(dim=1)
     if penalty_on == "window":
         # The score is a mean over T frames, so its gradient shrinks as 1/sqrt(T) with length; long

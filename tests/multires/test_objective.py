@@ -29,7 +29,8 @@ def test_the_gradient_penalty_wants_a_norm_of_one():
     # Two channels, two frames: frame norms 5 and 0, the window's norm is 5.
     gradient = torch.tensor([[[3.0, 0.0], [4.0, 0.0]]])
     assert float(losses.gradient_penalty(gradient, "printed")) == 16.0
-    assert float(losses.gradient_penalty(gradient, "frame")) == (16.0 + 1.0) / 2
+    # GANimator: of the sum over two frames' scores, norms 10 and 0.
+    assert float(losses.gradient_penalty(gradient, "frame")) == (81.0 + 1.0) / 2
     # The gradient of the sum over two frames' scores is sqrt(2) larger in units of the mean's.
     expected = (5 * math.sqrt(2) - 1) ** 2
     assert float(losses.gradient_penalty(gradient, "window")) == pytest.approx(expected)

@@ -104,6 +104,9 @@ DIFFUSION = {
     "dance.yaml": DANCE,
     "dance_unconditional.yaml": DANCE | NO_STYLE,
     "fighting.yaml": ZEROEGGS | MUSIC_AND_MOVES | NO_STYLE | NO_AUDIO | {
+        "network.channels": (256, "ours: A.1 excepts this model"),
+        "network.heads": (8, "ours: A.1 excepts this model"),
+        "network.dilations": ((0, 1, 2), "ours: A.1 excepts this model"),
         "events": (True, "4.1: binary flags for a set of moves"),
         "network.feedforward": (512, "A.1"),
         "network.embedding": (256, "ours: A.1 says reduced"),
@@ -112,6 +115,7 @@ DIFFUSION = {
     },
     "locomotion.yaml": ZEROEGGS | MUSIC_AND_MOVES | NO_AUDIO | {
         "path": (True, "4.1, 4.6: root motion is an input"),
+        "styles.handed": ((), "A.1: the user names them"),
         "training.updates": (292_000, "Table 1"),
     },
 }  # fmt: skip
@@ -156,8 +160,8 @@ SPEECH = {
     "losses.contact_slope": (10.0, "eq. 14"),
     "losses.critic_scale": (1.0, "eq. 12"),
     "losses.penalty_on": ("printed", "eq. 13"),
-    "schedule.first_pair": (15_000, "4.2"),
-    "schedule.further_pairs": (25_000, "4.2"),
+    "schedule.first_pair": (15_000, "4.2, for labels; ours for speech"),
+    "schedule.further_pairs": (25_000, "4.2, for labels; ours for speech, and per pair"),
     "schedule.discriminator_steps": (5, "GANimator"),
     "schedule.generator_steps": (1, "GANimator"),
     "schedule.reconstruction_steps": (1, "GANimator"),
@@ -174,6 +178,7 @@ SPEECH = {
 }
 NO_SPEECH = {"features": (None, "4: labels only")}
 LABELS = {name: SPEECH[name] for name in SPEECH if name != "styles"} | NO_SPEECH | {
+    "fps": (25.0, "ours: 5; 4.3.1 has 30 frames a second"),
     "losses.arm_speed": (3.0, "unused without speech"),
     "schedule.silence": (0.1, "unused without speech"),
     "styles.mixing": (0.9, "4.2"),
