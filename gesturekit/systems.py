@@ -79,8 +79,8 @@ def load(
         weights: folder of WavLM weights, for models that hear by WavLM.
         device: where its networks compute: cpu, cuda, cuda:1, or auto (a GPU if there is one).
             A pyramid of multires stays on the CPU, which makes its motion in milliseconds.
-        dtype: arithmetic of the network: single precision, or bfloat16, in which diffusion takes
-            1.5 to 1.9 times less time on processors that have it. Its motion differs in small things.
+        dtype: arithmetic of the network: single precision, or bfloat16, in which diffusion is
+            1.5 to 1.9 times as fast on processors that have it; its motion differs slightly.
 
     Returns:
         a model, whose `generate` makes motion.

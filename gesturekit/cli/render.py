@@ -108,8 +108,8 @@ GROUPS = {
     type=click.Choice(["fp32", "bf16"]),
     default="fp32",
     show_default=True,
-    help="Arithmetic of diffusion; bf16 is 1.5 to 1.9 times as fast where the processor has it, and "
-    "its motion differs in small things.",
+    help="Arithmetic of diffusion; bf16 is 1.5 to 1.9 times as fast where the processor has it, "
+    "and its motion differs slightly.",
 )
 @click.option(
     "--style",

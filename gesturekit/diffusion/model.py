@@ -377,8 +377,8 @@ class DiffusionModel:
             folder: as written by `save`.
             weights: the WavLM weights it was trained with, where it hears by WavLM.
             device: where the denoiser and WavLM compute: auto, cpu, cuda, cuda:1 ...
-            dtype: the denoiser's arithmetic; `bf16` is faster and takes half the memory on processors
-                that have it, and a network's prediction is then about 1 % off.
+            dtype: the denoiser's arithmetic; `bf16` is faster and takes half the memory on
+                processors that have it, and a network's prediction is then about 1 % off.
 
         Raises:
             ModelError: a part is missing, damaged, or of a newer format; an unknown dtype.
