@@ -73,3 +73,11 @@ def test_joints_beyond_what_was_recorded_count_by_frame(turning):
     assert joint_limit_share(elbow(1.0), limits) == pytest.approx(46 / 202)
     with pytest.raises(MotionError, match="no recording"):
         JointLimits.fit([], ("LeftForeArm",))
+
+
+def test_the_standing_height_is_the_median_while_standing(standing):
+    low = standing_heights(standing)
+    # A fifth of the time it stands a step higher.
+    step = np.zeros((standing.n_frames, 3))
+    step[80:, 1] = 0.2
+    np.testing.assert_allclose(standing_heights(moved(standing, step)), low, atol=1e-9)

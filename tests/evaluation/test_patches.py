@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -189,6 +190,9 @@ def test_features_of_a_motion(gesture, skeleton):
     contacts = features[:, 6 * joints :].reshape(60, feet, 6)
     assert set(np.unique(contacts[..., 0])) <= {0.0, 1.0} and not contacts[..., 1:].any()
     assert not contacts[0].any() and contacts[1:, :, 0].any()
+    still = replace(motion, rotations=np.repeat(motion.rotations[:1], 60, axis=0))
+    labels = patch_features(still)[:, 6 * joints :].reshape(60, feet, 6)[..., 0]
+    assert not labels[0].any() and labels[1:].all(), "GANimator's frame 0 has no contact"
     # Where the body stands is left out; what it does is not.
     moved = type(motion)(skeleton, motion.rotations, motion.translation + 1.0, motion.fps)
     assert patch_features(moved) == pytest.approx(features)

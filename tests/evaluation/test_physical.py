@@ -61,3 +61,8 @@ def test_nothing_to_compare_with_and_too_few_frames_are_errors(turning):
         jerk_ratio(moving, turning({"LeftArm": np.ones(20)}, 30.0))
     with pytest.raises(MotionError, match="has 3 frames; at least 4"):
         jerk(turning({"LeftArm": np.ones(3)}))
+
+
+def test_the_first_and_the_last_frame_have_the_step_beside_them(turning):
+    motion = turning({"LeftArm": np.array([1.0, 2.0, 4.0, 0.0])})
+    assert arm_speed(motion) == pytest.approx([1.0, 1.5, 3.0, 4.0])

@@ -57,3 +57,7 @@ def test_a_motion_is_scaled_to_a_height_with_all_that_moves(gesture):
     for wrong in (0.0, -1.0, float("nan")):
         with pytest.raises(MotionError, match="height is"):
             motion.with_height(wrong)
+
+
+def test_the_scale_is_one_for_a_body_of_the_reference_size(skeleton):
+    assert body_scale(skeleton.scaled(1.4 / (0.84 + 0.6))) == pytest.approx(1.0)

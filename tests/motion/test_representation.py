@@ -112,3 +112,15 @@ def test_the_first_frame_has_the_displacement_of_the_second(gesture):
     representation = MultiresRepresentation.fit([motion])
     dx = representation.encode(motion)[:, representation.root_columns][:, 0]
     np.testing.assert_allclose(dx, 0.5 / 30 / representation.scale, rtol=1e-9)
+
+
+def test_a_performer_of_twice_the_size_steps_twice_as_far(gesture):
+    motion = gesture(1.0)
+    motion.translation[:, 0] += 0.5 * motion.times
+    representation = MultiresRepresentation.fit([motion])
+    values = representation.encode(motion)
+    own, large = (
+        representation.decode(values, motion.fps, skeleton=skeleton).translation
+        for skeleton in (None, motion.skeleton.scaled(2.0))
+    )
+    np.testing.assert_allclose(large, 2 * own, atol=1e-9)
