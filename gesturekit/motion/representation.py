@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.motion.contacts import contact_labels, foot_points
+from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_points
 from gesturekit.motion.model_joints import ModelJoints, reference_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
@@ -29,9 +29,6 @@ from gesturekit.motion.rotations import (
 from gesturekit.motion.skeleton import Skeleton
 
 __all__ = ["CONTACT_SPEED", "MultiresRepresentation", "reference_skeleton"]
-
-CONTACT_SPEED = 0.2
-"""Below this speed (m/s) a foot point counts as standing on the floor."""
 
 _FRAMES_AT_ONCE = 1024  # decoded, so that what a rotation passes through on its way stays small
 
