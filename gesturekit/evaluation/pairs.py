@@ -170,7 +170,7 @@ class Excluded:
 
 @dataclass
 class Pairs:
-    """What was found.
+    """Clips matched with their recordings.
 
     Attributes:
         pairs: in order of stem and name.

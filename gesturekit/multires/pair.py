@@ -398,7 +398,10 @@ class Pair:
                 ]
         else:
             made = self._generate(windows)
-        errors = list(map(losses.reconstruction, made, windows.targets))
+        errors = [
+            losses.reconstruction(generated, recorded)
+            for generated, recorded in zip(made, windows.targets, strict=True)
+        ]
         self._descend(lambda i: {"rec": self.config.losses.reconstruction * errors[i]})
         return float(torch.stack(errors).detach().mean())
 

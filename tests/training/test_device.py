@@ -1,4 +1,4 @@
-"""What is said of the device that networks compute on."""
+"""Warnings about the device that networks compute on."""
 
 from __future__ import annotations
 
