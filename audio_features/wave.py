@@ -13,8 +13,8 @@ import numpy as np
 import soxr
 from numpy.typing import ArrayLike
 
+from audio_features.containers.sound_file import read_sound
 from audio_features.errors import AudioError
-from audio_features.sound_file import read_sound
 
 MIN_SECONDS = Fraction(25, 1000)
 """Shortest sound accepted: 400 samples at 16 kHz, what one WavLM frame sees."""

@@ -23,13 +23,13 @@ import torch.nn.functional as F
 from harness import arguments, compare, report, timed
 from torch import Tensor
 
-from gesturekit.diffusion.attention import Attention
+from gesturekit.diffusion.composition.experts import bounded
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.guidance import bounded
-from gesturekit.diffusion.networks import Conformer, Denoiser, DilatedConv
-from gesturekit.diffusion.sampling import sample
-from gesturekit.diffusion.schedule import NoiseSchedule
-from gesturekit.training.seeds import generator
+from gesturekit.diffusion.network.attention import Attention
+from gesturekit.diffusion.network.denoiser import Conformer, Denoiser, DilatedConv
+from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.solvers import sample
+from gesturekit.training.seeds import rng_for
 
 N_MOTION, N_CONDITION, CLIP = 70, 35, 300
 FEW = 12
@@ -53,11 +53,11 @@ def network() -> Denoiser:
 
 
 def noise_at(k: int, n_frames: int = CLIP) -> Tensor:
-    return torch.randn(1, n_frames, N_MOTION, generator=generator("bench", k))
+    return torch.randn(1, n_frames, N_MOTION, generator=rng_for("bench", k))
 
 
 def condition(n_frames: int) -> Tensor:
-    return torch.randn(1, n_frames, N_CONDITION, generator=generator("condition"))
+    return torch.randn(1, n_frames, N_CONDITION, generator=rng_for("condition"))
 
 
 class Plain:

@@ -20,12 +20,12 @@ import torch.nn.functional as F
 from harness import arguments, compare, report
 
 import audio_features as af
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
-from gesturekit.motion.representation import MultiresRepresentation
-from gesturekit.multires.chunks import CHUNK, sample
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.networks import SLOPE, MultiresGenerator
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.networks import SLOPE, MultiresGenerator
+from gesturekit.multires.sampling.tiling import CHUNK, sample
 
 FPS, LEVELS = 30, 7
 HOUR = 3600 * FPS

@@ -32,18 +32,18 @@ from torch import Tensor, nn
 import audio_features as af
 from gesturekit.corpus import prepare
 from gesturekit.formats import write_bvh
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.networks import SLOPE
-from gesturekit.multires.pair import Pair
-from gesturekit.multires.skeleton_conv import block_neighbours
-from gesturekit.multires.trainer import Trainer
+from gesturekit.multires.network.networks import SLOPE
+from gesturekit.multires.network.skeleton_conv import block_neighbours
+from gesturekit.multires.training.kinematics import VectorKinematics
+from gesturekit.multires.training.stage import Pair
+from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.config import load_config, to_dict
-from gesturekit.training.processes import Processes
-from gesturekit.training.run import Run
+from gesturekit.training.run.folder import Run
+from gesturekit.training.run.processes import Processes
 
 FRAMES, FPS, LEVELS = 648, 30, 7
 LENGTHS = (129, 172, 229, 305, 406, 541, 648)

@@ -11,8 +11,8 @@ import torch
 import torch.nn.functional as F
 from harness import arguments, compare, report
 
-from gesturekit.multires.interpolation import reflect
-from gesturekit.multires.skeleton_conv import SkeletonConv1d
+from gesturekit.multires.network.resampling import reflect
+from gesturekit.multires.network.skeleton_conv import SkeletonConv1d
 
 BLOCKS, WIDTH, KERNEL, MEAN_NEIGHBOURS = 29, 6, 5, 6
 

@@ -1,17 +1,83 @@
-"""The interface that models of every system have, as type checkers and editors know it."""
+"""The interface that models of every system have, and the controls that all of them take."""
 
 from __future__ import annotations
 
+import dataclasses
+import difflib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypedDict, overload, runtime_checkable
 
+from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from gesturekit.corpus.speech import Speech
     from gesturekit.motion.root_path import RootPath
+
+
+@dataclass(frozen=True, kw_only=True)
+class Controls:
+    """Controls of `generate` that models of every system take; each system adds its own.
+
+    The docstrings of the fields are also the help texts of `gesturekit render`.
+    """
+
+    style: str | None = None
+    """A style that the model knows, or several over time: old@0-10,angry@10-20 (seconds)."""
+    path: str | Path | RootPath | Motion | None = None
+    """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path to
+    follow."""
+    like: str | Path | Motion | None = None
+    """A motion, of any rig of a person, to redo in the style of the model's recordings."""
+    speaker: str | None = None
+    """The speaker whose skeleton to use, one of the model's `speakers`."""
+    foot_lock: bool = True
+    """Lock planted feet in place; without it, feet stay as the model generated them."""
+    smooth: float | None = None
+    """Smooth upper-body movements shorter than this many seconds; beats keep their time and
+    height. 0 turns smoothing off; the default is stored with the model."""
+    fps: float | None = None
+    """Frames per second of the result; by default those of the training recordings."""
+
+    @classmethod
+    def build(cls, keywords: Mapping[str, Any], kind: str) -> Controls:
+        """Build the controls of one call.
+
+        Args:
+            keywords: by field name. None stands for a control that is not given.
+            kind: name of the system, for errors.
+
+        Raises:
+            UnknownControlError: a control that this system does not have.
+        """
+        names = [field.name for field in dataclasses.fields(cls)]
+        for name, value in keywords.items():
+            if name not in names and value is not None:
+                near = difflib.get_close_matches(name, names, n=1)
+                hint = f"; did you mean {near[0]}?" if near else ""
+                raise UnknownControlError(
+                    f"{name}={value!r}: {kind} models have no control {name}{hint}"
+                )
+        return cls(**{name: value for name, value in keywords.items() if name in names})
+
+
+class UnknownControlError(ModelError, TypeError):
+    """A control of `generate` that a system does not have."""
+
+
+class ControlArguments(TypedDict, total=False):
+    """Keywords of `Controls`, for type checkers; each system extends it as `Controls`."""
+
+    style: str | None
+    path: str | Path | RootPath | Motion | None
+    like: str | Path | Motion | None
+    speaker: str | None
+    foot_lock: bool
+    smooth: float | None
+    fps: float | None
 
 
 @runtime_checkable
@@ -49,15 +115,6 @@ class Model(Protocol):
         seconds: float | None = None,
         samples: Literal[1] = 1,
         seed: int = 0,
-        style: str | None = None,
-        path: str | Path | RootPath | Motion | None = None,
-        events: str | Path | None = None,
-        guidance: float | None = None,
-        like: str | Path | Motion | None = None,
-        speaker: str | None = None,
-        foot_lock: bool = True,
-        smooth: float | None = None,
-        fps: float | None = None,
         **controls: Any,
     ) -> Motion: ...
 
@@ -70,15 +127,6 @@ class Model(Protocol):
         seconds: float | None = None,
         samples: int,
         seed: int = 0,
-        style: str | None = None,
-        path: str | Path | RootPath | Motion | None = None,
-        events: str | Path | None = None,
-        guidance: float | None = None,
-        like: str | Path | Motion | None = None,
-        speaker: str | None = None,
-        foot_lock: bool = True,
-        smooth: float | None = None,
-        fps: float | None = None,
         **controls: Any,
     ) -> list[Motion]: ...
 

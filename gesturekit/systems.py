@@ -30,14 +30,14 @@ SYSTEMS = {
     "multires": System(
         model="gesturekit.multires.model:MultiresModel",
         config="gesturekit.multires.config:MultiresConfig",
-        train="gesturekit.multires.trainer:train",
-        plan="gesturekit.multires.trainer:plan",
+        train="gesturekit.multires.training.trainer:train",
+        plan="gesturekit.multires.training.trainer:plan",
     ),
     "diffusion": System(
         model="gesturekit.diffusion.model:DiffusionModel",
         config="gesturekit.diffusion.config:DiffusionConfig",
-        train="gesturekit.diffusion.trainer:train",
-        plan="gesturekit.diffusion.trainer:plan",
+        train="gesturekit.diffusion.training.trainer:train",
+        plan="gesturekit.diffusion.training.trainer:plan",
     ),
 }
 

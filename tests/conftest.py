@@ -331,6 +331,6 @@ def _capsule_body(rig: Skeleton, pelvis: np.ndarray) -> dict[str, Any]:
 @pytest.fixture(scope="session")
 def capsule_body() -> Callable[[int], dict[str, Any]]:
     """capsule_body(24): arrays of a body model made of tubes, as SMPL's own files hold them."""
-    from gesturekit.formats.smpl import model_pelvis, smpl_skeleton
+    from gesturekit.formats.smpl.skeleton import model_pelvis, smpl_skeleton
 
     return lambda n_joints: _capsule_body(smpl_skeleton(n_joints), model_pelvis(n_joints))

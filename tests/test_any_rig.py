@@ -16,14 +16,14 @@ from scipy.spatial.transform import Rotation
 import gesturekit as gk
 from gesturekit.corpus import prepare
 from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.diffusion.trainer import train as train_diffusion
+from gesturekit.diffusion.training.trainer import train as train_diffusion
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.root_path import RootPath
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.trainer import train as train_multires
+from gesturekit.multires.training.trainer import train as train_multires
 from gesturekit.rendering.render import Output, render
 from gesturekit.training.config import build
 

@@ -12,10 +12,10 @@ from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.networks import Denoiser
+from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ModelError, MotionError
-from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.systems import bundled_speech
 from gesturekit.training.seeds import seeded

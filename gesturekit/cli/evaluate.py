@@ -19,7 +19,7 @@ from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
-    from gesturekit.evaluation.results import ModelResult
+    from gesturekit.evaluation.report.results import ModelResult
 
 
 @click.command(
@@ -247,7 +247,7 @@ def _trained_on(model: ModelResult, name: str) -> str:
     """
     from gesturekit.evaluation.pairs import Stretch
     from gesturekit.systems import model_folder
-    from gesturekit.training.sources import is_trained_on, load_sources
+    from gesturekit.training.data.sources import is_trained_on, load_sources
 
     sources = load_sources(_made_by(model.path) or model_folder(name))
     measured = {clip.pair.stem: clip.pair for clip in model.clips}
@@ -368,7 +368,7 @@ def _table(found: Evaluation) -> list[str]:
     """One line a measure: each model's mean and interval, and the recordings' own."""
     from tqdm.utils import disp_len
 
-    from gesturekit.evaluation.tables import number
+    from gesturekit.evaluation.report.tables import number
 
     rows = [["", *(model.label for model in found.models), "recording"]]
     for definition in found.definitions():

@@ -21,7 +21,7 @@ from gesturekit.errors import CorpusError
 
 if TYPE_CHECKING:
     from audio_features import Wave
-    from gesturekit.formats.events import Event
+    from gesturekit.formats.tables.events import Event
     from gesturekit.motion import Motion
     from gesturekit.motion.root_path import RootPath
 
@@ -58,8 +58,8 @@ class Item:
         text: what is said, or None.
         mirror: True where the motion is to be used mirrored, left for right.
         conditions: further files that go with the whole recording, {name: absolute path}:
-            `events`, a table of what happens (`gesturekit.formats.events`), and `path`, where the
-            root goes (`gesturekit.formats.root_path`; else it goes where the motion does).
+            `events`, a table of what happens (`formats.tables.events`), and `path`, where
+            the root goes (`formats.tables.root_path`; else it goes where the motion does).
         reading: how the motion file is read where that was not left to detection: `unit`, `up`,
             `forward` of its axes, its true `fps`, the `height` in metres to which its body is
             scaled, and the `parts` named by hand that its height depends on.
@@ -163,7 +163,7 @@ class Item:
         """
         if "events" not in self.conditions:
             return ()
-        from gesturekit.formats.events import Event, load_events
+        from gesturekit.formats.tables.events import Event, load_events
 
         begins = self.audio_start if self.motion is None else self.motion_start
         heard = []
@@ -187,7 +187,7 @@ class Item:
         """
         if "path" not in self.conditions:
             return None
-        from gesturekit.formats.root_path import load_root_path
+        from gesturekit.formats.tables.root_path import load_root_path
 
         begins = self.audio_start if self.motion is None else self.motion_start
         path = load_root_path(self.conditions["path"], scale)

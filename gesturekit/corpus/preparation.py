@@ -53,8 +53,8 @@ def prepare(
     """Find, check and split recordings, and write the manifest where any are usable.
 
     Sound and motion of a pair are taken to begin together. Tables beside a recording become its
-    conditions: STEM.events.csv (`gesturekit.formats.events`) and STEM.path.csv
-    (`gesturekit.formats.root_path`). A problem of one recording never stops the others: it is
+    conditions: STEM.events.csv (`gesturekit.formats.tables.events`) and STEM.path.csv
+    (`formats.tables.root_path`). A problem of one recording never stops the others: it is
     reported with its file, and errors leave that recording out.
 
     Args:

@@ -18,8 +18,8 @@ from gesturekit.corpus.problem import Problem
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conversion import load
 from gesturekit.formats.doubts import doubts
-from gesturekit.formats.events import load_events
-from gesturekit.formats.root_path import load_root_path
+from gesturekit.formats.tables.events import load_events
+from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.body_size import body_height
 from gesturekit.wording import counted

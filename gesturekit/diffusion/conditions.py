@@ -20,9 +20,9 @@ from torch import Tensor
 
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ModelError
-from gesturekit.formats.events import Event
+from gesturekit.formats.tables.events import Event
 from gesturekit.motion.root_path import RootPath
-from gesturekit.training.features import (
+from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
     load_conditioner,

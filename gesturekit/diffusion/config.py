@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from gesturekit.errors import ConfigError
-from gesturekit.training.features import FeatureConfig
+from gesturekit.training.data.features import FeatureConfig
 from gesturekit.training.run_config import RunConfig, check_positive, check_share
 
 

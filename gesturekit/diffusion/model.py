@@ -12,26 +12,25 @@ import torch
 from torch import Tensor
 
 from gesturekit.corpus.speech import Speech, as_speech, at_rate
+from gesturekit.diffusion.composition.experts import bounded
+from gesturekit.diffusion.composition.product import Product
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.guidance import bounded
-from gesturekit.diffusion.networks import Denoiser
-from gesturekit.diffusion.product import Product
-from gesturekit.diffusion.request import Request, check_events
-from gesturekit.diffusion.sampling import SOLVERS, Predict, Solver, chosen_steps, sample
-from gesturekit.diffusion.schedule import NoiseSchedule
+from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.request import Request, check_events
+from gesturekit.diffusion.sampling.sdedit import CHANGE, Start
+from gesturekit.diffusion.sampling.solvers import SOLVERS, Predict, Solver, chosen_steps, sample
+from gesturekit.diffusion.sampling.tiling import LONGEST, windowed
 from gesturekit.diffusion.standardiser import Standardiser
-from gesturekit.diffusion.start import CHANGE, Start
-from gesturekit.diffusion.windows import LONGEST, windowed
 from gesturekit.errors import ModelError, MotionError, gesturekit_errors
-from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.device import prepare_device, warn_of_slow_bfloat16
 from gesturekit.training.model_folder import (
     ModelParts,
     load_model,
@@ -39,7 +38,8 @@ from gesturekit.training.model_folder import (
     rates,
     save_model,
 )
-from gesturekit.training.seeds import checked_seed, generator
+from gesturekit.training.run.device import prepare_device, warn_of_slow_bfloat16
+from gesturekit.training.seeds import checked_seed, rng_for
 
 _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 
@@ -455,7 +455,7 @@ class _Noise:
     def __call__(self, step: int) -> Tensor:
         """(B, T, X)."""
         drawn = [
-            torch.randn(self.shape, generator=generator(self.seed, "sample", n, "noise", step))
+            torch.randn(self.shape, generator=rng_for(self.seed, "sample", n, "noise", step))
             for n in self.numbers
         ]
         return torch.stack(drawn).to(self.device)

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from gesturekit.evaluation.patches import THRESHOLD
+from gesturekit.evaluation.metrics.patches import THRESHOLD
 
 SPEECH, MOVEMENT, LIKENESS, PATCHES, FRECHET = GROUPS = (
     "Speech",
@@ -25,7 +25,7 @@ SPEECH, MOVEMENT, LIKENESS, PATCHES, FRECHET = GROUPS = (
 
 @dataclass(frozen=True)
 class PatchOptions:
-    """How patches are compared; see `gesturekit.evaluation.patches`."""
+    """How patches are compared; see `gesturekit.evaluation.metrics.patches`."""
 
     variant: str = "ganimator"
     threshold: float | None = None

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gesturekit.evaluation.clip_metrics import Known, Measurer
 from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, PatchOptions
-from gesturekit.evaluation.measures import Known, Measurer
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints

@@ -8,19 +8,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation import likeness, physical
+from gesturekit.evaluation.clip_metrics import Measurer
 from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import FRECHET, LIKENESS, PATCHES
-from gesturekit.evaluation.distributions import SpeedHistogram, hellinger
-from gesturekit.evaluation.frechet import FrechetResult, div_g, div_k, fgd, fid_g, fid_k, raw_fgd
 from gesturekit.evaluation.intervals import Interval, interval_of, interval_of_statistic
-from gesturekit.evaluation.measures import Measurer
-from gesturekit.evaluation.patches import inter_diversity, patch_features
-from gesturekit.evaluation.results import Figure
+from gesturekit.evaluation.metrics import likeness, physical
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
+from gesturekit.evaluation.metrics.frechet.frechet import (
+    FrechetResult,
+    div_g,
+    div_k,
+    fgd,
+    fid_g,
+    fid_k,
+    raw_fgd,
+)
+from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
+from gesturekit.evaluation.report.results import Figure
 from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
 
 INTER_SAMPLES = 20
 """Samples of one recording that are compared with each other, as SinMDM does."""

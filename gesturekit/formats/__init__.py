@@ -1,8 +1,8 @@
 """Motion files in and out: BVH, npz of our own and of SMPL rigs, EasyMocap, meshes."""
 
-from gesturekit.formats.bvh import read_bvh, write_bvh
-from gesturekit.formats.easymocap import read_easymocap
+from gesturekit.formats.bvh.bvh import read_bvh, write_bvh
 from gesturekit.formats.npz import read_npz, write_npz
 from gesturekit.formats.obj import write_obj
+from gesturekit.formats.smpl.easymocap import read_easymocap
 
 __all__ = ["read_bvh", "read_easymocap", "read_npz", "write_bvh", "write_npz", "write_obj"]

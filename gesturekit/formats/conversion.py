@@ -14,7 +14,7 @@ import numpy as np
 from gesturekit.errors import ConfigError, FormatError, GestureKitError
 from gesturekit.formats.changes import Changes
 from gesturekit.formats.doubts import doubts
-from gesturekit.formats.smpl import is_smpl
+from gesturekit.formats.smpl.skeleton import is_smpl
 from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, Job, plan, unreadable_media
 from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted

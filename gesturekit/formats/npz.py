@@ -3,7 +3,7 @@
 Native keys (format 1): `gk_version, names, parents, offsets, rotation_orders, end_site_joints,
 end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`, and where they
 are known `parts_by_hand, part_joints, body_betas, body_pelvis, body_up, gender, model,
-expressions`. On a rig of the SMPL family the keys of `gesturekit.formats.amass` stand beside them.
+expressions`. On a rig of the SMPL family the keys of `smpl.amass` stand beside them.
 
 Who reads what: the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the tools around
 BEAT2 read what is written by default. The add-on's format AMASS wants `up="z"`. aitviewer
@@ -24,9 +24,9 @@ import numpy as np
 from gesturekit.archive import Archive, open_archive
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.amass import body_info, from_amass, to_amass, with_expressions
-from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.formats.smpl.amass import body_info, from_amass, to_amass, with_expressions
+from gesturekit.formats.smpl.skeleton import RIGS, as_smpl, fit_body, is_smpl
+from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 

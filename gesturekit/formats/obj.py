@@ -8,8 +8,8 @@ import numpy as np
 
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError
-from gesturekit.formats.smpl import fit_body
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.formats.smpl.skeleton import fit_body
+from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.motion import Motion
 
 

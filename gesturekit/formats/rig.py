@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.smpl import RIGS, as_smpl, is_smpl, smpl_skeleton
+from gesturekit.formats.smpl.skeleton import RIGS, as_smpl, is_smpl, smpl_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 
@@ -52,7 +52,7 @@ class Rig:
                 f"rig {name!r}: no such file; give a motion file that has the rig, or one of "
                 f"{', '.join(RIGS)}"
             )
-        from gesturekit.motion.standing import standing_pose
+        from gesturekit.motion.retarget.standing_pose import standing_pose
 
         motion = Motion.load(name)
         try:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gesturekit.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.formats.easymocap import SUBFOLDERS
+from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.wording import listed
 
 MOTION_SUFFIXES = (".bvh", ".npz")

@@ -9,8 +9,8 @@ from typing import Any
 
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.inspection.sheet import Sheet, size, span
-from gesturekit.training.checkpoint import Checkpoints
 from gesturekit.training.config import read_yaml
+from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.wording import listed
 
 _ALIVE = 120.0

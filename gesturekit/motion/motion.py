@@ -24,13 +24,13 @@ LOWEST_FPS, HIGHEST_FPS = 1e-5, 1e5
 
 # The one step upwards: files are read and written by packages that build on this one.
 _READERS = {
-    ".bvh": ("gesturekit.formats.bvh", "read_bvh"),
+    ".bvh": ("gesturekit.formats.bvh.bvh", "read_bvh"),
     ".npz": ("gesturekit.formats.npz", "read_npz"),
-    ".json": ("gesturekit.formats.easymocap", "read_easymocap"),
-    "a folder": ("gesturekit.formats.easymocap", "read_easymocap"),
+    ".json": ("gesturekit.formats.smpl.easymocap", "read_easymocap"),
+    "a folder": ("gesturekit.formats.smpl.easymocap", "read_easymocap"),
 }
 _WRITERS = {
-    ".bvh": ("gesturekit.formats.bvh", "write_bvh"),
+    ".bvh": ("gesturekit.formats.bvh.bvh", "write_bvh"),
     ".npz": ("gesturekit.formats.npz", "write_npz"),
     ".obj": ("gesturekit.formats.obj", "write_obj"),
     ".html": ("gesturekit.viewer", "write_html"),

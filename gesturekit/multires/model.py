@@ -13,20 +13,20 @@ import audio_features as af
 from gesturekit.corpus.speech import Speech, SpeechConditioner, as_speech, at_rate, hear
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion, checked_fps
-from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.data import Normaliser
-from gesturekit.multires.generation import Generation
-from gesturekit.multires.interpolation import resample
 from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
-from gesturekit.multires.networks import MultiresGenerator
-from gesturekit.multires.pyramid import Pyramid
-from gesturekit.multires.request import Request, check_controls
-from gesturekit.multires.styles import level_track
-from gesturekit.training.device import prepare_device
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.sampling.pyramid import Pyramid
+from gesturekit.multires.sampling.request import Request, check_controls
+from gesturekit.multires.sampling.sampler import Generation
+from gesturekit.multires.sampling.styles import level_track
+from gesturekit.multires.training.data import Normaliser
 from gesturekit.training.model_folder import load_model, model_readme, rates, save_model
+from gesturekit.training.run.device import prepare_device
 from gesturekit.training.seeds import checked_seed
 
 

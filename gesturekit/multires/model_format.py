@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 from torch import Tensor
 
 from gesturekit.motion.motion import checked_fps
-from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.data import Normaliser
-from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.training.data import Normaliser
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.features import (
+from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
     load_conditioner,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.motion.contacts import FootPoint, foot_points
-from gesturekit.motion.end_sites import real_end_sites
 from gesturekit.motion.parts import SIDES, find_legs, find_parts
+from gesturekit.motion.parts.end_sites import real_end_sites
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 

@@ -7,7 +7,7 @@
    (`pinning`), but never pulled down in flight: a foot rolls onto the floor and off it as it did.
    The ball holds while the heel lifts; a flat foot holds by both, turned as a whole.
 4. No foot sinks deeper than it was, and the hips come down a little where a leg is too short.
-5. Two-bone IK (`gesturekit.motion.ik`) turns hips and knees; the ankle keeps the foot's
+5. Two-bone IK (`gesturekit.motion.ik.two_bone`) turns hips and knees; the ankle keeps the foot's
    orientation, the toes lie as they lay.
 
 Frames without contact come back as they were.
@@ -21,11 +21,11 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.body_size import body_scale
-from gesturekit.motion.ik import reachable, two_bone_ik
+from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
-from gesturekit.motion.planting import GIVE_WAY, smooth_above
+from gesturekit.motion.retarget.feet import GIVE_WAY, smooth_above
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,

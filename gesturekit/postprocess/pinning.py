@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gesturekit.motion.ik import reachable
+from gesturekit.motion.ik.two_bone import reachable
 from gesturekit.postprocess.contact_spans import Span
 
 BLEND = 0.15

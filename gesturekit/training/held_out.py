@@ -16,12 +16,12 @@ import audio_features as af
 from gesturekit.corpus.manifest import Item, Manifest
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.frame_rate import at_rate
-from gesturekit.evaluation.listening import sync
-from gesturekit.evaluation.patches import coverage, patch_features
-from gesturekit.evaluation.physical import HARDLY_MOVING, arm_speed, joint_speed
+from gesturekit.evaluation.metrics.patches import coverage, patch_features
+from gesturekit.evaluation.metrics.physical import HARDLY_MOVING, arm_speed, joint_speed
+from gesturekit.evaluation.metrics.sync import sync
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
-from gesturekit.training.run import Run
+from gesturekit.training.run.folder import Run
 from gesturekit.training.run_config import RunConfig
 from gesturekit.wording import counted, roughly
 

@@ -1,6 +1,6 @@
 """Random numbers that depend on what they are for, not on what was drawn before.
 
-A trainer that asks for `generator(seed, "pair", 2, "iteration", 417)` needs no random state in its
+A trainer that asks for `rng_for(seed, "pair", 2, "iteration", 417)` needs no random state in its
 checkpoints: a resumed run asks for the same numbers again.
 """
 
@@ -30,8 +30,8 @@ def checked_seed(seed: int) -> int:
         raise ModelError(f"seed={seed!r}: give a whole number") from None
 
 
-def generator(*keys: int | str) -> torch.Generator:
-    """A CPU generator seeded by the keys alone."""
+def rng_for(*keys: int | str) -> torch.Generator:
+    """Return a CPU generator seeded by the keys alone."""
     text = "\x1f".join(f"{type(key).__name__}:{key}" for key in keys)
     digest = hashlib.sha256(text.encode()).digest()
     # 63 bits: manual_seed takes a signed 64-bit number.
@@ -41,5 +41,5 @@ def generator(*keys: int | str) -> torch.Generator:
 def seeded(keys: tuple[int | str, ...], make: Callable[[], Made]) -> Made:
     """Build something whose initial weights depend on the keys alone."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(generator(*keys).initial_seed())
+        torch.manual_seed(rng_for(*keys).initial_seed())
         return make()

@@ -24,8 +24,8 @@ import numpy as np
 from audio_features import Wave
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import GestureKitError, MotionError
-from gesturekit.formats.smpl import fit_body
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.formats.smpl.skeleton import fit_body
+from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.skin import Skin, steady_turns
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline

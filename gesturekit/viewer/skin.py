@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model.model import BodyModel
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion

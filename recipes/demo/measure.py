@@ -21,7 +21,7 @@ from texts import ENGLISH
 import gesturekit as gk
 from audio_features import Wave
 from gesturekit.evaluation import sync
-from gesturekit.evaluation.physical import joint_speed
+from gesturekit.evaluation.metrics.physical import joint_speed
 
 VOICES = ("en-us+m5", "en+f3", "en-gb-x-rp+m6", "en-us+f5")
 """Voices that `prepare.py` never uses."""

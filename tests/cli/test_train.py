@@ -9,7 +9,7 @@ import shutil
 
 import pytest
 
-from gesturekit.multires.pair import Pair
+from gesturekit.multires.training.stage import Pair
 from gesturekit.training.config import read_yaml
 from gesturekit.training.held_out import HeldOut
 

@@ -10,11 +10,11 @@ import torch
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig, NetworkConfig, NoiseConfig
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.networks import Denoiser
+from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.standardiser import Standardiser
-from gesturekit.motion.delta_representation import DeltaRepresentation
 from gesturekit.training.config import build
-from gesturekit.training.seeds import generator, seeded
+from gesturekit.training.seeds import rng_for, seeded
 
 SMALL = NetworkConfig(blocks=3, layers=2, channels=32, heads=4, feedforward=48, embedding=24)
 
@@ -31,7 +31,7 @@ def shaken() -> Callable[..., Denoiser]:
         network = Denoiser(n_motion, n_condition, config).eval()
         torch.nn.init.normal_(network.leave.weight, std=config.channels**-0.5)
         for name, value in network.named_parameters():
-            rng = generator("shaken", name)
+            rng = rng_for("shaken", name)
             if name.endswith("bias.amplitudes"):
                 value.data = torch.randn(value.shape, generator=rng) * 3
             elif name.endswith(("bias.widths", "bias.floors")):
@@ -69,7 +69,7 @@ def untrained(gesture) -> Callable[..., DiffusionModel]:
         representation = ways[not conditions.path]
         width = representation.n_features
         network = seeded(("untrained", seed), lambda: Denoiser(width, conditions.width, TINY))
-        torch.nn.init.normal_(network.leave.weight, std=0.5, generator=generator("leave", seed))
+        torch.nn.init.normal_(network.leave.weight, std=0.5, generator=rng_for("leave", seed))
         return DiffusionModel(
             fps=30.0,
             representation=representation,

@@ -7,7 +7,8 @@ import math
 import pytest
 import torch
 
-from gesturekit.diffusion.attention import (
+from gesturekit.diffusion.config import NetworkConfig
+from gesturekit.diffusion.network.attention import (
     Band,
     PositionBias,
     attend,
@@ -15,13 +16,12 @@ from gesturekit.diffusion.attention import (
     bias_of_blocks,
     blocks_of,
 )
-from gesturekit.diffusion.config import NetworkConfig
-from gesturekit.training.seeds import generator
+from gesturekit.training.seeds import rng_for
 
 
 def bent_bias(config: NetworkConfig) -> PositionBias:
     bias = PositionBias(config)
-    rng = generator("bias")
+    rng = rng_for("bias")
     with torch.no_grad():
         bias.amplitudes.copy_(torch.randn(bias.amplitudes.shape, generator=rng) * 3)
         bias.offsets.copy_(torch.randn(bias.offsets.shape, generator=rng) * 15)
@@ -76,7 +76,7 @@ def test_blocks_cover_every_frame_once_and_see_the_reach(n_frames):
 def test_blocks_equal_the_full_computation(gradients):
     config, n_frames = NetworkConfig(kernels=4), 300
     bias = bent_bias(config)
-    rng = generator("qkv")
+    rng = rng_for("qkv")
     q, k, v = torch.randn(3, 1, 8, n_frames, 32, generator=rng) * 2
     exact = (
         torch.softmax(
@@ -99,8 +99,8 @@ def test_blocks_equal_the_full_computation(gradients):
 def test_gradients_of_blocks_equal_those_of_the_full_computation():
     config, n_frames = NetworkConfig(heads=2, channels=16, kernels=5), 260
     bias = bent_bias(config)
-    q, k, v = torch.randn(3, 1, 2, n_frames, 8, generator=generator("qkv")).requires_grad_()
-    weight = torch.randn(1, 2, n_frames, 8, generator=generator("weight"))
+    q, k, v = torch.randn(3, 1, 2, n_frames, 8, generator=rng_for("qkv")).requires_grad_()
+    weight = torch.randn(1, 2, n_frames, 8, generator=rng_for("weight"))
     inputs = [q, k, v, bias.amplitudes, bias.offsets, bias.widths, bias.floors]
 
     def gradients(made: list[Band]) -> list[torch.Tensor]:

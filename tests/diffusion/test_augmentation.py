@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import gesturekit as gk
-from gesturekit.diffusion.augmentation import (
+from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.training.augmentation import (
     mirror_condition,
     other_side,
     phases,
@@ -17,11 +18,10 @@ from gesturekit.diffusion.augmentation import (
     stretch_factor,
 )
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.feet import foot_skate
-from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.evaluation.metrics.feet import foot_skate
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
-from gesturekit.training.seeds import generator
+from gesturekit.training.seeds import rng_for
 
 
 @pytest.fixture
@@ -130,11 +130,11 @@ def test_stretching_does_not_make_feet_slide(shared_data):
 
 
 def test_a_share_of_the_windows_is_stretched():
-    factors = np.array([stretch_factor(generator("test", k), 0.2) for k in range(2000)])
+    factors = np.array([stretch_factor(rng_for("test", k), 0.2) for k in range(2000)])
     assert np.mean(factors != 1.0) == pytest.approx(0.2, abs=0.03)
     assert factors.min() < 0.91 < 1.09 < factors.max()
     assert 0.9 <= factors.min() <= factors.max() <= 1.1
-    assert stretch_factor(generator("a"), 1.0) == stretch_factor(generator("a"), 1.0)
+    assert stretch_factor(rng_for("a"), 1.0) == stretch_factor(rng_for("a"), 1.0)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.errors import ModelError
-from gesturekit.formats.events import Event
+from gesturekit.formats.tables.events import Event
 from gesturekit.motion.root_path import RootPath
 
 FPS = 30.0

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from gesturekit.corpus import Manifest, prepare
-from gesturekit.diffusion.batches import Batches
 from gesturekit.diffusion.conditions import smooth_path
-from gesturekit.diffusion.data import TrainingData
-from gesturekit.diffusion.loading import load_training_data
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.trainer import train
+from gesturekit.diffusion.training.batches import Batches
+from gesturekit.diffusion.training.data import TrainingData
+from gesturekit.diffusion.training.loading import load_training_data
+from gesturekit.diffusion.training.trainer import train
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 

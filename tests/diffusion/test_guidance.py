@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from gesturekit.diffusion.composition.experts import FARTHEST, Expert, Mixture, bounded
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.guidance import FARTHEST, Expert, Mixture, bounded
-from gesturekit.diffusion.networks import Denoiser
-from gesturekit.diffusion.sampling import sample
-from gesturekit.diffusion.schedule import NoiseSchedule
+from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.errors import ModelError
-from gesturekit.training.seeds import generator, seeded
+from gesturekit.training.seeds import rng_for, seeded
 
 FRAMES, MOTION, CONDITION = 40, 5, 3
 CONFIG = NetworkConfig(blocks=2, layers=1, channels=16, heads=2, feedforward=32, embedding=16)
@@ -29,7 +29,7 @@ def network(seed: int, n_condition: int = CONDITION, n_motion: int = MOTION) -> 
 
 
 def noise(*keys: int | str, width: int = MOTION) -> torch.Tensor:
-    return torch.randn(1, FRAMES, width, generator=generator("noise", *keys))
+    return torch.randn(1, FRAMES, width, generator=rng_for("noise", *keys))
 
 
 def expert(seed: int, told: int = 0, schedule: NoiseSchedule = SCHEDULE) -> Expert:

@@ -16,8 +16,8 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import smooth_path
-from gesturekit.diffusion.event_times import asked_events
-from gesturekit.diffusion.networks import Denoiser
+from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.sampling.event_times import asked_events
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.inspection import inspect

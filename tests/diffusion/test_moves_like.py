@@ -8,7 +8,7 @@ import torch
 
 from gesturekit.corpus import prepare
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.trainer import train
+from gesturekit.diffusion.training.trainer import train
 from gesturekit.errors import ConfigError, ModelError
 
 

@@ -10,11 +10,11 @@ import torch
 import torch.nn.functional as F
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from gesturekit.diffusion import attention
 from gesturekit.diffusion.config import NetworkConfig
-from gesturekit.diffusion.networks import Denoiser, DilatedConv
+from gesturekit.diffusion.network import attention
+from gesturekit.diffusion.network.denoiser import Denoiser, DilatedConv
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training.seeds import generator
+from gesturekit.training.seeds import rng_for
 
 DIFFWAVE = NetworkConfig(
     blocks=4, channels=16, embedding=24, dilations=(1, 2, 4, 8), architecture="diffwave"
@@ -22,7 +22,7 @@ DIFFWAVE = NetworkConfig(
 
 
 def inputs(n_frames: int, batch: int = 2) -> tuple[torch.Tensor, torch.Tensor]:
-    rng = generator("inputs", n_frames)
+    rng = rng_for("inputs", n_frames)
     noisy = torch.randn(batch, n_frames, 7, generator=rng)
     return noisy, torch.randn(batch, n_frames, 5, generator=rng)
 
@@ -48,7 +48,7 @@ def test_dilated_convolution_is_a_convolution(sizes):
     else:
         kernel = layer.weight.view(3, n_out, n_in).permute(1, 2, 0)
     for n_frames in (1, 2, 3, 20):
-        x = torch.randn(2, n_frames, n_in, generator=generator("conv", n_frames))
+        x = torch.randn(2, n_frames, n_in, generator=rng_for("conv", n_frames))
         exact = F.conv1d(x.transpose(1, 2), kernel, layer.bias, padding=3, dilation=3)
         torch.testing.assert_close(layer(x), exact.transpose(1, 2))
 

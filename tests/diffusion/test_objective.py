@@ -9,10 +9,10 @@ import torch
 
 from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.losses import change_error, denoising_error
-from gesturekit.diffusion.sampling import sample
-from gesturekit.diffusion.schedule import NoiseSchedule
-from gesturekit.diffusion.trainer import _Trainer
-from gesturekit.training.session import session
+from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.solvers import sample
+from gesturekit.diffusion.training.trainer import _Trainer
+from gesturekit.training.run.session import session
 
 
 def of_two_steps(predict="noise"):

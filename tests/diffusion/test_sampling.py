@@ -7,12 +7,12 @@ import math
 import pytest
 import torch
 
+from gesturekit.diffusion.composition.experts import bounded
 from gesturekit.diffusion.config import NoiseConfig
-from gesturekit.diffusion.guidance import bounded
-from gesturekit.diffusion.sampling import chosen_steps, sample
-from gesturekit.diffusion.schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.sampling.solvers import chosen_steps, sample
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training.seeds import generator
+from gesturekit.training.seeds import rng_for
 
 GESTURE = NoiseSchedule.of(NoiseConfig())
 DANCE = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
@@ -23,7 +23,7 @@ class Gaussian:
     """Poses with a mean and variances of 0.01 to 2 along directions that are no axis."""
 
     def __init__(self, schedule: NoiseSchedule) -> None:
-        rng = generator("gaussian")
+        rng = rng_for("gaussian")
         basis = torch.linalg.qr(torch.randn(D, D, generator=rng, dtype=torch.float64)).Q
         self.mean = torch.randn(D, generator=rng, dtype=torch.float64)
         self.covariance = basis * torch.logspace(-2, 0.3, D, dtype=torch.float64) @ basis.T
@@ -107,7 +107,7 @@ def test_noise_comes_from_the_caller_alone():
 
     def noise_at(k: int) -> torch.Tensor:
         asked.append(k)
-        return torch.randn(3, D, generator=generator("noise", k), dtype=torch.float64)
+        return torch.randn(3, D, generator=rng_for("noise", k), dtype=torch.float64)
 
     torch.manual_seed(1)
     one = sample(data.predict, noise_at, GESTURE)
@@ -128,7 +128,7 @@ def test_a_truncated_start_keeps_what_noise_has_not_hidden(solver):
 
     def made(step: int) -> torch.Tensor:
         def noise_at(k: int) -> torch.Tensor:
-            return torch.randn(400, D, generator=generator("start", k), dtype=torch.float64)
+            return torch.randn(400, D, generator=rng_for("start", k), dtype=torch.float64)
 
         start = (chosen.expand(400, D), step)
         return sample(data.predict, noise_at, GESTURE, solver=solver, start=start)
@@ -147,7 +147,7 @@ def test_single_precision_survives_the_end_of_the_schedule():
     def predict(noisy: torch.Tensor, step: int) -> torch.Tensor:
         return data.predict(noisy.double(), step).float()
 
-    noise = [torch.randn(2, D, generator=generator("noise", k)) for k in range(100)]
+    noise = [torch.randn(2, D, generator=rng_for("noise", k)) for k in range(100)]
     for solver, steps in (("ancestral", None), ("dpm", None), ("ddim", None), ("dpm", 20)):
         ours = sample(predict, lambda k: noise[k], GESTURE, solver=solver, steps=steps)
         exact = sample(
@@ -170,7 +170,7 @@ def test_few_steps_skip_pure_noise_and_repeat_none(schedule):
 @pytest.mark.parametrize("predict", ["velocity", "clean"])
 def test_conversions_agree(predict):
     schedule = NoiseSchedule.of(NoiseConfig(predict=predict))
-    rng = generator("conversions")
+    rng = rng_for("conversions")
     clean, noise = torch.randn(2, 4, 9, 3, generator=rng, dtype=torch.float64)
     step = torch.tensor([0, 7, 30, 60])
     noisy = schedule.add_noise(clean, noise, step)
@@ -186,7 +186,7 @@ def test_conversions_agree(predict):
 @pytest.mark.parametrize("predict", ["noise", "velocity", "clean"])
 def test_min_snr_weighs_the_error_of_the_clean_motion_by_the_clipped_ratio(predict):
     schedule = NoiseSchedule.of(NoiseConfig(predict=predict))
-    rng = generator("weights")
+    rng = rng_for("weights")
     clean, noise, wrong = torch.randn(3, 3, 5, 2, generator=rng, dtype=torch.float64)
     step = torch.tensor([0, 4, 25])
     noisy = schedule.add_noise(clean, noise, step)

@@ -13,12 +13,12 @@ import yaml
 from safetensors.torch import load_file
 
 import gesturekit as gk
-from gesturekit.diffusion import trainer
 from gesturekit.diffusion.config import TrainingConfig
-from gesturekit.diffusion.trainer import learning_rate, train
+from gesturekit.diffusion.training import trainer
+from gesturekit.diffusion.training.trainer import learning_rate, train
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training.checkpoint import Checkpoints
 from gesturekit.training.config import to_dict
+from gesturekit.training.run.checkpoint import Checkpoints
 
 
 def weights(folder):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from gesturekit.diffusion.guidance import Expert, Mixture
-from gesturekit.diffusion.windows import OVERLAP, windowed, windows_of
+from gesturekit.diffusion.composition.experts import Expert, Mixture
+from gesturekit.diffusion.sampling.tiling import OVERLAP, windowed, windows_of
 from gesturekit.errors import ModelError
-from gesturekit.training.seeds import generator
+from gesturekit.training.seeds import rng_for
 
 
 @pytest.mark.parametrize("size", [4, 100, 240, 9000])
@@ -32,7 +32,7 @@ def test_windows_cover_every_frame_once_in_sum(n_frames, size):
 def test_a_windowed_prediction_is_that_of_the_whole(untrained):
     """Frames at a window's border see less than they should: none of them may count."""
     model = untrained(styles=("old",))
-    rng = generator("windows")
+    rng = rng_for("windows")
     condition = torch.randn(1, 700, 1, generator=rng)
     noisy = torch.randn(1, 700, model.network.n_motion, generator=rng)
     mixture = Mixture([Expert(model.network, model.schedule, condition)], [1.0])

@@ -12,7 +12,7 @@ import pytest
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import PatchOptions, evaluate
 from gesturekit.motion import Motion
-from gesturekit.motion.joint_selection import keep_joints
+from gesturekit.motion.selection.joint_selection import keep_joints
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,17 @@ import soundfile
 from audio_features import Wave
 from gesturekit.evaluation import acceleration, arm_speed, foot_skate, jerk, joint_speed, sync
 from gesturekit.evaluation import wrist_speed as wrist_speeds
+from gesturekit.evaluation.clip_metrics import Known, Measurer
 from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import GROUPS, PatchOptions
-from gesturekit.evaluation.measures import Known, Measurer
-from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.rhythm import (
+from gesturekit.evaluation.metrics.rhythm import (
     beat_alignment,
     beat_consistency,
     music_beats,
     speech_onsets,
 )
-from gesturekit.evaluation.semantic import read_semantic
+from gesturekit.evaluation.metrics.semantic import read_semantic
+from gesturekit.evaluation.pairs import Pair
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector

@@ -13,7 +13,7 @@ import pytest
 
 import gesturekit.viewer.html as player
 from gesturekit.evaluation import evaluate, write_report
-from gesturekit.evaluation.tables import number
+from gesturekit.evaluation.report.tables import number
 
 pytestmark = pytest.mark.skipif(
     not player._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"

@@ -28,7 +28,7 @@ import numpy as np
 
 from gesturekit.errors import GestureKitError
 from gesturekit.formats import write_bvh, write_npz
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
 
 MOST_BYTES = 500 << 20

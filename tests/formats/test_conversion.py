@@ -14,7 +14,7 @@ from gesturekit.errors import ConfigError, FormatError, MotionError
 from gesturekit.formats.changes import Changes, parse_trim
 from gesturekit.formats.conversion import Converted, convert
 from gesturekit.formats.rig import Rig
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.sources import motions_in, unreadable_media
 from gesturekit.motion import Motion
 

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_easymocap
-from gesturekit.formats.smpl import model_pelvis, smpl_skeleton
+from gesturekit.formats.smpl.skeleton import model_pelvis, smpl_skeleton
 from gesturekit.motion import Motion
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model.model import BodyModel
 
 FRAMES = 40
 

@@ -19,9 +19,9 @@ import pytest
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_npz, write_npz
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model.model import BodyModel
 
 N_MUTATIONS = int(os.environ.get("GESTUREKIT_MUTATIONS", "300"))
 MEGABYTE = 1 << 20

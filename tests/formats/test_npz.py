@@ -9,9 +9,9 @@ import pytest
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_npz, write_npz
-from gesturekit.formats.smpl import fit_body, smpl_skeleton
+from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 

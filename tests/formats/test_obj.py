@@ -5,9 +5,9 @@ import pytest
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import write_obj
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.rotations import quaternion_from_rotation_vector
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import root_path
-from gesturekit.formats.root_path import load_root_path
+from gesturekit.formats.tables import root_path
+from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.motion.root_path import RootPath
 
 

@@ -16,7 +16,7 @@ from gesturekit.formats.conversion import convert
 from gesturekit.inspection import Sheet, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.joint_selection import keep_joints
+from gesturekit.motion.selection.joint_selection import keep_joints
 
 
 def row(sheet: Sheet, label: str) -> str:

@@ -6,12 +6,12 @@ from scipy.sparse import csc_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
-from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.motion.rotations import quaternion_from_rotation_vector
+from gesturekit.multires.motion_vector import MultiresRepresentation
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import gesturekit as gk
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, continuous_maps
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.delta_representation import DeltaRepresentation, continuous_maps
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
     multiply_quaternions,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gesturekit.motion.contacts import foot_points
-from gesturekit.motion.end_sites import real_end_sites
+from gesturekit.motion.parts.end_sites import real_end_sites
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess.foot import feet_of
 

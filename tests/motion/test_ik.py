@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gesturekit.motion.ik import reachable, two_bone_ik
+from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.rotations import (
     normalize_quaternions,

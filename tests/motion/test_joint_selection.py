@@ -7,8 +7,8 @@ import pytest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
-from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.parts import body_joints
+from gesturekit.motion.selection.joint_selection import keep_joints
 
 
 def check(motion: Motion, names: list[str]) -> Motion:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.fingers import finger_chains
 from gesturekit.motion.parts import (
     BodyParts,
     arm_joints,
@@ -19,6 +18,7 @@ from gesturekit.motion.parts import (
     part_labels,
     upper_body,
 )
+from gesturekit.motion.parts.fingers import finger_chains
 
 MIXAMO = """
 Hips

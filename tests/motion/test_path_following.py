@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import gesturekit as gk
+from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.feet import foot_skate
+from gesturekit.evaluation.metrics.feet import foot_skate
 from gesturekit.motion.contacts import foot_positions
-from gesturekit.motion.delta_representation import DeltaRepresentation
-from gesturekit.motion.path_following import follow_path
+from gesturekit.motion.retarget.path_following import follow_path
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 import gesturekit as gk
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import heading
-from gesturekit.motion.representation import MultiresRepresentation, reference_skeleton
+from gesturekit.multires.motion_vector import MultiresRepresentation, reference_skeleton
 
 
 def body_error(representation, motion) -> float:

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
-from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import contact_labels, foot_positions
-from gesturekit.motion.joint_limits import bent_backwards
+from gesturekit.motion.ik.joint_limits import bent_backwards
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import retarget
+from gesturekit.motion.retarget.standing_pose import standing_pose
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -21,7 +22,6 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_angles,
 )
-from gesturekit.motion.standing import standing_pose
 
 ZEGGS = "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh"
 BANDAI = "motion/bandai/dataset-1_bye_happy_001.bvh"

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import arm_speed
-from gesturekit.motion.representation import MultiresRepresentation
-from gesturekit.multires import chunks
-from gesturekit.multires.bank import condition_levels
-from gesturekit.multires.chunks import LevelConditions, sample
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.sampling import tiling as chunks
+from gesturekit.multires.sampling.tiling import LevelConditions, sample
+from gesturekit.multires.training.window_cache import condition_levels
 from gesturekit.systems import bundled_speech
 
 LEVELS, FEATURES = 4, 3
@@ -103,7 +103,7 @@ import json
 import torch
 from audio_features import level_lengths
 from gesturekit.systems import load
-from gesturekit.multires.chunks import sample
+from gesturekit.multires.sampling.tiling import sample
 
 torch.set_num_threads(1)
 network = load("demo").network

@@ -13,15 +13,15 @@ from gesturekit.corpus import prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts import upper_body
-from gesturekit.motion.representation import MultiresRepresentation
-from gesturekit.multires.data import (
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.training.data import (
     Normaliser,
     PairedSequence,
     TrainingData,
     level_sigmas,
     load_training_data,
 )
-from gesturekit.multires.trainer import train
+from gesturekit.multires.training.trainer import train
 
 
 def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gesturekit.multires.data import PairedSequence
-from gesturekit.multires.detail import DetailTarget
+from gesturekit.multires.training.data import PairedSequence
+from gesturekit.multires.training.detail import DetailTarget
 
 LEVELS, LEVEL = 4, 3
 

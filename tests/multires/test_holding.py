@@ -19,7 +19,7 @@ from gesturekit.motion.rotations import (
     rotation_angles,
 )
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.trainer import train
+from gesturekit.multires.training.trainer import train
 from gesturekit.training.config import build
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gesturekit.multires.listening import FLOORS, ArmTarget, log_movement
+from gesturekit.multires.training.arm_speed import FLOORS, ArmTarget, log_movement
 
 FRAME = 0.04
 

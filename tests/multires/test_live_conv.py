@@ -11,13 +11,14 @@ import pytest
 import torch
 
 from gesturekit.motion import Motion
-from gesturekit.motion.representation import MultiresRepresentation
-from gesturekit.multires import live_conv, row_threads
 from gesturekit.multires.config import LossConfig, NetworkConfig
-from gesturekit.multires.critic import critic_gradients
-from gesturekit.multires.interpolation import reflect
-from gesturekit.multires.networks import SLOPE, LevelDiscriminator
-from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours
+from gesturekit.multires.cpu import sparse_conv as live_conv
+from gesturekit.multires.cpu import threads as row_threads
+from gesturekit.multires.cpu.discriminator_step import critic_gradients
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.networks import SLOPE, LevelDiscriminator
+from gesturekit.multires.network.resampling import reflect
+from gesturekit.multires.network.skeleton_conv import SkeletonConv1d, block_neighbours
 
 
 @pytest.fixture

@@ -19,12 +19,17 @@ from gesturekit.motion.rotations import (
     quaternion_from_rotation_vector,
     rotate_vectors,
 )
-from gesturekit.multires.data import load_training_data
-from gesturekit.multires.interpolation import resample
-from gesturekit.multires.networks import LevelDiscriminator
-from gesturekit.multires.styles import agreed_style, asked_styles, level_track, mixed_styles
-from gesturekit.multires.trainer import train
-from gesturekit.training.checkpoint import Checkpoints
+from gesturekit.multires.network.networks import LevelDiscriminator
+from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.sampling.styles import (
+    agreed_style,
+    asked_styles,
+    level_track,
+    mixed_styles,
+)
+from gesturekit.multires.training.data import load_training_data
+from gesturekit.multires.training.trainer import train
+from gesturekit.training.run.checkpoint import Checkpoints
 
 SINGLE = {"features": None, "schedule": {"window": None}}
 LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}

@@ -8,11 +8,11 @@ import torch
 
 from audio_features import level_lengths
 from gesturekit.motion.parts import upper_body
-from gesturekit.motion.representation import MultiresRepresentation
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.interpolation import reflect, resample, resample_part
-from gesturekit.multires.networks import Film, MultiresGenerator, modulated_blocks
-from gesturekit.multires.skeleton_conv import SkeletonConv1d, block_neighbours
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.networks import Film, MultiresGenerator, modulated_blocks
+from gesturekit.multires.network.resampling import reflect, resample, resample_part
+from gesturekit.multires.network.skeleton_conv import SkeletonConv1d, block_neighbours
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import gesturekit as gk
-from gesturekit.multires.noise import Recall
-from gesturekit.multires.trainer import train
+from gesturekit.multires.sampling.noise import Recall
+from gesturekit.multires.training.trainer import train
 
 
 def pieces_of(noise: torch.Tensor) -> list[torch.Tensor]:

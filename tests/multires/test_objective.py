@@ -9,14 +9,14 @@ import pytest
 import torch
 
 from gesturekit.multires import losses
-from gesturekit.multires.bank import Bank, random_windows
-from gesturekit.multires.data import load_training_data
-from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
-from gesturekit.multires.networks import MultiresGenerator
-from gesturekit.multires.pair import Pair
-from gesturekit.multires.trainer import Trainer, train
-from gesturekit.training.seeds import generator
-from gesturekit.training.session import session
+from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.training.data import load_training_data
+from gesturekit.multires.training.kinematics import CAPTURE_SECONDS, VectorKinematics
+from gesturekit.multires.training.stage import Pair
+from gesturekit.multires.training.trainer import Trainer, train
+from gesturekit.multires.training.window_cache import Bank, random_windows
+from gesturekit.training.run.session import session
+from gesturekit.training.seeds import rng_for
 
 
 def test_generators_want_high_scores_and_discriminators_a_gap():
@@ -88,7 +88,7 @@ def pair_of(make_config, tmp_path):
         for number, level in enumerate(trainer.network.levels):
             # As it is made, modulation is the identity: give every part a say.
             for name, weight in level.named_parameters():
-                rng = generator("shaken", number, name)
+                rng = rng_for("shaken", number, name)
                 weight.data += 0.05 * torch.randn(weight.shape, generator=rng)
         pair = Pair(trainer, first, iterations=10)
         pair._fill_bank(0)
@@ -102,7 +102,7 @@ def steps_of(pair: Pair, kind: str):
     pair._update = lambda name: None
     n_frames = max(pair.trainer.groups)
     step = {"random": pair._random_step, "paired": pair._reconstruction_step}[kind]
-    report = step(n_frames, generator("step"))
+    report = step(n_frames, rng_for("step"))
     gradients = [p.grad.clone() for p in pair.generators.parameters() if p.grad is not None]
     return torch.cat([gradient.flatten() for gradient in gradients]), report
 
@@ -158,7 +158,7 @@ def test_the_penalty_and_the_critics_scale_count(pair_of):
         pair = pair_of(losses={**ALONE, **changes})
         n_frames = max(pair.trainer.groups)
         pair._update = lambda name: None
-        pair._discriminator_steps([n_frames], generator("step"))
+        pair._discriminator_steps([n_frames], rng_for("step"))
         return torch.cat([p.grad.flatten() for p in pair.discriminators.parameters()])
 
     gap = gradient(gradient_penalty=0.0)
@@ -172,9 +172,9 @@ def scores_of(pair: Pair) -> tuple[float, float]:
     """Mean scores of generated and of recorded windows, by the finer level's discriminator."""
     n_frames = max(pair.trainer.groups)
     with torch.no_grad():
-        made = pair._generate(pair._draw("random", n_frames, generator("judged")))
+        made = pair._generate(pair._draw("random", n_frames, rng_for("judged")))
         data = [pair.trainer.data.paired[i] for i in pair.trainer.groups[n_frames]]
-        reals = pair.trainer.bank.reals(data, n_frames, pair.first, 4, generator("judged"))
+        reals = pair.trainer.bank.reals(data, n_frames, pair.first, 4, rng_for("judged"))
         critic = pair.discriminators[-1]
         return float(critic(made[-1]).mean()), float(critic(reals[-1]).mean())
 
@@ -184,7 +184,7 @@ def test_random_steps_alone_raise_the_score_of_what_is_generated(pair_of):
     n_frames = max(pair.trainer.groups)
     before = scores_of(pair)[0]
     for k in range(8):
-        pair._random_step(n_frames, generator("random", k))
+        pair._random_step(n_frames, rng_for("random", k))
     assert scores_of(pair)[0] > before + 0.01
 
 
@@ -192,7 +192,7 @@ def test_discriminator_steps_alone_tell_recorded_from_generated(pair_of):
     pair = pair_of(losses=ALONE)
     n_frames = max(pair.trainer.groups)
     fake, real = scores_of(pair)
-    pair._discriminator_steps([n_frames] * 12, generator("discriminator"))
+    pair._discriminator_steps([n_frames] * 12, rng_for("discriminator"))
     fake_after, real_after = scores_of(pair)
     assert real_after - fake_after > real - fake + 0.01
 
@@ -221,7 +221,7 @@ def bank(make_config):
 
 def noises_of(bank: Bank, first: int, count: int = 64):
     n_frames = next(iter(bank.data.window_lengths()))
-    windows = bank.random(bank.data.paired, n_frames, first, count, generator("bank"))
+    windows = bank.random(bank.data.paired, n_frames, first, count, rng_for("bank"))
     return windows.noise
 
 
@@ -244,7 +244,7 @@ def test_random_windows_have_the_mean_sigma_of_the_recordings(bank):
 
 def test_windows_of_recordings_begin_anywhere(bank):
     longest = max(bank.data.paired, key=lambda sequence: sequence.n_frames)
-    starts = {start for _, start in random_windows([longest], 25, 800, generator("windows"))}
+    starts = {start for _, start in random_windows([longest], 25, 800, rng_for("windows"))}
     last = longest.n_frames - 25
     assert min(starts) == 0 and max(starts) == last and len(starts) > 0.9 * last
 
@@ -255,7 +255,7 @@ def test_a_share_of_random_windows_is_silent(bank):
         schedule = replace(bank.config.schedule, silence=share)
         bank.config = replace(bank.config, schedule=schedule)
         bank.config = replace(bank.config, features=replace(bank.config.features, residual=False))
-        windows = bank.random(bank.data.paired, n_frames, 2, 200, generator("silent"))
+        windows = bank.random(bank.data.paired, n_frames, 2, 200, rng_for("silent"))
         silent = (windows.conditions[-1] == bank.data.silence[:, :n_frames]).all(dim=(1, 2))
         assert float(silent.float().mean()) == pytest.approx(share, abs=0.1)
 
@@ -263,7 +263,7 @@ def test_a_share_of_random_windows_is_silent(bank):
 def test_reconstruction_has_z_star_at_the_first_level_and_no_noise_above(bank):
     n_frames, members = max(bank.data.window_lengths().items())
     sequences = [bank.data.paired[i] for i in members]
-    windows = bank.paired(sequences, n_frames, 0, 8, generator("paired"))
+    windows = bank.paired(sequences, n_frames, 0, 8, rng_for("paired"))
     first, second = windows.noise
     assert second is None
     n_coarsest = first.shape[-1]
@@ -287,6 +287,6 @@ def test_sampling_noise_is_scaled_by_the_first_levels_sigma(make_config):
 def test_unpaired_speech_is_read_from_anywhere(bank):
     clip = torch.arange(300.0).expand(bank.data.n_speech, -1)
     object.__setattr__(bank.data, "unpaired", (clip,))
-    starts = [int(bank.data.speech_window(50, generator("start", k))[0, 0]) for k in range(200)]
+    starts = [int(bank.data.speech_window(50, rng_for("start", k))[0, 0]) for k in range(200)]
     assert min(starts) < 15 and max(starts) > 235
     assert len(set(starts)) > 100

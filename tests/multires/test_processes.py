@@ -12,9 +12,9 @@ import yaml
 from safetensors.torch import load_file
 
 from gesturekit.errors import ConfigError
-from gesturekit.multires.trainer import train
+from gesturekit.multires.training.trainer import train
 from gesturekit.training.config import to_dict
-from gesturekit.training.processes import Processes
+from gesturekit.training.run.processes import Processes
 
 STEPS = {"first_pair": 2, "further_pairs": 2, "discriminator_steps": 2}
 

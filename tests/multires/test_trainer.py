@@ -14,14 +14,19 @@ import gesturekit as gk
 from audio_features import WeightsError
 from gesturekit.corpus import prepare
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.multires import pair, trainer
-from gesturekit.multires.bank import Bank
-from gesturekit.multires.interpolation import resample
-from gesturekit.multires.networks import LevelDiscriminator, LevelGenerator, MultiresGenerator
-from gesturekit.multires.pair import Pair
-from gesturekit.multires.trainer import train
-from gesturekit.training.checkpoint import Checkpoints
+from gesturekit.multires.network.networks import (
+    LevelDiscriminator,
+    LevelGenerator,
+    MultiresGenerator,
+)
+from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.training import stage as pair
+from gesturekit.multires.training import trainer
+from gesturekit.multires.training.stage import Pair
+from gesturekit.multires.training.trainer import train
+from gesturekit.multires.training.window_cache import Bank
 from gesturekit.training.config import dump_yaml, to_dict
+from gesturekit.training.run.checkpoint import Checkpoints
 
 
 def logged(config) -> list[dict]:

@@ -14,7 +14,7 @@ import gesturekit as gk
 import gesturekit.systems
 from gesturekit import Motion
 from gesturekit.evaluation import arm_speed, speech_envelope, sync
-from gesturekit.motion.joint_limits import bent_backwards
+from gesturekit.motion.ik.joint_limits import bent_backwards
 from gesturekit.motion.rotations import rotation_angles
 
 pytest.importorskip(

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit.evaluation.feet import foot_skate
-from gesturekit.evaluation.rhythm import beat_alignment, music_beats
-from gesturekit.formats.events import load_events
-from gesturekit.formats.root_path import load_root_path
+from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
+from gesturekit.formats.tables.events import load_events
+from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.root_path import RootPath

@@ -7,7 +7,7 @@ import pytest
 import gesturekit as gk
 from gesturekit.corpus import prepare
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.trainer import train
+from gesturekit.multires.training.trainer import train
 from gesturekit.training.config import build
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gesturekit.training.device import warn_of_slow_bfloat16
+from gesturekit.training.run.device import warn_of_slow_bfloat16
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from gesturekit import Motion
-from gesturekit.motion.delta_representation import DeltaRepresentation
+from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.motion.retarget import retarget
-from gesturekit.training.own_rig import on_rig
+from gesturekit.training.data.own_rig import on_rig
 
 
 def test_its_own_rig_is_left_alone(gesture):

@@ -10,12 +10,12 @@ import sys
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.training.processes import Processes
+from gesturekit.training.run.processes import Processes
 
 SCRIPT = """
 import json, sys, torch
 from pathlib import Path
-from gesturekit.training.processes import Processes
+from gesturekit.training.run.processes import Processes
 
 with Processes.from_environment("cpu") as processes:
     torch.manual_seed(0)

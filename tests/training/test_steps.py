@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gesturekit.training import steps
-from gesturekit.training.steps import Steps
+from gesturekit.training.run import steps
+from gesturekit.training.run.steps import Steps
 
 
 @pytest.fixture

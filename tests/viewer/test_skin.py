@@ -16,9 +16,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import gesturekit.viewer.html as page_module
-from gesturekit.formats.smpl import fit_body, smpl_skeleton
+from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer import write_html
 
 pytestmark = pytest.mark.skipif(

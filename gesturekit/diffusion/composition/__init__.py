@@ -1,0 +1,1 @@
+"""Products of experts: several models or conditions in one motion."""

@@ -1,0 +1,1 @@
+"""Generate motion with a trained denoiser."""

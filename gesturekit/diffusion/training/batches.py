@@ -1,0 +1,133 @@
+"""Batches: which windows an update sees, what they are told, and the noise they are given.
+
+Every row of a batch has random numbers of its own, keyed by the update and the row. They depend
+neither on what was drawn before nor on how rows are shared out between processes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.diffusion.training.augmentation import source_frames, stretch, stretch_factor
+from gesturekit.diffusion.training.data import Recording, TrainingData
+from gesturekit.training.seeds import rng_for
+
+_STEP = 0.8
+"""Windows of recordings that are shorter than a window are this power of it long."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What an update learns from.
+
+    Attributes:
+        clean: (B, T, X) standardised motion.
+        noise: (B, T, X) standard normal.
+        condition: (B, T, C), zeros where it was dropped.
+        step: (B,) steps of the diffusion, long.
+    """
+
+    clean: Tensor
+    noise: Tensor
+    condition: Tensor
+    step: Tensor
+
+    def to(self, device: torch.device) -> Batch:
+        """The same on another device."""
+        return Batch(*(part.to(device) for part in vars(self).values()))
+
+
+class Batches:
+    """Draws windows of the recordings, each frame as likely as any other of its kind."""
+
+    def __init__(self, data: TrainingData, config: DiffusionConfig) -> None:
+        self.data = data
+        self.config = config
+        share = config.unpaired.share if config.unpaired is not None else 0.0
+        frames = {
+            kind: sum(r.n_frames for r in data.recordings if r.is_paired == kind)
+            for kind in (True, False)
+        }
+        # Recordings by the length of their windows: all of a batch are equally long.
+        self._groups: dict[int, list[Recording]] = {}
+        weights: dict[int, list[float]] = {}
+        for recording in data.recordings:
+            length = _window_length(recording.n_frames, config.window_frames)
+            of_kind = (1 - share) if recording.is_paired else share
+            self._groups.setdefault(length, []).append(recording)
+            weights.setdefault(length, []).append(
+                of_kind * recording.n_frames / frames[recording.is_paired]
+            )
+        self._lengths = list(self._groups)
+        self._of_length = torch.tensor([sum(w) for w in weights.values()], dtype=torch.float64)
+        self._of_recording = {
+            length: torch.tensor(w, dtype=torch.float64) for length, w in weights.items()
+        }
+
+    def draw(self, update: int, rows: slice) -> Batch:
+        """Some rows of the batch of an update."""
+        rng = rng_for(self.config.seed, "update", update)
+        length = self._lengths[int(torch.multinomial(self._of_length, 1, generator=rng))]
+        drawn = [
+            self._row(length, rng_for(self.config.seed, "update", update, "row", row))
+            for row in range(self.config.training.batch)[rows]
+        ]
+        return Batch(*(torch.stack(parts) for parts in zip(*drawn, strict=True)))
+
+    def _row(self, length: int, rng: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Clean motion, noise, condition and step of one row."""
+        training = self.config.training
+        which = int(torch.multinomial(self._of_recording[length], 1, generator=rng))
+        recording = self._groups[length][which]
+        motion, condition = self._window(recording, length, rng)
+        anything, any_style = torch.rand(2, generator=rng, dtype=torch.float64).tolist()
+        if anything < training.dropout_condition:
+            condition = torch.zeros_like(condition)
+        elif any_style < training.dropout_style:
+            condition = self.data.conditions.without(condition, "styles")
+        step = torch.randint(self.config.noise.steps, (), generator=rng)
+        noise = torch.randn(motion.shape, generator=rng)
+        return self.data.standardiser.forward(motion), noise, condition, step
+
+    def _window(
+        self, recording: Recording, length: int, rng: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """(T, X) motion in its own units and (T, C) condition, stretched for some windows."""
+        settings = self.config.augmentation
+        factor = stretch_factor(rng, settings.stretch, settings.stretch_range)
+        frames = source_frames(length, factor)
+        if frames > recording.n_frames:
+            # Too short to be sped up.
+            factor, frames = 1.0, length
+        start = int(torch.randint(recording.n_frames - frames + 1, (), generator=rng))
+        representation, told = self.data.representation, self.data.conditions
+        motion = stretch(
+            recording.motion,
+            start,
+            length,
+            factor,
+            maps=slice(0, representation.height_column),
+            steps=representation.root_columns,
+        )
+        condition = stretch(
+            recording.condition,
+            start,
+            length,
+            factor,
+            steps=told.columns["path"],
+            steps_offset=told.path_mean / told.path_scale,
+            flags=told.columns["events"],
+        )
+        return torch.from_numpy(motion), torch.from_numpy(condition)
+
+
+def _window_length(n_frames: int, window: int) -> int:
+    """As many frames as a window of such a recording has: a few lengths for all recordings."""
+    length = window
+    while length > max(n_frames, 1):
+        length = int(length * _STEP)
+    return max(length, 1)

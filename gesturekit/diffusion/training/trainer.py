@@ -1,0 +1,354 @@
+"""Training: a denoiser learns to tell the noise from the motion."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import logging
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
+from gesturekit.diffusion.losses import change_error, denoising_error
+from gesturekit.diffusion.model import DiffusionModel
+from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.training.batches import Batch, Batches
+from gesturekit.diffusion.training.data import TrainingData
+from gesturekit.diffusion.training.loading import load_training_data
+from gesturekit.diffusion.training.monitor import STEPS, Monitor
+from gesturekit.errors import ModelError
+from gesturekit.motion.mirroring import can_be_mirrored
+from gesturekit.motion.parts import unidentified
+from gesturekit.training.data.sources import described, save_sources
+from gesturekit.training.held_out import HeldOut
+from gesturekit.training.run.folder import Run
+from gesturekit.training.run.processes import Processes
+from gesturekit.training.run.session import plan as session_plan
+from gesturekit.training.run.session import session
+from gesturekit.training.run.steps import Steps
+from gesturekit.training.run_config import UNIDENTIFIED
+from gesturekit.training.seeds import rng_for, seeded
+from gesturekit.wording import counted, roughly
+
+log = logging.getLogger(__name__)
+
+
+def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
+    """Train a diffusion model and write it.
+
+    Args:
+        config: what to train on, and how.
+        resume: go on from the last checkpoint in `config.out`.
+
+    Returns:
+        the model folder, `config.out / "model"`.
+
+    Raises:
+        ConfigError: `config.out` holds a run already (or none to resume), or no such device.
+        CorpusError: the corpus cannot be trained on.
+        ModelError: training left the realm of numbers.
+    """
+    with session(config, resume=resume) as (run, device, processes):
+        return _Trainer(config, run, device, processes, resume=resume).run()
+
+
+def plan(config: DiffusionConfig) -> None:
+    """Log what `train` would do and how long it would take; see `training.run.session`."""
+    session_plan(config, _Trainer)
+
+
+def learning_rate(training: TrainingConfig, update: int) -> float:
+    """The learning rate of an update, counted from 0 (appendix A.1)."""
+    warm = min(1.0, (update + 1) / max(training.warm_up, 1))
+    return training.learning_rate * warm * training.decay ** (update // 10)
+
+
+class _Trainer:
+    def __init__(
+        self,
+        config: DiffusionConfig,
+        run: Run,
+        device: torch.device,
+        processes: Processes,
+        *,
+        resume: bool,
+    ) -> None:
+        self.config = config
+        self.folder = run
+        self.device = device
+        self.processes = processes
+        self.data = self._data(resume=resume)
+        self.schedule = NoiseSchedule.of(config.noise)
+        self.batches = Batches(self.data, config)
+        self.changes = self.data.changes().to(device) if config.training.changes else None
+        self.held_out = HeldOut(
+            config,
+            run,
+            speech=self.data.conditions.conditioner is not None,
+            styles=self.data.conditions.styles,
+            path=config.path,
+        )
+        if processes.is_first:
+            log.info(
+                "Run folder %s: diffusion, %s, %s.",
+                config.out,
+                self._mode(),
+                counted(config.training.updates, "update"),
+            )
+            log.info("Training on %s.", ", ".join(self._what()))
+            self._say_what_is_missing()
+            log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
+        self.network = self._network(resume=resume).to(device)
+        # The weights that the model will have.
+        self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
+        self.optimiser = torch.optim.Adam(self.network.parameters())
+        watched = config.eval_every and processes.is_first
+        self.monitor = Monitor(self.data, config) if watched else None
+
+    def _say_what_is_missing(self) -> None:
+        """Log in one line what a rig whose parts cannot be identified is trained without."""
+        skeleton = self.data.representation.skeleton
+        follows = []
+        if self.config.augmentation.mirror and not can_be_mirrored(skeleton):
+            follows.append("no mirrored recordings")
+        if self.config.joints == "body":
+            follows.append("all joints are modelled")
+        missing = unidentified(skeleton)
+        if missing and follows:
+            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
+
+    def _data(self, *, resume: bool) -> TrainingData:
+        """What the first process reads of the corpus, and all read of the first."""
+        folder = self.folder.folder / "data"
+        if not resume:
+            if self.processes.is_first:
+                data = load_training_data(self.config)
+                data.save(folder)
+                self.folder.begin()
+            self.processes.wait()
+            if self.processes.is_first:
+                return data
+        return TrainingData.load(folder, self.config)
+
+    def _network(self, *, resume: bool) -> Denoiser:
+        width = self.data.representation.n_features
+        network = seeded(
+            (self.config.seed, "denoiser"),
+            lambda: Denoiser(width, self.data.conditions.width, self.config.network),
+        )
+        if self.config.start_from is not None and not resume:
+            features = self.config.features
+            weights = None if features is None else features.weights
+            start = DiffusionModel.load(self.config.start_from, weights=weights)
+            network.load_state_dict(start.network.state_dict())
+        return network
+
+    def _what(self) -> list[str]:
+        """What there is to train on, for people."""
+        data, conditions = self.data, self.data.conditions
+        parts = [described(data.sources, data.seconds[0], self.config.fps)]
+        if data.seconds[1]:
+            parts.append(f"{roughly(data.seconds[1])} of unpaired motion")
+        variants = len(data.recordings)
+        if variants > len(data.sources):
+            parts.append(f"{counted(variants, 'sequence')} with their variants")
+        if conditions.conditioner is not None:
+            parts.append(counted(conditions.conditioner.dim, "feature"))
+        for known, noun in ((conditions.events, "event"), (conditions.styles, "style")):
+            if known:
+                parts.append(counted(len(known), noun))
+        representation = data.representation
+        joints = counted(representation.skeleton.n_joints, "joint")
+        return [*parts, f"{len(representation.joints)} of {joints} modelled"]
+
+    def _mode(self) -> str:
+        """Return the model's inputs in words."""
+        conditions = self.data.conditions
+        given = {
+            "speech": conditions.conditioner,
+            "path": conditions.path,
+            "events": conditions.events,
+            "styles": conditions.styles,
+        }
+        names = [name for name, known in given.items() if known]
+        return f"from {' and '.join(names)}" if names else "no condition"
+
+    def seconds_needed(self) -> float:
+        """Estimate how long the training takes, from a few updates.
+
+        They change the network: for a run that is not kept.
+        """
+        self._update(0)  # compiles
+        began = time.monotonic()
+        for update in (1, 2, 3):
+            self._update(update)
+        return self.config.training.updates * (time.monotonic() - began) / 3
+
+    def run(self) -> Path:
+        done, state = self.folder.checkpoints.latest() or (0, None)
+        if state is not None:
+            self._load_state(state)
+            log.info("Resuming after step %d.", done)
+        first, training = self.processes.is_first, self.config.training
+        if first:
+            self.folder.forget_metrics_after(done)
+        losses: list[Tensor] = []
+        clock = time.monotonic()
+        with Steps([(training.updates, 1)], done, quiet=not first) as progress:
+            for update in range(done, training.updates):
+                losses.append(self._update(update))
+                step = update + 1
+                progress.step(1)
+                last = step == training.updates
+                if step % self.config.log_every == 0 or last:
+                    loss = float(self.processes.mean(torch.stack(losses).mean()))
+                    self._check_finite(step, "loss", loss)
+                    if first:
+                        pace = (time.monotonic() - clock) / len(losses)
+                        rate = learning_rate(training, update)
+                        values = {"loss": loss, "learning_rate": rate}
+                        self.folder.log(step, {**values, "seconds_per_iteration": pace})
+                        progress.set_postfix_str(f"loss {loss:.3g}")
+                    losses, clock = [], time.monotonic()
+                if self.monitor is not None and (step % self.config.eval_every == 0 or last):
+                    self.average.eval()
+                    figures = self.monitor.figures(self.average)
+                    if figures:
+                        self.folder.log(step, figures, kind="evaluation")
+                fires = self.config.eval_every and step % self.config.eval_every == 0
+                if first and not last and (fires or self.held_out.is_due()):
+                    self._measure(step)
+                if step % self.config.checkpoint_every == 0 or last:
+                    weights = [weight.detach().norm() for weight in self.network.parameters()]
+                    self._check_finite(step, "weights", float(torch.stack(weights).sum()))
+                    if first:
+                        self.folder.checkpoints.save(step, self._state())
+        if first:
+            self._finish()
+        self.processes.wait()
+        return self.folder.folder / "model"
+
+    def _update(self, update: int) -> Tensor:
+        """One step of Adam on this process's share of the batch; its loss."""
+        training = self.config.training
+        rows = self.processes.share(training.batch)
+        share = (rows.stop - rows.start) / training.batch
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate(training, update)
+        self.network.train()
+        # Dropout draws from torch's own state, on whatever device.
+        torch.manual_seed(
+            rng_for(self.config.seed, "dropout", update, self.processes.rank).initial_seed()
+        )
+        self.optimiser.zero_grad(set_to_none=True)
+        loss = self._loss(self.batches.draw(update, rows).to(self.device))
+        loss.backward()
+        parameters = list(self.network.parameters())
+        self.processes.average_gradients(parameters, share)
+        if training.clip:
+            nn.utils.clip_grad_norm_(parameters, training.clip)
+        self.optimiser.step()
+        if training.ema:
+            self._average(update)
+        return loss.detach()
+
+    def _loss(self, batch: Batch) -> Tensor:
+        """Squared error of the prediction (eq. 4), each clip weighed by its step."""
+        noisy = self.schedule.add_noise(batch.clean, batch.noise, batch.step)
+        target = self.schedule.target(batch.clean, batch.noise, batch.step)
+        half = self.config.training.precision == "bfloat16"
+        precise = torch.autocast(self.device.type, torch.bfloat16) if half else None
+        with precise or contextlib.nullcontext():
+            predicted = self.network(noisy, batch.condition, batch.step)
+        predicted = predicted.float()
+        errors = denoising_error(predicted, target)
+        if weight := self.config.training.changes:
+            errors = errors + weight * change_error(predicted, target, self.changes)
+        weights = self.schedule.loss_weight(batch.step, self.config.training.min_snr)
+        return (weights * errors).mean()
+
+    @torch.no_grad()
+    def _average(self, update: int) -> None:
+        # The first updates would weigh for ever in an average that began with them.
+        kept = min(self.config.training.ema, (1 + update) / (10 + update))
+        own = self.network.state_dict()
+        for name, value in self.average.state_dict().items():
+            value.lerp_(own[name], 1 - kept)
+
+    def _check_finite(self, step: int, name: str, value: float) -> None:
+        if math.isfinite(value):
+            return
+        kept = self.folder.checkpoints.steps()
+        after = f"the last checkpoint is of step {kept[-1]}" if kept else "there is no checkpoint"
+        raise ModelError(
+            f"step {step}: {name} is {value}; training has come apart, and {after}. Try a smaller "
+            "training.learning_rate"
+        )
+
+    def _state(self) -> dict[str, Any]:
+        state = {
+            "network": self.network.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+        if self.config.training.ema:
+            state["average"] = self.average.state_dict()
+        return state
+
+    def _load_state(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        if self.config.training.ema:
+            self.average.load_state_dict(state["average"])
+
+    def _measure(self, step: int) -> str:
+        """Log and return the figures on held-out recordings, generated in a few steps."""
+        steps = min(STEPS, self.schedule.steps)
+        model = self._model(copy.deepcopy(self.average))
+        return self.held_out.measure(step, model.generate, steps=steps)
+
+    def _model(self, network: Denoiser) -> DiffusionModel:
+        """The model of a network."""
+        training = self.config.training
+        # Motion without speech is told nothing either.
+        told_nothing = training.dropout_condition or self.data.seconds[1]
+        droppable = {"all": told_nothing, "styles": training.dropout_style}
+        return DiffusionModel(
+            fps=self.config.fps,
+            representation=self.data.representation,
+            conditions=self.data.conditions,
+            standardiser=self.data.standardiser,
+            network_config=self.config.network,
+            noise_config=self.config.noise,
+            network=network,
+            speakers=self.data.speakers,
+            droppable=[name for name, share in droppable.items() if share],
+            smooth=self.config.smooth,
+            recorded_fps=self.data.recorded_fps,
+        )
+
+    def _finish(self) -> None:
+        training = self.config.training
+        figures = self._measure(training.updates)
+        model = self._model(self.average.cpu())
+        paired, unpaired = self.data.seconds
+        last = self.folder.last_metrics()
+        last.pop("learning_rate", None)
+        model.save(
+            self.folder.folder / "model",
+            notes={
+                "Recordings": described(self.data.sources, paired, self.config.fps),
+                "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
+                "Began with": str(self.config.start_from or "random weights"),
+                "Training steps": str(training.updates),
+                "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
+                **({"Measured": figures} if figures else {}),
+                **{str(key): str(value) for key, value in self.config.notes.items()},
+            },
+        )
+        save_sources(self.folder.folder / "model", self.data.sources)

@@ -1,0 +1,1 @@
+"""Fréchet distances between sets of clips."""

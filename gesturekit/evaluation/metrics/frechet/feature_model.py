@@ -1,0 +1,264 @@
+"""A feature extractor for the Fréchet gesture distance, fitted on one's own reference set.
+
+Published extractors are bound to their rigs or were never released, so figures of different papers
+cannot be compared. With this one, two figures can where `fingerprint` is the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.torch import load_file, save_file
+
+from gesturekit.atomic import atomic_write
+from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.metrics.frechet.feature_network import (
+    PoseAutoencoder,
+    reconstruction_loss,
+)
+from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+from gesturekit.motion import Motion
+
+log = logging.getLogger(__name__)
+
+FORMAT = 1
+STEPS = 2300
+"""As many as GENEA's 10 epochs over Trinity's four hours were."""
+ENOUGH_SECONDS = 600.0
+_RATE, _BETAS = 5e-4, (0.5, 0.999)
+_BATCH = {"genea": 64, "yoon": 128}
+_JSON, _TENSORS = "feature_model.json", "feature_model.safetensors"
+_LARGEST_JSON = 1_000_000  # bytes
+
+
+class FeatureModel:
+    """Motions in, 32 numbers for each window of poses out.
+
+    Attributes:
+        windows: how windows are made of motions.
+        network: the autoencoder.
+        training: what it was fitted on and how: seed, steps, motions, seconds, and `unexplained`,
+            the share of the reference's mean absolute deviation that it cannot reconstruct.
+    """
+
+    def __init__(
+        self, windows: PoseWindows, network: PoseAutoencoder, training: dict[str, Any]
+    ) -> None:
+        self.windows = windows
+        self.network = network.eval()
+        self.training = training
+
+    @classmethod
+    def fit(
+        cls,
+        motions: Sequence[Motion],
+        variant: str = "genea",
+        *,
+        n_frames: int | None = None,
+        joints: str | Sequence[str] | None = None,
+        steps: int = STEPS,
+        seed: int = 0,
+        progress: Callable[[int, float], None] | None = None,
+    ) -> FeatureModel:
+        """Train the autoencoder on windows drawn from a reference set, on the CPU.
+
+        Adam (5e-4, betas 0.5 and 0.999) on L1 and L1 of differences, batches of 64 ("genea") or 128
+        ("yoon"), as published, but for the noise that Yoon et al. put on joints. Equal seeds
+        give equal numbers on one machine with one number of threads.
+
+        Args:
+            motions: the reference set, of one rig.
+            variant: "genea" or "yoon"; see `PoseWindows.fit`.
+            n_frames: see `PoseWindows.fit`.
+            joints: see `PoseWindows.fit`.
+            steps: optimiser steps.
+            seed: of weights and batches.
+            progress: called after each step with its number, from 1, and the loss of a window.
+
+        Raises:
+            EvaluationError: see `PoseWindows.fit`; or fewer than two windows.
+        """
+        if steps < 1:
+            raise EvaluationError(f"steps is {steps!r}; expected a number from 1")
+        windows = PoseWindows.fit(motions, variant, n_frames=n_frames, joints=joints)
+        clips = [windows.frames(motion).astype(np.float32) for motion in motions]
+        frames = torch.from_numpy(np.concatenate(clips))
+        # Of windows that lie within one motion, as rows of all frames one after the other.
+        lengths = np.array([len(clip) for clip in clips])
+        firsts = np.cumsum(lengths) - lengths
+        starts = torch.from_numpy(
+            np.concatenate(
+                [
+                    first + np.arange(max(0, length - windows.n_frames + 1))
+                    for first, length in zip(firsts, lengths)
+                ]
+            )
+        )
+        if len(starts) < 2:
+            raise EvaluationError(
+                f"{len(starts)} windows of {windows.n_frames / windows.fps:.3g} s in "
+                f"{len(motions)} motions; give longer motions"
+            )
+        seconds = sum(motion.duration for motion in motions)
+        if seconds < ENOUGH_SECONDS:
+            log.warning(
+                "The feature model is fitted on %.3g minutes of motion; below %.3g its figures "
+                "depend on the seed.",
+                seconds / 60,
+                ENOUGH_SECONDS / 60,
+            )
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            network = PoseAutoencoder(windows.n_features, windows.n_frames, variant == "yoon")
+        rng = torch.Generator().manual_seed(seed)
+        optimiser = torch.optim.Adam(network.parameters(), lr=_RATE, betas=_BETAS)
+        within = torch.arange(windows.n_frames)
+        size = min(_BATCH[variant], len(starts))
+        for step in range(1, steps + 1):
+            drawn = starts[torch.randint(0, len(starts), (size,), generator=rng)]
+            batch = frames[drawn[:, None] + within]
+            loss = reconstruction_loss(network(batch)[1], batch)
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            optimiser.step()
+            if progress is not None:
+                progress(step, loss.item() / size)
+        model = cls(windows, network, {})
+        model.training = {
+            "seed": seed,
+            "steps": steps,
+            "motions": len(motions),
+            "seconds": round(seconds, 3),
+            "windows": len(starts),
+            "unexplained": round(model._unexplained(motions), 4),
+        }
+        return model
+
+    @torch.no_grad()
+    def encode(self, motions: Sequence[Motion]) -> list[np.ndarray]:
+        """(W_i, 32) features of each motion's windows; motions shorter than one are left out.
+
+        Raises:
+            EvaluationError: a motion lacks joints, or none is as long as a window.
+        """
+        return [
+            torch.cat([self.network.encoder(part.transpose(1, 2)) for part in _parts(clip)])
+            .double()
+            .numpy()
+            for clip in self.windows.cut(motions)
+        ]
+
+    @property
+    def fingerprint(self) -> str:
+        """sha256 of how windows are made and of all tensors: equal ones give equal figures."""
+        digest = hashlib.sha256(json.dumps(self.windows.to_json(), sort_keys=True).encode())
+        for name, tensor in sorted(self._tensors().items()):
+            digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
+            digest.update(tensor.numpy().tobytes())
+        return digest.hexdigest()
+
+    def save(self, folder: str | Path) -> None:
+        """Write feature_model.safetensors and feature_model.json into a folder."""
+        folder = Path(folder)
+        values = {
+            "format": FORMAT,
+            "kind": "feature model",
+            "windows": self.windows.to_json(),
+            "training": self.training,
+            "fingerprint": self.fingerprint,
+        }
+        with atomic_write(folder / _TENSORS) as temporary:
+            save_file(self._tensors(), temporary)
+        with atomic_write(folder / _JSON) as temporary:
+            temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: str | Path) -> FeatureModel:
+        """Read what `save` wrote.
+
+        Raises:
+            EvaluationError: a file is missing, damaged, of a newer format, or the two files are not
+                of one model.
+        """
+        folder = Path(folder)
+        values = _read_json(folder / _JSON)
+        try:
+            tensors = load_file(folder / _TENSORS)
+        except Exception as error:  # safetensors has an error class of its own
+            raise EvaluationError(f"{folder / _TENSORS}: cannot be read ({error})") from None
+        try:
+            form = values["windows"]
+            windows = PoseWindows(
+                variant=form["variant"],
+                bones=tuple((str(start), str(end)) for start, end in form["bones"]),
+                fps=float(form["fps"]),
+                n_frames=int(form["n_frames"]),
+                stride=int(form["stride"]),
+                mean=tensors.pop("windows.mean").numpy(),
+                scale=tensors.pop("windows.scale").numpy(),
+            )
+            with torch.random.fork_rng(devices=[]):
+                network = PoseAutoencoder(
+                    windows.n_features, windows.n_frames, windows.variant == "yoon"
+                )
+            network.load_state_dict({k.removeprefix("network."): v for k, v in tensors.items()})
+            model = cls(windows, network, dict(values["training"]))
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            text = " ".join(str(error).split())[:300]
+            raise EvaluationError(f"{folder}: the feature model is damaged ({text})") from None
+        if model.fingerprint != values.get("fingerprint"):
+            raise EvaluationError(
+                f"{folder}: {_TENSORS} is not what {_JSON} was written with; fit it again"
+            )
+        return model
+
+    def _tensors(self) -> dict[str, torch.Tensor]:
+        tensors = {f"network.{k}": v.contiguous() for k, v in self.network.state_dict().items()}
+        tensors["windows.mean"] = torch.from_numpy(self.windows.mean)
+        tensors["windows.scale"] = torch.from_numpy(self.windows.scale)
+        return tensors
+
+    @torch.no_grad()
+    def _unexplained(self, motions: Sequence[Motion]) -> float:
+        left = total = 0.0
+        for clip in self.windows.cut(motions):
+            for part in _parts(clip):
+                left += float((self.network(part)[1] - part).abs().sum())
+                total += float(part.abs().sum())
+        return left / total if total else 0.0
+
+
+def _parts(clip: np.ndarray) -> tuple[torch.Tensor, ...]:
+    return torch.from_numpy(np.ascontiguousarray(clip, dtype=np.float32)).split(512)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _LARGEST_JSON:
+            raise EvaluationError(
+                f"{path}: {path.stat().st_size} bytes; no feature model is so big"
+            )
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise EvaluationError(
+            f"{path}: no such file; a feature model is a folder made by gesturekit fit-features"
+        ) from None
+    except (OSError, ValueError, RecursionError) as error:
+        if isinstance(error, EvaluationError):
+            raise
+        raise EvaluationError(f"{path}: cannot be read ({error})") from None
+    if not isinstance(values, dict) or values.get("kind") != "feature model":
+        raise EvaluationError(f"{path}: no feature model")
+    if values.get("format") != FORMAT:
+        raise EvaluationError(
+            f"{path}: format {values.get('format')!r}; this gesturekit reads format {FORMAT}. "
+            "A newer format needs a newer gesturekit"
+        )
+    return values

@@ -1,0 +1,400 @@
+"""Fréchet distances between sets of motions, and how far their clips lie apart.
+
+|m1 - m2|² + tr(S1 + S2 - 2 (S1 S2)^½) with means and covariances (divided by n - 1) of features
+(Heusel et al. 2017). What the features are gives each its name:
+
+- `fgd`: an autoencoder's, of short windows of poses (Yoon et al. 2020). Figures depend on the
+  autoencoder: two may be compared where its fingerprint is one.
+- `raw_fgd`: the normalised windows themselves (Ahuja et al. 2020).
+- `fid_k`, `fid_g`: kinetic and geometric features of 10 s clips, each divided by its standard
+  deviation in the reference (Siyao et al. 2022); `div_k`, `div_g`: mean distance of two clips.
+
+Small samples make every one of them larger: below `SAMPLES_PER_DIMENSION` samples for each number
+of a feature, two halves of one set are more than about 5 % of its variance apart. Compare sets of
+equal size, and read the note.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.metrics.frechet.clip_features import CLIP_SECONDS, clip_features
+from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+from gesturekit.motion import Motion
+
+if TYPE_CHECKING:
+    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+
+SAMPLES_PER_DIMENSION = 10
+_RESAMPLED_DIMENSIONS = 128
+"""The bootstrap works on this many principal components at most, to be quick."""
+_EXACT = 1500
+"""`raw_fgd` is exact up to this many numbers a window. Beyond it principal components are taken,
+whatever the number of windows, so that all models of a comparison are measured alike."""
+_COMPONENTS = 256  # sets of fewer windows lie wholly along them, and are exact too
+_AXES_FROM = 4000  # samples that principal components are found from, at most
+_CLIPS = 10
+"""Where either set has fewer motions, windows are resampled in place of whole motions."""
+
+
+@dataclass(frozen=True)
+class FrechetResult:
+    """A Fréchet distance and how sure it is.
+
+    Attributes:
+        value: the distance (a squared length, in the features' units).
+        low: value less 1.96 bootstrap standard errors, at least 0; NaN without a bootstrap.
+        high: value and 1.96 bootstrap standard errors.
+        n_generated: samples (windows or clips) of the generated set.
+        n_reference: samples of the reference set.
+        dimensions: numbers a feature.
+        note: "" or why the figure is uncertain.
+    """
+
+    value: float
+    low: float
+    high: float
+    n_generated: int
+    n_reference: int
+    dimensions: int
+    note: str = ""
+
+    def __str__(self) -> str:
+        spread = "" if np.isnan(self.low) else f" [{self.low:.4g}, {self.high:.4g}]"
+        counts = f"{self.n_generated} against {self.n_reference} samples of {self.dimensions}"
+        return f"{self.value:.4g}{spread} ({counts}{'; ' + self.note if self.note else ''})"
+
+
+def frechet_distance(generated: np.ndarray, reference: np.ndarray) -> float:
+    """Fréchet distance of the Gaussians fitted to two samples.
+
+    tr((S1 S2)^½) is the sum of the singular values of R1 R2', where R'R = S: no matrix root, no
+    number added to a diagonal, and sound for fewer samples than dimensions. Equal samples are 0
+    apart but for rounding (1e-15 of their variance); it is never negative.
+
+    Args:
+        generated: (n, D) features, n from 2.
+        reference: (m, D) features, m from 2.
+
+    Raises:
+        EvaluationError: shapes that do not fit, fewer than two samples, or NaN.
+    """
+    generated, reference = _features(generated, "generated"), _features(reference, "reference")
+    if generated.shape[1] != reference.shape[1]:
+        raise EvaluationError(
+            f"generated has {generated.shape[1]} numbers a feature, reference "
+            f"{reference.shape[1]}: they must be features of one kind"
+        )
+    return _distance(generated, reference)
+
+
+def frechet_result(
+    generated: Sequence[np.ndarray],
+    reference: Sequence[np.ndarray],
+    *,
+    resamples: int = 100,
+    seed: int = 0,
+) -> FrechetResult:
+    """Fréchet distance of two sets of motions, with its bootstrap interval.
+
+    Both sets are drawn anew `resamples` times, whole motions at a time (windows of one motion are
+    alike), or windows where a set has fewer than 10 motions: the interval is then too narrow. It is
+    given by the standard error, as the quantiles of resampled distances all lie too high.
+
+    Args:
+        generated: (n_i, D) features of each motion.
+        reference: (m_i, D) features of each motion.
+        resamples: 0 for no interval.
+        seed: draws the resamples.
+
+    Raises:
+        EvaluationError: see `frechet_distance`.
+    """
+    sets = [list(generated), list(reference)]
+    if not all(sets):
+        raise EvaluationError("a Fréchet distance needs features of both sets; one is empty")
+    try:
+        stacked = [np.concatenate(one) for one in sets]
+    except ValueError as error:
+        raise EvaluationError(f"features of one set do not fit together: {error}") from None
+    value = frechet_distance(*stacked)
+    n, m, dimensions = len(stacked[0]), len(stacked[1]), stacked[0].shape[1]
+    notes = []
+    if min(n, m) < SAMPLES_PER_DIMENSION * dimensions:
+        notes.append(
+            f"fewer than {SAMPLES_PER_DIMENSION * dimensions} samples, "
+            f"{SAMPLES_PER_DIMENSION} a dimension: too high"
+        )
+    low = high = np.nan
+    if resamples:
+        if min(map(len, sets)) < _CLIPS:
+            sets = [list(one[:, None]) for one in stacked]
+            notes.append(f"fewer than {_CLIPS} motions: interval too narrow")
+        error = _standard_error(sets, resamples, seed)
+        low, high = max(0.0, value - 1.96 * error), value + 1.96 * error
+    return FrechetResult(value, low, high, n, m, dimensions, "; ".join(notes))
+
+
+def fgd(
+    generated: Sequence[Motion],
+    reference: Sequence[Motion],
+    model: FeatureModel,
+    *,
+    resamples: int = 100,
+    seed: int = 0,
+) -> FrechetResult:
+    """Fréchet gesture distance on the features of `model` (see `gesturekit fit-features`).
+
+    Args:
+        generated: motions with the joints of the model, any frame rate.
+        reference: likewise.
+        model: the autoencoder, fitted on a reference set.
+        resamples: see `frechet_result`.
+        seed: see `frechet_result`.
+
+    Raises:
+        EvaluationError: joints that are missing, or no motion as long as a window.
+    """
+    return frechet_result(
+        model.encode(generated), model.encode(reference), resamples=resamples, seed=seed
+    )
+
+
+def raw_fgd(
+    generated: Sequence[Motion],
+    reference: Sequence[Motion],
+    windows: PoseWindows | None = None,
+    *,
+    joints: Sequence[str] | None = None,
+    resamples: int = 0,
+    seed: int = 0,
+) -> FrechetResult:
+    """Fréchet distance on windows of normalised poses, without an autoencoder.
+
+    Args:
+        generated: motions of one rig.
+        reference: motions of the same rig.
+        windows: how poses are made; by default `PoseWindows.fit(reference)`, GENEA's form.
+            `model.windows` gives the figure that stands beside a model's `fgd`.
+        joints: names that both sets have, where windows are not given; by default the body's.
+        resamples: see `frechet_result`.
+        seed: see `frechet_result`.
+
+    Raises:
+        EvaluationError: see `fgd`.
+    """
+    windows = windows or PoseWindows.fit(reference, joints=joints)
+    flat = [
+        [clip.reshape(len(clip), -1) for clip in windows.cut(motions)]
+        for motions in (generated, reference)
+    ]
+    if flat[0][0].shape[1] <= _EXACT:
+        return frechet_result(*flat, resamples=resamples, seed=seed)
+    return _bounded(flat, resamples, seed)
+
+
+def fid_k(
+    generated: Sequence[Motion],
+    reference: Sequence[Motion],
+    *,
+    seconds: float = CLIP_SECONDS,
+    joints: Sequence[str] | None = None,
+    resamples: int = 100,
+    seed: int = 0,
+) -> FrechetResult:
+    """Fréchet distance on kinetic features of clips; see `kinetic_features`.
+
+    Args:
+        generated: motions of one rig, cut into clips one after the other; a rest is left out.
+        reference: motions of the same rig.
+        seconds: length of a clip.
+        joints: names that both sets have; by default the body joints of the reference.
+        resamples: see `frechet_result`.
+        seed: see `frechet_result`.
+
+    Raises:
+        EvaluationError: rigs that differ, fewer than two clips, motions shorter than a clip.
+    """
+    return _fid("kinetic", generated, reference, seconds, joints, resamples, seed)
+
+
+def fid_g(
+    generated: Sequence[Motion],
+    reference: Sequence[Motion],
+    *,
+    seconds: float = CLIP_SECONDS,
+    resamples: int = 100,
+    seed: int = 0,
+) -> FrechetResult:
+    """Fréchet distance on geometric features of clips; see `geometric_features` and `fid_k`."""
+    return _fid("geometric", generated, reference, seconds, None, resamples, seed)
+
+
+def div_k(
+    motions: Sequence[Motion],
+    reference: Sequence[Motion] | None = None,
+    *,
+    seconds: float = CLIP_SECONDS,
+    joints: Sequence[str] | None = None,
+) -> float:
+    """Mean distance of two clips of `motions` in the kinetic features of `fid_k`.
+
+    Args:
+        motions: motions of one rig, cut into clips.
+        reference: whose standard deviations are the units; by default `motions` themselves.
+        seconds: length of a clip.
+        joints: see `fid_k`.
+
+    Raises:
+        EvaluationError: see `fid_k`.
+    """
+    return _diversity("kinetic", motions, reference, seconds, joints)
+
+
+def div_g(
+    motions: Sequence[Motion],
+    reference: Sequence[Motion] | None = None,
+    *,
+    seconds: float = CLIP_SECONDS,
+) -> float:
+    """Mean distance of two clips of `motions` in the geometric features; see `div_k`."""
+    return _diversity("geometric", motions, reference, seconds, None)
+
+
+def _fid(
+    kind: str,
+    generated: Sequence[Motion],
+    reference: Sequence[Motion],
+    seconds: float,
+    joints: Sequence[str] | None,
+    resamples: int,
+    seed: int,
+) -> FrechetResult:
+    ours, theirs = clip_features([generated, reference], kind, seconds, joints)
+    spread = _spread(np.concatenate(theirs))
+    return frechet_result(
+        [clips / spread for clips in ours],
+        [clips / spread for clips in theirs],
+        resamples=resamples,
+        seed=seed,
+    )
+
+
+def _diversity(
+    kind: str,
+    motions: Sequence[Motion],
+    reference: Sequence[Motion] | None,
+    seconds: float,
+    joints: Sequence[str] | None,
+) -> float:
+    from scipy.spatial.distance import pdist
+
+    sets = [motions, motions if reference is None else reference]
+    ours, theirs = clip_features(sets, kind, seconds, joints)
+    clips = np.concatenate(ours)
+    if len(clips) < 2:
+        raise EvaluationError(f"diversity needs two clips of {seconds:g} s; there is one")
+    return float(pdist(clips / _spread(np.concatenate(theirs))).mean())
+
+
+def _spread(reference: np.ndarray) -> np.ndarray:
+    """(D,) standard deviations; a feature that never changes in the reference keeps its unit."""
+    spread = reference.std(axis=0)
+    return np.where(spread > 1e-9 * (1 + np.abs(reference).max(axis=0)), spread, 1.0)
+
+
+def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
+    from scipy.linalg import svdvals
+
+    means = [x.mean(axis=0) for x in (generated, reference)]
+    roots = [
+        np.linalg.qr((x - mean) / np.sqrt(len(x) - 1), mode="r")
+        for x, mean in zip((generated, reference), means)
+    ]
+    overlap = svdvals(roots[0] @ roots[1].T).sum()
+    apart = ((means[0] - means[1]) ** 2).sum()
+    return float(max(0.0, apart + sum((root**2).sum() for root in roots) - 2 * overlap))
+
+
+def _bounded(sets: list[list[np.ndarray]], resamples: int, seed: int) -> FrechetResult:
+    """Fréchet distance along principal components, and a lower bound of the rest.
+
+    Distances along axes and across them add up to no more than the whole, and across them it is
+    no less than |m1 - m2|² + Σ (s1 - s2)², s the standard deviations of each number.
+    """
+    axes = _principal_axes(sets, _COMPONENTS)
+    along = frechet_result(
+        *([x @ axes for x in one] for one in sets), resamples=resamples, seed=seed
+    )
+    means, spreads = [], []
+    for one in sets:
+        n = sum(map(len, one))
+        mean = sum(x.sum(axis=0) for x in one) / n
+        squares = sum((_across(x - mean, axes) ** 2).sum(axis=0) for x in one)
+        means.append(mean)
+        spreads.append(np.sqrt(squares / (n - 1)))
+    apart = _across((means[0] - means[1])[None], axes)
+    rest = float((apart**2).sum() + ((spreads[0] - spreads[1]) ** 2).sum())
+    width = sets[0][0].shape[1]
+    notes = [f"{_COMPONENTS} principal components of {width}, and a lower bound of the rest"]
+    return replace(
+        along,
+        value=along.value + rest,
+        low=along.low + rest,
+        high=along.high + rest,
+        dimensions=width,
+        note="; ".join(filter(None, [*notes, along.note])),
+    )
+
+
+def _across(values: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """What is left of values (n, D) without what lies along orthonormal axes (D, K)."""
+    return values - (values @ axes) @ axes.T
+
+
+def _principal_axes(sets: list[list[np.ndarray]], count: int) -> np.ndarray:
+    """(D, count) orthonormal axes along which all samples together vary most."""
+    from sklearn.utils.extmath import randomized_svd
+
+    clips = [x for one in sets for x in one]
+    stride = -(-sum(map(len, clips)) // _AXES_FROM)
+    samples = np.concatenate([x[::stride] for x in clips])
+    samples = samples - samples.mean(axis=0)
+    count = min(count, *samples.shape)
+    return randomized_svd(samples, count, n_iter=2, random_state=0)[2].T
+
+
+def _standard_error(sets: list[list[np.ndarray]], resamples: int, seed: int) -> float:
+    if sets[0][0].shape[1] > _RESAMPLED_DIMENSIONS:
+        axes = _principal_axes(sets, _RESAMPLED_DIMENSIONS)
+        sets = [[x @ axes for x in one] for one in sets]
+    rng = np.random.default_rng(seed)
+    figures = []
+    for _ in range(resamples):
+        drawn = [
+            np.concatenate([one[i] for i in rng.integers(0, len(one), len(one))]) for one in sets
+        ]
+        if min(map(len, drawn)) >= 2:
+            figures.append(_distance(*drawn))
+    return float(np.std(figures, ddof=1)) if len(figures) > 1 else np.nan
+
+
+def _features(values: np.ndarray, what: str) -> np.ndarray:
+    features = np.asarray(values, dtype=np.float64)
+    if features.ndim != 2 or not features.shape[1]:
+        raise EvaluationError(f"{what} features have shape {features.shape}; expected (n, D)")
+    if len(features) < 2:
+        raise EvaluationError(
+            f"{what}: {len(features)} sample; a covariance needs two. Give more motions, "
+            "or shorter clips"
+        )
+    if not np.isfinite(features).all():
+        raise EvaluationError(
+            f"{what} holds NaN or infinity in sample {np.argwhere(~np.isfinite(features))[0][0]}"
+        )
+    return features

@@ -1,0 +1,117 @@
+"""Likeness to a recording frame by frame, and how varied poses are: positions about the root."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.evaluation.metrics.physical import joint_paths
+from gesturekit.motion import Motion
+
+_STILL = 1e-6  # share of a pose's extent; a column that varies less is held still
+SRGR_THRESHOLD = 0.1
+"""Metres on the reference body within which SRGR takes a joint for right."""
+
+
+def root_relative(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
+    """Joint positions relative to the first of the joints, which is left out; world axes.
+
+    Args:
+        motion: T frames.
+        joints: names, the pelvis first; None takes the body joints.
+
+    Returns:
+        (T, J - 1, 3) metres.
+
+    Raises:
+        MotionError: a joint that is not there, or a skeleton whose parts cannot be told.
+    """
+    paths = joint_paths(motion, joints)
+    return paths[:, 1:] - paths[:, :1]
+
+
+def l1_diversity(motion: Motion, joints: Sequence[str] | None = None) -> float:
+    """Σ_t Σ_d |x_td - mean_t x_td| / T over pose coordinates, metres (L1div of BEAT and EMAGE).
+
+    A sum over coordinates, so that it grows with the number of joints: compare on one set.
+    """
+    values = root_relative(motion, joints)
+    return float(np.abs(values - values.mean(axis=0)).sum() / len(values))
+
+
+def cca(generated: np.ndarray, reference: np.ndarray) -> float:
+    """Pearson's r of the first canonical pair of two pose sequences, frame by frame (GENEA).
+
+    Fitted on what it is measured on, as in genea_numerical_evaluations (scikit-learn's CCA with
+    one component and up to 1,500 iterations): it is high for any two sequences with many columns
+    and few frames, and needs its level for mismatched pairs beside it.
+
+    Args:
+        generated: (T, D).
+        reference: (T, E).
+
+    Raises:
+        MotionError: different or too few frames, or a sequence that does not move.
+    """
+    import warnings
+
+    from sklearn.cross_decomposition import CCA
+    from sklearn.exceptions import ConvergenceWarning
+
+    if len(generated) != len(reference):
+        raise MotionError(
+            f"CCA compares frame by frame; there are {len(generated)} and {len(reference)} frames"
+        )
+    sides = [
+        side[:, side.std(axis=0) > _STILL * np.abs(side).max(initial=0.0)]
+        for side in (generated, reference)
+    ]
+    for side, what in zip(sides, ("generated motion", "reference"), strict=True):
+        if side.shape[1] == 0:
+            raise MotionError(f"CCA: the {what} does not move")
+    if len(generated) < 3:
+        raise MotionError(f"CCA needs at least 3 frames; there are {len(generated)}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        first, second = CCA(n_components=1, max_iter=1500).fit_transform(*sides)
+    return float(np.corrcoef(first[:, 0], second[:, 0])[0, 1])
+
+
+def srgr(
+    generated: np.ndarray,
+    reference: np.ndarray,
+    semantic: np.ndarray,
+    *,
+    variant: Literal["beat", "emage"] = "emage",
+    threshold: float = SRGR_THRESHOLD,
+) -> float:
+    """Semantic-relevance gesture recall: how often joints are right where it matters.
+
+    mean over frames t and joints j of [distance < threshold] · semantic_t / 0.165.
+
+    Args:
+        generated: (T, J, 3) poses, metres.
+        reference: (T, J, 3) poses of the recording.
+        semantic: (T,) semantic relevance of each frame, 0 to 1.
+        variant: "beat" (2022) takes the L1 distance over x, y and z, "emage" the L2 distance.
+        threshold: metres.
+
+    Raises:
+        MotionError: shapes that do not fit, or an unknown variant.
+    """
+    if generated.shape != reference.shape or len(semantic) != len(generated):
+        raise MotionError(
+            f"SRGR: poses {generated.shape} and {reference.shape} with {len(semantic)} semantic "
+            "values; all must have the same frames and joints"
+        )
+    if variant not in _DISTANCES:
+        raise MotionError(f"SRGR variant {variant!r}; expected {' or '.join(_DISTANCES)}")
+    distance = np.linalg.norm(generated - reference, ord=_DISTANCES[variant], axis=-1)
+    return float(((distance < threshold) * semantic[:, None]).mean() / _SEMANTIC_MEAN)
+
+
+_DISTANCES = {"beat": 1, "emage": 2}
+_SEMANTIC_MEAN = 0.165  # the mean semantic score of BEAT, by which its authors scale

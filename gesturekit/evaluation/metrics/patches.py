@@ -1,0 +1,357 @@
+"""How much of a reference motion a generated one holds, and what it adds to it.
+
+Coverage, global and local diversity of Li et al. 2022 (GANimator), eqs. 17 to 20 of
+Moreno-Villamarin et al. 2024, and the inter- and intra-diversity of Raab et al. 2024 (SinMDM).
+All compare arrays (T, D), one row a frame; `patch_features` makes them from motions. Two variants:
+
+- "ganimator", the published code: two frames are their unsquared L2 norm apart, two windows the
+  mean of that over their frames. Windows that are looked up start at 0 ... L - w - 1: the last one
+  is left out; they are looked for everywhere. Features are 6D rotations and contact labels.
+- "paper", the formulas of 2024: two windows are the unsquared Frobenius norm of their difference
+  apart, all L - w + 1 are looked up, and global diversity takes squared norms of frames.
+  Features are rotation matrices.
+
+Windows are counted in frames: compare motions of one frame rate, the model's. Published numbers
+are for 30 fps, means over 200 samples twice as long as the reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gesturekit.errors import EvaluationError, MotionError
+from gesturekit.evaluation.metrics.diagonals import (
+    frame_distances,
+    least_window_sums,
+    segmentation_cost,
+    window_sums,
+)
+from gesturekit.motion import Motion
+from gesturekit.motion.contacts import contact_labels
+from gesturekit.motion.parts import body_joints
+from gesturekit.motion.rotations import matrix_from_quaternion, sixd_from_quaternion
+from gesturekit.wording import counted
+
+VARIANTS = ("ganimator", "paper")
+THRESHOLD = 2.0
+"""Distance below which the variant "ganimator" calls a window covered."""
+CONTACT_SPEED = 0.54
+"""m/s on the reference body; GANimator's 0.018 a frame at 30 fps, on Mixamo rigs in metres."""
+_MOST_PAIRS = 10**9
+"""Pairs of frames that are compared at most: 8 GB."""
+
+
+@dataclass(frozen=True)
+class PatchScores:
+    """Coverage (0 to 1), global and local diversity of one generated motion."""
+
+    coverage: float
+    global_diversity: float
+    local_diversity: float
+
+
+def coverage(
+    generated: np.ndarray,
+    reference: np.ndarray,
+    window: int = 30,
+    threshold: float | None = None,
+    *,
+    variant: str = "ganimator",
+) -> float:
+    """Share of the reference's windows that are found in the generated motion (eq. 17).
+
+    Args:
+        generated: (L, D) frames.
+        reference: (N, D) frames.
+        window: frames of a window.
+        threshold: a window counts where its nearest one is less than this away. 2.0 in the
+            variant "ganimator"; "paper" has none, as its authors chose theirs by eye.
+        variant: see the top of this module.
+
+    Raises:
+        EvaluationError: shapes that do not fit, NaN, motions too short, no threshold.
+    """
+    return patch_scores(
+        generated, reference, window, None, None, threshold=threshold, variant=variant
+    ).coverage
+
+
+def global_diversity(
+    generated: np.ndarray,
+    reference: np.ndarray,
+    min_segment: int = 30,
+    *,
+    variant: str = "ganimator",
+) -> float:
+    """Mean distance of a generated frame to the reference frame laid upon it (eq. 19).
+
+    The generated motion is cut into segments of at least `min_segment` frames, and each is laid
+    on a piece of the reference as long as itself, so that the mean over all frames is least.
+
+    Args:
+        generated: (L, D) frames.
+        reference: (N, D) frames.
+        min_segment: frames.
+        variant: see the top of this module.
+
+    Raises:
+        EvaluationError: shapes that do not fit, NaN, motions too short, or L frames that cannot be
+            cut into segments of `min_segment` to N frames.
+    """
+    return patch_scores(
+        generated, reference, None, min_segment, None, variant=variant
+    ).global_diversity
+
+
+def local_diversity(
+    generated: np.ndarray,
+    reference: np.ndarray,
+    window: int = 15,
+    *,
+    variant: str = "ganimator",
+) -> float:
+    """Mean distance of the generated motion's windows to the nearest of the reference (eq. 20).
+
+    Args:
+        generated: (L, D) frames.
+        reference: (N, D) frames.
+        window: frames of a window.
+        variant: see the top of this module.
+
+    Raises:
+        EvaluationError: shapes that do not fit, NaN, or motions too short.
+    """
+    return patch_scores(generated, reference, None, None, window, variant=variant).local_diversity
+
+
+def patch_scores(
+    generated: np.ndarray,
+    reference: np.ndarray,
+    coverage_window: int | None = 30,
+    min_segment: int | None = 30,
+    local_window: int | None = 15,
+    *,
+    threshold: float | None = None,
+    variant: str = "ganimator",
+) -> PatchScores:
+    """All three at once, from one matrix of distances; NaN for those whose window is None.
+
+    Args:
+        generated: (L, D) frames.
+        reference: (N, D) frames.
+        coverage_window: see `coverage`.
+        min_segment: see `global_diversity`.
+        local_window: see `local_diversity`.
+        threshold: see `coverage`.
+        variant: see the top of this module.
+
+    Raises:
+        EvaluationError: what any of the three would raise.
+    """
+    _check_variant(variant)
+    generated, reference = _frames(generated, "generated"), _frames(reference, "reference")
+    if generated.shape[1] != reference.shape[1]:
+        raise EvaluationError(
+            f"generated has {generated.shape[1]} numbers a frame, reference "
+            f"{reference.shape[1]}: they must be features of one kind and rig"
+        )
+    if len(generated) * len(reference) > _MOST_PAIRS:
+        raise EvaluationError(
+            f"{len(generated)} frames against {len(reference)} would take "
+            f"{8e-9 * len(generated) * len(reference):.0f} GB; compare shorter pieces"
+        )
+    if coverage_window is not None:
+        _check_window(coverage_window, reference, generated, variant, "reference")
+        threshold = _threshold(threshold, variant)
+    if min_segment is not None:
+        _check_segments(min_segment, len(generated), len(reference))
+    if local_window is not None:
+        _check_window(local_window, generated, reference, variant, "generated")
+
+    distances = frame_distances(generated, reference, squared=variant == "paper")
+    covered = overall = local = np.nan
+    if coverage_window is not None:
+        _, sums = least_window_sums(distances, coverage_window)
+        covered = (_nearest(sums, coverage_window, variant) < threshold).mean()
+    if min_segment is not None:
+        overall = segmentation_cost(distances, min_segment) / len(generated)
+    if local_window is not None:
+        sums, _ = least_window_sums(distances, local_window)
+        local = _nearest(sums, local_window, variant).mean()
+    return PatchScores(float(covered), float(overall), float(local))
+
+
+def inter_diversity(
+    samples: Sequence[np.ndarray], window: int = 15, *, variant: str = "nearest"
+) -> float:
+    """How much samples of one model differ from each other (SinMDM).
+
+    Each sample is compared with the one before it, the first with the last, as published.
+
+    Args:
+        samples: (T, D) arrays, two or more.
+        window: frames of a window.
+        variant: "nearest" (`inter_diversity_local` of the code): local diversity, GANimator's form,
+            of a sample against the other. "aligned" (`inter_diversity_dist`): Frobenius norm of
+            the difference of the two, frame by frame, over the number of frames; `window` is not
+            used, and lengths must be equal.
+
+    Raises:
+        EvaluationError: fewer than two samples, shapes that do not fit, NaN, or too short.
+    """
+    if variant not in ("nearest", "aligned"):
+        raise EvaluationError(f"variant {variant!r}; expected nearest or aligned")
+    arrays = _samples(samples, least=2)
+    pairs = [(arrays[i], arrays[i - 1]) for i in range(len(arrays))]
+    if variant == "nearest":
+        return float(np.mean([local_diversity(a, b, window) for a, b in pairs]))
+    lengths = sorted({len(array) for array in arrays})
+    if len(lengths) > 1:
+        raise EvaluationError(
+            f"samples of {lengths[0]} and {lengths[-1]} frames; variant aligned needs one length"
+        )
+    return float(np.mean([np.linalg.norm(a - b) / len(a) for a, b in pairs]))
+
+
+def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15) -> float:
+    """How much the windows of one sample differ from each other (SinMDM), mean over samples.
+
+    The published code draws one pair of windows a sample and takes the Frobenius norm of their
+    difference over `window`; this is the mean over all pairs (a window with itself included,
+    the last window left out, as there), which the draw estimates. Compare with the reference's.
+
+    Args:
+        samples: one (T, D) array, or several.
+        window: frames of a window.
+
+    Raises:
+        EvaluationError: no sample, NaN, or a sample of less than `window` + 1 frames.
+    """
+    if isinstance(samples, np.ndarray) and samples.ndim == 2:
+        samples = [samples]
+    figures = []
+    for frames in _samples(samples, least=1):
+        _check_window(window, frames, frames, "ganimator", "sample")
+        apart = np.sqrt(window_sums(frame_distances(frames, frames, squared=True), window))
+        figures.append(apart[:-1, :-1].mean() / window)
+    return float(np.mean(figures))
+
+
+def patch_features(
+    motion: Motion, variant: str = "ganimator", *, joints: str | Sequence[str] = "body"
+) -> np.ndarray:
+    """The array of a motion that a variant compares.
+
+    "ganimator": 6D rotations of J joints, the root's in the world, then a block of six for each
+    foot point, its contact label first and zeros after it: (T, 6 (J + F)). The root's place is left
+    out. Contact is a foot point slower than 0.54 m/s (on the reference body), frame 0 is none; the
+    points are heel and toe of `gesturekit.motion.contacts`, where GANimator's rigs have toe base
+    and toe end.
+    "paper": rotation matrices, (T, 9 J).
+
+    Args:
+        motion: T frames.
+        variant: "ganimator" or "paper".
+        joints: "body" (no fingers, no face, no end joints), "all", or names.
+
+    Raises:
+        EvaluationError: no such variant.
+        MotionError: no such joint, or parts of the body that cannot be told.
+    """
+    _check_variant(variant)
+    if isinstance(joints, str):
+        if joints not in ("body", "all"):
+            raise MotionError(f"joints: {joints!r}; expected body, all, or a list of joint names")
+        joints = motion.skeleton.names if joints == "all" else body_joints(motion.skeleton)
+    rotations = motion.rotations[:, [motion.skeleton.index(name) for name in joints]]
+    if variant == "paper":
+        return matrix_from_quaternion(rotations).reshape(motion.n_frames, -1)
+    labels = contact_labels(motion, threshold=CONTACT_SPEED)
+    labels[0] = 0.0
+    contacts = np.zeros((*labels.shape, 6))
+    contacts[..., 0] = labels
+    blocks = np.concatenate([sixd_from_quaternion(rotations), contacts], axis=1)
+    return blocks.reshape(motion.n_frames, -1)
+
+
+def _nearest(sums: np.ndarray, window: int, variant: str) -> np.ndarray:
+    """Distances of the windows that are looked up, from their least sums over frames."""
+    return np.sqrt(sums) if variant == "paper" else sums[:-1] / window
+
+
+def _threshold(threshold: float | None, variant: str) -> float:
+    if threshold is None:
+        if variant == "paper":
+            raise EvaluationError(
+                'coverage in the variant "paper" needs a threshold: its authors give none'
+            )
+        return THRESHOLD
+    if not (np.isfinite(threshold) and threshold > 0):
+        raise EvaluationError(f"threshold is {threshold!r}; expected a positive number")
+    return threshold
+
+
+def _check_variant(variant: str) -> None:
+    if variant not in VARIANTS:
+        raise EvaluationError(f"variant {variant!r}; expected {' or '.join(VARIANTS)}")
+
+
+def _frames(values: np.ndarray, what: str) -> np.ndarray:
+    if isinstance(values, Motion):
+        raise EvaluationError(f"{what} is a Motion; give patch_features(motion, variant)")
+    try:
+        frames = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise EvaluationError(f"{what} is no array of numbers: {error}") from None
+    if frames.ndim != 2 or not frames.size:
+        raise EvaluationError(f"{what} has shape {frames.shape}; expected (frames, numbers)")
+    if not np.isfinite(frames).all():
+        bad = np.argwhere(~np.isfinite(frames))[0]
+        raise EvaluationError(f"{what} holds {frames[tuple(bad)]} in frame {bad[0]}")
+    return frames
+
+
+def _samples(samples: Sequence[np.ndarray], least: int) -> list[np.ndarray]:
+    arrays = [_frames(sample, f"sample {i}") for i, sample in enumerate(samples)]
+    if len(arrays) < least:
+        raise EvaluationError(f"{counted(len(arrays), 'sample')}; at least {least} needed")
+    widths = sorted({array.shape[1] for array in arrays})
+    if len(widths) > 1:
+        raise EvaluationError(f"samples have {widths[0]} and {widths[-1]} numbers a frame")
+    return arrays
+
+
+def _check_window(
+    window: int, looked_up: np.ndarray, among: np.ndarray, variant: str, what: str
+) -> None:
+    """`looked_up` is the array whose windows are looked for in `among`."""
+    _check_count("window", window)
+    need = window + (variant == "ganimator")
+    if len(looked_up) < need or len(among) < window:
+        short = len(looked_up) if len(looked_up) < need else len(among)
+        raise EvaluationError(
+            f"window is {window} frames; {what} needs at least {need} and the other {window}, "
+            f"but one has {short}"
+        )
+
+
+def _check_segments(shortest: int, n_generated: int, n_reference: int) -> None:
+    _check_count("min_segment", shortest)
+    if min(n_generated, n_reference) < shortest:
+        raise EvaluationError(
+            f"min_segment is {shortest} frames; generated has {n_generated}, "
+            f"reference {n_reference}"
+        )
+    if -(-n_generated // n_reference) * shortest > n_generated:
+        raise EvaluationError(
+            f"{n_generated} generated frames cannot be cut into segments of {shortest} to "
+            f"{n_reference} frames (the reference has no more); choose a shorter min_segment"
+        )
+
+
+def _check_count(name: str, value: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise EvaluationError(f"{name} is {value!r}; expected a whole number of frames from 1")

@@ -1,0 +1,236 @@
+"""Rhythm: do beats of the motion fall on beats of the sound?
+
+Two measures of the field, each with the level it reaches by chance. Their kernels and windows are
+seconds here, where the published code counts frames, so that the frame rate does not change them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from audio_features import Wave
+from gesturekit.errors import MotionError
+from gesturekit.evaluation.metrics.derivatives import CUTOFF, derivative
+from gesturekit.evaluation.metrics.physical import joint_paths, joint_speed
+from gesturekit.evaluation.metrics.sync import MIN_SHIFT
+from gesturekit.motion import Motion
+from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.parts import body_joints, upper_body
+
+SMOOTHING = 5 / 60
+"""Seconds; σ of the Gaussian over the speed curve in beat alignment: 5 frames at 60 fps."""
+KERNEL = 3 / 60
+"""Seconds; σ of beat alignment: 3 frames at 60 fps."""
+CONSISTENCY_KERNEL = 0.3
+"""Seconds; σ of beat consistency."""
+CONSISTENCY_ORDER = 7 / 30
+"""Seconds to either side in which a beat of beat consistency is the slowest: 7 frames at 30 fps."""
+CONSISTENCY_SPEED = 0.1
+"""Beats of beat consistency are faster than this share of the joint's mean speed."""
+SHIFT_STEP = 0.1
+"""Seconds between two circular shifts of the sound, for the chance level."""
+
+_ONSET_RATE, _ONSET_HOP = 16_000, 512
+_STILL = 1e-6  # m/s on the reference body; what varies less does not move
+
+
+@dataclass(frozen=True)
+class BeatResult:
+    """What a beat measure found.
+
+    Attributes:
+        score: 0 to 1; the share of the sound's beats that the motion meets, softly counted.
+        chance_mean: mean of the score over all circular shifts of the sound of more than 1 s.
+        chance_sd: their standard deviation.
+        z: (score - chance_mean) / chance_sd.
+        motion_beats: how many beats the motion has (mean over joints for beat consistency).
+        sound_beats: how many the sound has.
+        note: "" or why a figure is 0 without having been measured.
+    """
+
+    score: float
+    chance_mean: float
+    chance_sd: float
+    z: float
+    motion_beats: float
+    sound_beats: int
+    note: str = ""
+
+
+def beat_alignment(
+    motion: Motion,
+    beats: np.ndarray,
+    *,
+    variant: Literal["seconds", "bailando"] = "seconds",
+    joints: Sequence[str] | None = None,
+) -> BeatResult:
+    """BAS: 1/|B| Σ over beats b of the sound of exp(-min_m (b - m)² / 2σ²), σ = 50 ms.
+
+    The form of AIST++ and Bailando (utils/beat_align_score.py). A clip's own score; published
+    figures are means over clips.
+
+    Args:
+        motion: the motion; beats after its end do not count.
+        beats: (B,) seconds of the sound's beats, such as `music_beats` gives.
+        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivatives`) and
+            places beats between frames by a parabola through three of them; "bailando" takes
+            differences of frames and places a beat at the step's first frame, as its code does:
+            up to half a frame early, as coarse as the frame rate, and bound to it.
+        joints: names; None for the body joints.
+
+    Raises:
+        MotionError: fewer than 6 frames, a frame rate of 12 fps or less, or joints that cannot
+            be told.
+    """
+    found = motion_beats(motion, variant=variant, joints=joints)
+    return _result([found], beats, motion.duration, KERNEL)
+
+
+def beat_consistency(
+    motion: Motion,
+    onsets: np.ndarray,
+    *,
+    mean_speed: np.ndarray | None = None,
+    joints: Sequence[str] | None = None,
+) -> BeatResult:
+    """BC of BEAT and EMAGE: the same sum over onsets with σ = 0.3 s, averaged over joints.
+
+    A joint's beats are its local speed minima over ±7/30 s that are faster than a tenth of its
+    mean speed (a joint at rest has no beats); speeds are central differences. The kernel is so
+    wide that chance is high: read it with the chance level.
+
+    Args:
+        motion: the motion; onsets after its end do not count.
+        onsets: (B,) seconds, such as `speech_onsets` gives.
+        mean_speed: (J,) m/s, each joint's mean speed over the reference set; None takes the
+            motion's own.
+        joints: names; None for the upper body without fingers.
+
+    Raises:
+        MotionError: fewer than 3 frames, or joints that cannot be told.
+    """
+    names = upper_body_joints(motion) if joints is None else joints
+    speed = central_speed(motion, names)
+    usual = speed.mean(axis=0) if mean_speed is None else np.asarray(mean_speed)
+    order = max(1, round(CONSISTENCY_ORDER * motion.fps))
+    still = _STILL * body_scale(motion.skeleton)
+    found = []
+    for curve, mean in zip(speed.T, usual, strict=True):
+        at, times = _minima(curve, order)
+        found.append(times[curve[at] > max(CONSISTENCY_SPEED * mean, still)] / motion.fps)
+    return _result(found, onsets, motion.duration, CONSISTENCY_KERNEL)
+
+
+def motion_beats(
+    motion: Motion,
+    *,
+    variant: Literal["seconds", "bailando"] = "seconds",
+    joints: Sequence[str] | None = None,
+) -> np.ndarray:
+    """When a motion is slowest: local minima of the mean joint speed, smoothed with σ = 83 ms.
+
+    Returns:
+        (M,) seconds; see `beat_alignment` for the variants.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    if variant not in ("seconds", "bailando"):
+        raise MotionError(f"beat alignment variant {variant!r}; expected seconds or bailando")
+    if variant == "bailando":
+        speed = joint_speed(motion, joints)
+    else:
+        velocity = derivative(joint_paths(motion, joints), motion.fps, 1, CUTOFF)
+        speed = np.linalg.norm(velocity, axis=-1)
+    smooth = gaussian_filter1d(speed.mean(axis=1), SMOOTHING * motion.fps)
+    if np.ptp(smooth) < _STILL * body_scale(motion.skeleton):
+        return np.zeros(0)
+    at, between = _minima(smooth, 1)
+    return (between if variant == "seconds" else at) / motion.fps
+
+
+def speech_onsets(wave: Wave) -> np.ndarray:
+    """(B,) seconds of sound onsets: librosa's, at 16 kHz with hops of 512 samples, as in EMAGE."""
+    import librosa
+
+    if wave.is_silent:
+        return np.zeros(0)
+    sound = wave.resample(_ONSET_RATE)
+    return librosa.onset.onset_detect(
+        y=sound.samples, sr=_ONSET_RATE, hop_length=_ONSET_HOP, units="time"
+    )
+
+
+def music_beats(wave: Wave) -> np.ndarray:
+    """(B,) seconds of a steady pulse: librosa's beat tracker, which finds one in speech too."""
+    import librosa
+
+    if wave.is_silent:
+        return np.zeros(0)
+    return librosa.beat.beat_track(y=wave.samples, sr=wave.sample_rate, units="time")[1]
+
+
+def central_speed(motion: Motion, joints: Sequence[str]) -> np.ndarray:
+    """(T, J) m/s: central differences, one-sided at both ends, as BEAT takes them."""
+    if motion.n_frames < 3:
+        raise MotionError(f"the motion has {motion.n_frames} frames; at least 3 are needed")
+    return np.linalg.norm(np.gradient(joint_paths(motion, joints), 1 / motion.fps, axis=0), axis=-1)
+
+
+def upper_body_joints(motion: Motion) -> tuple[str, ...]:
+    """Names of the joints from the spine upwards, without fingers and end joints."""
+    above = set(upper_body(motion.skeleton))
+    return tuple(name for name in body_joints(motion.skeleton) if name in above)
+
+
+def _minima(curve: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of local minima within ±order, and where between the samples they lie.
+
+    Two equal lowest samples are one minimum between them; a longer flat is rest, and none.
+    """
+    from scipy.signal import argrelextrema
+
+    (low,) = argrelextrema(curve, np.less_equal, order=order)
+    runs = np.split(low, np.flatnonzero(np.diff(low) > 1) + 1)
+    at = np.array([run[0] for run in runs if 0 < len(run) <= 2], dtype=np.int64)
+    at = at[(at > 0) & (at < len(curve) - 1)]
+    before, here, after = curve[at - 1], curve[at], curve[at + 1]
+    bend = before - 2 * here + after
+    return at, at + 0.5 * (before - after) / np.maximum(bend, 1e-30)
+
+
+def _result(
+    found: list[np.ndarray], beats: np.ndarray, duration: float, sigma: float
+) -> BeatResult:
+    beats = np.asarray(beats, dtype=np.float64)
+    beats = beats[(beats >= 0) & (beats < duration)]
+    count = float(np.mean([len(times) for times in found]))
+    if len(beats) == 0:
+        return BeatResult(0.0, 0.0, 0.0, 0.0, count, 0, "the sound has no beats (silence?)")
+    if count == 0:
+        return BeatResult(0.0, 0.0, 0.0, 0.0, 0.0, len(beats), "the motion has no beats")
+    score = float(np.mean([_met(beats[None], times, sigma)[0] for times in found]))
+    shifts = np.arange(MIN_SHIFT + SHIFT_STEP, duration - MIN_SHIFT, SHIFT_STEP)
+    if len(shifts) == 0:
+        note = f"too short ({duration:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
+        return BeatResult(score, 0.0, 0.0, 0.0, count, len(beats), note)
+    moved = (beats[None] + shifts[:, None]) % duration
+    chance = np.mean([_met(moved, times, sigma) for times in found], axis=0)
+    mean, sd = float(chance.mean()), float(chance.std())
+    z = (score - mean) / sd if sd > 1e-9 else 0.0
+    return BeatResult(score, mean, sd, z, count, len(beats))
+
+
+def _met(beats: np.ndarray, times: np.ndarray, sigma: float) -> np.ndarray:
+    """(S,) mean over beats (S, B) of exp(-d²/2σ²), d the distance to the nearest of `times`."""
+    if len(times) == 0:
+        return np.zeros(len(beats))
+    after = np.searchsorted(times, beats)
+    near = np.minimum(
+        np.abs(beats - times[np.minimum(after, len(times) - 1)]),
+        np.abs(beats - times[np.maximum(after - 1, 0)]),
+    )
+    return np.exp(-(near**2) / (2 * sigma**2)).mean(axis=1)

@@ -1,0 +1,153 @@
+"""Sync: does the motion listen to the speech?
+
+Pearson's r, at the best lag within ±0.3 s, between arm speed and speech energy, with the level
+that the same figure reaches by chance. It can be flattered by a loss that aims at it: give it
+with the recording's own figure, and with arm-speed and jerk ratios beside it. One clip proves
+little; average over several.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from audio_features import Wave
+from gesturekit.errors import MotionError
+from gesturekit.evaluation.metrics.physical import arm_speed
+from gesturekit.motion import Motion
+
+WINDOW = 0.05  # seconds of sound that one value of the envelope is the RMS of
+FLOOR = 1e-4  # added to the RMS before the logarithm: -80 dB of full scale
+SIGMA = 0.1  # seconds, standard deviation of the Gaussian that smooths both curves
+MIN_SHIFT = 1.0  # seconds; circular shifts of no more than this are no chance alignments
+
+# Rounding in files moves joints by less than this, and sound at the floor by less than that.
+_STILL = 1e-5  # rad/s
+_FLAT = 1e-6  # nepers
+
+
+@dataclass(frozen=True)
+class SyncResult:
+    """What `sync` found.
+
+    Attributes:
+        r: Pearson's r at the best lag.
+        lag: that lag in seconds; positive where the motion comes after the sound.
+        chance_mean: mean of r (best lag again) over all circular shifts of more than 1 s.
+        chance_sd: their standard deviation.
+        z: (r - chance_mean) / chance_sd.
+        note: "" or why a figure is 0 without having been measured.
+    """
+
+    r: float
+    lag: float
+    chance_mean: float
+    chance_sd: float
+    z: float
+    note: str = ""
+
+    def __str__(self) -> str:
+        text = (
+            f"sync r = {self.r:.2f} at lag {self.lag:+.2f} s "
+            f"(chance {self.chance_mean:.2f} ± {self.chance_sd:.2f}, z = {self.z:+.1f})"
+        )
+        return f"{text}: {self.note}" if self.note else text
+
+
+def sync(motion: Motion, wave: Wave, *, max_lag: float = 0.3) -> SyncResult:
+    """Measure how well arm speed follows speech energy.
+
+    Both are taken on the motion's frames, as many as motion and wave have in common, and
+    smoothed by a Gaussian of σ = 0.1 s: `arm_speed` in rad/s, and `speech_envelope`,
+    ln(RMS over 50 ms + 1e-4). At lag ℓ the speed at frame k + ℓ meets the envelope at frame k,
+    over the frames where both exist. Chance is the same figure, best lag included, for the
+    envelope shifted circularly by every number of frames more than 1 s from 0.
+
+    Motion that stands still, sound that never changes, and (for chance alone) clips too short
+    to shift give zeros and a `note`, never NaN.
+
+    Args:
+        motion: any frame rate; figures of different frame rates differ slightly.
+        wave: the speech, beginning with the motion.
+        max_lag: largest lag tried, seconds.
+
+    Raises:
+        MotionError: no shoulders and elbows found, or less than 3 frames in common beyond the
+            largest lag.
+    """
+    fps = motion.fps
+    n = min(motion.n_frames, wave.n_frames(fps))
+    lags = np.arange(-math.floor(max_lag * fps + 1e-9), math.floor(max_lag * fps + 1e-9) + 1)
+    if n < lags[-1] + 3:
+        raise MotionError(
+            f"sync needs more than {max_lag:g} s and 3 frames of motion with speech; "
+            f"there are {n} frames at {fps:g} fps"
+        )
+    speed = _smoothed(arm_speed(motion)[:n], fps)
+    envelope = _smoothed(speech_envelope(wave, fps, n), fps)
+    if speed.std() < _STILL:
+        return SyncResult(0.0, 0.0, 0.0, 0.0, 0.0, "the arms do not move")
+    if envelope.std() < _FLAT:
+        return SyncResult(0.0, 0.0, 0.0, 0.0, 0.0, "the sound never changes (silence?)")
+
+    r = _r_by_lag_and_shift(speed, envelope, lags)
+    best = int(r[:, 0].argmax())
+    figure, lag = float(r[best, 0]), float(lags[best] / fps)
+    shift = np.arange(n)
+    chance = r.max(axis=0)[np.minimum(shift, n - shift) > MIN_SHIFT * fps]
+    if len(chance) == 0:
+        note = f"too short ({n / fps:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
+        return SyncResult(figure, lag, 0.0, 0.0, 0.0, note)
+    mean, sd = float(chance.mean()), float(chance.std())
+    return SyncResult(figure, lag, mean, sd, (figure - mean) / sd if sd > 0 else 0.0)
+
+
+def speech_envelope(wave: Wave, fps: float, n_frames: int) -> np.ndarray:
+    """ln(RMS + 1e-4) of the 50 ms of sound around each motion frame.
+
+    Frame k is centred at k/fps seconds. Windows that reach beyond the sound are shorter, and
+    those wholly beyond it hold silence.
+
+    Returns:
+        (n_frames,) nepers of full scale, not smoothed.
+    """
+    return np.log(wave.rms(np.arange(n_frames) / fps, window=WINDOW) + FLOOR)
+
+
+def _smoothed(curve: np.ndarray, fps: float) -> np.ndarray:
+    from scipy.ndimage import gaussian_filter1d
+
+    return gaussian_filter1d(curve, SIGMA * fps, mode="nearest")
+
+
+def _r_by_lag_and_shift(x: np.ndarray, y: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    """Pearson's r of x[k + lag] with y[(k - shift) mod T] over the k where x exists.
+
+    Every shift at once by the convolution theorem: O(lags · T log T).
+
+    Returns:
+        (len(lags), T): r for each lag and each circular shift from 0 to T - 1.
+    """
+    n = len(x)
+    x, y = x - x.mean(), y - y.mean()
+    spectra = np.conj(np.fft.rfft(np.stack([y, y**2]), axis=-1))
+    floor = 1e-12 * np.array([x.var(), y.var()])
+    r = np.zeros((len(lags), n))
+    for row, lag in enumerate(lags):
+        k = slice(max(0, -lag), n - max(0, lag))
+        part = np.zeros(n)
+        part[k] = x[k.start + lag : k.stop + lag]
+        inside = np.zeros(n)
+        inside[k] = 1.0
+        count = k.stop - k.start
+        cross = np.fft.irfft(np.fft.rfft(part) * spectra[0], n)
+        mean_y, mean_yy = np.fft.irfft(np.fft.rfft(inside) * spectra, n) / count
+        mean_x = part.sum() / count
+        var_x = (part**2).sum() / count - mean_x**2
+        var_y = mean_yy - mean_y**2
+        known = (var_x > floor[0]) & (var_y > floor[1])
+        scale = np.sqrt(np.where(known, var_x * var_y, 1.0))
+        r[row] = np.where(known, (cross / count - mean_x * mean_y) / scale, 0.0)
+    return np.clip(r, -1.0, 1.0)

@@ -1,0 +1,1 @@
+"""The evaluation report: comparison, tables, plots, page."""

@@ -1,0 +1,164 @@
+"""The report: one HTML file with tables, plots and a player, that needs nothing from outside."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import os
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from gesturekit.atomic import atomic_write
+from gesturekit.evaluation.intervals import FEW
+from gesturekit.evaluation.report import tables
+from gesturekit.evaluation.report.plots import all_plots
+from gesturekit.evaluation.report.results import Evaluation
+from gesturekit.evaluation.report.showcase import Shown, best_and_worst
+from gesturekit.evaluation.report.tables import section
+from gesturekit.viewer import player_shell
+from gesturekit.wording import counted
+
+_HERE = Path(__file__).parent / "page"
+
+
+def write_report(
+    evaluation: Evaluation,
+    path: str | os.PathLike[str],
+    *,
+    title: str | None = None,
+    command: str | None = None,
+) -> None:
+    """Write the report of an evaluation.
+
+    Args:
+        evaluation: what `evaluate` found.
+        path: the .html file to write.
+        title: the heading; by default what was measured against what.
+        command: how it was made, to be made again.
+
+    Raises:
+        GestureKitError: the player has not been bundled.
+    """
+    names = ", ".join(model.label for model in evaluation.models)
+    heading = title or f"{names} against {evaluation.reference.name}"
+    shown = best_and_worst(evaluation)
+    sections = [
+        tables.figures(evaluation),
+        tables.recordings(evaluation),
+        _plots_section(evaluation),
+        _clips_section(shown, evaluation),
+        tables.per_clip(evaluation),
+        tables.excluded(evaluation),
+        _definitions_section(evaluation, command),
+    ]
+    page = {
+        "title": html.escape(heading),
+        "style": (_HERE / "style.css").read_text(encoding="utf-8"),
+        "facts": "".join(f"<span>{html.escape(fact)}</span>" for fact in _facts(evaluation)),
+        "warnings": "".join(
+            f'<p class="warning">{html.escape(w)}</p>' for w in _warnings(evaluation)
+        ),
+        "sections": "\n".join(filter(None, sections)),
+        "footer": html.escape(
+            ", ".join(f"{name} {version}" for name, version in evaluation.versions.items())
+        ),
+        "scripts": _scripts(shown),
+    }
+    template = (_HERE / "template.html").read_text(encoding="utf-8")
+    text = re.sub(r"\{\{(\w+)\}\}", lambda place: page[place[1]], template)
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _facts(evaluation: Evaluation) -> Iterable[str]:
+    model = evaluation.models[0]
+    seconds = sum(clip.seconds for clip in model.clips)
+    recordings = len({clip.pair.stem for clip in model.clips})
+    if evaluation.protocol:
+        yield f"protocol {evaluation.protocol}"
+    yield f"{counted(len(model.clips), 'clip')}, {seconds:.0f} s"
+    yield counted(recordings, "recording")
+    yield f"measured at {evaluation.fps:g} fps"
+    yield f"seed {evaluation.settings['seed']}"
+
+
+def _warnings(evaluation: Evaluation) -> Iterable[str]:
+    for model in evaluation.models:
+        who = f"{model.label}: " if len(evaluation.models) > 1 else ""
+        left_out = sum(item.what == "clip" for item in model.excluded)
+        if left_out:
+            yield f"{who}left out: {counted(left_out, 'clip')}; the reasons are below."
+        units = {f.interval.units for f in model.figures.values() if f.interval.units > 1}
+        if units and min(units) < FEW:
+            yield (
+                f"{who}intervals come from as few as {min(units)} recordings: they are rough, and "
+                "most likely too narrow."
+            )
+        elif not units:
+            yield f"{who}a single clip: there are no intervals, and one clip proves little."
+        yield from (f"{who}{note}." for note in model.notes)
+
+
+def _plots_section(evaluation: Evaluation) -> str:
+    figures = "".join(
+        f"<figure><figcaption>{html.escape(title)}</figcaption>"
+        f'<img alt="{html.escape(title)}" src="data:image/svg+xml;base64,'
+        f'{base64.b64encode(svg.encode()).decode()}"></figure>'
+        for title, svg in all_plots(evaluation).items()
+    )
+    return section("Plots", "", figures) if figures else ""
+
+
+def _clips_section(shown: list[Shown], evaluation: Evaluation) -> str:
+    if not shown:
+        return ""
+    buttons = "".join(
+        f'<button type="button" aria-pressed="false">{html.escape(clip.label)}'
+        f"<small>{html.escape(clip.detail)}</small></button>"
+        for clip in shown
+    )
+    lead = (
+        f"{html.escape(evaluation.models[0].label)}, ranked by {html.escape(shown[0].ranked_by)}; "
+        "generated and recorded side by side, with the recording's sound where it was given."
+    )
+    return section(
+        "Best and worst clips",
+        lead,
+        f'<div id="clips-bar">{buttons}</div><iframe id="player" title="Player"></iframe>',
+    )
+
+
+def _definitions_section(evaluation: Evaluation, command: str | None) -> str:
+    items = "".join(
+        f"<dt>{html.escape(d.name)} <code>{d.key}</code></dt><dd>{html.escape(d.text)}"
+        + ("<br><span class=bound>Bound to its frame rate.</span>" if d.fps_bound else "")
+        + f"<br><small>{html.escape(d.variant)} · {html.escape(d.source)}</small></dd>"
+        for d in evaluation.definitions()
+    )
+    settings = html.escape(json.dumps(evaluation.settings, ensure_ascii=False))
+    made = f"<p>Made by <code>{html.escape(command)}</code></p>" if command else ""
+    return section(
+        "Definitions and settings",
+        "",
+        f"{made}<p>Settings: <code>{settings}</code></p>"
+        f"<details><summary>What each figure is</summary><dl>{items}</dl></details>",
+    )
+
+
+def _scripts(shown: list[Shown]) -> str:
+    if not shown:
+        return ""
+    clips = [{"title": html.escape(c.title), "motion": c.motion} for c in shown]
+    script = (_HERE / "clips.js").read_text(encoding="utf-8")
+    return (
+        f'<script type="application/json" id="shell">{_json(player_shell())}</script>'
+        f'<script type="application/json" id="clips">{_json(clips)}</script>'
+        f"<script>{script}</script>"
+    )
+
+
+def _json(value: object) -> str:
+    # "<" only occurs inside strings of JSON; escaped, no string can end the script element.
+    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")

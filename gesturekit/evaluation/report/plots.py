@@ -1,0 +1,264 @@
+"""The report's plots, as SVG: one colour a model, the recording dark, chance grey."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import matplotlib
+import matplotlib.figure
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.report.results import Evaluation, ModelResult
+
+MODEL_COLOURS = ("#c8643a", "#3f7fae", "#6c9a48", "#9467a8", "#c49a2c", "#4aa39a")
+RECORDING = "#26303b"
+CHANCE = "#aab4be"
+_SOFT, _LINE = "#6b7785", "#d5dae0"
+_WIDTH = 10.4  # inches; the page shows it 1040 pixels wide
+
+_SPEECH = ("sync", "bas", "bc")
+_RATIOS = ("arm_speed", "wrist_speed", "acceleration", "jerk", "l1_diversity")
+_MOST_RECORDINGS = 24
+
+
+def colour(index: int) -> str:
+    """The colour of the model of this index, in plots and tables."""
+    return MODEL_COLOURS[index % len(MODEL_COLOURS)]
+
+
+def all_plots(evaluation: Evaluation) -> dict[str, str]:
+    """Title to SVG text, for what there is something to draw of."""
+    made = {
+        "Speech: measured, by chance, and the recording's own": _speech(evaluation),
+        "Movement, as a ratio to the recording": _ratios(evaluation),
+        "Wrist speed": _wrists(evaluation),
+        "Joint speeds": _histograms(evaluation),
+        "Patches, recording by recording": _patches(evaluation),
+    }
+    return {title: svg for title, svg in made.items() if svg is not None}
+
+
+def _speech(evaluation: Evaluation) -> str | None:
+    keys = [key for key in _SPEECH if any(key in m.figures for m in evaluation.models)]
+    if not keys:
+        return None
+    labels = [model.label for model in evaluation.models]
+    figure = _figure(2.9)
+    for axes, key in zip(np.atleast_1d(figure.subplots(1, len(keys))), keys, strict=True):
+        recordings = []
+        for i, model in enumerate(evaluation.models):
+            found = model.figures.get(key)
+            if found is None:
+                continue
+            _error_bar(axes, i, found.interval, colour(i), vertical=True)
+            for value, marker in ((found.chance, "_"), (found.mismatched, "x")):
+                if value is not None:
+                    axes.plot([i], [value], marker, color=CHANCE, markersize=13, mew=2.5)
+            recordings.append(found.recording)
+        known = [value for value in recordings if value is not None]
+        if known:
+            axes.axhline(known[0], color=RECORDING, lw=1.4, ls=(0, (4, 3)))
+        axes.set_xticks(range(len(labels)), labels)
+        axes.set_xlim(-0.6, len(labels) - 0.4)
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        axes.set_ylabel("Pearson's r" if key == "sync" else "score, 0 to 1")
+        _title(axes, DEFINITIONS[key].name)
+    handles = [
+        matplotlib.lines.Line2D([], [], color=RECORDING, lw=1.4, ls=(0, (4, 3))),
+        matplotlib.lines.Line2D([], [], color=CHANCE, marker="_", ls="", markersize=12, mew=2.5),
+        matplotlib.lines.Line2D([], [], color=CHANCE, marker="x", ls="", markersize=9, mew=2.5),
+    ]
+    names = ["the recording's own", "chance: sound shifted", "sound of other recordings"]
+    figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    return _svg(figure)
+
+
+def _ratios(evaluation: Evaluation) -> str | None:
+    keys = [
+        key for key in _RATIOS if any(_ratio(model, key) is not None for model in evaluation.models)
+    ]
+    if not keys:
+        return None
+    models = evaluation.models
+    figure = _figure(0.9 + 0.36 * len(keys) * max(1.0, 0.6 * len(models)))
+    axes = figure.subplots()
+    step = 0.7 / len(models)
+    for row, key in enumerate(keys):
+        for i, model in enumerate(models):
+            ratio = _ratio(model, key)
+            if ratio is None:
+                continue
+            y = row + (i - (len(models) - 1) / 2) * step
+            value, low, high = ratio
+            axes.plot([low, high], [y, y], color=colour(i), lw=2, solid_capstyle="round")
+            axes.plot([value], [y], "o", color=colour(i), ms=7)
+    axes.axvline(1.0, color=RECORDING, lw=1.4, ls=(0, (4, 3)))
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    axes.set_xlim(min(low, 0.45), max(high, 2.2))
+    ticks = [t for t in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50) if low <= t <= high or t == 1]
+    ticks = sorted({*ticks, 0.5, 2})
+    axes.set_xticks(ticks, [f"{t:g}×" for t in ticks])
+    axes.minorticks_off()
+    axes.set_yticks(range(len(keys)), [_named(key) for key in keys])
+    axes.set_ylim(len(keys) - 0.5, -0.5)
+    axes.set_xlabel("generated / recorded (log scale); the dashed line is the recording")
+    axes.grid(axis="x", color=_LINE, lw=0.8)
+    _legend(figure, models)
+    return _svg(figure)
+
+
+def _ratio(model: ModelResult, key: str) -> tuple[float, float, float] | None:
+    found = model.figures.get(key)
+    if found is None or not found.recording or found.interval.value <= 0:
+        return None
+    value, low, high = found.interval.value, found.interval.low, found.interval.high
+    low = value if low is None else max(low, 1e-3 * value)
+    high = value if high is None else high
+    return value / found.recording, low / found.recording, high / found.recording
+
+
+def _wrists(evaluation: Evaluation) -> str | None:
+    sets = [("recording", evaluation.recorded_wrists, RECORDING)]
+    sets += [(m.label, m.wrists, colour(i)) for i, m in enumerate(evaluation.models)]
+    sets = [entry for entry in sets if len(entry[1]) > 1 and np.ptp(entry[1]) > 0]
+    if len(sets) < 2:
+        return None
+    figure = _figure(3.2)
+    axes = figure.subplots()
+    top = max(float(np.quantile(values, 0.995)) for _, values, _ in sets)
+    parts = axes.violinplot(
+        [values[values <= top] for _, values, _ in sets],
+        positions=range(len(sets)),
+        widths=0.8,
+        showextrema=False,
+        points=200,
+    )
+    for body, (_, _, ink) in zip(parts["bodies"], sets, strict=True):
+        body.set(facecolor=ink, edgecolor=ink, alpha=0.35, linewidth=1.2)
+    for x, (_, values, ink) in enumerate(sets):
+        low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
+        axes.plot([x, x], [low, high], color=ink, lw=6, solid_capstyle="butt")
+        axes.plot([x], [middle], "o", color="white", mec=ink, mew=1.6, ms=7)
+    axes.set_xticks(range(len(sets)), [label for label, _, _ in sets])
+    axes.set_ylabel("wrist speed, m/s")
+    axes.set_ylim(0, top)
+    axes.grid(axis="y", color=_LINE, lw=0.8)
+    return _svg(figure)
+
+
+def _histograms(evaluation: Evaluation) -> str | None:
+    sets = [(m.label, m.speeds, colour(i), "-") for i, m in enumerate(evaluation.models)]
+    # Last, so that it lies on top of a model that is like it.
+    sets += [("recording", evaluation.recorded_speeds, RECORDING, (0, (3, 3)))]
+    sets = [entry for entry in sets if entry[1].counts.sum()]
+    if len(sets) < 2:
+        return None
+    figure = _figure(3.0)
+    axes = figure.subplots()
+    for label, histogram, ink, dashes in sets:
+        share = 100.0 * histogram.counts / histogram.counts.sum()
+        edges = 100.0 * np.linspace(0, histogram.top, len(share) + 1)
+        axes.stairs(share, edges, color=ink, lw=1.8, ls=dashes, label=label)
+    axes.set_xlim(0, 100.0 * sets[0][1].top)
+    axes.set_ylim(0, 1.08 * axes.get_ylim()[1])
+    axes.set_xlabel("joint speed, cm/s on a body of 1.7 m (bins of 1 cm/s)")
+    axes.set_ylabel("share of values, %")
+    axes.legend(frameon=False, fontsize=9)
+    axes.grid(axis="y", color=_LINE, lw=0.8)
+    return _svg(figure)
+
+
+def _patches(evaluation: Evaluation) -> str | None:
+    keys = ("coverage", "global_diversity", "local_diversity")
+    models = [model for model in evaluation.models if model.by_recording]
+    stems = sorted({stem for model in models for stem in model.by_recording})
+    keys = tuple(k for k in keys if any(k in model.figures for model in models))
+    if len(stems) < 2 or not keys:
+        return None
+    stems = stems[:_MOST_RECORDINGS]
+    figure = _figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(models)))
+    step = 0.6 / len(models)
+    for number, axes in enumerate(figure.subplots(1, len(keys), sharey=True, squeeze=False)[0]):
+        key = keys[number]
+        for i, model in enumerate(models):
+            for row, stem in enumerate(stems):
+                interval = model.by_recording.get(stem, {}).get(key)
+                if interval is not None:
+                    y = row + (i - (len(models) - 1) / 2) * step
+                    index = evaluation.models.index(model)
+                    _error_bar(axes, y, interval, colour(index), vertical=False)
+        axes.set_yticks(range(len(stems)), [_short(stem) for stem in stems])
+        axes.set_ylim(len(stems) - 0.5, -0.5)
+        if DEFINITIONS[key].unit == "%":
+            axes.set_xlim(-4, 104)
+            axes.set_xlabel("% of windows")
+        else:
+            right = 1.05 * axes.get_xlim()[1]
+            axes.set_xlim(-0.03 * right, right)
+            axes.set_xlabel("mean distance of frames")
+        axes.grid(axis="both", color=_LINE, lw=0.8)
+        _title(axes, DEFINITIONS[key].name)
+    _legend(figure, models)
+    return _svg(figure)
+
+
+def _error_bar(axes: Axes, at: float, interval, ink: str, vertical: bool) -> None:
+    low = interval.value if interval.low is None else interval.low
+    high = interval.value if interval.high is None else interval.high
+    line, point = ([at, at], [low, high]), ([at], [interval.value])
+    if not vertical:
+        line, point = line[::-1], point[::-1]
+    axes.plot(*line, color=ink, lw=2, solid_capstyle="round")
+    axes.plot(*point, "o", color=ink, ms=7)
+
+
+def _figure(height: float) -> matplotlib.figure.Figure:
+    figure = matplotlib.figure.Figure(figsize=(_WIDTH, height), layout="constrained")
+    FigureCanvasSVG(figure)
+    return figure
+
+
+def _legend(figure: matplotlib.figure.Figure, models: Sequence[ModelResult]) -> None:
+    if len(models) < 2:
+        return
+    handles = [
+        matplotlib.lines.Line2D([], [], color=colour(i), marker="o", lw=2)
+        for i in range(len(models))
+    ]
+    labels = [model.label for model in models]
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+
+
+def _title(axes: Axes, text: str) -> None:
+    axes.set_title(text, loc="left", fontsize=10.5, color=RECORDING, parse_math=False)
+
+
+def _named(key: str) -> str:
+    definition = DEFINITIONS[key]
+    return f"{definition.name}, {definition.unit}" if definition.unit else definition.name
+
+
+def _short(name: str, most: int = 26) -> str:
+    return name if len(name) <= most else f"{name[: most - 1]}…"
+
+
+def _svg(figure: matplotlib.figure.Figure) -> str:
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.spines[["left", "bottom"]].set_color(_LINE)
+        axes.tick_params(colors=_SOFT, labelsize=9, length=3)
+        axes.xaxis.label.set(color=_SOFT, size=9.5)
+        axes.yaxis.label.set(color=_SOFT, size=9.5)
+        for label in (*axes.get_xticklabels(), *axes.get_yticklabels()):
+            label.set_parse_math(False)
+        axes.set_axisbelow(True)
+    text = io.StringIO()
+    # A fixed salt and no date: the same figures give the same bytes.
+    with matplotlib.rc_context({"svg.hashsalt": "gesturekit", "svg.fonttype": "path"}):
+        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    return text.getvalue()

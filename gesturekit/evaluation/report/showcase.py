@@ -1,0 +1,91 @@
+"""The clips a report shows: the best and the worst of the first model, beside their recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from audio_features import AudioFeaturesError
+from gesturekit.errors import GestureKitError
+from gesturekit.evaluation.clips import load_clip, load_wave
+from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.pairs import WINDOW_SECONDS
+from gesturekit.evaluation.report.results import ClipResult, Evaluation, ModelResult
+from gesturekit.motion import Motion
+from gesturekit.viewer import player_data
+
+EACH = 2
+"""How many of the best and of the worst are shown, where there are so many."""
+SECONDS = 20.0
+"""Only so much of a clip is shown, to keep the page small."""
+_RANKED_BY = ("sync", "hellinger", "coverage")  # the first that every clip has
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A clip to show.
+
+    Attributes:
+        label: what its button says.
+        detail: below it: the figure it is ranked by.
+        title: the player's heading.
+        ranked_by: the measure's name.
+        motion: JSON for the player.
+    """
+
+    label: str
+    detail: str
+    title: str
+    ranked_by: str
+    motion: str
+
+
+def best_and_worst(evaluation: Evaluation) -> list[Shown]:
+    """Clips of the first model, the best first; other models' clips of the same name beside them.
+
+    A file that is gone by now is passed over.
+    """
+    model = evaluation.models[0]
+    key = next((k for k in _RANKED_BY if all(k in c.figures for c in model.clips)), None)
+    if key is None:
+        return []
+    definition = DEFINITIONS[key]
+    ranked = sorted(
+        model.clips, key=lambda clip: clip.figures[key], reverse=definition.better == "higher"
+    )
+    each = min(EACH, max(1, len(ranked) // 2))
+    chosen = [("Best" if i == 0 else f"Best, {i + 1}", c) for i, c in enumerate(ranked[:each])]
+    if len(ranked) > 1:
+        worst = ranked[::-1][:each]
+        chosen += [("Worst" if i == 0 else f"Worst, {i + 1}", c) for i, c in enumerate(worst)]
+    shown = []
+    for label, clip in chosen:
+        try:
+            data = _data(evaluation, clip)
+        except (GestureKitError, AudioFeaturesError, OSError):
+            continue
+        detail = f"{clip.pair.name}: {definition.name.lower()} {clip.figures[key]:.2f}"
+        shown.append(Shown(label, detail, f"{label}: {clip.pair.name}", definition.name, data))
+    return shown
+
+
+def _data(evaluation: Evaluation, result: ClipResult) -> str:
+    clip = load_clip(result.pair, evaluation.fps)
+    motions = {evaluation.models[0].label: _start(clip.generated)}
+    for model in evaluation.models[1:]:
+        other = _same(model, result)
+        if other is not None:
+            motions[model.label] = _start(load_clip(other.pair, evaluation.fps).generated)
+    motions["recording"] = _start(clip.recording)
+    wave = None
+    if result.pair.audio is not None:
+        start = (result.pair.window or 0) * WINDOW_SECONDS
+        wave = load_wave(result.pair.audio).slice(start, min(SECONDS, result.seconds))
+    return player_data(motions, wave)
+
+
+def _same(model: ModelResult, result: ClipResult) -> ClipResult | None:
+    return next((clip for clip in model.clips if clip.pair.name == result.pair.name), None)
+
+
+def _start(motion: Motion) -> Motion:
+    return motion.slice(0, min(motion.n_frames, round(SECONDS * motion.fps)))

@@ -1,0 +1,297 @@
+"""Biovision Hierarchy files.
+
+How we read what writers disagree on: a joint's position channels replace its OFFSET (as in
+Blender; three.js adds them); translation comes before rotation whatever the order of channels;
+Euler angles are intrinsic, in degrees, in the order of the channels.
+
+Files that we write carry their unit and axes (`bvh_mark`) and their exact frame rate. What the
+caller names comes first, then the mark, then detection.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.atomic import atomic_write
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.axes import file_axes, to_law
+from gesturekit.formats.bvh import mark as bvh_mark
+from gesturekit.formats.bvh.grammar import ParsedBvh, ParsedJoint, parse_bvh
+from gesturekit.formats.units import METRES, guess_unit
+from gesturekit.motion.body_size import first_fork
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler
+from gesturekit.motion.skeleton import ROTATION_ORDERS, Skeleton
+from gesturekit.wording import listed
+
+STILL = 2.1e-6
+"""Position channels that vary by no more than this, in the file's unit, are an OFFSET: what is
+left of a constant that was written with six decimals."""
+
+_FRAMES_AT_ONCE = 256
+
+
+def read_bvh(
+    path: str | os.PathLike[str],
+    *,
+    unit: str = "auto",
+    up: str = "auto",
+    forward: str = "auto",
+) -> Motion:
+    """Read a BVH file.
+
+    Args:
+        path: the file.
+        unit: of its lengths, one of `units.METRES`; "auto" takes that of our mark, or else the
+            one that makes the body of a person's size.
+        up: its axis that points up, "x" to "z" or "-x" to "-z"; "auto" takes "y" in files that
+            we wrote, else looks at the rest pose and where the body stands.
+        forward: its axis that a body at rest faces; "auto" looks at the rest pose, and takes
+            what is usual with `up` where that is none. Where people walk and look is left as it
+            is: only a file's axes are turned, to Y up, +Z forward.
+
+    Returns:
+        The motion, metres, Y up, +Z forward. `info` tells `source`, `unit`, `up`, `forward` (of
+        the file), `guessed` (those of the three for which the file gave no evidence),
+        `frame_time` (as written) and `renamed` (joints whose names repeated: new name to the
+        name in the file).
+
+    Raises:
+        FormatError: no BVH, broken, or cut short; the message names file and line.
+    """
+    path = Path(path)
+    if unit != "auto" and unit not in METRES:
+        raise FormatError(f"unit {unit!r}; expected auto, {', '.join(METRES)}")
+    parsed = parse_bvh(path)
+    if parsed.unit is not None:
+        unit = parsed.unit if unit == "auto" else unit
+        if up in ("auto", bvh_mark.UP) and forward in ("auto", bvh_mark.FORWARD):
+            up, forward = bvh_mark.UP, bvh_mark.FORWARD
+    try:
+        motion = _to_motion(parsed, unit)
+        axes = file_axes(motion, up, forward)
+        motion.info.update(
+            source=str(path),
+            up=axes.up,
+            forward=axes.forward,
+            guessed=(*motion.info["guessed"], *axes.guessed),
+        )
+        return to_law(motion, axes)
+    except MotionError as error:
+        raise FormatError(f"{path}: {error}") from None
+
+
+def write_bvh(
+    motion: Motion, path: str | os.PathLike[str], *, unit: str = "cm", decimals: int = 6
+) -> None:
+    """Write a BVH file, Y up.
+
+    Position channels stand on the root, and on the joints that the motion moves. Their OFFSET is
+    0 0 0: programs that add positions to it and those that replace it by them then agree. The
+    root's is our mark as well, see `bvh_mark`. Angles are unwrapped, so that curves do not jump by
+    360 degrees.
+
+    Args:
+        motion: what to write.
+        path: the file; it appears whole or not at all.
+        unit: of its lengths, one of `units.METRES`.
+        decimals: of offsets and channels (longer units get up to two more, millimetres one less).
+
+    Warns:
+        UserWarning: joint names with blanks, which some readers split.
+
+    Raises:
+        FormatError: a unit or a joint name that the format cannot hold.
+    """
+    if unit not in METRES:
+        raise FormatError(f"unit {unit!r}; expected {', '.join(METRES)}")
+    for name in motion.skeleton.names:
+        if set("{}") & set(name) or name != " ".join(name.split()):
+            raise FormatError(f"{path}: a BVH file cannot hold the joint name {name!r}")
+    if split := [name for name in motion.skeleton.names if " " in name]:
+        warnings.warn(
+            f"joint names with blanks ({listed(split, 3)}): they are kept, but some readers of "
+            "BVH, bvhio among them, split them",
+            stacklevel=2,
+        )
+    places = decimals + int(np.ceil(np.log10(METRES[unit] / METRES["cm"])))
+    hierarchy = _hierarchy(motion, unit, places)
+    values, lengths = _channels(motion, METRES[unit])
+    row = " ".join(f"%.{places if is_length else decimals}f" for is_length in lengths) + "\n"
+    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as out:
+        out.write(f"{hierarchy}MOTION\nFrames: {motion.n_frames}\n")
+        # All digits: the rate is then read back exactly.
+        frame_time = np.format_float_positional(1 / motion.fps, min_digits=10)
+        out.write(f"Frame Time: {frame_time}\n")
+        for frame in values:
+            out.write(row % tuple(frame.tolist()))
+
+
+# Reading
+
+
+def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
+    """In metres, with the file's axes."""
+    joints, n_frames = parsed.joints, len(parsed.frames)
+    offsets = np.array([joint.offset for joint in joints])
+    rotations = _rotations(parsed)
+    places = _places(parsed)
+    skeleton = Skeleton(
+        names=tuple(joint.name for joint in joints),
+        parents=tuple(joint.parent for joint in joints),
+        offsets=offsets,
+        end_sites={j.name: tuple(np.array(end) for end in j.ends) for j in joints if j.ends},
+        rotation_orders=tuple(_order(joint) for joint in joints),
+    )
+    guessed = ()
+    if unit == "auto":
+        first = offsets.copy()
+        for j, values in places.items():
+            first[j] = values[0]
+        unit, sure = guess_unit(replace(skeleton, offsets=first), rotations[0])
+        guessed = () if sure else ("unit",)
+    metres = METRES[unit]
+    translation = places.pop(0, None)
+    if translation is None:
+        translation = np.tile(offsets[0], (n_frames, 1))
+    moving = {}
+    below_fork = skeleton.descendants(first_fork(skeleton))
+    for j, values in places.items():
+        low, high = values.min(axis=0), values.max(axis=0)
+        if (high - low <= STILL).all():
+            offsets[j] = (low + high) / 2
+            continue
+        moving[joints[j].name] = values * metres
+        if not offsets[j].any() and j in below_fork:  # as we write it: a bone has a length
+            offsets[j] = values.mean(axis=0)
+    motion = Motion(
+        skeleton=replace(skeleton, offsets=offsets).scaled(metres),
+        rotations=rotations,
+        translation=translation * metres,
+        fps=parsed.fps,
+        joint_translations=moving,
+    )
+    motion.info.update(unit=unit, guessed=guessed, frame_time=parsed.frame_time)
+    if parsed.renamed:
+        motion.info["renamed"] = parsed.renamed
+    return motion
+
+
+def _order(joint: ParsedJoint) -> str:
+    """The order of its rotation channels; the axes that it does not turn about come last."""
+    turning = "".join(name[0] for name in joint.channels if name[1] == "r")
+    return next(order for order in ROTATION_ORDERS if order.startswith(turning))
+
+
+def _rotations(parsed: ParsedBvh) -> np.ndarray:
+    """(T, J, 4) local quaternions."""
+    frames, joints = parsed.frames, parsed.joints
+    rotations = np.empty((len(frames), len(joints), 4))
+    in_order: dict[str, list[int]] = {}
+    columns = np.full((len(joints), 3), -1)
+    before = 0
+    for j, joint in enumerate(joints):
+        in_order.setdefault(_order(joint), []).append(j)
+        for i, axis in enumerate(_order(joint)):
+            if axis + "r" in joint.channels:
+                columns[j, i] = before + joint.channels.index(axis + "r")
+        before += len(joint.channels)
+    for start in range(0, len(frames), _FRAMES_AT_ONCE):  # so that nothing leaves the cache
+        part = slice(start, start + _FRAMES_AT_ONCE)
+        for order, js in in_order.items():
+            angles = np.where(columns[js] >= 0, frames[part][:, columns[js]], 0.0)
+            rotations[part, js] = quaternion_from_euler(angles, order)
+    return rotations
+
+
+def _places(parsed: ParsedBvh) -> dict[int, np.ndarray]:
+    """Joint to (T, 3): its place in its parent's frame, for joints with position channels."""
+    places: dict[int, np.ndarray] = {}
+    before = 0
+    for j, joint in enumerate(parsed.joints):
+        for column, name in enumerate(joint.channels, start=before):
+            if name[1] == "p":
+                if j not in places:
+                    places[j] = np.tile(np.array(joint.offset), (len(parsed.frames), 1))
+                places[j][:, "XYZ".index(name[0])] = parsed.frames[:, column]
+        before += len(joint.channels)
+    return places
+
+
+# Writing
+
+
+def _nested(skeleton: Skeleton) -> list[int]:
+    """Joints in the order that nested blocks stand in a file, which is that of the channels."""
+    order, waiting = [], [0]
+    while waiting:
+        joint = waiting.pop()
+        order.append(joint)
+        waiting.extend(reversed(skeleton.children(joint)))
+    return order
+
+
+def _hierarchy(motion: Motion, unit: str, places: int) -> str:
+    skeleton, metres = motion.skeleton, METRES[unit]
+    lines = ["HIERARCHY"]
+
+    def offset(values: np.ndarray) -> str:
+        return "OFFSET " + " ".join(f"{v:.{places}f}" for v in values / metres + 0.0)
+
+    def close(depth: int, next_depth: int) -> None:
+        lines.extend("\t" * d + "}" for d in range(depth, next_depth - 1, -1))
+
+    before = -1
+    for joint in _nested(skeleton):
+        name, depth = skeleton.names[joint], skeleton.depth[joint]
+        close(before, depth)
+        before = depth
+        tabs = "\t" * depth
+        turns = " ".join(f"{axis}rotation" for axis in skeleton.rotation_orders[joint])
+        channels = f"CHANNELS 3 {turns}"
+        place = offset(skeleton.offsets[joint])
+        if _has_positions(motion, joint):
+            channels = f"CHANNELS 6 Xposition Yposition Zposition {turns}"
+            place = offset(np.zeros(3)) if joint else f"OFFSET {bvh_mark.mark(unit)}"
+        lines += [
+            f"{tabs}{'JOINT' if joint else 'ROOT'} {name}",
+            f"{tabs}{{",
+            f"{tabs}\t{place}",
+            f"{tabs}\t{channels}",
+        ]
+        for site in skeleton.end_sites.get(name, ()):
+            lines += [
+                f"{tabs}\tEnd Site",
+                f"{tabs}\t{{",
+                f"{tabs}\t\t{offset(site)}",
+                f"{tabs}\t}}",
+            ]
+    close(before, 0)
+    return "\n".join(lines) + "\n"
+
+
+def _has_positions(motion: Motion, joint: int) -> bool:
+    return joint == 0 or motion.skeleton.names[joint] in motion.joint_translations
+
+
+def _channels(motion: Motion, metres: float) -> tuple[np.ndarray, np.ndarray]:
+    """Values (T, C) in the file's units, and which columns (C,) are lengths."""
+    columns, lengths = [], []
+    for joint in _nested(motion.skeleton):
+        if _has_positions(motion, joint):
+            name = motion.skeleton.names[joint]
+            columns.append(
+                (motion.joint_translations[name] if joint else motion.translation) / metres
+            )
+            lengths += [True] * 3
+        angles = euler_from_quaternion(
+            motion.rotations[:, joint], motion.skeleton.rotation_orders[joint]
+        )
+        columns.append(np.unwrap(angles, axis=0, period=360.0))
+        lengths += [False] * 3
+    return np.concatenate(columns, axis=1), np.array(lengths)

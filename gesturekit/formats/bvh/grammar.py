@@ -1,0 +1,279 @@
+"""The text of a BVH file: taken apart and checked, not yet understood."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.errors import FormatError
+from gesturekit.formats.bvh.mark import marked_unit
+from gesturekit.formats.bvh.rows import LARGEST, Lines, parse_rows
+from gesturekit.formats.frame_rate import frame_rate
+from gesturekit.formats.signatures import kind_by_content
+
+_MOST_JOINTS = 2000
+_LONGEST_NAME = 200
+_NOTHING = -2  # what the next { opens, where nothing does
+_BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+
+
+@dataclass
+class ParsedJoint:
+    """A ROOT or JOINT as written, or an End Site that has channels of its own.
+
+    Attributes:
+        name: unique; a name that comes again has a number added.
+        parent: index of the joint that it stands in, -1 for the root.
+        line: where it begins.
+        is_end: whether the file calls it an End Site.
+        offset: in the file's unit.
+        channels: "Xp" for Xposition, "Zr" for Zrotation, ..., in the file's order.
+        ends: OFFSETs of its end sites.
+    """
+
+    name: str
+    parent: int
+    line: int
+    is_end: bool = False
+    offset: tuple[float, float, float] | None = None
+    channels: list[str] = field(default_factory=list)
+    ends: list[tuple[float, float, float]] = field(default_factory=list)
+
+
+@dataclass
+class ParsedBvh:
+    """A file taken apart.
+
+    Attributes:
+        joints: parents before children.
+        frame_time: as written.
+        fps: the frames per second that it stands for.
+        frames: (T, C) float64, one column a channel, in the file's units.
+        renamed: names that had to be changed, to what the file calls them.
+        unit: that of our mark, see `bvh_mark`; None in files of others.
+    """
+
+    joints: list[ParsedJoint]
+    frame_time: str
+    fps: float
+    frames: np.ndarray
+    renamed: dict[str, str]
+    unit: str | None
+
+
+def parse_bvh(path: Path) -> ParsedBvh:
+    """Take a file apart.
+
+    Raises:
+        FormatError: missing, no BVH, broken, or cut short; the message names file and line.
+    """
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(16)
+        _refuse_others(path, start)
+        encoding = _BYTE_ORDER_MARKS.get(start[:2], "utf-8-sig")
+        try:
+            return _parse(path, encoding)
+        except UnicodeError:
+            return _parse(path, "latin-1")
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _refuse_others(path: Path, start: bytes) -> None:
+    what = kind_by_content(start)
+    if what is not None and not start.startswith(b"HIERARCHY"):
+        raise FormatError(
+            f"{path}:1: the file looks like {what} inside; a BVH file begins with HIERARCHY"
+        )
+
+
+def _parse(path: Path, encoding: str) -> ParsedBvh:
+    # newline=None takes all three line ends: \n, \r\n, and the \r of old Macs.
+    with path.open(encoding=encoding, newline=None) as stream:
+        lines = Lines(stream, path)
+        if (first := lines.next()).upper() != "HIERARCHY":
+            what = f"begins with {ascii(first[:20])}" if first else "is empty"
+            raise lines.error(f"the file {what}; a BVH file begins with HIERARCHY")
+        blocks, unit = _parse_hierarchy(lines)
+        joints, renamed = _name_apart(_fold_ends(blocks))
+        n_frames, frame_time, fps = _parse_timing(lines)
+        n_channels = sum(len(joint.channels) for joint in joints)
+        if not n_channels:
+            raise lines.error("no joint has CHANNELS: the file holds no motion")
+        frames = parse_rows(lines, n_frames, n_channels)
+    return ParsedBvh(joints, frame_time, fps, frames, renamed, unit)
+
+
+# The hierarchy
+
+
+def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
+    """Return all blocks, end sites among them, in the file's order; and the unit of our mark."""
+    blocks: list[ParsedJoint] = []
+    unit = None
+    open_blocks: list[int] = []
+    opening = _NOTHING
+    for statement in _statements(lines):
+        word, _, rest = statement.partition(" ")
+        keyword = word.upper()
+        inside = blocks[open_blocks[-1]] if open_blocks else None
+        if keyword == "{":
+            if opening == _NOTHING:
+                raise lines.error("a { that opens no joint")
+            open_blocks.append(opening)
+            opening = _NOTHING
+        elif opening != _NOTHING:
+            raise lines.error(f"expected {{ after the name of a joint, found {statement[:40]!r}")
+        elif keyword == "}":
+            if not open_blocks:
+                raise lines.error("a } too many")
+            open_blocks.pop()
+        elif keyword == "MOTION":
+            if open_blocks:
+                raise lines.error(f"MOTION while {len(open_blocks)} joints lack their }}")
+            break
+        elif keyword in ("ROOT", "JOINT", "END", "ENDSITE"):
+            parent = open_blocks[-1] if open_blocks else -1
+            opening = len(blocks)
+            blocks.append(_block(keyword, rest, parent, blocks, lines))
+        elif keyword == "OFFSET" and inside:
+            inside.offset = _three_numbers(rest, lines)
+            if inside is blocks[0]:
+                unit = marked_unit(rest)
+        elif keyword == "CHANNELS" and inside:
+            inside.channels = _parse_channels(rest, lines)
+        elif keyword in ("OFFSET", "CHANNELS"):
+            raise lines.error(f"{keyword} outside any joint")
+        else:
+            raise lines.error(f"{statement[:40]!r} is nothing that a BVH hierarchy holds")
+    else:
+        raise lines.error("the file stops before MOTION")
+    if not blocks:
+        raise lines.error("no ROOT before MOTION")
+    for block in blocks:
+        if block.offset is None:
+            if not block.is_end:
+                raise lines.error(f"joint {block.name!r} has no OFFSET", block.line)
+            block.offset = (0.0, 0.0, 0.0)
+    return blocks, unit
+
+
+def _block(
+    keyword: str, rest: str, parent: int, blocks: list[ParsedJoint], lines: Lines
+) -> ParsedJoint:
+    if keyword == "ROOT" and blocks:
+        raise lines.error(
+            f"a second ROOT, {rest[:40]!r} (the first is {blocks[0].name!r}); "
+            "export one skeleton a file"
+        )
+    if keyword != "ROOT" and parent < 0:
+        raise lines.error(f"{keyword} {rest[:40]!r} hangs on no joint")
+    if len(blocks) >= _MOST_JOINTS:
+        raise lines.error(f"over {_MOST_JOINTS} joints")
+    if len(rest) > _LONGEST_NAME:
+        raise lines.error(f"a joint name of {len(rest)} characters; over {_LONGEST_NAME} is damage")
+    if not rest.isprintable():
+        raise lines.error(f"joint name {rest[:40]!r} holds characters that cannot be shown")
+    if is_end := keyword.startswith("END"):
+        rest = f"{blocks[parent].name}_End"
+    return ParsedJoint(rest or f"joint{len(blocks)}", parent, lines.number, is_end)
+
+
+def _fold_ends(blocks: list[ParsedJoint]) -> list[ParsedJoint]:
+    """Joints alone: end sites become `ends`, but for the odd one with channels or joints in it."""
+    bears = {block.parent for block in blocks}
+    joints: list[ParsedJoint] = []
+    index: dict[int, int] = {-1: -1}
+    for number, block in enumerate(blocks):
+        block.parent = index[block.parent]
+        if block.is_end and not block.channels and number not in bears:
+            joints[block.parent].ends.append(block.offset)
+        else:
+            index[number] = len(joints)
+            joints.append(block)
+    return joints
+
+
+def _name_apart(joints: list[ParsedJoint]) -> tuple[list[ParsedJoint], dict[str, str]]:
+    """Joints with unique names, and which names that changed."""
+    renamed: dict[str, str] = {}
+    taken = {joint.name for joint in joints}
+    times: dict[str, int] = {}
+    for joint in joints:
+        name = joint.name
+        n = times[name] = times.get(name, 0) + 1
+        if n > 1:
+            while f"{name}_{n}" in taken:
+                n += 1
+            times[name] = n
+            joint.name = f"{name}_{n}"
+            taken.add(joint.name)
+            renamed[joint.name] = name
+    return joints, renamed
+
+
+def _statements(lines: Lines) -> Iterator[str]:
+    """Statements of the hierarchy; braces may stand on lines of their own or not."""
+    while line := lines.next():
+        for part in line.replace("{", "\n{\n").replace("}", "\n}\n").split("\n"):
+            if part := " ".join(part.split()):
+                yield part
+
+
+def _three_numbers(text: str, lines: Lines) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(word) for word in text.split())
+    except ValueError:
+        raise lines.error(f"OFFSET {text[:60]!r}; expected three numbers") from None
+    if not max(abs(x), abs(y), abs(z)) <= LARGEST or x != x or y != y or z != z:
+        raise lines.error(f"OFFSET {text[:60]!r} is not finite, or over {LARGEST:g}")
+    return x, y, z
+
+
+def _parse_channels(text: str, lines: Lines) -> list[str]:
+    """As "Xp" and "Zr", in the file's order."""
+    count, *names = text.split() or [""]
+    if not count.isdecimal() or int(count[:9]) != len(names):
+        raise lines.error(
+            f"CHANNELS {text[:80]!r}: a count of {count[:9]!r} for {len(names)} names"
+        )
+    channels = []
+    for name in names:
+        axis, kind = name[:1].upper(), name[1:].lower()
+        if axis not in ("X", "Y", "Z") or kind not in ("position", "rotation"):
+            raise lines.error(f"channel {name[:40]!r}; expected Xposition ... Zrotation")
+        channels.append(axis + kind[0])
+    if len(set(channels)) != len(channels):
+        raise lines.error(f"CHANNELS {text[:80]!r} names a channel twice")
+    return channels
+
+
+# The head of the motion
+
+
+def _parse_timing(lines: Lines) -> tuple[int, str, float]:
+    n_frames = frame_time = fps = None
+    while n_frames is None or frame_time is None:
+        line = lines.next()
+        key, value = re.match(r"(?i)(frames|frame\s+time|)\s*:?\s*(.*)", line).groups()
+        if key.upper() == "FRAMES":
+            if not value.isdecimal() or len(value) > 18:
+                raise lines.error(f"Frames: {value[:40]!r}; expected a whole number")
+            n_frames = int(value)
+        elif key:
+            frame_time = value
+            try:
+                fps = frame_rate(value)
+            except ValueError as error:
+                raise lines.error(str(error)) from None
+        else:
+            missing = "Frames:" if n_frames is None else "Frame Time:"
+            raise lines.error(f"expected {missing!r} after MOTION, found {line[:40]!r}")
+    if n_frames == 0:
+        raise lines.error("the file holds no frame (Frames: 0)")
+    return n_frames, frame_time, fps

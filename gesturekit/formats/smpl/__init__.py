@@ -1,0 +1,1 @@
+"""SMPL, AMASS and EasyMocap files."""

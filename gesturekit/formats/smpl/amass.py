@@ -1,0 +1,188 @@
+"""The keys of AMASS and BEAT2 in an npz file: a motion as the pose vectors of an SMPL rig.
+
+`poses` are (T, 3 J) rotation vectors, `trans` (T, 3) what is added to where the model holds its
+pelvis, then `betas`, `gender` and the frame rate, spelt `mocap_frame_rate` or `mocap_framerate`.
+BEAT2 adds `expressions` and has Y up; AMASS has Z up. Fingers turn from the flat hand; tools of
+BEAT2 that add the model's mean hand curl them a little more.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gesturekit.archive import Archive
+from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.axes import Z_TO_Y
+from gesturekit.formats.smpl.skeleton import N_JOINTS, model_pelvis, smpl_skeleton
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import (
+    invert_quaternions,
+    multiply_quaternions,
+    quaternion_from_rotation_vector,
+    rotate_vectors,
+    rotation_vector_from_quaternion,
+)
+from gesturekit.wording import listed
+
+RATES = ("mocap_frame_rate", "mocap_framerate", "fps")
+"""Keys that the frame rate goes by."""
+_MODELS = {22: "smpl", 24: "smpl", 52: "smplh", 55: "smplx"}
+_N_BETAS = {22: 10, 24: 10, 52: 16, 55: 300}
+_N_EXPRESSIONS = 100
+_MAX_BETAS, _MAX_EXPRESSIONS = 1000, 1000
+
+
+def from_amass(archive: Archive, up: str) -> Motion:
+    """The motion in the keys of AMASS or BEAT2; `up` is "y", "z" or "auto".
+
+    Raises:
+        FormatError: a key is missing, pickled, or of a shape that cannot be.
+    """
+    if lacking := [key for key in ("poses", "trans") if key not in archive]:
+        held = [ascii(key)[1:-1][:40] for key in archive]
+        raise FormatError(
+            f"{archive.path}: no motion that is read here: there is no key {lacking[0]!r}. An npz "
+            "of motion is gesturekit's own or has the keys poses, trans and mocap_frame_rate of "
+            f"AMASS and BEAT2; this one has {listed(held, 8) or 'none'}"
+        )
+    poses = archive.numbers("poses")
+    if poses.ndim == 3:  # some keep the joints apart: (T, J, 3)
+        poses = poses.reshape(len(poses), -1)
+    trans = archive.numbers("trans")
+    n_joints = poses.shape[1] // 3 if poses.ndim == 2 else 0
+    if n_joints not in N_JOINTS or poses.shape[1] % 3:
+        raise FormatError(
+            f"key 'poses' has shape {poses.shape}; expected (frames, 3 x joints) with "
+            f"{', '.join(map(str, N_JOINTS))} joints of an SMPL rig"
+        )
+    if trans.shape != (len(poses), 3):
+        raise FormatError(f"key 'trans' has shape {trans.shape}; expected ({len(poses)}, 3)")
+    rotations = quaternion_from_rotation_vector(poses.reshape(len(poses), n_joints, 3))
+    rest_pelvis = model_pelvis(n_joints)
+    rotations, pelvis, up = to_y_up(rotations, trans + rest_pelvis, up)
+    try:
+        motion = Motion(smpl_skeleton(n_joints), rotations, pelvis, _rate(archive))
+    except MotionError as error:
+        raise FormatError(f"keys 'poses', 'trans', 'mocap_frame_rate': {error}") from None
+    motion.info.update(up=up, rest_pelvis=rest_pelvis, **body_info(archive, "betas", n_joints))
+    if "expressions" in archive:
+        return with_expressions(motion, archive)
+    return motion
+
+
+def to_amass(motion: Motion, up: str) -> dict[str, Any]:
+    """The keys of AMASS and BEAT2, of a motion on a rig of the SMPL family.
+
+    `up` is the axis that points up in `poses` and `trans`, "y" or "z".
+    """
+    n_joints, n_frames = motion.skeleton.n_joints, motion.n_frames
+    rotations, pelvis = motion.rotations, motion.translation
+    if up == "z":
+        back = invert_quaternions(Z_TO_Y)
+        rotations = rotations.copy()
+        rotations[:, 0] = multiply_quaternions(back, rotations[:, 0])
+        pelvis = rotate_vectors(back, pelvis)
+    info = motion.info
+    betas = np.asarray(info.get("betas", ()), dtype=np.float64).ravel()
+    rate = int(motion.fps) if motion.fps == int(motion.fps) else motion.fps
+    values = {
+        "poses": rotation_vector_from_quaternion(rotations).reshape(n_frames, -1),
+        "trans": pelvis - info.get("rest_pelvis", model_pelvis(n_joints)),
+        "betas": np.pad(betas, (0, max(0, _N_BETAS[n_joints] - len(betas)))),
+        "gender": info.get("gender", "neutral"),
+        "surface_model_type": _MODELS[n_joints],
+        "mocap_frame_rate": rate,
+        "mocap_framerate": rate,
+    }
+    if n_joints == 55:
+        face = np.zeros((n_frames, 0)) if motion.expressions is None else motion.expressions
+        lacking = max(0, _N_EXPRESSIONS - face.shape[1])
+        values["expressions"] = np.pad(face, ((0, 0), (0, lacking)))
+        values["model"] = info.get("model", "smplx2020")
+    elif n_joints == 52:
+        values["dmpls"] = np.zeros((n_frames, 8))  # readers of AMASS ask for them
+    return values
+
+
+def to_y_up(
+    rotations: np.ndarray, pelvis: np.ndarray, up: str
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Rotations (T, J, 4) and pelvis (T, 3) turned to Y up, and the axis that pointed up.
+
+    With `up` "auto" that is where the pelvis' own up points in most frames.
+    """
+    if up == "auto":
+        body = rotate_vectors(rotations[:, 0], np.array([0.0, 1.0, 0.0]))
+        up = "z" if len(body) and np.median(body[:, 2] - body[:, 1]) > 0 else "y"
+    if up == "z":
+        rotations = rotations.copy()
+        rotations[:, 0] = multiply_quaternions(Z_TO_Y, rotations[:, 0])
+        pelvis = rotate_vectors(Z_TO_Y, pelvis)
+    return rotations, pelvis, up
+
+
+def body_info(archive: Archive, betas_key: str, n_joints: int) -> dict[str, Any]:
+    """What a file tells of the body: `betas` (B,), `gender`, and which SMPL-X it is, `model`."""
+    info: dict[str, Any] = {}
+    if betas_key in archive:
+        betas = archive.numbers(betas_key)
+        if betas.ndim == 2:  # one row for each frame: nobody's body changes
+            betas = betas.mean(axis=0) if len(betas) else betas.ravel()
+        if betas.ndim != 1 or len(betas) > _MAX_BETAS or not np.isfinite(betas).all():
+            raise FormatError(
+                f"key {betas_key!r} has shape {betas.shape}; expected up to {_MAX_BETAS} finite "
+                "coefficients"
+            )
+        if betas.any():
+            info["betas"] = betas
+    if (gender := _text(archive, "gender").lower()) in ("female", "male", "neutral"):
+        info["gender"] = gender
+    if n_joints == 55 and (model := _text(archive, "model")):
+        info["model"] = model
+    return info
+
+
+def with_expressions(motion: Motion, archive: Archive) -> Motion:
+    """The motion with the file's face; coefficients that are all zero are none."""
+    values = archive.numbers("expressions")
+    if values.ndim != 2 or len(values) != motion.n_frames or values.shape[1] > _MAX_EXPRESSIONS:
+        warnings.warn(
+            f"{archive.path}: expressions have shape {values.shape} for {motion.n_frames} frames; "
+            "they are left out",
+            stacklevel=2,
+        )
+        return motion
+    try:
+        return replace(motion, expressions=values) if values.any() else motion
+    except MotionError as error:
+        raise FormatError(f"key 'expressions': {error}") from None
+
+
+def _rate(archive: Archive) -> float:
+    rates = {key: archive.numbers(key) for key in RATES if key in archive}
+    for key, value in rates.items():
+        if value.size != 1:
+            raise FormatError(f"key {key!r} has shape {value.shape}; expected one number")
+    values = {float(value.item()) for value in rates.values()}
+    if not values:
+        raise FormatError("no key 'mocap_frame_rate' or 'mocap_framerate' in the archive")
+    if len(values) > 1:
+        said = ", ".join(f"key {key!r} {value.item():g}" for key, value in rates.items())
+        raise FormatError(f"the frame rates differ, {said}; leave the right one in the file")
+    return values.pop()
+
+
+def _text(archive: Archive, key: str) -> str:
+    """A short text, or none where the key is not there or holds something else."""
+    if key not in archive:
+        return ""
+    try:
+        texts = archive.texts(key)
+    except FormatError as error:
+        warnings.warn(f"{error}; it is passed over", stacklevel=2)
+        return ""
+    return texts[0] if texts and len(texts[0]) < 100 else ""

@@ -1,0 +1,176 @@
+"""The SMPL family's joints: names, tree, and a rest pose that needs no body model.
+
+The body models' own rest joints come with files whose licence forbids handing them on, and follow
+from `betas`. Without them we place the joints as on an adult of average build, 1.7 m tall,
+measured by no model; rotations are exact all the same. With one, `fit_body` takes its joints.
+
+What a file tells of the performer's body rides in a motion's `info`: `betas` (of the rig's own
+shape space), `gender`, and `rest_pelvis`, where the file's model holds its pelvis.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from gesturekit.errors import FormatError
+from gesturekit.formats.axes import Z_TO_Y
+from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import IDENTITY, rotate_vectors
+from gesturekit.motion.skeleton import Skeleton
+
+_BODY = (  # name, parent, offset of the left or middle joint (m): x to the left, Y up, +Z forward
+    ("pelvis", None, (0.0, 0.93, 0.0)),
+    ("left_hip", "pelvis", (0.06, -0.09, -0.005)),
+    ("right_hip", "pelvis", None),
+    ("spine1", "pelvis", (0.0, 0.11, -0.025)),
+    ("left_knee", "left_hip", (0.045, -0.38, 0.0)),
+    ("right_knee", "right_hip", None),
+    ("spine2", "spine1", (0.0, 0.135, 0.015)),
+    ("left_ankle", "left_knee", (-0.015, -0.4, -0.035)),
+    ("right_ankle", "right_knee", None),
+    ("spine3", "spine2", (0.0, 0.055, 0.02)),
+    ("left_foot", "left_ankle", (0.04, -0.06, 0.12)),
+    ("right_foot", "right_ankle", None),
+    ("neck", "spine3", (0.0, 0.215, -0.045)),
+    ("left_collar", "spine3", (0.075, 0.115, -0.025)),
+    ("right_collar", "spine3", None),
+    ("head", "neck", (0.0, 0.09, 0.05)),
+    ("left_shoulder", "left_collar", (0.1, 0.045, -0.015)),
+    ("right_shoulder", "right_collar", None),
+    ("left_elbow", "left_shoulder", (0.26, -0.015, -0.025)),
+    ("right_elbow", "right_shoulder", None),
+    ("left_wrist", "left_elbow", (0.25, 0.01, 0.0)),
+    ("right_wrist", "right_elbow", None),
+)
+_HANDS = (("left_hand", "left_wrist", (0.085, -0.01, -0.015)), ("right_hand", "right_wrist", None))
+_FACE = (
+    ("jaw", "head", (0.0, 0.005, 0.02)),
+    ("left_eye_smplhf", "head", (0.032, 0.07, 0.075)),
+    ("right_eye_smplhf", "head", None),
+)
+_FINGERS = {  # place of the first joint and lengths of the next two steps (m)
+    "index": ((0.1, 0.0, 0.025), (0.032, 0.022)),
+    "middle": ((0.105, 0.005, 0.0), (0.031, 0.024)),
+    "pinky": ((0.085, -0.01, -0.04), (0.02, 0.018)),
+    "ring": ((0.095, 0.0, -0.022), (0.029, 0.024)),
+    "thumb": ((0.03, -0.015, 0.03), (0.03, 0.025)),
+}
+N_JOINTS = (22, 24, 52, 55)
+"""Sizes of rigs: body, SMPL (with hand stubs), SMPL-H (with fingers), SMPL-X (with face too)."""
+
+RIGS = {"smpl": 24, "smplh": 52, "smplx": 55}
+"""Joints of the rigs that a file can be asked for in."""
+
+_MODEL_PELVIS = {22: (0.0, -0.22, 0.03), 24: (0.0, -0.22, 0.03), 52: (0.0, -0.22, 0.03)}
+_SMPLX_PELVIS = (0.0, -0.35, 0.01)
+
+
+def model_pelvis(n_joints: int) -> np.ndarray:
+    """(3,) where the unmoved model of that many joints holds its pelvis, metres, to a centimetre.
+
+    The models' origin is in the chest. A file's `trans` is added to this place, whatever the
+    root's rotation and the axis that points up.
+    """
+    return np.array(_MODEL_PELVIS.get(n_joints, _SMPLX_PELVIS))
+
+
+@cache
+def smpl_skeleton(n_joints: int) -> Skeleton:
+    """The rig of 22, 24, 52 or 55 joints, in the order of its pose vectors."""
+    joints = list(_BODY)
+    if n_joints == 24:
+        joints += _HANDS
+    if n_joints == 55:
+        joints += _FACE
+    if n_joints >= 52:
+        for side in ("left", "right"):
+            for finger, (first, steps) in _FINGERS.items():
+                offsets = (first, *((step, 0.0, 0.0) for step in steps))
+                for n, offset in enumerate(offsets, start=1):
+                    parent = f"{side}_{finger}{n - 1}" if n > 1 else f"{side}_wrist"
+                    joints.append(
+                        (f"{side}_{finger}{n}", parent, offset if side == "left" else None)
+                    )
+    at = {name: offset for name, _, offset in joints}
+    names = [name for name, _, _ in joints]
+    mirror = np.array([-1.0, 1.0, 1.0])
+    return Skeleton(
+        names=tuple(names),
+        parents=tuple(-1 if parent is None else names.index(parent) for _, parent, _ in joints),
+        offsets=np.array(
+            [
+                offset if offset is not None else mirror * at[name.replace("right", "left")]
+                for name, _, offset in joints
+            ]
+        ),
+    )
+
+
+def is_smpl(skeleton: Skeleton) -> bool:
+    """Whether the joints are those of a rig of the SMPL family, under its own names."""
+    n = skeleton.n_joints
+    if n not in N_JOINTS:
+        return False
+    rig = smpl_skeleton(n)
+    return (skeleton.names, skeleton.parents) == (rig.names, rig.parents)
+
+
+def as_smpl(motion: Motion, n_joints: int) -> Motion:
+    """The motion on the rig of that many joints of the SMPL family.
+
+    From another rig of the family, shared joints keep their rotations, joints that only the new
+    one has (fingers, face, SMPL's hand stubs) stay at rest, and the pelvis its place in the world.
+    SMPL and SMPL-H share one space of body shapes; on the way to SMPL-X or from it `betas` mean
+    nothing and are dropped. Any other rig is retargeted.
+
+    Raises:
+        MotionError: a rig that cannot be retargeted.
+    """
+    if motion.skeleton.n_joints == n_joints and is_smpl(motion.skeleton):
+        return motion
+    rig = smpl_skeleton(n_joints)
+    if not is_smpl(motion.skeleton):
+        from gesturekit.motion.retarget import retarget
+
+        return retarget(motion, rig)
+    rotations = np.tile(IDENTITY, (motion.n_frames, n_joints, 1))
+    old = motion.skeleton
+    for j, name in enumerate(rig.names):
+        if name in old.names:
+            rotations[:, j] = motion.rotations[:, old.index(name)]
+    info = dict(motion.info)
+    # A face is SMPL-X's wherever it is carried along: it fits again on the way back.
+    expressions = None if old.n_joints == 55 else motion.expressions
+    if (old.n_joints == 55) != (n_joints == 55):
+        for key in ("betas", "model", "rest_pelvis"):
+            info.pop(key, None)
+    return replace(motion, skeleton=rig, rotations=rotations, info=info, expressions=expressions)
+
+
+def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> Motion:
+    """The motion on the rig of a body model: its joints under the motion's `betas`, its feet.
+
+    The six vertices of the feet become end sites of the foot joints, where `foot_points` finds
+    them. A file's `trans` keeps its meaning: the pelvis is moved to where the model holds it.
+
+    Raises:
+        FormatError: a model of another family.
+    """
+    body = BodyModel.of(body_model)
+    if body.n_joints not in N_JOINTS or body.parents != smpl_skeleton(body.n_joints).parents:
+        raise FormatError(f"{body.source}: a model of {body.n_joints} joints, not of SMPL's family")
+    motion = as_smpl(motion, body.n_joints)
+    info = motion.info | {"body_model": body.source}
+    rig = body.rig(motion.skeleton, info.get("betas"))
+    shift = np.zeros(3)
+    if "rest_pelvis" in info:
+        shift = rig.offsets[0] - info["rest_pelvis"]
+        if info.get("up") == "z":
+            shift = rotate_vectors(Z_TO_Y, shift)
+    info["rest_pelvis"] = rig.offsets[0]
+    return replace(motion, skeleton=rig, translation=motion.translation + shift, info=info)

@@ -1,0 +1,1 @@
+"""Body models with a skinned mesh."""

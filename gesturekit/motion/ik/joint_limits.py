@@ -1,0 +1,47 @@
+"""Hinges that bend the wrong way: knees forward, elbows backward."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import SIDES, find_parts
+from gesturekit.motion.retarget.body_frames import body_frames
+from gesturekit.motion.retarget.standing_pose import FORWARD, standing_pose
+from gesturekit.motion.rotations import rotate_vectors
+
+TOLERANCE = np.deg2rad(5.0)
+"""Straight limbs overshoot by so much, in people and in captured motion."""
+
+_HINGES = (("shoulder", "elbow", "wrist", -1), ("hip", "knee", "ankle", 1))
+
+
+def bent_backwards(motion: Motion) -> dict[str, np.ndarray]:
+    """Frames in which a hinge bends the wrong way by more than `TOLERANCE`.
+
+    A knee does where the shank points ahead of the thigh, an elbow where the forearm points behind
+    the upper arm. Ahead is what was ahead when the body stood, as the thigh or the upper arm has
+    turned since (`body_frames`).
+
+    Returns:
+        "left_elbow", "right_elbow", "left_knee", "right_knee" to (T,) bool; without a wrist joint
+        there is no elbow.
+
+    Raises:
+        MotionError: parts that cannot be told, or a body that never stands.
+    """
+    parts = find_parts(motion.skeleton)
+    frames = body_frames(motion.skeleton, parts, standing_pose(motion, parts))
+    world, positions = frames.world(motion.global_rotations()), motion.positions()
+    found = {}
+    for upper, hinge, end, sign in _HINGES:
+        for side in SIDES:
+            if f"{side}_{end}" not in frames.joints:
+                continue
+            above = world[f"{side}_{upper}"]
+            ahead = rotate_vectors(above, np.broadcast_to(FORWARD, (motion.n_frames, 3)))
+            joints = [frames.joints[f"{side}_{part}"] for part in (hinge, end)]
+            bone = positions[:, joints[1]] - positions[:, joints[0]]
+            bone /= np.maximum(np.linalg.norm(bone, axis=-1, keepdims=True), 1e-9)
+            found[f"{side}_{hinge}"] = sign * (bone * ahead).sum(axis=-1) > np.sin(TOLERANCE)
+    return found

@@ -1,0 +1,39 @@
+"""Body parts of a rig: which joint is the head, a hand, a knee."""
+
+from gesturekit.motion.parts.body_parts import (
+    KNOWN_PARTS,
+    SIDES,
+    Arm,
+    BodyParts,
+    Leg,
+    arm_joints,
+    body_joints,
+    find_legs,
+    find_parts,
+    known_part_labels,
+    left_right_pairs,
+    leg_length,
+    parse_parts,
+    part_labels,
+    unidentified,
+    upper_body,
+)
+
+__all__ = [
+    "KNOWN_PARTS",
+    "SIDES",
+    "Arm",
+    "BodyParts",
+    "Leg",
+    "arm_joints",
+    "body_joints",
+    "find_legs",
+    "find_parts",
+    "known_part_labels",
+    "left_right_pairs",
+    "leg_length",
+    "parse_parts",
+    "part_labels",
+    "unidentified",
+    "upper_body",
+]

@@ -1,0 +1,286 @@
+"""Which joint is which part of the body: told by names and shape (`part_finder`), and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder, find_leg_joints
+from gesturekit.motion.parts.joint_names import SIDES, named_pairs
+from gesturekit.motion.parts.limb_shapes import find_limbs
+from gesturekit.motion.skeleton import Skeleton
+
+__all__ = [
+    "KNOWN_PARTS",
+    "SIDES",
+    "Arm",
+    "BodyParts",
+    "Leg",
+    "arm_joints",
+    "body_joints",
+    "find_legs",
+    "find_parts",
+    "known_part_labels",
+    "left_right_pairs",
+    "leg_length",
+    "parse_parts",
+    "part_labels",
+    "unidentified",
+    "upper_body",
+]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Joint names of one arm; None where the rig has no such joint."""
+
+    clavicle: str | None
+    shoulder: str
+    elbow: str
+    wrist: str | None
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Joint names of one leg; None where the rig has no such joint."""
+
+    hip: str
+    knee: str
+    ankle: str
+    toe: str | None
+
+
+@dataclass(frozen=True)
+class BodyParts:
+    """Joint names by part of the body.
+
+    Attributes:
+        pelvis: where the legs meet the spine.
+        spine: joints above the pelvis up to the one that the arms hang on, in order.
+        neck: the lowest joint between spine and head; None where the head sits on the spine.
+        head: None where the rig has none.
+        arms: "left" and "right".
+        legs: "left" and "right".
+        fingers: all that hangs on the wrists, but for hands and end joints.
+        face: all that hangs on the head (jaw, eyes), but for end joints.
+        ends: leaves that only mark where a bone stops ("HeadEnd", "LeftToe_End", "Nub").
+    """
+
+    pelvis: str
+    spine: tuple[str, ...]
+    neck: str | None
+    head: str | None
+    arms: Mapping[str, Arm]
+    legs: Mapping[str, Leg]
+    fingers: tuple[str, ...]
+    face: tuple[str, ...]
+    ends: tuple[str, ...]
+
+
+def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
+    """(left, right) names of the joints that are each other's mirror image, left joints in order.
+
+    By name; where no name tells sides, by the shape of the rig. Limbs named by hand
+    (`Skeleton.parts`) come first, with the joints above them on either side. A joint without a
+    counterpart lies in the middle of the body.
+    """
+    by_hand = dict(_pairs_by_hand(skeleton))
+    told = {*by_hand, *by_hand.values()}
+    pairs = named_pairs(skeleton)
+    if not pairs:
+        try:
+            shape = find_limbs(skeleton)
+        except MotionError:
+            shape = None
+        if shape is not None:
+            pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
+    pairs = [*by_hand.items(), *(pair for pair in pairs if told.isdisjoint(pair))]
+    return tuple(sorted(pairs, key=lambda pair: skeleton.index(pair[0])))
+
+
+def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
+    """(left, right) of the limbs named by hand, and of what they hang on below where they meet."""
+    for part, name in skeleton.parts.items():
+        side, _, kind = part.partition("_")
+        if side != "left" or f"right_{kind}" not in skeleton.parts:
+            continue
+        left, right = skeleton.index(name), skeleton.index(skeleton.parts[f"right_{kind}"])
+        chains = [[j, *skeleton.ancestors(j)] for j in (left, right)]
+        sides = [[j for j in a if j not in b] for a, b in (chains, chains[::-1])]
+        if len(sides[0]) == len(sides[1]):
+            yield from ((skeleton.names[a], skeleton.names[b]) for a, b in zip(*sides))
+
+
+def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> BodyParts:
+    """Name the parts of a rig.
+
+    Args:
+        skeleton: the rig; parts that it was given by hand (`Skeleton.parts`) count.
+        overrides: more joints named by hand, such as {"left_elbow": "Joint12"}. Keys are `head` and
+            left_ or right_ with clavicle, shoulder, elbow, wrist, hip, knee, ankle or toe.
+
+    Raises:
+        MotionError: parts that cannot be told, or cannot be what they are taken for (a knee that
+            does not hang on the hip, a left leg twice as long as the right one, ...), with what to
+            name by hand.
+    """
+    found = PartFinder(skeleton, {**skeleton.parts, **(overrides or {})})
+
+    def names(joints: list[int]) -> tuple[str, ...]:
+        return tuple(skeleton.names[j] for j in joints)
+
+    def limb(side: str, parts: tuple[str, ...]) -> dict[str, str | None]:
+        joints = {part: found.limbs[f"{side}_{part}"] for part in parts}
+        return {part: None if j is None else skeleton.names[j] for part, j in joints.items()}
+
+    below_head = () if found.head is None else skeleton.descendants(found.head)
+    return BodyParts(
+        pelvis=skeleton.names[found.pelvis],
+        spine=names(found.spine),
+        neck=skeleton.names[found.neck[0]] if found.neck else None,
+        head=None if found.head is None else skeleton.names[found.head],
+        arms={side: Arm(**limb(side, ARM)) for side in SIDES},
+        legs={side: Leg(**limb(side, LEG)) for side in SIDES},
+        fingers=names(found.fingers()),
+        face=names([j for j in below_head if j not in found.ends]),
+        ends=names(sorted(found.ends)),
+    )
+
+
+def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
+    """Return the "left" and "right" leg of any rig, or None where no two legs can be identified.
+
+    Other than for `find_parts`, nothing but the legs need be there: a body with one arm or without
+    a head stands on its feet like any other.
+    """
+    try:
+        return find_parts(skeleton).legs
+    except MotionError:
+        found = find_leg_joints(skeleton)
+    if found is None:
+        return None
+    names = {part: None if j is None else skeleton.names[j] for part, j in found.items()}
+    return {side: Leg(**{part: names[f"{side}_{part}"] for part in LEG}) for side in SIDES}
+
+
+def unidentified(skeleton: Skeleton) -> str:
+    """Return which parts of a rig cannot be identified, in words: "" for a body like ours."""
+    try:
+        find_parts(skeleton)
+    except MotionError:
+        return "arms or trunk" if find_legs(skeleton) else "legs, arms or trunk"
+    return ""
+
+
+def parse_parts(texts: Iterable[str]) -> dict[str, str]:
+    """Parts named by hand on a command line: "left_elbow=Joint12" to {"left_elbow": "Joint12"}.
+
+    Raises:
+        MotionError: no such part, or no joint.
+    """
+    parts = {}
+    for text in texts:
+        part, _, joint = text.partition("=")
+        if part not in KNOWN_PARTS or not joint:
+            raise MotionError(f"part {text!r}; expected PART=JOINT, of {', '.join(KNOWN_PARTS)}")
+        parts[part] = joint
+    return parts
+
+
+def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Joint name to the part of the body it is, in words, for every joint in order.
+
+    "pelvis", "spine", "neck", "head", "left elbow" and the like; "finger", "face", "end" (marks
+    where a bone stops), "twist" (turns a bone about itself), "root" (above the pelvis), "other".
+
+    Raises:
+        MotionError: as `find_parts`.
+    """
+    return _labels(PartFinder(skeleton, {**skeleton.parts, **(overrides or {})}))
+
+
+def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
+    """Return what `part_labels` does for any rig, and in a line what cannot be identified.
+
+    The labels are empty where no part can be, the line where all can.
+    """
+    try:
+        return part_labels(skeleton), ""
+    except MotionError as error:
+        reason = str(error)
+    found = PartFinder.of_known(skeleton)
+    if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
+        reason = (
+            f"cannot identify the {found.missing_limbs()}: harmless where the rig has none, else "
+            f"--part {found.missing[0]}=JOINT names a joint"
+        )
+    labels = _labels(found)
+    is_body = set(labels.values()) - {"other", "root", "end", "twist"}
+    return (labels if is_body else {}), reason
+
+
+def _labels(found: PartFinder) -> dict[str, str]:
+    skeleton = found.skeleton
+    labels = dict.fromkeys(range(skeleton.n_joints), "other")
+    if found.pelvis is not None:
+        labels |= dict.fromkeys(skeleton.ancestors(found.pelvis), "root")
+    labels |= dict.fromkeys(found.helpers(), "twist")
+    labels |= dict.fromkeys(found.fingers(), "finger")
+    if found.head is not None:
+        labels |= dict.fromkeys(skeleton.descendants(found.head), "face")
+    labels |= dict.fromkeys(found.ends, "end")
+    if found.pelvis is not None:
+        labels[found.pelvis] = "pelvis"
+    labels |= dict.fromkeys(found.spine, "spine")
+    labels |= dict.fromkeys(found.neck, "neck")
+    if found.head is not None:
+        labels[found.head] = "head"
+    for part, joint in found.limbs.items():
+        if joint is not None:
+            labels[joint] = part.replace("_", " ")
+    return {name: labels[j] for j, name in enumerate(skeleton.names)}
+
+
+def body_joints(skeleton: Skeleton) -> tuple[str, ...]:
+    """Names of all joints but fingers, face and end joints, in the skeleton's order.
+
+    All joints of a rig whose parts cannot be identified.
+    """
+    try:
+        parts = find_parts(skeleton)
+    except MotionError:
+        return skeleton.names
+    left_out = {*parts.fingers, *parts.face, *parts.ends}
+    return tuple(name for name in skeleton.names if name not in left_out)
+
+
+def upper_body(skeleton: Skeleton) -> tuple[str, ...]:
+    """Names of the first joint of the spine and all below it: spine, neck, head, arms, hands."""
+    first = skeleton.index(find_parts(skeleton).spine[0])
+    return tuple(skeleton.names[j] for j in (first, *skeleton.descendants(first)))
+
+
+def leg_length(skeleton: Skeleton) -> float:
+    """Length of thigh and shank, metres, mean of both sides.
+
+    Raises:
+        MotionError: the rig has no two legs that can be identified.
+    """
+    legs = find_legs(skeleton) or find_parts(skeleton).legs
+    bones: list[int] = []
+    for leg in legs.values():
+        ankle, hip = skeleton.index(leg.ankle), skeleton.index(leg.hip)
+        # All that lies between: helper joints split bones.
+        way = [ankle, *skeleton.ancestors(ankle)]
+        bones += way[: way.index(hip)]
+    return float(np.linalg.norm(skeleton.offsets[bones], axis=1).sum() / 2)
+
+
+def arm_joints(skeleton: Skeleton) -> tuple[str, str, str, str]:
+    """Names of left shoulder, left elbow, right shoulder, right elbow (upper and lower arms)."""
+    arms = find_parts(skeleton).arms
+    left, right = arms["left"], arms["right"]
+    return left.shoulder, left.elbow, right.shoulder, right.elbow

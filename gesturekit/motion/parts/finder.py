@@ -1,0 +1,288 @@
+"""Finding the parts of a rig: by name first, by shape where the names say nothing.
+
+Left and right are found first: a joint whose name holds a mark of the left side ("Left", "l_",
+".L", a leading "L", ...) and whose counterpart with the mark of the right side exists. Then the
+elbows and knees are found by name, as their names are the least ambiguous ("RightShoulder" is a
+collar bone in one file and an upper arm in the next), and all else by its place in the tree. Limbs
+whose names say nothing are told by the shape of the rig (`limb_shapes`), or not at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.parts.checks import check_limbs
+from gesturekit.motion.parts.joint_names import SIDES, bare_name, named_pairs, named_side
+from gesturekit.motion.parts.limb_shapes import Limbs, find_limbs
+from gesturekit.motion.skeleton import Skeleton
+
+ARM = ("clavicle", "shoulder", "elbow", "wrist")
+LEG = ("hip", "knee", "ankle", "toe")
+KNOWN_PARTS = ("head", *(f"{side}_{part}" for side in SIDES for part in (*ARM, *LEG)))
+"""What a joint may be called by hand."""
+
+_ELBOW = ("forearm", "lowerarm", "lowarm", "elbow", "radius")
+_KNEE = ("knee", "shin", "calf", "tibia", "lowerleg", "lowleg", "leg")
+_NOT_KNEE = ("upleg", "upperleg")
+_WRIST = ("wrist", "hand", "palm")
+_ANKLE = ("ankle", "foot")
+_TOE = ("toe", "toes", "toebase", "ball", "foot")
+_HEAD = ("head", "face", "skull")
+_END = ("end", "nub", "tip", "site", "headtop")
+_TWIST = ("twist", "roll")
+
+
+def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
+    """Return part ("left_hip", ...) to joint of both legs, by name or by hand; None without them.
+
+    Nothing else of a body need be there: this serves rigs whose other parts cannot be identified.
+    """
+    finder = PartFinder.__new__(PartFinder)
+    finder._read_names(skeleton, skeleton.parts)
+    for side in SIDES:
+        finder._leg(side)
+    if finder.missing:
+        return None
+    try:
+        check_limbs(skeleton, finder.limbs, guessed=False)
+    except MotionError:
+        return None
+    return finder.limbs
+
+
+class PartFinder:
+    """The limbs, the trunk and the loose ends of one rig, as indices of joints.
+
+    Attributes:
+        limbs: part ("left_elbow", ...) to joint; None where the rig has none.
+        pelvis, spine, neck, head: the trunk; `neck` is all joints between spine and head.
+        ends: leaves that only mark where a bone stops.
+    """
+
+    def __init__(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
+        self._read_names(skeleton, by_hand)
+        for side in SIDES:
+            self._arm(side)
+            self._leg(side)
+        guessed = bool(by_hand or self.missing)
+        shape = self._limbs_by_shape() if self.missing else None
+        check_limbs(skeleton, self.limbs, guessed)
+        self._trunk(shape)
+
+    @classmethod
+    def of_known(cls, skeleton: Skeleton) -> PartFinder:
+        """Return what names and hand tell of a rig that lacks parts of a body.
+
+        Limbs that cannot be identified have None for joints; `pelvis` and `head` are None, `spine`
+        and `neck` empty where they cannot be.
+        """
+        found = cls.__new__(cls)
+        found._read_names(skeleton, skeleton.parts)
+        # A limb without its counterpart: no pair of names tells its side.
+        for j, name in enumerate(skeleton.names):
+            if not found.side[j] and (side := named_side(name)):
+                found.side[j], found.bare[j] = side, bare_name(name, side)
+        for side in SIDES:
+            found._arm(side)
+            found._leg(side)
+            for limb in (ARM, LEG):
+                parts = {f"{side}_{part}": found.limbs[f"{side}_{part}"] for part in limb}
+                try:
+                    check_limbs(skeleton, parts, guessed=False)
+                except MotionError:
+                    found.limbs |= {p: found.by_hand.get(p) for p in parts}
+        found._known_trunk()
+        return found
+
+    def missing_limbs(self) -> str:
+        """Return the limbs of which a joint is missing, in words: "arms and left leg"."""
+        words = []
+        for kind, limb in (("arm", ARM), ("leg", LEG)):
+            sides = [s for s in SIDES if {f"{s}_{part}" for part in limb} & set(self.missing)]
+            words += [f"{kind}s"] if len(sides) == 2 else [f"{side} {kind}" for side in sides]
+        return " and ".join(words)
+
+    def _read_names(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
+        """Identify single joints by name or by hand; limbs are not looked for yet."""
+        for key in by_hand:
+            if key not in KNOWN_PARTS:
+                raise MotionError(
+                    f"no part is called {key!r}; expected {', '.join(sorted(KNOWN_PARTS))}"
+                )
+        self.skeleton = skeleton
+        self.by_hand = {key: skeleton.index(name) for key, name in by_hand.items()}
+        self.side = [""] * skeleton.n_joints
+        for pair in named_pairs(skeleton):
+            for side, name in zip(SIDES, pair):
+                self.side[skeleton.index(name)] = side
+        self.bare = [bare_name(name, side) for name, side in zip(skeleton.names, self.side)]
+        self.missing: list[str] = []
+        self.limbs: dict[str, int | None] = {}
+        self.ends = {
+            j
+            for j in range(skeleton.n_joints)
+            if skeleton.is_leaf(j) and self.bare[j].endswith(_END)
+        }
+
+    def helpers(self) -> set[int]:
+        """Joints that only turn a bone about itself."""
+        return {j for j, bare in enumerate(self.bare) if bare.endswith(_TWIST)}
+
+    def fingers(self) -> list[int]:
+        """All that hangs on the wrists, but for hands and end joints."""
+        wrists = [self.limbs[f"{side}_wrist"] for side in SIDES]
+        below = {j for w in wrists if w is not None for j in self.skeleton.descendants(w)}
+        return [j for j in sorted(below - self.ends) if not self.bare[j].endswith("hand")]
+
+    def _trunk(self, shape: Limbs | None) -> None:
+        limbs, name = self.limbs, self.skeleton.names
+        chest = self._meeting(limbs["left_shoulder"], limbs["right_shoulder"])
+        pelvis = self._meeting(limbs["left_hip"], limbs["right_hip"])
+        self.pelvis = self._meeting(pelvis, chest)
+        self.spine = [j for j in self._way_down(self.pelvis, chest) if j != self.pelvis]
+        if not self.spine:
+            raise MotionError(
+                f"arms and legs both hang on {name[self.pelvis]!r}: the rig has no spine"
+            )
+        self.head = self._head(chest, shape)
+        self.neck = [] if self.head is None else self._way_down(chest, self.head)[1:-1]
+        # 3ds Max hangs arms on the neck.
+        if len(self.spine) > 1 and self.bare[chest].endswith("neck"):
+            self.neck.insert(0, self.spine.pop())
+
+    def _known_trunk(self) -> None:
+        limbs, side = self.limbs, self.side
+        hips = [j for s in SIDES if (j := limbs[f"{s}_hip"]) is not None]
+        arms = [limbs[f"{s}_clavicle"] or limbs[f"{s}_shoulder"] for s in SIDES]
+        hanging = [
+            next((above for above in self.skeleton.ancestors(j) if not side[above]), 0)
+            for j in arms
+            if j is not None
+        ]
+        self.pelvis = self._meeting(*hips) if len(hips) == 2 else None
+        chest = self._meeting(hanging[0], hanging[-1]) if hanging else None
+        way = [] if None in (self.pelvis, chest) else self._way_down(self.pelvis, chest)
+        self.spine, self.neck = way[1:], []
+        named = [j for j, bare in enumerate(self.bare) if not side[j] and bare.endswith(_HEAD)]
+        nearest = min(named, key=lambda j: self.skeleton.depth[j], default=None)
+        self.head = self.by_hand.get("head", nearest)
+        if None not in (self.head, chest):
+            self.neck = self._way_down(chest, self.head)[1:-1]
+
+    def _arm(self, side: str) -> None:
+        of_side = [j for j, s in enumerate(self.side) if s == side]
+        elbow = self._find(f"{side}_elbow", of_side, _ELBOW)
+        shoulder = self._above(f"{side}_shoulder", elbow, side)
+        self._above(f"{side}_clavicle", shoulder, side, required=False)
+        self._find(f"{side}_wrist", self._below(elbow), _WRIST, required=False)
+
+    def _leg(self, side: str) -> None:
+        of_side = [j for j, s in enumerate(self.side) if s == side]
+        knee = self._find(f"{side}_knee", of_side, _KNEE, but=_NOT_KNEE)
+        self._above(f"{side}_hip", knee, side)
+        ankle = self._find(f"{side}_ankle", self._below(knee), _ANKLE)
+        self._find(f"{side}_toe", self._below(ankle), _TOE, required=False)
+
+    def _below(self, joint: int | None) -> Iterable[int]:
+        return () if joint is None else self.skeleton.descendants(joint)
+
+    def _find(
+        self,
+        part: str,
+        among: Iterable[int],
+        endings: tuple[str, ...],
+        but: tuple[str, ...] = (),
+        required: bool = True,
+    ) -> int | None:
+        """The joint nearest the root whose bare name ends like one of `endings`."""
+        fitting = [
+            j for j in among if self.bare[j].endswith(endings) and not self.bare[j].endswith(but)
+        ]
+        found = min(fitting, key=lambda j: self.skeleton.depth[j], default=None)
+        return self._settle(part, found, required)
+
+    def _above(self, part: str, joint: int | None, side: str, required: bool = True) -> int | None:
+        """The nearest joint above of the same side; helpers that only twist a bone do not count,
+        and of a bone in several pieces ("upper_arm.L", "upper_arm.L.001") the first does."""
+        found = None
+        above = () if joint is None else self.skeleton.ancestors(joint)
+        for j in above:
+            if self.side[j] != side or self.bare[j].endswith(_TWIST):
+                if found is not None:
+                    break
+                continue
+            if found is not None and self.bare[j] != self.bare[found]:
+                break
+            found = j
+        return self._settle(part, found, required)
+
+    def _settle(self, part: str, found: int | None, required: bool) -> int | None:
+        found = self.by_hand.get(part, found)
+        if found is None and required:
+            self.missing.append(part)
+        self.limbs[part] = found
+        return found
+
+    def _limbs_by_shape(self) -> Limbs:
+        """Fill in from the shape of the rig what the names do not tell.
+
+        Raises:
+            MotionError: the shape does not tell either, or contradicts the names.
+        """
+        names = self.skeleton.names
+        told = f"cannot identify the {self.missing_limbs()}"
+        first = self.missing[0]
+        by_hand = (
+            f"name what the rig has: --part {first}=JOINT (--rig-part for --rig), or "
+            f"`parts: {{{first}: JOINT}}`"
+        )
+        try:
+            shape = find_limbs(self.skeleton)
+        except MotionError as error:
+            raise MotionError(f"{told} ({error}); {by_hand}") from None
+        for part, joint in self.limbs.items():
+            if joint is None:
+                self.limbs[part] = shape.joints.get(part)
+            elif part in shape.joints and shape.joints[part] != joint:
+                raise MotionError(
+                    f"{told}: the {part.replace('_', ' ')} is {names[shape.joints[part]]!r} by the "
+                    f"rig's shape, {names[joint]!r} by its name; {by_hand}"
+                )
+        self.missing = []
+        return shape
+
+    def _head(self, chest: int, shape: Limbs | None) -> int | None:
+        in_limbs = {
+            below
+            for part in ("left_clavicle", "right_clavicle", "left_shoulder", "right_shoulder")
+            if (joint := self.limbs[part]) is not None
+            for below in (joint, *self.skeleton.descendants(joint))
+        }
+        by_hand = self.by_hand.get("head")
+        if by_hand is not None:
+            if by_hand in in_limbs or chest not in self.skeleton.ancestors(by_hand):
+                raise MotionError(
+                    f"{self.skeleton.names[by_hand]!r} cannot be the head: it does not hang on "
+                    f"{self.skeleton.names[chest]!r} beside the arms"
+                )
+            return by_hand
+        middle = [
+            j
+            for j in self.skeleton.descendants(chest)
+            if not self.side[j] and not self.bare[j].endswith(_END) and j not in in_limbs
+        ]
+        named = [j for j in middle if self.bare[j].endswith(_HEAD)]
+        if not named and shape is not None:
+            return shape.head
+        return min(named or middle[-1:], key=lambda j: self.skeleton.depth[j], default=None)
+
+    def _meeting(self, a: int, b: int) -> int:
+        """The lowest joint that both hang on (or are)."""
+        of_a = {a, *self.skeleton.ancestors(a)}
+        return next(j for j in (b, *self.skeleton.ancestors(b)) if j in of_a)
+
+    def _way_down(self, top: int, bottom: int) -> list[int]:
+        """Joints from `top` to `bottom`, both included."""
+        way = [bottom, *self.skeleton.ancestors(bottom)]
+        return way[: way.index(top) + 1][::-1] if top in way else []

@@ -1,0 +1,1 @@
+"""Motion on a subset of its joints."""

@@ -1,0 +1,1 @@
+"""Constraints on generated motion: paths, keyframes, in-betweening."""

@@ -1,0 +1,1 @@
+"""Fast CPU engine for the networks of the pyramid."""

@@ -1,0 +1,1 @@
+"""Train a pyramid, two levels at a time."""

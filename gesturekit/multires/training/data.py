@@ -1,0 +1,401 @@
+"""What a multires run trains on: sequences in memory, and windows cut from them.
+
+Paired sequences (speech and motion) feed reconstruction steps and the discriminators' real side;
+random-generation steps take their speech from the unpaired audio alone. Where nothing is heard,
+speech has no channels (0, T), and every motion is a sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import audio_features as af
+from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.errors import ConfigError, CorpusError, MotionError
+from gesturekit.motion.heading import heading
+from gesturekit.motion.parts import find_parts
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.resampling import resample
+from gesturekit.training.data.data_folder import load_data, save_data
+from gesturekit.training.data.features import (
+    conditioner_tensors,
+    conditioner_values,
+    listen,
+    load_conditioner,
+)
+from gesturekit.training.data.recordings import (
+    item_styles,
+    load_motions,
+    recorded_rate,
+    speaker_skeletons,
+    training_items,
+)
+from gesturekit.training.data.sources import Source, from_values, to_values
+from gesturekit.training.seeds import rng_for
+
+_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
+"""Below these spreads (6D entries, label, m, m; of the reference body) a channel is scaled as if it
+had this much."""
+
+
+@dataclass(frozen=True)
+class Normaliser:
+    """Takes motion vectors to zero mean and comparable spread, whatever the rig's units.
+
+    One scale serves the six numbers of a joint, so that a rotation keeps its shape.
+
+    Attributes:
+        mean: (D,).
+        scale: (D,).
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    @classmethod
+    def fit(
+        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation
+    ) -> Normaliser:
+        """Mean and scale of encoded training motions, each (T, D)."""
+        values = np.concatenate(motions)
+        scale = values.std(axis=0)
+        start = 0
+        n_joints = len(representation.joints)
+        for block, size in enumerate(representation.block_sizes[:-1]):
+            part = slice(start, start + size)
+            spread = np.sqrt((scale[part] ** 2).mean())
+            floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
+            scale[part] = max(spread, floor)
+            start += size
+        dx, height, dz = scale[-3:]
+        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"])
+        scale[-3:] = across, max(height, _SCALE_FLOORS["height"]), across
+        return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
+
+    def to(self, device: torch.device) -> Normaliser:
+        """The same on another device."""
+        return Normaliser(self.mean.to(device), self.scale.to(device))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, D, T) in their own units to normalised."""
+        return (x - self.mean[:, None]) / self.scale[:, None]
+
+    def inverse(self, x: Tensor) -> Tensor:
+        """(B, D, T) normalised to their own units."""
+        return x * self.scale[:, None] + self.mean[:, None]
+
+
+@dataclass(frozen=True)
+class PairedSequence:
+    """One recording: normalised motion (D, T), speech (S, T), its noise and its style.
+
+    Attributes:
+        sigma: (L,) spread of what each level adds (RMSE of the level against the coarser one,
+            upsampled; RMS at the first level).
+        z_star: the noise at level 1 from which this recording is reconstructed, (T_1,), or
+            (D, T_1) where each channel has its own.
+        style: its number among the corpus's styles; 0 where there are none.
+    """
+
+    TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star")
+
+    name: str
+    motion: Tensor
+    speech: Tensor
+    sigma: Tensor
+    z_star: Tensor
+    style: int = 0
+
+    @property
+    def n_frames(self) -> int:
+        """T, at the full rate."""
+        return self.motion.shape[-1]
+
+    @classmethod
+    def make(
+        cls,
+        name: str,
+        motion: Tensor,
+        speech: Tensor,
+        levels: int,
+        seed: int,
+        *,
+        style: int = 0,
+        full_noise: bool = False,
+    ) -> PairedSequence:
+        """Draw the noise of a recording; it depends on the seed and the name alone."""
+        sigma = level_sigmas(motion[None], levels)
+        n_coarsest = af.level_lengths(motion.shape[-1], levels)[0]
+        rng = rng_for(seed, "z_star", name)
+        if full_noise:
+            noise = torch.randn(len(motion), n_coarsest, generator=rng)
+        else:
+            noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
+        return cls(name, motion, speech, sigma, noise, style)
+
+    def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
+        """(1 or D, T_1) of the window that starts at this full-rate frame."""
+        noise = self.z_star.reshape(-1, self.z_star.shape[-1])
+        first = round(start * noise.shape[-1] / self.n_frames)
+        first = max(0, min(first, noise.shape[-1] - n_coarsest))
+        window = noise[:, first : first + n_coarsest]
+        # A window as long as its sequence may come out one coarse frame longer by rounding.
+        return resample(window, n_coarsest)
+
+
+def level_sigmas(motion: Tensor, levels: int) -> Tensor:
+    """(L,) sigma_i of a normalised motion (1, D, T)."""
+    lengths = af.level_lengths(motion.shape[-1], levels)
+    pyramid = [resample(motion, n) for n in lengths]
+    sigmas = [pyramid[0].square().mean().sqrt()]
+    for coarse, fine in zip(pyramid, pyramid[1:], strict=False):
+        sigmas.append((fine - resample(coarse, fine.shape[-1])).square().mean().sqrt())
+    return torch.stack(sigmas)
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """Everything a run needs, on the CPU.
+
+    Attributes:
+        paired: recordings with motion.
+        unpaired: (S, T) speech without motion; where the corpus has none, that of `paired`.
+        silence: (S, T) what the model hears when nobody speaks, one window long.
+        conditioner: turns waves into what the model hears; None where it hears nothing.
+        styles: names of the styles, in alphabetical order; none outside label mode.
+        speakers: a reference skeleton for each named speaker.
+        window: frames of a training window; None takes whole sequences.
+        sources: the recordings that `paired` was read from.
+        recorded_fps: the commonest frame rate of the recordings; None where older runs lack it.
+    """
+
+    paired: tuple[PairedSequence, ...]
+    unpaired: tuple[Tensor, ...]
+    silence: Tensor
+    window: int | None
+    representation: MultiresRepresentation
+    conditioner: SpeechConditioner | None
+    styles: tuple[str, ...]
+    normaliser: Normaliser
+    speakers: dict[str, Skeleton]
+    unpaired_is_paired: bool
+    sources: tuple[Source, ...] = ()
+    recorded_fps: float | None = None
+
+    def save(self, folder: Path) -> None:
+        """Write all of it into a folder, for a run that is resumed."""
+        tensors = {
+            "silence": self.silence,
+            "motion.mean": self.normaliser.mean,
+            "motion.scale": self.normaliser.scale,
+            **conditioner_tensors(self.conditioner),
+        }
+        for i, sequence in enumerate(self.paired):
+            for name in PairedSequence.TENSORS:
+                tensors[f"paired.{i}.{name}"] = getattr(sequence, name).contiguous()
+        if not self.unpaired_is_paired:
+            tensors |= {f"unpaired.{i}": clip for i, clip in enumerate(self.unpaired)}
+        about = {
+            "names": [sequence.name for sequence in self.paired],
+            "unpaired": 0 if self.unpaired_is_paired else len(self.unpaired),
+            "features": None if self.conditioner is None else conditioner_values(self.conditioner),
+            "styles": list(self.styles),
+            "style_of": [sequence.style for sequence in self.paired],
+            "sources": to_values(self.sources),
+            "window": self.window,
+            "recorded_fps": self.recorded_fps,
+            "skeleton": self.representation.skeleton.to_json(),
+            "motion": self.representation.to_json(),
+            "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
+        }
+        save_data(folder, tensors, about)
+
+    @classmethod
+    def load(cls, folder: Path, config: MultiresConfig) -> TrainingData:
+        """Read what `save` wrote.
+
+        Raises:
+            ConfigError: the folder's data is missing or damaged.
+            WeightsError: the WavLM weights are not those that the run began with.
+        """
+
+        def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
+            paired = tuple(
+                PairedSequence(
+                    name,
+                    *(tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS),
+                    style,
+                )
+                for i, (name, style) in enumerate(
+                    zip(about["names"], about["style_of"], strict=True)
+                )
+            )
+            unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
+            skeleton = Skeleton.from_json(about["skeleton"])
+            return cls(
+                paired=paired,
+                unpaired=unpaired or tuple(sequence.speech for sequence in paired),
+                silence=tensors["silence"],
+                window=about["window"],
+                representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
+                conditioner=None
+                if config.features is None
+                else load_conditioner(
+                    about["features"], tensors, config.fps, config.features.weights
+                ),
+                styles=tuple(about["styles"]),
+                normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
+                speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
+                unpaired_is_paired=config.features is not None and not unpaired,
+                sources=from_values(about.get("sources", ())),
+                recorded_fps=about.get("recorded_fps"),
+            )
+
+        return load_data(folder, assemble)
+
+    @property
+    def n_speech(self) -> int:
+        """S, the number of speech features; 0 where nothing is heard."""
+        return self.silence.shape[0]
+
+    def style_shares(self, sequences: Sequence[PairedSequence]) -> Tensor:
+        """(K,) frames of each style in these: how often random motions are given it."""
+        frames = torch.zeros(len(self.styles))
+        for sequence in sequences:
+            frames[sequence.style] += sequence.n_frames
+        return frames
+
+    def window_lengths(self) -> dict[int, list[int]]:
+        """Window length to the paired sequences that give windows of that length."""
+        groups: dict[int, list[int]] = {}
+        for i, sequence in enumerate(self.paired):
+            frames = sequence.n_frames
+            length = frames if self.window is None else min(frames, self.window)
+            groups.setdefault(length, []).append(i)
+        return groups
+
+    def speech_window(self, n_frames: int, rng: torch.Generator) -> Tensor:
+        """(S, n_frames) of unpaired speech; a shorter clip is set into silence."""
+        if not self.n_speech:
+            return torch.zeros(0, n_frames)
+        weights = torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])
+        clip = self.unpaired[int(torch.multinomial(weights, 1, generator=rng))]
+        slack = clip.shape[-1] - n_frames
+        start = int(torch.randint(abs(slack) + 1, (), generator=rng))
+        if slack >= 0:
+            return clip[:, start : start + n_frames]
+        around = self.silence[:, :1].expand(-1, n_frames).clone()
+        around[:, start : start + clip.shape[-1]] = clip
+        return around
+
+
+def load_training_data(config: MultiresConfig) -> TrainingData:
+    """Read the corpus of a run, extract features, and normalise.
+
+    Raises:
+        CorpusError: no training item with what the mode needs, rigs that differ, or a file that
+            cannot be read.
+    """
+    # First: wrong settings are told before anything is read.
+    extractor = None if config.features is None else config.features.extractor()
+    manifest = Manifest.load(config.corpus)
+    items = training_items(manifest, config.corpus, heard=config.features is not None)
+    styles: tuple[str, ...] = ()
+    style_of = [0] * len(items)
+    if config.styles is not None:
+        styles, style_of = item_styles(items, config.corpus)
+    recorded = load_motions(items, config.corpus, None, config.parts)
+    sources = tuple(map(Source.of, items, recorded))
+    motions = [motion.resample(config.fps) for motion in recorded]
+    representation = MultiresRepresentation.fit(motions, config.joints, config.contact_threshold)
+    if config.features is not None and config.network.modulate == "upper":
+        try:
+            find_parts(representation.skeleton)
+        except MotionError as error:
+            raise ConfigError(
+                "network.modulate: speech moves the upper body, which cannot be identified: "
+                f"{error}; or let speech move all joints (network.modulate=all)"
+            ) from None
+    vectors = []
+    for item, motion in zip(items, motions, strict=True):
+        try:
+            turn = -heading(motion) if config.face_forward else 0.0
+            vectors.append(representation.encode(motion, turn=turn))
+        except ValueError as error:
+            raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
+    if config.normalise:
+        normaliser = Normaliser.fit(vectors, representation)
+    else:
+        width = representation.n_features
+        normaliser = Normaliser(torch.zeros(width), torch.ones(width))
+    if config.features is None:
+        conditioner = None
+        speeches = [torch.zeros(0, len(vector)) for vector in vectors]
+        unpaired: list[Tensor] = []
+    else:
+        others = manifest.unpaired("train")
+        conditioner, heard = listen(
+            [*items, *others],
+            [*map(len, vectors), *[None] * len(others)],
+            extractor,
+            config.fps,
+            config.features,
+        )
+        # One after the other, each making room for what becomes of it.
+        heard.reverse()
+        columns = [_columns(heard.pop()) for _ in range(len(heard))]
+        speeches, unpaired = columns[: len(items)], columns[len(items) :]
+    paired = []
+    for item, vector, speech, style in zip(items, vectors, speeches, style_of, strict=True):
+        n_frames = min(len(vector), speech.shape[-1])
+        motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
+        paired.append(
+            PairedSequence.make(
+                item.id,
+                motion,
+                speech[:, :n_frames].contiguous(),
+                config.network.levels,
+                config.seed,
+                style=style,
+                full_noise=config.z_star == "full",
+            )
+        )
+    window = config.schedule.window
+    frames = None if window is None else max(config.network.levels, round(window * config.fps))
+    longest = max(sequence.n_frames for sequence in paired)
+    if af.level_lengths(longest, config.network.levels)[0] < 2:
+        raise ConfigError(
+            f"network.levels: {config.network.levels} levels leave one frame of the longest "
+            f"recording ({longest / config.fps:.1f} s) at the coarsest; take fewer levels"
+        )
+    silent = (frames or longest) + 2 * config.random_margin
+    hears = conditioner is not None
+    return TrainingData(
+        paired=tuple(paired),
+        unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
+        silence=_columns(conditioner.silence(silent)) if hears else torch.zeros(0, silent),
+        window=frames,
+        representation=representation,
+        conditioner=conditioner,
+        styles=styles,
+        normaliser=normaliser,
+        speakers=speaker_skeletons(items, motions),
+        unpaired_is_paired=hears and not unpaired,
+        sources=sources,
+        recorded_fps=recorded_rate(motions),
+    )
+
+
+def _columns(values: np.ndarray) -> Tensor:
+    """(T, S) to (S, T)."""
+    return torch.from_numpy(np.ascontiguousarray(values.T))

@@ -1,0 +1,107 @@
+"""What a run learns motion from: items of its corpus, of one rig."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from gesturekit.corpus.checks import first_difference
+from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.errors import ConfigError, CorpusError, MotionError
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import find_parts
+from gesturekit.motion.selection.model_joints import reference_skeleton
+from gesturekit.motion.skeleton import Skeleton
+
+log = logging.getLogger(__name__)
+
+
+def training_items(manifest: Manifest, corpus: Path, *, heard: bool) -> tuple[Item, ...]:
+    """Items of split train: pairs for a model that hears, else all that have motion.
+
+    Raises:
+        CorpusError: there are none.
+    """
+    if heard:
+        items = manifest.paired("train")
+        if not items:
+            raise CorpusError(
+                f"{corpus}: no item of split train has both audio and motion; run "
+                "gesturekit prepare on a folder of wav + BVH pairs, or train without speech "
+                "(features=null)"
+            )
+        return items
+    items = tuple(item for item in manifest if item.split == "train" and item.motion is not None)
+    if not items:
+        raise CorpusError(
+            f"{corpus}: no item of split train has motion; "
+            "run gesturekit prepare --unpaired-motion on a folder of BVH files"
+        )
+    return items
+
+
+def item_styles(items: Sequence[Item], corpus: Path) -> tuple[tuple[str, ...], list[int]]:
+    """Names of the styles, in alphabetical order, and the number of each item's own.
+
+    Raises:
+        CorpusError: an item without style.
+    """
+    nameless = [item.id for item in items if item.style is None]
+    if nameless:
+        raise CorpusError(
+            f"{corpus}: item {nameless[0]} has no style ({len(nameless)} have none); "
+            "gesturekit prepare --style-pattern takes styles from file names"
+        )
+    styles = tuple(sorted({item.style for item in items if item.style is not None}))
+    return styles, [styles.index(item.style) for item in items if item.style is not None]
+
+
+def load_motions(
+    items: Sequence[Item], corpus: Path, fps: float | None, parts: Mapping[str, str]
+) -> list[Motion]:
+    """The motion of each item at `fps`, all of one rig; `info["recorded_fps"]` is the file's rate.
+
+    Args:
+        items: with motion.
+        corpus: the manifest, for messages.
+        fps: frames per second; None leaves each as it is.
+        parts: parts of the body named by hand, see `Skeleton.parts`.
+
+    Raises:
+        CorpusError: rigs that differ, or a file that is not as long as its item.
+        ConfigError: `parts` names a joint that is not there.
+        FormatError: a file cannot be read.
+    """
+    motions = []
+    for item in items:
+        try:
+            motion = item.load_motion(parts)
+            motion.info["recorded_fps"] = motion.fps
+            motions.append(motion if fps is None else motion.resample(fps))
+        except MotionError as error:
+            raise ConfigError(f"parts: item {item.id}: {error}") from None
+        different = first_difference(motions[-1].skeleton, motions[0].skeleton)
+        if different:
+            raise CorpusError(f"{corpus}: item {item.id}: another skeleton: {different}")
+    if parts:
+        try:
+            find_parts(motions[0].skeleton)
+        except MotionError as error:
+            log.warning("parts: %s", error)
+    return motions
+
+
+def recorded_rate(motions: Sequence[Motion]) -> float:
+    """The commonest frame rate of what `load_motions` gave, before it was resampled."""
+    return Counter(motion.info["recorded_fps"] for motion in motions).most_common(1)[0][0]
+
+
+def speaker_skeletons(items: Sequence[Item], motions: Sequence[Motion]) -> dict[str, Skeleton]:
+    """A reference skeleton for each speaker that the corpus names."""
+    own: dict[str, list[Motion]] = {}
+    for item, motion in zip(items, motions, strict=True):
+        if item.speaker is not None:
+            own.setdefault(item.speaker, []).append(motion)
+    return {name: reference_skeleton(theirs) for name, theirs in own.items()}

@@ -1,0 +1,157 @@
+"""The run folder: everything that is needed to know, continue or repeat a training."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from gesturekit.atomic import atomic_write
+from gesturekit.errors import ConfigError
+from gesturekit.training.config import dump_yaml, read_yaml
+from gesturekit.training.run.checkpoint import Checkpoints
+
+_VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
+
+# Where a run lies and how it reports do not change what it computes.
+_REPORTING = ("out", "checkpoint_every", "log_every", "eval_every")
+
+
+class Run:
+    """A run folder: `config.yaml`, `command.txt`, `versions.json`, `metrics.jsonl`,
+    TensorBoard events under `events/`, `checkpoints/`, and at the end `model/`.
+
+    Args:
+        folder: where the run lives.
+        config: the resolved configuration as plain values.
+        resume: go on with what the folder holds. Without it the folder must hold no run yet.
+
+    Raises:
+        ConfigError: the folder holds a run already, holds none to resume, or holds one of
+            another configuration.
+    """
+
+    def __init__(self, folder: Path, config: dict[str, Any], *, resume: bool) -> None:
+        self.folder = folder
+        self._config = config
+        self.checkpoints = Checkpoints(folder / "checkpoints")
+        self._metrics = folder / "metrics.jsonl"
+        self._events: Any = None
+        config_file = folder / "config.yaml"
+        if folder.exists() and not folder.is_dir():
+            raise ConfigError(f"{folder}: a file, not a run folder; name a folder by out=OTHER")
+        if resume:
+            if not config_file.is_file():
+                raise ConfigError(f"{folder}: no run to resume here; start it without --resume")
+            before = read_yaml(config_file)
+            before, config = _dotted(before), _dotted(config)
+            for key in sorted(set(before) | set(config)):
+                if key not in _REPORTING and before.get(key) != config.get(key):
+                    raise ConfigError(
+                        f"{config_file}: the run was started with {key}: {before.get(key)!r}, now "
+                        f"it is {config.get(key)!r}; resume with the same settings or start anew"
+                    )
+            return
+        if config_file.exists():
+            raise ConfigError(
+                f"{folder}: holds a run already; add --resume to go on with it, or out=OTHER"
+            )
+
+    @property
+    def has_begun(self) -> bool:
+        """Return True where the folder holds a run that can be resumed."""
+        return (self.folder / "config.yaml").is_file()
+
+    def begin(self) -> None:
+        """Make the folder that of this run, once it is clear that the run can start."""
+        self._write("command.txt", shlex.join(sys.argv) + "\n")
+        self._write("versions.json", json.dumps(_versions(), indent=1) + "\n")
+        # Last: a folder with a config.yaml holds a run.
+        self._write("config.yaml", dump_yaml(self._config))
+
+    def _write(self, name: str, text: str) -> None:
+        with atomic_write(self.folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+    def forget_metrics_after(self, step: int) -> None:
+        """Drop lines that a killed run wrote after its last checkpoint; they come again."""
+        if not self._metrics.exists():
+            return
+        kept = []
+        for line in self._metrics.read_text(encoding="utf-8").splitlines():
+            try:
+                if json.loads(line)["step"] <= step:
+                    kept.append(line + "\n")
+            except (ValueError, KeyError):
+                continue  # the line that was being written when the run was killed
+        with atomic_write(self._metrics) as temporary:
+            temporary.write_text("".join(kept), encoding="utf-8")
+
+    def log(self, step: int, values: dict[str, float], **labels: int | str) -> None:
+        """Add one line to `metrics.jsonl` and the same numbers to TensorBoard."""
+        if self._events is None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._events = SummaryWriter(str(self.folder / "events"), purge_step=step)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with self._metrics.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"step": step, **labels, **values}) + "\n")
+        for name, value in values.items():
+            self._events.add_scalar(name, value, step)
+
+    def last_metrics(self) -> dict[str, float]:
+        """The losses logged last, without step, labels and timing."""
+        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
+        losses = [logged for logged in lines if "kind" not in logged]
+        logged = losses[-1] if losses else {}
+        return {
+            name: value
+            for name, value in logged.items()
+            if isinstance(value, float) and name != "seconds_per_iteration"
+        }
+
+    def evaluations(self, level: int) -> list[dict[str, Any]]:
+        """What was logged with `kind: evaluation` for a level, oldest first."""
+        if not self._metrics.exists():
+            return []
+        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
+        return [
+            line
+            for line in lines
+            if line.get("kind") == "evaluation" and line.get("level") == level
+        ]
+
+    def has(self, step: int, kind: str) -> bool:
+        """Return True where a line of this kind was logged for a step."""
+        if not self._metrics.exists():
+            return False
+        lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
+        return any(line.get("kind") == kind and line["step"] == step for line in lines)
+
+    def close(self) -> None:
+        """Finish writing TensorBoard events."""
+        if self._events is not None:
+            self._events.close()
+
+
+def _dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested keys as section.key, so that a difference can be named."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        flat |= _dotted(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return flat
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in _VERSIONS_OF:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed as a package"
+    return versions

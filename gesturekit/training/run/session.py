@@ -1,0 +1,97 @@
+"""A training under way: its processes, its device and its run folder, for as long as it lasts."""
+
+from __future__ import annotations
+
+import logging
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+from tqdm.contrib.logging import logging_redirect_tqdm
+
+from gesturekit.errors import ConfigError
+from gesturekit.progress import Progress
+from gesturekit.training.config import to_dict
+from gesturekit.training.run.device import prepare_device
+from gesturekit.training.run.folder import Run
+from gesturekit.training.run.processes import Processes
+from gesturekit.training.run_config import RunConfig
+from gesturekit.wording import roughly
+
+log = logging.getLogger(__name__)
+
+
+@contextmanager
+def session(
+    config: RunConfig, *, resume: bool, folder: Path | None = None
+) -> Iterator[tuple[Run, torch.device, Processes]]:
+    """Join torchrun's processes if there are any, and open the run folder.
+
+    An interrupted run says how to go on with it.
+
+    Args:
+        config: of the run.
+        resume: go on with what the run folder holds.
+        folder: in place of `config.out`, for a run that is not kept.
+
+    Raises:
+        ConfigError: `config.out` holds a run already (or none to resume), or no such device.
+    """
+    with (
+        Processes.from_environment(config.device) as processes,
+        logging_redirect_tqdm(tqdm_class=Progress),
+    ):
+        device = prepare_device(processes.device(config.device), config.threads)
+        run = Run(folder or config.out, to_dict(config), resume=resume)
+        # All have looked at the folder before the first one makes it that of this run.
+        processes.wait()
+        try:
+            yield run, device, processes
+        except KeyboardInterrupt:
+            if processes.is_first and folder is None and run.has_begun:
+                log.warning("Stopped. Go on with: %s", resume_command(run.folder, processes))
+            raise
+        finally:
+            run.close()
+
+
+def resume_command(folder: Path, processes: Processes) -> str:
+    """The command line that goes on with a run."""
+    program = (
+        ["gesturekit"]
+        if processes.count == 1
+        else ["torchrun", "--nproc_per_node", str(processes.count), "-m", "gesturekit"]
+    )
+    return shlex.join([*program, "train", "--resume", str(folder)])
+
+
+def plan(config: RunConfig, trainer: Callable[..., Any]) -> None:
+    """Log what a run would do and how long it would take, without its run folder.
+
+    The data is read and a few steps are timed in a temporary folder.
+
+    Args:
+        config: of the run.
+        trainer: called as `trainer(config, run, device, processes, resume=False)`; announces
+            itself, and has `seconds_needed()`, an estimate of the whole training.
+
+    Raises:
+        ConfigError: `config.out` is a file, or no such device.
+    """
+    try:
+        Run(config.out, to_dict(config), resume=False)
+    except ConfigError as error:
+        if not (config.out / "config.yaml").is_file():
+            raise
+        log.warning("Before this can be trained: %s.", error)
+    with (
+        TemporaryDirectory() as folder,
+        session(config, resume=False, folder=Path(folder)) as (run, device, processes),
+    ):
+        seconds = trainer(config, run, device, processes, resume=False).seconds_needed()
+        if processes.is_first:
+            log.info("Time: about %s on this machine. Nothing was written.", roughly(seconds))

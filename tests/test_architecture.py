@@ -1,0 +1,133 @@
+"""Imports point one way, as the table of CONTRIBUTING.md says; imports in functions count too."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# What each room of gesturekit may import beside itself, audio_features and the modules that
+# everyone may import.
+MAY_IMPORT: dict[str, set[str]] = {"motion": set()}
+MAY_IMPORT["formats"] = MAY_IMPORT["postprocess"] = {"motion"}
+for _room in ("corpus", "evaluation", "viewer"):
+    MAY_IMPORT[_room] = {"formats", "motion"}
+MAY_IMPORT["evaluation"] |= {"corpus", "viewer"}  # its report embeds the player
+MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
+MAY_IMPORT["multires"] = {"postprocess", "training", *MAY_IMPORT["training"]}
+MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
+MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}
+MAY_IMPORT["rendering"] = {"model", "systems", "multires", "diffusion", *MAY_IMPORT["multires"]}
+MAY_IMPORT["cli"] = {"diagnosis", "inspection", "rendering", "systems", *MAY_IMPORT["rendering"]}
+# Modules that belong to no room. `systems` and the package itself lead upwards by name, lazily.
+MAY_IMPORT["model"] = {"corpus", "motion"}
+MAY_IMPORT["systems"] = {"model", "training"}
+MAY_IMPORT["diagnosis"] = {"systems"}
+EVERYONE_MAY_IMPORT = {
+    "errors",
+    "atomic",
+    "archive",
+    "compiled",
+    "field_docs",
+    "progress",
+    "wording",
+}
+MAY_IMPORT |= {module: set() for module in EVERYONE_MAY_IMPORT}
+
+# Where a string may name a module, to be imported when it is asked for.
+LEAD_BY_NAME = {
+    "gesturekit/__init__.py",
+    "gesturekit/cli/__init__.py",
+    "gesturekit/motion/motion.py",
+    "gesturekit/systems.py",
+}
+
+
+def sources(package: str) -> list[Path]:
+    files = [
+        path for path in sorted((ROOT / package).rglob("*.py")) if "node_modules" not in path.parts
+    ]
+    assert files, package
+    return files
+
+
+def imported(path: Path) -> Iterator[tuple[int, str]]:
+    """(line, dotted name) of everything a file imports, wherever in it."""
+    package = path.relative_to(ROOT).parent.parts
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) - node.level + 1] if node.level else ()
+            module = ".".join([*above, *(node.module.split(".") if node.module else ())])
+            # `from gesturekit import multires` imports a module too.
+            yield from ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
+
+
+def room_of(path: Path) -> str:
+    inside = path.relative_to(ROOT / "gesturekit")
+    return inside.parts[0] if len(inside.parts) > 1 else inside.stem
+
+
+def test_every_room_is_in_the_table_and_on_the_map():
+    rooms = {room_of(path) for path in sources("gesturekit")} - {"__init__", "__main__"}
+    assert rooms == set(MAY_IMPORT), "a new room needs its line here and in CONTRIBUTING.md"
+    house = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for room in rooms - EVERYONE_MAY_IMPORT:
+        assert re.search(rf"`(gesturekit/)?{room}(/|\.py)`", house), f"{room} is not on the map"
+
+
+def test_imports_within_gesturekit_point_downwards():
+    wrong = []
+    for path in sources("gesturekit"):
+        room = room_of(path)
+        if room in ("__init__", "__main__"):
+            continue
+        allowed = MAY_IMPORT[room] | EVERYONE_MAY_IMPORT | {room}
+        for line, name in imported(path):
+            package, _, rest = name.partition(".")
+            if package == "gesturekit" and rest.split(".")[0] not in allowed:
+                wrong.append(f"{path.relative_to(ROOT)}:{line}: {room} imports {name}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_audio_features_stands_alone():
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line}: imports {name}"
+        for path in sources("audio_features")
+        for line, name in imported(path)
+        if name.split(".")[0] == "gesturekit"
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("package", ["audio_features", "gesturekit"])
+def test_only_the_dispatch_tables_name_modules_by_string(package):
+    wrong = []
+    for path in sources(package):
+        where = path.relative_to(ROOT).as_posix()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            is_name = (
+                isinstance(node, ast.Constant)
+                and isinstance(node.value, str)
+                and re.fullmatch(r"gesturekit(\.\w+)+\.?(:\w+)?", node.value)
+            )
+            if is_name and where not in LEAD_BY_NAME:
+                wrong.append(f"{where}:{node.lineno}: {node.value!r}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_nothing_names_a_path_of_one_machine():
+    wrong = [
+        f"{path.relative_to(ROOT)}: {found[0]}"
+        for package in ("audio_features", "gesturekit", "tests", "recipes", "benchmarks")
+        for path in sorted((ROOT / package).rglob("*"))
+        if path.suffix in (".py", ".yaml", ".md", ".js") and "node_modules" not in path.parts
+        if (found := re.search(r"/(work|home|root|Users)/\w+", path.read_text(encoding="utf-8")))
+    ]
+    assert not wrong, "\n".join(wrong)
