@@ -40,7 +40,7 @@ def test_evaluations_are_logged_and_the_weights_are_those_without_them(make_conf
         {k: v for k, v in x.items() if "seconds" not in k} for x in without
     ]
     # The model's README tells losses, not evaluations.
-    assert "critic" in (watched / "README.md").read_text()
+    assert "discriminator" in (watched / "README.md").read_text()
 
 
 def test_a_run_resumed_without_evaluations_ends_with_the_same_weights(make_config, tmp_path):

@@ -44,7 +44,15 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config):
     folder = train(config)
     lines = logged(config)
     assert [line["step"] for line in lines] == [2, 4, 6, 8, 10]
-    told = {"critic", "adversarial", "contact", "smooth", "arm_speed", "arm_acceleration", "rec"}
+    told = {
+        "discriminator",
+        "adversarial",
+        "contact",
+        "smoothness",
+        "arm_speed",
+        "arm_acceleration",
+        "reconstruction",
+    }
     assert told <= set(lines[-1])
     for name in ("config.yaml", "command.txt", "versions.json", "checkpoints", "events"):
         assert (config.out / name).exists(), name
@@ -78,7 +86,7 @@ def test_training_moves_towards_the_recording(make_config):
     )
     train(config)
     lines = logged(config)
-    first = [line["rec"] for line in lines if line["level"] == 1]
+    first = [line["reconstruction"] for line in lines if line["level"] == 1]
     assert first[-1] < 0.6 * first[0]
 
 
@@ -287,21 +295,27 @@ def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path
     assert "random steps draw windows of the paired speech" in caplog.text
 
 
-RANDOM = {"critic", "adversarial", "contact", "smooth", "arm_speed"}
+RANDOM = {"discriminator", "adversarial", "contact", "smoothness", "arm_speed"}
 
 
 @pytest.mark.parametrize(
     ("changes", "losses"),
     [
-        ({"training": {"window": None}}, RANDOM | {"rec"}),
-        ({"training": {"margins": True}}, RANDOM | {"rec"}),
-        ({"training": {"discriminator_steps": 0, "generator_steps": 0}}, {"rec"}),
+        ({"training": {"window": None}}, RANDOM | {"reconstruction"}),
+        ({"training": {"margins": True}}, RANDOM | {"reconstruction"}),
+        ({"training": {"discriminator_steps": 0, "generator_steps": 0}}, {"reconstruction"}),
         ({"training": {"reconstruction_steps": 0}}, RANDOM),
-        ({"features": {"residual": False}, "network": {"film": "input"}}, RANDOM | {"rec"}),
-        ({"losses": {"arm_speed": 0, "rec_input": "real"}}, RANDOM - {"arm_speed"} | {"rec"}),
-        ({"network": {"levels": 3}}, RANDOM | {"rec"}),
-        ({"joints": "all"}, RANDOM | {"rec"}),
-        ({"precision": "bfloat16"}, RANDOM | {"rec"}),
+        (
+            {"features": {"residual": False}, "network": {"film": "input"}},
+            RANDOM | {"reconstruction"},
+        ),
+        (
+            {"losses": {"arm_speed": 0, "rec_input": "real"}},
+            RANDOM - {"arm_speed"} | {"reconstruction"},
+        ),
+        ({"network": {"levels": 3}}, RANDOM | {"reconstruction"}),
+        ({"joints": "all"}, RANDOM | {"reconstruction"}),
+        ({"precision": "bfloat16"}, RANDOM | {"reconstruction"}),
     ],
     ids=str,
 )

@@ -13,9 +13,9 @@ from torch import Tensor, nn
 
 import audio_features as af
 from gesturekit.errors import ModelError
-from gesturekit.multires import losses
 from gesturekit.multires.cpu.discriminator_step import critic_gradients
 from gesturekit.multires.cpu.threads import side_by_side
+from gesturekit.multires.losses import Batch, losses, reconstruction
 from gesturekit.multires.network.networks import LevelDiscriminator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import threads_for
@@ -212,11 +212,11 @@ class Pair:
 
         if training.discriminator_steps:
             chosen = [length() for _ in range(training.discriminator_steps)]
-            report["critic"] = self._discriminator_steps(chosen, rng)
+            report["discriminator"] = self._discriminator_steps(chosen, rng)
         for _ in range(training.generator_steps):
             report.update(self._random_step(length(), rng))
         for _ in range(training.reconstruction_steps):
-            report["rec"] = self._reconstruction_step(length(), rng)
+            report["reconstruction"] = self._reconstruction_step(length(), rng)
         values = self.trainer.processes.mean(torch.tensor(list(report.values())))
         return dict(zip(report, values.tolist(), strict=True))
 
@@ -248,13 +248,13 @@ class Pair:
             kept.append(level[..., start : start + length].contiguous())
         return kept
 
-    def _descend(self, losses: Callable[[int], dict[str, Tensor]]) -> dict[str, float]:
+    def _descend(self, batch_of: Callable[[int], Batch]) -> dict[str, float]:
         """One step of the generators, each down the sum of its level's losses.
 
         No gradient runs from a level into the one below, so levels go side by side.
 
         Args:
-            losses: by name, of the level of this number in the pair.
+            batch_of: takes a level's number in the pair.
 
         Returns:
             the sum over levels of each loss.
@@ -262,7 +262,7 @@ class Pair:
         self.optimisers["generator"].zero_grad(set_to_none=True)
 
         def level(i: int) -> dict[str, Tensor]:
-            parts = losses(i)
+            parts = losses(batch_of(i), self.config.losses)
             if parts:
                 # Only this level gets gradients; its discriminator's would be thrown away.
                 own = list(self.generators[i].parameters())
@@ -324,7 +324,7 @@ class Pair:
 
     def _random_step(self, n_frames: int, rng: torch.Generator) -> dict[str, float]:
         """Random generation from unpaired speech; there is no recorded motion to compare with."""
-        weights = self.config.losses
+        weights, kinematics = self.config.losses, self.trainer.kinematics
         windows = self._draw("random", n_frames, rng)
         made = self._generate(windows)
         within = self._within(made, n_frames)
@@ -334,56 +334,47 @@ class Pair:
             heard = zip(self.targets, windows.speech, strict=True)
             aims = self._within([target(speech) for target, speech in heard], n_frames)
 
-        def of_level(i: int) -> dict[str, Tensor]:
-            motion, kinematics = within[i], self.trainer.kinematics
+        def of_level(i: int) -> Batch:
+            motion, level = within[i], self.first + i
             stride = n_frames / motion.shape[-1]
             values = self.trainer.normaliser.inverse(motion)
-            parts: dict[str, Tensor] = {}
-            if weights.adversarial:
-                critic = self.discriminators[i]
-                critic.requires_grad_(False)  # what the score is by its weights is not asked for
-                with self._precision():
-                    loss = losses.adversarial(critic(motion, told[i]))
-                critic.requires_grad_(True)
-                parts["adversarial"] = weights.adversarial * loss
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1
-            if weights.contact and moves:  # 0 on a rig without feet
-                loss = losses.contact(
-                    kinematics.foot_velocity(values, stride),
-                    kinematics.contact_labels(values),
-                    weights.contact_slope,
-                    squared=weights.contact_speed == "squared",
-                )
-                parts["contact"] = weights.contact * loss
             # Rounding makes strides of two levels straddle 2; half the full rate is meant.
-            smooth, detailed = weights.smoothness and stride < 2.05, self.first + i in self.details
+            smooth, detailed = weights.smoothness and stride < 2.05, level in self.details
+            parts: dict[str, Tensor] = {}
+            if weights.adversarial:
+                parts["scores"] = self._scores(i, motion, told[i])
+            if weights.contact and moves:  # 0 on a rig without feet
+                parts["foot_velocity"] = kinematics.foot_velocity(values, stride)
+                parts["contact_labels"] = kinematics.contact_labels(values)
             places = kinematics.places(values) if smooth or detailed else None
             if smooth:
-                loss = losses.smoothness(kinematics.bend(values, places, stride))
-                parts["smooth"] = weights.smoothness * loss
-            if weights.coarse and self.first + i:
-                given = windows.coarser if i == 0 else made[i - 1].detach()
-                loss = losses.coarse(resample(made[i], given.shape[-1]), given)
-                parts["coarse"] = weights.coarse * loss
+                parts["bend"] = kinematics.bend(values, places, stride)
+            if weights.coarse and level:
+                parts["coarser"] = windows.coarser if i == 0 else made[i - 1].detach()
+                parts["downsampled"] = resample(made[i], parts["coarser"].shape[-1])
             if detailed:
-                loss = self.details[self.first + i](places, windows.styles[:, self.first + i])
-                parts["detail"] = weights.detail * loss
+                parts["detail"] = self.details[level](places, windows.styles[:, level])
             if aims and moves:
-                arms = log_movement(
+                parts["arm_target"] = aims[i]
+                parts["arms"] = log_movement(
                     kinematics.arm_speed(values, stride),
                     kinematics.arm_acceleration(values, stride),
                     stride / self.config.fps,
                 )
-                distances = losses.movement(arms, aims[i])
-                for name, distance in zip(
-                    ("arm_speed", "arm_acceleration"), distances, strict=True
-                ):
-                    if weight := getattr(weights, name):
-                        parts[name] = weight * distance
-            return parts
+            return Batch(**parts)
 
         return self._descend(of_level)
+
+    def _scores(self, i: int, motion: Tensor, style: Tensor | None) -> Tensor:
+        """Return the (B,) scores of generated motions, without gradients for the discriminator."""
+        discriminator = self.discriminators[i]
+        discriminator.requires_grad_(False)
+        with self._precision():
+            scores = discriminator(motion, style)
+        discriminator.requires_grad_(True)
+        return scores
 
     def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
         """Reconstruction of paired motion from z* and its own speech (eq. 15)."""
@@ -404,12 +395,10 @@ class Pair:
                 ]
         else:
             made = self._generate(windows)
-        errors = [
-            losses.reconstruction(generated, recorded)
-            for generated, recorded in zip(made, windows.targets, strict=True)
-        ]
-        self._descend(lambda i: {"rec": self.config.losses.reconstruction * errors[i]})
-        return float(torch.stack(errors).detach().mean())
+        self._descend(lambda i: Batch(generated=made[i], recorded=windows.targets[i]))
+        pairs = zip(made, windows.targets, strict=True)
+        errors = [reconstruction(level.detach(), recorded) for level, recorded in pairs]
+        return float(torch.stack(errors).mean())
 
     def _detail_targets(self) -> dict[int, DetailTarget]:
         """The detail of the pair's levels, by their index; the first of all has none below it."""
