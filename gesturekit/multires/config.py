@@ -150,6 +150,12 @@ class TrainingConfig:
         if not 0 <= self.silence < 1:
             raise ConfigError(f"silence: {self.silence} must be at least 0 and below 1")
 
+    @property
+    def windows_per_step(self) -> int:
+        """Return the batch size over all processes."""
+        # Whole sequences differ in length, so they go one at a time, as in the paper.
+        return self.batch if self.window is not None else 1
+
 
 @dataclass(frozen=True)
 class PyramidFeatureConfig(FeatureConfig):
