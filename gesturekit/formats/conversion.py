@@ -13,7 +13,7 @@ import numpy as np
 
 from gesturekit.errors import ConfigError, FormatError, GestureKitError
 from gesturekit.formats.changes import Changes
-from gesturekit.formats.doubts import doubts
+from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.smpl.skeleton import is_smpl
 from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, Job, plan, unreadable_media
 from gesturekit.motion.motion import Motion
@@ -106,7 +106,7 @@ def convert(
     read, write, changes = dict(read or {}), dict(write or {}), changes or Changes()
     found = {_format(job.source) for job in jobs if not job.error}
     written = {_format(target) for job in jobs for target in job.targets}
-    refuse_idle_reading(read, found)
+    refuse_unused_read_options(read, found)
     _refuse_idle(write, _WRITES, written, "written")
     if body_model is not None:
         _refuse_idle({"body_model": body_model}, _READS | _WRITES, found | written, "converted")
@@ -147,13 +147,13 @@ def load(
     return replace(motion, fps=options["fps"]) if "fps" in options else motion
 
 
-def reading_of(source: Path, options: Mapping[str, Any]) -> dict[str, Any]:
+def applicable_read_options(source: Path, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return those of the `options` of `load` that have an effect on this source."""
     known = (*_OF_ANY_FORMAT, *_READS.get(_format(source), ()))
     return {name: value for name, value in options.items() if name in known}
 
 
-def refuse_idle_reading(options: Mapping[str, Any], formats: set[str]) -> None:
+def refuse_unused_read_options(options: Mapping[str, Any], formats: set[str]) -> None:
     """Refuse an option of `load` that no reader of these formats (suffixes) has.
 
     Raises:
@@ -165,7 +165,7 @@ def refuse_idle_reading(options: Mapping[str, Any], formats: set[str]) -> None:
 
 def describe(motion: Motion) -> str:
     """A motion in a few words: unit, axes, rate, frames, joints; ? marks what is but guessed."""
-    words = axes_in_words(motion.info, "?")
+    words = describe_axes(motion.info, "?")
     if "scale" in motion.info:
         words.append(f"scaled by {motion.info['scale']:.4g}")
     words.append(f"{motion.fps:.6g} fps")
@@ -174,7 +174,7 @@ def describe(motion: Motion) -> str:
     return ", ".join(words)
 
 
-def axes_in_words(info: Mapping[str, Any], guessed: str) -> list[str]:
+def describe_axes(info: Mapping[str, Any], guessed: str) -> list[str]:
     """Unit and axes of the file that a motion came from; `guessed` marks those without evidence."""
     words = []
     for key, text in (("unit", "{}"), ("up", "{} up"), ("forward", "{} forward")):
@@ -244,7 +244,7 @@ def _convert(
             warnings.simplefilter("always", UserWarning)
             if job.error is None:
                 motion = load(job.source, read, parts)
-                for doubt in doubts(motion, read):
+                for doubt in plausibility_warnings(motion, read):
                     warnings.warn(f"{job.source}: {doubt}", stacklevel=2)
                 outcome = replace(outcome, found=describe(motion))
                 motion, done = changes(motion)

@@ -10,7 +10,8 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import headings, side_axis
-from gesturekit.motion.motion import Motion, checked_fps
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.selection.model_joints import first_moving_joint
 from gesturekit.motion.skeleton import FARTHEST
 

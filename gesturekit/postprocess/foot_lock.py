@@ -35,7 +35,6 @@ from gesturekit.motion.rotations import (
     shortest_arc,
 )
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.postprocess.carrying import drift, rise
 from gesturekit.postprocess.contact_spans import (
     contact_frames,
     contact_spans,
@@ -44,6 +43,7 @@ from gesturekit.postprocess.contact_spans import (
 )
 from gesturekit.postprocess.foot import Anchor, Foot, feet_of
 from gesturekit.postprocess.pinning import FASTEST, give_way, pin
+from gesturekit.postprocess.root_drift import drift, rise
 
 _STRAY = 0.1
 """Share of the leg's length within which a foot is pulled back to its pin."""

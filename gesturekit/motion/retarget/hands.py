@@ -26,7 +26,7 @@ _INSIDE, _OUTSIDE = 0.4, 1.1
 its place, farther than the second by the arm's direction."""
 
 
-def reach_hands(
+def place_hands(
     source: BodyFrames,
     target: BodyFrames,
     source_positions: np.ndarray,

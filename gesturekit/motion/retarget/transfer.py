@@ -25,7 +25,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 from gesturekit.motion.retarget.feet import GIVE_WAY, Feet, FootPlan
-from gesturekit.motion.retarget.hands import reach_hands
+from gesturekit.motion.retarget.hands import place_hands
 from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -103,7 +103,7 @@ def retarget(
         round(GIVE_WAY * motion.fps),
     )
     at_origin = forward_kinematics(rotations, still, skeleton, moving)
-    rotations = reach_hands(
+    rotations = place_hands(
         source,
         target,
         motion.positions(),

@@ -48,7 +48,7 @@ class ModelJoints:
     scale: float = field(default=1.0, kw_only=True)
 
     @classmethod
-    def choose(
+    def fit_fields(
         cls, motions: Sequence[Motion], joints: str | Sequence[str] = "body"
     ) -> dict[str, Any]:
         """Settle the root, the modelled joints and the means of all others from training motions.
@@ -106,7 +106,7 @@ class ModelJoints:
         }
 
     @staticmethod
-    def chosen(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
+    def fields_from_json(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
         """The attributes by name, from what `to_json` gave."""
         scale = float(values.get("scale", 1.0))
         if not 0 < scale < np.inf:
@@ -175,7 +175,7 @@ class ModelJoints:
 
         Args:
             rotations: (T, J, 4) local quaternions, but for the model's root the world's; those
-                of joints outside `joints` as `hold` gives them.
+                of joints outside `joints` as `fixed_pose` gives them.
             position: (T, 3) of the model's root in the world, metres.
             fps: frames per second.
             skeleton: a performer's offsets to use in place of the rig's.
@@ -207,7 +207,7 @@ class ModelJoints:
             joint_translations=moving,
         )
 
-    def hold(self, n_frames: int) -> np.ndarray:
+    def fixed_pose(self, n_frames: int) -> np.ndarray:
         """(T, J, 4) every joint at its fixed rotation."""
         return np.tile(self.fixed_rotations, (n_frames, 1, 1))
 
