@@ -25,7 +25,7 @@ from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
-from gesturekit.motion.retarget.feet import GIVE_WAY, smooth_above
+from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, smooth_upper_envelope
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -230,7 +230,7 @@ class _FootLock:
             low = np.maximum(low, away[:, 1] - reach)
         low = np.where(low > self.nothing, low, 0)
         low = reachable(low, _LOWEST * length, 0 * low, 0.5)
-        return smooth_above(low, round(GIVE_WAY * self.fps))
+        return smooth_upper_envelope(low, round(HIP_DROP_SECONDS * self.fps))
 
     def _posed(self, goals: list[_Goal], shift: np.ndarray) -> Motion:
         motion, skeleton = self.motion, self.skeleton

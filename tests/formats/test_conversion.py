@@ -20,7 +20,8 @@ from gesturekit.motion import Motion
 
 
 def outcomes(*arguments, **options) -> list[Converted]:
-    return list(convert(*arguments, **options))
+    own = {name: options.pop(name) for name in ("read", "write", "body_model") if name in options}
+    return list(convert(*arguments, options=FormatOptions(**own), **options))
 
 
 def written(folder: Path) -> set[str]:
@@ -86,12 +87,10 @@ def test_a_folder_keeps_its_shape_and_one_broken_file_stops_nobody(gesture, fram
 
 def test_a_sequence_is_one_motion(frames, tmp_path):
     for folder in (write_frames(tmp_path / "a" / "smpl", frames), tmp_path / "a"):
-        outcomes(folder, tmp_path / f"{folder.name}.bvh", options=FormatOptions(read={"fps": 24}))
+        outcomes(folder, tmp_path / f"{folder.name}.bvh", read={"fps": 24})
         motion = Motion.load(tmp_path / f"{folder.name}.bvh")
         assert (motion.n_frames, motion.fps, motion.skeleton.n_joints) == (12, 24, 24)
-    (done,) = outcomes(
-        tmp_path / "a", tmp_path / "b.npz", options=FormatOptions(read={"person": 4})
-    )
+    (done,) = outcomes(tmp_path / "a", tmp_path / "b.npz", read={"person": 4})
     assert "no person 4" in done.error and not done.files
 
 
@@ -236,9 +235,7 @@ def test_changes_are_made_in_order(take, tmp_path):
 
 
 def test_the_rate_can_be_set_right(take, tmp_path):
-    outcomes(
-        take, tmp_path / "a.npz", options=FormatOptions(read={"fps": 60}), changes=Changes(fps=30)
-    )
+    outcomes(take, tmp_path / "a.npz", read={"fps": 60}, changes=Changes(fps=30))
     motion = Motion.load(tmp_path / "a.npz")
     assert (motion.n_frames, motion.fps) == (30, 30.0)
 
@@ -302,11 +299,10 @@ def test_a_mesh_needs_its_model(capsule_body, tmp_path):
         (done,) = outcomes(tmp_path / "a.npz", tmp_path / "out", formats=["obj", "bvh"])
     assert done.error is None and written(tmp_path / "out") == {"a.bvh"} and len(said) == 1
     np.savez(tmp_path / "model.npz", **capsule_body(24))
-    options = FormatOptions(body_model=tmp_path / "model.npz")
-    (done,) = outcomes(tmp_path / "a.npz", tmp_path / "a.obj", options=options)
+    (done,) = outcomes(tmp_path / "a.npz", tmp_path / "a.obj", body_model=tmp_path / "model.npz")
     assert done.error is None and (tmp_path / "a.obj").read_text().startswith("v ")
     outcomes(tmp_path / "a.npz", tmp_path / "limbs.html")
-    outcomes(tmp_path / "a.npz", tmp_path / "skin.html", options=options)
+    outcomes(tmp_path / "a.npz", tmp_path / "skin.html", body_model=tmp_path / "model.npz")
     sizes = [(tmp_path / f"{name}.html").stat().st_size for name in ("limbs", "skin")]
     assert sizes[1] > sizes[0] + 10_000
 
