@@ -33,7 +33,7 @@ _NO_LENGTH, _NO_BONE, _NO_DISTANCE = 1e-6, 1e-4, 1e-3
 """Metres on the reference body; shorter bones of a limb, bones of the trunk, and distances between
 clavicles have no direction."""
 _UPRIGHT = np.cos(np.deg2rad(45.0))
-"""Cosine of the largest angle between legs and torso, and between shoulders and hips, that stand."""
+"""Cosine of the largest angle of a standing body between legs and torso, or shoulders and hips."""
 _AXIS_ALIGNED = np.cos(np.deg2rad(20.0))
 """Cosine of the largest angle between a torso and the world axis that it stands along."""
 
@@ -128,7 +128,7 @@ def frame(up: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 
 def body_frame(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> np.ndarray:
-    """(4,) rotation from body axes (left, up, forward) to the world, of a rig that stands in `pose`.
+    """(4,) rotation from body axes (left, up, forward) to the world, for a rig standing in `pose`.
 
     Up is the world axis nearest to the torso, or the torso itself if none is near.
     """
