@@ -42,7 +42,7 @@ _LAYOUTS = {66: 22, 72: 24, 78: 52, 87: 55, 156: 52, 165: 55}
 _BODY = 22
 """Joints of the body without hands and face."""
 _FACE = slice(-9, None)
-"""Columns of `poses` with the rotation vectors of jaw and eyes, where hands are PCA coefficients."""
+"""Columns of `poses` with the rotation vectors of jaw and eyes, if hands are PCA coefficients."""
 _HANDS = "at rest: the file holds PCA coefficients, which need the hands of its model"
 
 
