@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from gesturekit import progress
 from gesturekit.training.run import steps
 from gesturekit.training.run.steps import Steps
 
@@ -14,6 +15,14 @@ def clock(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(steps.time, "monotonic", lambda: now[0])
     return now
+
+
+def test_lines_of_a_log_file_count_steps(capsys, monkeypatch):
+    monkeypatch.setattr(progress, "SECONDS_BETWEEN_LINES", 0.0)
+    with Steps([(4, 1.0)], 0, quiet=False) as bar:
+        bar.step(1.0)
+        bar.step(1.0)
+    assert "of 4 steps, " in capsys.readouterr().err
 
 
 def test_time_left_weighs_steps_by_their_cost_and_leaves_out_the_first(clock):
