@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from gesturekit.diffusion.composition.experts import bounded
+from gesturekit.diffusion.composition.experts import clip_denoised
 from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import chosen_steps, sample
@@ -85,7 +85,7 @@ def test_steps_of_pure_noise_need_no_network(schedule):
     data = Gaussian(schedule)
     whole, asked = data.reached("ancestral", None), len(data.asked)
     ask, data.asked = data.predict, []
-    data.predict = bounded(ask, schedule)
+    data.predict = clip_denoised(ask, schedule)
     fewer = data.reached("ancestral", None)
     assert len(data.asked) <= 0.61 * asked
     for one, other in zip(fewer, whole, strict=True):

@@ -110,7 +110,7 @@ class Batches:
             start,
             length,
             factor,
-            maps=slice(0, representation.height_column),
+            maps=representation.map_columns,
             steps=representation.root_columns,
         )
         condition = stretch(

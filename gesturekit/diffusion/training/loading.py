@@ -150,7 +150,7 @@ def _start(config: DiffusionConfig) -> DiffusionModel | None:
         return None
     weights = None if config.features is None else config.features.weights
     start = DiffusionModel.load(config.start_from, weights=weights)
-    for name, known in (("network", start.network_config), ("noise", start.noise_config)):
+    for name, known in (("network", start.network.config), ("noise", start.noise_config)):
         known, wanted = to_dict(known), to_dict(getattr(config, name))
         for key in known:
             if key != "dropout" and known[key] != wanted[key]:

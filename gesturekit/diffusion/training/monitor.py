@@ -56,7 +56,7 @@ class Monitor:
         device = next(network.parameters()).device
         count = min(STEPS, self.schedule.steps)
         for number, (motion, condition) in enumerate(self.clips):
-            predict = network.listening(
+            predict = network.for_condition(
                 torch.from_numpy(condition)[None].to(device), chosen_steps(self.schedule, count)
             )
 

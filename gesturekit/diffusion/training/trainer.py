@@ -323,7 +323,6 @@ class _Trainer:
             representation=self.data.representation,
             conditions=self.data.conditions,
             standardiser=self.data.standardiser,
-            network_config=self.config.network,
             noise_config=self.config.noise,
             network=network,
             speakers=self.data.speakers,
