@@ -1,4 +1,4 @@
-"""What a training run looks at now and then: cheap measures of what it would generate."""
+"""Training monitor: cheap metrics of generated motion, computed at intervals."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from gesturekit.training.seeds import rng_for
 
 MOST_CLIPS = 4
 MOST_SECONDS = 20.0
-"""Of the training recordings so many are danced or spoken again, and so much of each ..."""
+"""Number of training recordings whose conditions are used, and length of each."""
 STEPS = 10
-"""... in so few steps."""
+"""Number of denoising steps."""
 
 
 class Monitor:
-    """Measures motion for what the training recordings are told, beside the recordings.
+    """Metrics of motion generated from the training recordings' conditions.
 
-    Random numbers are its own, so that a run with it and one without come to the same weights.
+    It has its own random numbers, so that a run gives the same weights with and without it.
     """
 
     def __init__(self, data: TrainingData, config: DiffusionConfig) -> None:
@@ -42,9 +42,9 @@ class Monitor:
         self.recordings = [data.decode(*clip, config.fps) for clip in self.clips]
 
     def figures(self, network: Denoiser) -> dict[str, float]:
-        """Cheap measures (`quick_figures`) of what a network generates, each time of one noise.
+        """Return cheap metrics (`quick_figures`) of motion generated from the same noise each time.
 
-        There are none of a network that does not give motion yet.
+        Return nothing while the network does not generate valid motion.
         """
         try:
             return quick_figures(list(self._generated(network)), self.recordings)
