@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -151,7 +151,7 @@ class DiffusionModel(TrainedModel):
                 predict = tiled(product_of(terms, seed, numbers), self.window)
                 predict = _counted(clip_denoised(predict, self.schedule), progress)
                 shape = (request.n_frames, self.network.n_motion)
-                noise = _Noise(seed, numbers, shape, self.device)
+                noise = _noise(seed, numbers, shape, self.device)
                 yield sample(predict, noise, self.schedule, solver=solver, steps=steps, start=begin)
 
     def _decoded(
@@ -229,18 +229,13 @@ def _counted(predict: Predict, progress: Progress) -> Predict:
     return counted
 
 
-class _Noise:
-    """Standard normal noise, keyed by seed, sample number and step, drawn on the CPU."""
+def _noise(
+    seed: int, numbers: Sequence[int], shape: tuple[int, int], device: torch.device
+) -> Callable[[int], Tensor]:
+    """Return the noise (B, T, X) of each step, keyed by seed, sample and step, from the CPU."""
 
-    def __init__(
-        self, seed: int, numbers: Sequence[int], shape: tuple[int, int], device: torch.device
-    ) -> None:
-        self.seed, self.numbers, self.shape, self.device = seed, numbers, shape, device
+    def noise_at(step: int) -> Tensor:
+        rngs = (rng_for(seed, "sample", number, "noise", step) for number in numbers)
+        return torch.stack([torch.randn(shape, generator=rng) for rng in rngs]).to(device)
 
-    def __call__(self, step: int) -> Tensor:
-        """Return the noise (B, T, X) of a step."""
-        drawn = [
-            torch.randn(self.shape, generator=rng_for(self.seed, "sample", n, "noise", step))
-            for n in self.numbers
-        ]
-        return torch.stack(drawn).to(self.device)
+    return noise_at

@@ -94,15 +94,6 @@ class NoiseSchedule:
             return spread * noisy + signal * prediction
         return (noisy - signal * prediction) / spread
 
-    def clean_of(self, noise: Tensor, noisy: Tensor, step: Step) -> Tensor:
-        """Return the clean motion (B, T, X) from a noisy one and its noise.
-
-        Rounding errors of the noise are amplified by 1 / signal; samplers do not call this at
-        steps with almost no signal.
-        """
-        signal, spread = self.scales(step, noisy)
-        return (noisy - spread * noise) / signal
-
     def loss_weight(self, step: Tensor, gamma: float | None) -> Tensor:
         """Return the min-SNR weight (Hang et al. 2023) of each clip's squared error.
 

@@ -62,7 +62,7 @@ class Request:
             scale: of their rig.
             speech: see `DiffusionModel.generate`.
             seconds: length without speech.
-            controls: with `path` and `events`.
+            controls: with `path` and checked `events` (see `check_events`).
 
         Raises:
             ModelError: an input that none of the models has, a missing path, or no length.
@@ -77,8 +77,6 @@ class Request:
                 "path: this model follows a path and needs one: a .csv with columns "
                 "time,x,z[,heading], or a motion file"
             )
-        if events is not None and not any(model.events for model in models):
-            raise ModelError(f"events={str(events)!r}: this model knows no events")
         followed = None if path is None else as_root_path(path, scale)
         if speech is None and seconds is None and followed is not None:
             seconds = followed.frames_within(fps) / fps
@@ -92,7 +90,6 @@ class Request:
         features = hear(conditioner, sound, seconds, fps)
         n_frames = len(features)
         found = None if events is None else asked_events(events, wave)
-        _check_events(found or (), models)
         if followed is not None:
             followed = smooth_path(followed, fps, n_frames)
         return cls(n_frames, fps, wave, followed, scale, found, conditioner, features)
@@ -123,11 +120,6 @@ def check_events(events: str | Path, models: Sequence[Conditions]) -> None:
         raise ModelError(f"events={str(events)!r}: this model knows no events")
     if wants_beats(events):
         events = re.sub(r"@beats\b", "@0", events)
-    _check_events(asked_events(events, None), models)
-
-
-def _check_events(events: Sequence[Event], models: Sequence[Conditions]) -> None:
-    """Raise ModelError for an event that none of the models knows."""
     known = tuple(dict.fromkeys(name for model in models for name in model.events))
-    for event in events:
+    for event in asked_events(events, None):
         check_event(event, known)

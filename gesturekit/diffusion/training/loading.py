@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.corpus.manifest import Item
 from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig
@@ -17,57 +17,19 @@ from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.training.augmentation import mirror_condition, phases
+from gesturekit.diffusion.training.corpus import Corpus, read_corpus
 from gesturekit.diffusion.training.data import Recording, TrainingData
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.tables.events import Event
-from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.path_following import follow_path
-from gesturekit.motion.retarget.standing_pose import standing_pose
 from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import listen
-from gesturekit.training.data.recordings import (
-    item_styles,
-    load_motions,
-    recorded_rate,
-    speaker_skeletons,
-    training_items,
-)
-from gesturekit.training.data.sources import Source
 
 _STEP_FLOORS = (1e-3, 5e-4, 5e-4)
 """Least scale of turn, forward and lateral displacement: radians and metres per frame."""
-
-
-@dataclass(frozen=True)
-class _Corpus:
-    """The recordings of a corpus, read from disk.
-
-    Attributes:
-        items: with motion; a recording at n times the model's frame rate gives n items.
-        motions: of each item, at the model's frame rate.
-        events: of each item.
-        unpaired: name and motion of recordings without speech, on the rig of the corpus.
-        styles: names of the styles.
-        seconds: total length of paired and unpaired recordings.
-        speakers: a reference skeleton for each named speaker.
-        sources: the recordings with speech, or all for a model without speech input.
-        recorded_fps: the most common frame rate of the recordings.
-    """
-
-    items: list[Item]
-    motions: list[Motion]
-    events: list[tuple[Event, ...]]
-    unpaired: list[tuple[str, Motion]]
-    styles: tuple[str, ...]
-    seconds: tuple[float, float]
-    speakers: dict[str, Skeleton]
-    sources: tuple[Source, ...]
-    recorded_fps: float
 
 
 @dataclass(frozen=True)
@@ -97,7 +59,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
     extractor = None if config.features is None else config.features.extractor()
     start = _start(config)
     like = _like(config) if start is None else start
-    corpus = _read_corpus(config, paired=extractor is not None)
+    corpus = read_corpus(config, paired=extractor is not None)
     conditions, speeches = _conditions(config, corpus, extractor, start)
     if like is None:
         motions = corpus.motions
@@ -136,37 +98,8 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
     )
 
 
-def _read_corpus(config: DiffusionConfig, *, paired: bool) -> _Corpus:
-    manifest = Manifest.load(config.corpus)
-    items = training_items(manifest, config.corpus, heard=paired)
-    styles: tuple[str, ...] = ()
-    if config.styles is not None:
-        styles, _ = item_styles(items, config.corpus)
-        _check_handed(config, styles)
-    recorded = load_motions(items, config.corpus, None, config.parts)
-    unpaired = _unpaired(config, manifest, recorded[0])
-    phased, motions = _phases(items, recorded, config.fps)
-    events = [item.load_events() if config.events else () for item in phased]
-    if config.events and not any(events):
-        raise CorpusError(
-            f"{config.corpus}: no training item has events; put STEM.events.csv beside the "
-            "recordings and run gesturekit prepare again, or train without (events=false)"
-        )
-    return _Corpus(
-        phased,
-        motions,
-        events,
-        unpaired,
-        styles,
-        (sum(m.duration for m in recorded), sum(m.duration for _, m in unpaired)),
-        speaker_skeletons(items, recorded),
-        tuple(map(Source.of, items, recorded)),
-        recorded_rate(recorded),
-    )
-
-
 def _conditions(
-    config: DiffusionConfig, corpus: _Corpus, extractor: Any, start: DiffusionModel | None
+    config: DiffusionConfig, corpus: Corpus, extractor: Any, start: DiffusionModel | None
 ) -> tuple[Conditions, list[np.ndarray | None]]:
     """Return the conditions of the model, and the speech features (T, S) of each item."""
     conditioner, speeches = None, [None] * len(corpus.items)
@@ -189,7 +122,7 @@ def _conditions(
 
 def _takes(
     config: DiffusionConfig,
-    corpus: _Corpus,
+    corpus: Corpus,
     speeches: Sequence[np.ndarray | None],
     representation: DeltaRepresentation,
 ) -> list[_Take]:
@@ -238,74 +171,6 @@ def _like(config: DiffusionConfig) -> DiffusionModel | None:
         follows = "follows a path" if config.path else "moves its root itself"
         raise ConfigError(f"moves_like: this run {follows} and {config.moves_like} does not")
     return like
-
-
-def _check_handed(config: DiffusionConfig, styles: Sequence[str]) -> None:
-    for name in config.styles.handed if config.styles is not None else ():
-        if name not in styles:
-            raise ConfigError(
-                f"styles.handed: {name!r} is no style of {config.corpus}, which has "
-                f"{', '.join(styles)}"
-            )
-
-
-def _unpaired(
-    config: DiffusionConfig, manifest: Manifest, usual: Motion
-) -> list[tuple[str, Motion]]:
-    """Return name and motion of unpaired recordings, on the rig of the corpus."""
-    if config.unpaired is None:
-        return []
-    where = config.unpaired.corpus or config.corpus
-    if config.unpaired.corpus is None:
-        items = manifest.motion_alone("train")
-    else:
-        items = training_items(Manifest.load(where), where, heard=False)
-    if not items:
-        raise CorpusError(
-            f"{where}: no item of split train is motion alone; name a manifest of motion by "
-            "unpaired.corpus, or train without (unpaired=null)"
-        )
-    found = []
-    for item in items:
-        motion = item.load_motion()
-        if first_difference(motion.skeleton, usual.skeleton):
-            try:
-                motion = retarget(
-                    motion,
-                    usual.skeleton,
-                    target_parts=config.parts,
-                    pose=standing_pose(usual),
-                )
-            except MotionError as error:
-                raise CorpusError(
-                    f"{where}: item {item.id}: cannot be retargeted to the rig of {config.corpus}: "
-                    f"{error}"
-                ) from None
-            # The floor of a foreign file is unknown; take that of the corpus.
-            lift = floor_height(usual) - floor_height(motion)
-            motion = replace(motion, translation=motion.translation + [0.0, lift, 0.0])
-        found.append((item.id, motion))
-    return found
-
-
-def _phases(
-    items: Sequence[Item], motions: Sequence[Motion], fps: float
-) -> tuple[list[Item], list[Motion]]:
-    """Return items and motions at `fps`; n phases of a recording at n times that rate."""
-    found: list[Item] = []
-    made: list[Motion] = []
-    for item, motion in zip(items, motions, strict=True):
-        for k, phase in enumerate(phases(motion, fps)):
-            later = replace(
-                item,
-                id=f"{item.id} (phase {k + 1})",
-                motion_start=item.motion_start + phase.start,
-                audio_start=item.audio_start + phase.start,
-                duration=item.duration - phase.start,
-            )
-            found.append(later if k else item)
-            made.append(phase.motion)
-    return found, made
 
 
 def _same(conditions: Conditions, start: DiffusionModel, config: DiffusionConfig) -> Conditions:

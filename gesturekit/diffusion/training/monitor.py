@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import torch
 
+from gesturekit.diffusion.composition.experts import Expert
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.sampling.solvers import chosen_steps, sample
+from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.quick import quick_figures
@@ -56,15 +57,11 @@ class Monitor:
         device = next(network.parameters()).device
         count = min(STEPS, self.schedule.steps)
         for number, (motion, condition) in enumerate(self.clips):
-            predict = network.for_condition(
-                torch.from_numpy(condition)[None].to(device), chosen_steps(self.schedule, count)
-            )
-
-            def noise_of(noisy: torch.Tensor, step: int, predict=predict) -> torch.Tensor:
-                return self.schedule.noise_of(predict(noisy, step), noisy, step)
-
+            expert = Expert(network, self.schedule, torch.from_numpy(condition)[None].to(device))
             rng = rng_for(self.config.seed, "monitor", number)
             noise = torch.randn((1, *motion.shape), generator=rng).to(device)
-            made = sample(noise_of, lambda k, n=noise: n, self.schedule, solver="dpm", steps=count)
+            made = sample(
+                expert.predict, lambda k, n=noise: n, self.schedule, solver="dpm", steps=count
+            )
             values = self.data.standardiser.inverse(made[0].cpu()).double().numpy()
             yield self.data.decode(values, condition, self.config.fps)
