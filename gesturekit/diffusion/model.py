@@ -23,7 +23,8 @@ from gesturekit.diffusion.sampling.solvers import SOLVERS, Predict, chosen_steps
 from gesturekit.diffusion.sampling.tiling import tiled
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError, MotionError, gesturekit_errors
-from gesturekit.motion.motion import Motion, checked_fps
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
 from gesturekit.training.model_folder import load_model, save_model

@@ -16,7 +16,7 @@ from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.trained_model import TrainedModel
-from gesturekit.motion.motion import checked_fps
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.model_folder import ModelParts, model_readme, rates
