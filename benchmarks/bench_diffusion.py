@@ -1,10 +1,10 @@
-"""A 10 s clip by the diffusion model at the paper's gesture size, on two threads.
+"""Diffusion sampling of a 10 s clip at the paper's gesture size, on two threads.
 
-Against our own plain version, which does what the released code does: in every layer of every step
-the bias is a sum of 21 kernels at every pair of frames, attention is full, convolutions are
-convolutions. The released code took 0.65 to 0.72 s a step on 2 quiet cores. Then few steps against
-many, bfloat16 against single precision, and 100 s against 10 s, each in a process of its own whose
-peak memory is told. Weights are random: costs do not depend on them.
+"other" is a plain version with the released code's algorithm: in every layer of every step the bias
+is a sum of 21 kernels at every pair of frames, attention is full, and convolutions use conv1d. The
+released code took 0.65 to 0.72 s per step on 2 quiet cores. Further comparisons: few steps with
+many, bfloat16 with single precision, and 100 s with 10 s, each in its own process, whose peak
+memory is reported. Weights are random: the cost does not depend on them.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def peak_mib() -> float:
 
 
 def clip(n_frames: int, runs: int) -> None:
-    """In a process of its own: median seconds of a step and peak MiB of all, as JSON."""
+    """Measure a step in its own process: median seconds and peak MiB, as JSON."""
     predict, noisy = network().for_condition(condition(n_frames), [50]), noise_at(0, n_frames)
     predict(noisy, 50)
     times = timed(lambda: predict(noisy, 50), runs)
