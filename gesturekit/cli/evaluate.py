@@ -19,7 +19,7 @@ from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
-    from gesturekit.evaluation.report.results import ModelResult
+    from gesturekit.evaluation.results import ModelResult
 
 
 @click.command(

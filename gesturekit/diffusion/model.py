@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.corpus.speech import Speech, as_speech, at_rate
+from gesturekit.corpus.speech import Speech, as_speech, to_output_rate
 from gesturekit.diffusion.composition.experts import bounded
 from gesturekit.diffusion.composition.product import Product
 from gesturekit.diffusion.conditions import Conditions
@@ -220,7 +220,7 @@ class DiffusionModel:
                 motion = smooth_motion(motion, seconds_smoothed)
             if foot_lock:
                 motion = lock_feet(motion, keep_path=request.path is not None)
-            return at_rate(motion, rate, request.wave, seconds)
+            return to_output_rate(motion, rate, request.wave, seconds)
 
         motions: list[Motion] = []
         # One at a time unless asked otherwise: in a batch, sums are made in another order, and a

@@ -13,13 +13,13 @@ from audio_features import AudioFeaturesError, Wave
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.clips import Clip, load_recording, load_wave
 from gesturekit.evaluation.definitions import (
-    LIKENESS,
     MOVEMENT,
     PATCHES,
+    SIMILARITY,
     SPEECH,
     PatchOptions,
 )
-from gesturekit.evaluation.metrics import feet, likeness, physical, rhythm
+from gesturekit.evaluation.metrics import feet, physical, rhythm, similarity
 from gesturekit.evaluation.metrics.derivatives import CUTOFF
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.joint_limits import JointLimits, joint_limit_share
@@ -135,8 +135,8 @@ class Measurer:
         self._own(taken, clip, clip.generated)
         if MOVEMENT in self.groups:
             taken("hellinger", lambda: _speed_distance(clip))
-        if LIKENESS in self.groups:
-            taken("cca", lambda: likeness.cca(*self.both(clip)))
+        if SIMILARITY in self.groups:
+            taken("cca", lambda: similarity.cca(*self.both(clip)))
         if SPEECH in self.groups and clip.semantic is not None:
             taken("srgr", lambda: self._srgr(clip))
         if PATCHES in self.groups:
@@ -162,13 +162,13 @@ class Measurer:
     def unlike(self, clip: Clip, other: Motion) -> Figures:
         """CCA of the generated motion with another recording's."""
         taken = _Taken()
-        if LIKENESS in self.groups and set(clip.joints) <= set(other.skeleton.names):
+        if SIMILARITY in self.groups and set(clip.joints) <= set(other.skeleton.names):
             n = min(clip.generated.n_frames, other.n_frames)
             ours, theirs = (
-                likeness.root_relative(m, clip.joints)[:n].reshape(n, -1)
+                similarity.root_relative(m, clip.joints)[:n].reshape(n, -1)
                 for m in (clip.generated, other)
             )
-            taken("cca", lambda: likeness.cca(ours, theirs))
+            taken("cca", lambda: similarity.cca(ours, theirs))
         return taken.figures
 
     def _own(self, taken: _Taken, clip: Clip, motion: Motion) -> None:
@@ -197,7 +197,7 @@ class Measurer:
         taken("jerk_genea", lambda: physical.jerk(motion, joints=joints))
         taken("foot_skate", lambda: feet.foot_skate(motion, heights()))
         taken("floor_penetration", lambda: 1000.0 * feet.floor_penetration(motion, heights()))
-        taken("l1_diversity", lambda: likeness.l1_diversity(motion, joints))
+        taken("l1_diversity", lambda: similarity.l1_diversity(motion, joints))
         limits = self.known.limits
         if limits is not None:
             taken("joint_limits", lambda: 100.0 * joint_limit_share(motion, limits))
@@ -234,14 +234,14 @@ class Measurer:
         """Poses of both (T, 3 (J - 1)) over the frames that both have."""
         n = clip.n_frames
         both = (clip.generated, clip.recording)
-        return tuple(likeness.root_relative(m, clip.joints)[:n].reshape(n, -1) for m in both)
+        return tuple(similarity.root_relative(m, clip.joints)[:n].reshape(n, -1) for m in both)
 
     def _srgr(self, clip: Clip) -> float:
         n, fps = clip.n_frames, clip.generated.fps
         ours, theirs = (side.reshape(n, -1, 3) for side in self.both(clip))
         semantic = clip.semantic.to_rate(fps, n).values[:, 0]
-        near = likeness.SRGR_THRESHOLD * body_scale(clip.recording.skeleton)
-        return likeness.srgr(ours, theirs, semantic, threshold=near)
+        near = similarity.SRGR_THRESHOLD * body_scale(clip.recording.skeleton)
+        return similarity.srgr(ours, theirs, semantic, threshold=near)
 
     def _features(self, clip: Clip, motion: Motion) -> np.ndarray:
         return patch_features(motion, self.patches.variant, joints=clip.joints)

@@ -11,8 +11,8 @@ import numpy as np
 from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.evaluation.frame_rate import at_rate
-from gesturekit.evaluation.metrics.semantic import read_semantic
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair, Stretch
+from gesturekit.evaluation.semantic_track import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints

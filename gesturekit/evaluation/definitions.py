@@ -14,10 +14,10 @@ from typing import Any, Literal
 
 from gesturekit.evaluation.metrics.patches import THRESHOLD
 
-SPEECH, MOVEMENT, LIKENESS, PATCHES, FRECHET = GROUPS = (
+SPEECH, MOVEMENT, SIMILARITY, PATCHES, FRECHET = GROUPS = (
     "Speech",
     "Movement",
-    "Likeness",
+    "Similarity",
     "Patches",
     "Fréchet distances and diversity",
 )

@@ -11,7 +11,7 @@ import numpy as np
 import soundfile
 
 import audio_features as af
-from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.wording import counted
 
 _BLOCK = 1 << 20
@@ -35,7 +35,7 @@ class _Levels:
     differ: bool
 
 
-def inspect_audio(path: Path) -> Sheet:
+def inspect_audio(path: Path) -> Summary:
     """A sound file.
 
     Raises:
@@ -69,7 +69,7 @@ def inspect_audio(path: Path) -> Sheet:
     }
     if wave is not None:
         facts |= _speech(wave)
-    return Sheet(
+    return Summary(
         kind="audio",
         title=f"{path}: sound, {form} {subtype}, {size(facts['bytes'])}",
         facts=facts,

@@ -13,13 +13,13 @@ from gesturekit.corpus.preparation import prepare
 from gesturekit.corpus.report import amount
 from gesturekit.errors import CorpusError, GestureKitError
 from gesturekit.formats.conversion import load
-from gesturekit.inspection.sheet import Sheet, span
+from gesturekit.inspection.summary import Summary, span
 from gesturekit.wording import counted, listed
 
 _SHOWN = 5
 
 
-def inspect_manifest(path: Path) -> Sheet:
+def inspect_manifest(path: Path) -> Summary:
     """A manifest, by what it says and by whether its files are there; none but the first motion
     is read.
 
@@ -64,7 +64,7 @@ def inspect_manifest(path: Path) -> Sheet:
         rows.append(
             ("rig", f"{counted(rig['joints'], 'joint')}, {rig['fps']:.6g} fps (of {rig['of']})")
         )
-    return Sheet(
+    return Summary(
         kind="corpus",
         title=f"{path}: corpus, {amount(manifest.items)}, {span(facts['seconds'])}",
         facts=facts,
@@ -79,7 +79,7 @@ def inspect_recordings(
     parts: Mapping[str, str] | None = None,
     read: Mapping[str, Any] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
-) -> Sheet:
+) -> Summary:
     """A folder of recordings: what `gesturekit prepare` would find in it. All are read.
 
     Args:
@@ -119,7 +119,7 @@ def inspect_recordings(
     # No split is made before `prepare` makes it, and labels are given there.
     rows = [(name, text.split(": train")[0]) for name, text in report.rows()]
     rows = [row for row in rows if row[0] not in ("speakers", "styles")]
-    return Sheet(
+    return Summary(
         kind="corpus",
         title=f"{folder}: {amount(manifest.items)}, {span(seconds)}",
         facts=facts,

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 import audio_features as af
-from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.wording import counted, listed
 
 _SHOWN = 12
 
 
-def inspect_features(path: Path) -> Sheet:
+def inspect_features(path: Path) -> Summary:
     """A feature file (npz of values, times and spec).
 
     Raises:
@@ -50,7 +50,7 @@ def inspect_features(path: Path) -> Sheet:
     ]
     still = [name for name, sd in zip(track.names, spread) if sd == 0]
     problems = (f"never change: {listed(still, _SHOWN)}",) if still and n_frames > 1 else ()
-    return Sheet(
+    return Summary(
         kind="features",
         title=f"{path}: features of a sound, {size(facts['bytes'])}",
         facts=facts,

@@ -11,7 +11,7 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from gesturekit.errors import ConfigError, GestureKitError, ModelError
-from gesturekit.inspection.sheet import Sheet, size
+from gesturekit.inspection.summary import Summary, size
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
 from gesturekit.training.model_folder import rates
@@ -31,7 +31,7 @@ _OF_CONFORMERS = {
 """Settings of a diffusion network that its diffwave architecture has no use for."""
 
 
-def inspect_model(folder: Path) -> Sheet:
+def inspect_model(folder: Path) -> Summary:
     """A model folder.
 
     Raises:
@@ -73,7 +73,7 @@ def inspect_model(folder: Path) -> Sheet:
         "speakers": sorted(rig.get("speakers", {})),
         "notes": _notes(folder / "README.md"),
     }
-    return Sheet(
+    return Summary(
         kind="model",
         title=f"{folder}: model, {facts['model_kind']}, format {facts['format']}, "
         f"{size(facts['bytes'])}",

@@ -14,7 +14,7 @@ import numpy as np
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
 from gesturekit.formats.conversion import axes_in_words, load
 from gesturekit.formats.doubts import doubts
-from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.inspection.tree import tree
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_points
@@ -39,7 +39,9 @@ _STANDS = 1e-4
 """Metres on the reference body; a root that never goes further stays where it is."""
 
 
-def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **options: Any) -> Sheet:
+def inspect_motion(
+    path: Path, *, parts: Mapping[str, str] | None = None, **options: Any
+) -> Summary:
     """A motion file, or a folder with one file a frame.
 
     Args:
@@ -79,7 +81,7 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **opti
     }
     problems = [*(str(warning.message) for warning in said), *doubts(motion, options)]
     problems += [*([unknown] if unknown else []), *_defects(motion)]
-    return Sheet(
+    return Summary(
         kind="motion",
         title=f"{path}: motion, {facts['format']}, {size(facts['bytes'])}",
         facts=facts,

@@ -1,4 +1,4 @@
-"""Files that have no sheet of their own: name what they are and what to do with them."""
+"""Files that have no summary of their own: name what they are and what to do with them."""
 
 from __future__ import annotations
 

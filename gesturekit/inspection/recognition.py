@@ -17,7 +17,7 @@ from gesturekit.formats.sources import (
     is_sequence,
 )
 from gesturekit.inspection.others import what_it_is
-from gesturekit.inspection.sheet import Sheet
+from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
 
@@ -34,7 +34,7 @@ def inspect(
     parts: Mapping[str, str] | None = None,
     read: Mapping[str, Any] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
-) -> Sheet:
+) -> Summary:
     """What a file, a folder, or a bundled model is.
 
     Args:
@@ -59,7 +59,7 @@ def inspect(
         return inspect_recordings(Path(path), parts=parts, read=read, progress=progress)
     if kind == "other":
         text = _recognised(Path(path))
-        return Sheet("other", f"{path}: {text}", {"path": str(path), "what": text})
+        return Summary("other", f"{path}: {text}", {"path": str(path), "what": text})
     if parts or read:
         raise ConfigError(f"{path}: a {kind}; only motion has parts, axes, a unit and a height")
     if kind == "model":
@@ -84,7 +84,7 @@ def inspect(
 
 
 def kind_of(path: str | Path) -> str:
-    """motion, audio, features, model, corpus or run; "other" for what is known and has no sheet.
+    """motion, audio, features, model, corpus or run; "other" for what is known and has no summary.
 
     Raises:
         FormatError: none of these.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.training.config import read_yaml
 from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.wording import listed
@@ -18,7 +18,7 @@ _ALIVE = 120.0
 _SETTINGS = ("system", "corpus", "fps", "joints", "seed", "device", "precision")
 
 
-def inspect_run(folder: Path) -> Sheet:
+def inspect_run(folder: Path) -> Summary:
     """A run folder.
 
     Raises:
@@ -48,7 +48,7 @@ def inspect_run(folder: Path) -> Sheet:
         "versions": _versions(folder / "versions.json"),
         "bytes": sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()),
     }
-    return Sheet(
+    return Summary(
         kind="run",
         title=f"{folder}: training run, {facts['state']}, {size(facts['bytes'])}",
         facts=facts,

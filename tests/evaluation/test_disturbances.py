@@ -21,8 +21,8 @@ from gesturekit.evaluation.metrics.rhythm import (
     music_beats,
     speech_onsets,
 )
-from gesturekit.evaluation.metrics.semantic import read_semantic
 from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.semantic_track import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector

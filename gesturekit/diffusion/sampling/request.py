@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import audio_features as af
-from gesturekit.corpus.speech import SpeechConditioner, hear
+from gesturekit.corpus.speech import SpeechConditioner, speech_features
 from gesturekit.diffusion.conditions import Conditions, check_event, smooth_path
 from gesturekit.diffusion.sampling.event_times import asked_events, wants_beats
 from gesturekit.errors import ModelError
@@ -89,7 +89,7 @@ class Request:
         if ears is None and wave is not None and seconds is None:
             # No model hears it, but something shall happen on its beats.
             heard, seconds = None, wave.n_frames(fps) / fps
-        features = hear(ears, heard, seconds, fps)
+        features = speech_features(ears, heard, seconds, fps)
         n_frames = len(features)
         happens = None if events is None else asked_events(events, wave)
         _check_events(happens or (), models)

@@ -12,7 +12,7 @@ from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import chosen_steps, sample
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.quick import quick_figures
+from gesturekit.evaluation.quick_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.training.seeds import rng_for
 
@@ -42,12 +42,12 @@ class Monitor:
         self.recordings = [data.decode(*clip, config.fps) for clip in self.clips]
 
     def figures(self, network: Denoiser) -> dict[str, float]:
-        """Cheap measures (`quick_figures`) of what a network generates, each time of one noise.
+        """Cheap measures (`quick_metrics`) of what a network generates, each time of one noise.
 
         There are none of a network that does not give motion yet.
         """
         try:
-            return quick_figures(list(self._generated(network)), self.recordings)
+            return quick_metrics(list(self._generated(network)), self.recordings)
         except MotionError:
             return {}
 

@@ -14,9 +14,9 @@ from gesturekit.atomic import atomic_write
 from gesturekit.evaluation.intervals import FEW
 from gesturekit.evaluation.report import tables
 from gesturekit.evaluation.report.plots import all_plots
-from gesturekit.evaluation.report.results import Evaluation
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
 from gesturekit.evaluation.report.tables import section
+from gesturekit.evaluation.results import Evaluation
 from gesturekit.viewer import player_shell
 from gesturekit.wording import counted
 

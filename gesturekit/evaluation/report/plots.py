@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.report.results import Evaluation, ModelResult
+from gesturekit.evaluation.results import Evaluation, ModelResult
 
 MODEL_COLOURS = ("#c8643a", "#3f7fae", "#6c9a48", "#9467a8", "#c49a2c", "#4aa39a")
 RECORDING = "#26303b"

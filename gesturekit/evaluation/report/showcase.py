@@ -9,7 +9,7 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.clips import load_clip, load_wave
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.pairs import WINDOW_SECONDS
-from gesturekit.evaluation.report.results import ClipResult, Evaluation, ModelResult
+from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
 from gesturekit.motion import Motion
 from gesturekit.viewer import player_data
 

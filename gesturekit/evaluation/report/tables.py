@@ -7,7 +7,7 @@ import html
 from gesturekit.evaluation.definitions import GROUPS, PATCHES, Definition
 from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.report.results import Evaluation, Figure, ModelResult
+from gesturekit.evaluation.results import Evaluation, Figure, ModelResult
 from gesturekit.wording import counted
 
 _ARROWS = {

@@ -15,7 +15,7 @@ _PROBLEMS = 8
 
 
 @dataclass(frozen=True)
-class Sheet:
+class Summary:
     """One thing, told.
 
     Attributes:
@@ -35,7 +35,7 @@ class Sheet:
     problems: tuple[str, ...] = ()
 
     def lines(self, width: int = 100) -> list[str]:
-        """The sheet as text, long lines broken at `width` columns."""
+        """The summary as text, long lines broken at `width` columns."""
         shown = [("problem", problem) for problem in self.problems[:_PROBLEMS]]
         if len(self.problems) > _PROBLEMS:
             shown.append(("problem", f"and {len(self.problems) - _PROBLEMS} more; --json has all"))

@@ -17,7 +17,7 @@ from gesturekit.motion.parts import body_joints
 _NAMELESS = Pair("clip", "clip", None, Path("clip"), Path("clip"))
 
 
-def quick_figures(generated: Sequence[Motion], recordings: Sequence[Motion]) -> dict[str, float]:
+def quick_metrics(generated: Sequence[Motion], recordings: Sequence[Motion]) -> dict[str, float]:
     """Means of the cheap measures (`cheap` in `definitions`), to be read beside a loss.
 
     Measures whose goal is the recording's own figure are given as a ratio to it, `KEY_ratio`; 1 is

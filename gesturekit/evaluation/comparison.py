@@ -37,8 +37,8 @@ from gesturekit.evaluation.pairs import (
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.report.results import ClipResult, Evaluation, Figure, ModelResult
-from gesturekit.evaluation.sets import Gathered, pooled, speeds_of, thinned, wrists_of
+from gesturekit.evaluation.results import ClipResult, Evaluation, Figure, ModelResult
+from gesturekit.evaluation.set_metrics import Gathered, pooled, speeds_of, thinned, wrists_of
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.defects import MAX_SPEED, in_words, speed_limit

@@ -10,9 +10,9 @@ import numpy as np
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.clip_metrics import Measurer
 from gesturekit.evaluation.clips import Clip
-from gesturekit.evaluation.definitions import FRECHET, LIKENESS, PATCHES
+from gesturekit.evaluation.definitions import FRECHET, PATCHES, SIMILARITY
 from gesturekit.evaluation.intervals import Interval, interval_of, interval_of_statistic
-from gesturekit.evaluation.metrics import likeness, physical
+from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import (
     FrechetResult,
@@ -24,7 +24,7 @@ from gesturekit.evaluation.metrics.frechet.frechet import (
     raw_fgd,
 )
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
-from gesturekit.evaluation.report.results import Figure
+from gesturekit.evaluation.results import Figure
 from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class Gathered:
             self.motions.append(clip.generated)
             known = clip.joints if self._shared is None else self._shared
             self._shared = tuple(name for name in known if name in clip.joints)
-        if LIKENESS in groups:
+        if SIMILARITY in groups:
             self._joints = self._joints or clip.joints
             if clip.joints == self._joints:
                 self._poses.append(self.measurer.both(clip))
@@ -163,7 +163,7 @@ class Gathered:
     def _cca(self) -> Figure:
         ours, theirs = (np.concatenate(side) for side in zip(*self._poses, strict=True))
         stride = -(-len(ours) // _COLUMNS)
-        r = likeness.cca(ours[::stride], theirs[::stride])
+        r = similarity.cca(ours[::stride], theirs[::stride])
         return Figure("cca_global", _plain(r, len(self._poses)))
 
     def _compare_samples(self, clip: Clip) -> None:
