@@ -7,7 +7,7 @@ from typing import Any
 
 # No module may be called like a public function: importing it would hide the function.
 _HOMES = {
-    "Item": "manifest",
+    "Item": "item",
     "Manifest": "manifest",
     "Problem": "problem",
     "Report": "report",

@@ -13,7 +13,7 @@ import numpy as np
 
 from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import checks
-from gesturekit.corpus.manifest import CONDITIONS
+from gesturekit.corpus.item import CONDITIONS
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conversion import load

@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gesturekit.corpus.manifest import SPLITS, Item, Manifest
+from gesturekit.corpus.item import SPLITS, Item
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.preparation import prepare
 from gesturekit.corpus.report import amount
 from gesturekit.errors import CorpusError, GestureKitError

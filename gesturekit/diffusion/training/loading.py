@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig
