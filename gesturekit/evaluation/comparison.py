@@ -1,19 +1,18 @@
-"""Evaluate: folders of generated motion against a folder of recordings."""
+"""`evaluate`: measure folders of generated motion against recordings."""
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 
 from audio_features import AudioFeaturesError
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
-from gesturekit.evaluation.clip_metrics import Known, Measurer, load_sound
+from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics, load_sound
 from gesturekit.evaluation.clips import Clip, load_clip
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
@@ -37,11 +36,13 @@ from gesturekit.evaluation.pairs import (
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.results import ClipResult, Evaluation, Figure, ModelResult
-from gesturekit.evaluation.set_metrics import Gathered, pooled, speeds_of, thinned, wrists_of
+from gesturekit.evaluation.results import ClipResult, Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.set_metrics import SetMetrics, pooled, speeds_of, thinned, wrists_of
+from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.defects import MAX_SPEED, in_words, speed_limit
+from gesturekit.wording import listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
@@ -51,108 +52,139 @@ PROTOCOLS = {
     "multires": (MOVEMENT, PATCHES),
     "lda": (SPEECH, MOVEMENT, FRECHET),
 }
-"""Which groups of measures a protocol takes; "" takes all."""
+"""Groups of metrics that a protocol takes; "" takes all."""
 MULTIRES_SAMPLES = 200
 MULTIRES_LENGTH = 2.0
-"""Samples of a training sequence, and their length in lengths of the sequence."""
+"""Samples of each training sequence, and their length relative to the sequence."""
 LDA_SAMPLES = 3
 """Samples of each 10 s window."""
 
 MISMATCHED = 3
-"""With how many other recordings a clip is also compared."""
+"""Number of other recordings that a clip is also compared with, for the mismatched level."""
 LENGTH_TOLERANCE = 0.1
-"""Seconds by which a clip and its recording may differ without a note."""
+"""Largest difference in length between a clip and its recording without a note, seconds."""
 STILL = 1e-4
-"""m/s on the reference body; a frame in which no joint is faster stands still."""
+"""m/s on the reference body; a frame stands still if no joint is faster."""
 
-Which = tuple[str, int | None]
+Window = tuple[str, int | None]
+"""A recording and the index of its 10 s window; None for the whole recording."""
 Progress = Callable[[Sequence[Pair], str], Iterable[Pair]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationOptions:
+    """Options of `evaluate`.
+
+    Raises:
+        EvaluationError: an unknown protocol.
+    """
+
+    split: str | None = None
+    """The split of a manifest to measure; None for "test"."""
+    audio: str | Path | None = None
+    """Folder or file of the recordings' sound; without it, speech metrics are left out. Items of a
+    manifest have their own."""
+    semantic: str | Path | None = None
+    """Folder or file of semantic tracks, for SRGR."""
+    protocol: str = ""
+    """ "", or "multires" or "lda", the evaluations of the two papers."""
+    patches: PatchOptions | None = None
+    """Settings of the patch metrics."""
+    features: FeatureModel | None = None
+    """The feature extractor of `gesturekit fit-features`; without it, FGD is left out."""
+    seed: int = 0
+    """Seed of the bootstrap intervals."""
+    progress: Progress = lambda pairs, label: pairs
+    """Wraps the pairs of each model, such as in a progress bar."""
+
+    def __post_init__(self) -> None:
+        if self.protocol not in PROTOCOLS:
+            known = ", ".join(filter(None, PROTOCOLS))
+            raise EvaluationError(f"protocol {self.protocol!r}; expected one of {known}")
+
+
+class EvaluateArguments(TypedDict, total=False):
+    """Keywords of `evaluate`, for type checkers: the fields of `EvaluationOptions`."""
+
+    split: str | None
+    audio: str | Path | None
+    semantic: str | Path | None
+    protocol: str
+    patches: PatchOptions | None
+    features: FeatureModel | None
+    seed: int
+    progress: Progress
 
 
 @gesturekit_errors()
 def evaluate(
     generated: str | Path | Mapping[str, str | Path],
     reference: str | Path | Items,
-    *,
-    split: str | None = None,
-    audio: str | Path | None = None,
-    semantic: str | Path | None = None,
-    protocol: str = "",
-    patches: PatchOptions | None = None,
-    features: FeatureModel | None = None,
-    seed: int = 0,
-    progress: Progress = lambda pairs, label: pairs,
+    **options: Unpack[EvaluateArguments],
 ) -> Evaluation:
     """Measure generated motion against recordings, all at the frame rate of the first clip.
 
     Args:
-        generated: folder or file of motion, or {label: folder} of several models; clips belong
-            to recordings by name (`pairs`).
+        generated: folder or file of motion, or {label: folder} of several models; clips are
+            matched with recordings by name (`pairs`).
         reference: folder or file of recordings, or a manifest (corpus.jsonl, or `Items` of it),
-            cut as it says; Fréchet distances go to all of them.
-        split: which items of a manifest; None for "test".
-        audio: folder or file of the recordings' sound; without it speech is not measured.
-            `Items` have their own.
-        semantic: folder or file of semantic tracks, for SRGR.
-        protocol: "", or "multires" or "lda", the evaluations of the two papers.
-        patches: how patches are compared.
-        features: what `gesturekit fit-features` made; without it there is no FGD.
-        seed: of the bootstrap intervals.
-        progress: wraps the pairs of each model, such as in a progress bar.
+            cut into its items; Fréchet distances compare with all of them.
+        options: the fields of `EvaluationOptions`, such as `audio` and `protocol`.
 
     Returns:
-        the figures, with everything that was left out and why.
+        the metrics, and everything that was left out with the reason.
 
     Raises:
-        CorpusError: an empty folder, or names that do not pair.
+        CorpusError: an empty folder, or names that do not match.
         EvaluationError: no clip could be measured, or an unknown protocol.
+        UnknownOptionError: a keyword that is not an option.
     """
-    if protocol not in PROTOCOLS:
-        known = ", ".join(filter(None, PROTOCOLS))
-        raise EvaluationError(f"protocol {protocol!r}; expected one of {known}")
-    named = generated if isinstance(generated, Mapping) else {"generated": generated}
-    folders = {label: Path(folder) for label, folder in named.items()}
-    reference = _recordings(reference, split)
-    if isinstance(reference, Items) and reference.split and audio is not None:
+    chosen = build_options(EvaluationOptions, options, "evaluate")
+    if not isinstance(generated, Mapping):
+        generated = {"generated": generated}
+    folders = {label: Path(folder) for label, folder in generated.items()}
+    reference = _recordings(reference, chosen.split)
+    split = (reference.split or None) if isinstance(reference, Items) else None
+    if split and chosen.audio is not None:
         raise EvaluationError(f"{reference.path} says where the sound is: leave audio out")
-    audio, semantic = (None if path is None else Path(path) for path in (audio, semantic))
-    patches = patches or PatchOptions()
+    audio = None if chosen.audio is None else Path(chosen.audio)
+    semantic = None if chosen.semantic is None else Path(chosen.semantic)
     found = {
         label: find_pairs(folder, reference, audio=audio, semantic=semantic)
         for label, folder in folders.items()
     }
     fps = _frame_rate(next(iter(found.values())))
-    known = Known.of(recordings(reference), fps)
-    run = _Run(Measurer(known, PROTOCOLS[protocol], patches), fps, seed, protocol, features)
-    models = [run.model(label, folders[label], pairs, progress) for label, pairs in found.items()]
-    models[0].excluded += known.excluded
+    statistics = ReferenceStatistics.of(recordings(reference), fps)
+    patches = chosen.patches or PatchOptions()
+    run = _Comparison(ClipMetrics(statistics, PROTOCOLS[chosen.protocol], patches), fps, chosen)
+    models = [run.model(label, folders[label], pairs) for label, pairs in found.items()]
+    models[0].excluded += statistics.excluded
     return Evaluation(
         models=models,
         reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
-        protocol=protocol,
+        protocol=chosen.protocol,
         settings={
-            "seed": seed,
+            "seed": chosen.seed,
             "audio": None if audio is None else str(audio),
-            "split": (reference.split or None) if isinstance(reference, Items) else None,
+            "split": split,
             "semantic": None if semantic is None else str(semantic),
             "patches": asdict(patches),
-            "features": None if features is None else features.fingerprint,
+            "features": chosen.features and chosen.features.fingerprint,
             "mismatched": MISMATCHED,
             "resampling": RULE,
         },
-        versions=_versions(),
         recorded_speeds=run.recorded_speeds(),
         recorded_wrists=run.recorded_wrists(),
     )
 
 
 def _recordings(reference: str | Path | Items, split: str | None) -> Path | Items:
-    """Return the recordings that a path stands for.
+    """Return the recordings of a path, of a manifest as `Items`.
 
     Raises:
-        CorpusError: a manifest that cannot be read, or that has no item of the split.
-        EvaluationError: a split of what is no manifest.
+        CorpusError: the manifest cannot be read, or has no item of the split.
+        EvaluationError: a split is given without a manifest.
     """
     if not isinstance(reference, Items):
         reference = Path(reference)
@@ -164,7 +196,7 @@ def _recordings(reference: str | Path | Items, split: str | None) -> Path | Item
 
 
 def _frame_rate(pairs: Pairs) -> float:
-    """The frame rate of the first generated clip that can be read: the model's."""
+    """Return the frame rate of the first generated clip that can be read."""
     reasons = []
     for pair in pairs.pairs:
         try:
@@ -174,105 +206,99 @@ def _frame_rate(pairs: Pairs) -> float:
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")
 
 
-class _Run:
-    """One evaluation: what its models share."""
+class _Comparison:
+    """Measures models against the same recordings."""
 
-    def __init__(
-        self,
-        measurer: Measurer,
-        fps: float,
-        seed: int,
-        protocol: str,
-        features: FeatureModel | None,
-    ) -> None:
-        self.measurer = measurer
+    def __init__(self, measure: ClipMetrics, fps: float, options: EvaluationOptions) -> None:
+        self.measure = measure
         self.fps = fps
-        self.seed = seed
-        self.protocol = protocol
-        self.features = features
-        self._figures: dict[Which, dict[str, float]] = {}
-        self._speeds: dict[Which, SpeedHistogram] = {}
-        self._wrists: dict[Which, np.ndarray] = {}
-        self._windows: dict[Which, Motion] = {}
+        self.seed = options.seed
+        self.protocol = options.protocol
+        self.features = options.features
+        self.progress = options.progress
+        self._recording_metrics: dict[Window, dict[str, float]] = {}
+        self._speeds: dict[Window, SpeedHistogram] = {}
+        self._wrists: dict[Window, np.ndarray] = {}
+        self._windows: dict[Window, Motion] = {}
 
-    def model(self, label: str, path: Path, found: Pairs, progress: Progress) -> ModelResult:
+    def model(self, label: str, path: Path, found: Pairs) -> ModelResult:
         """Measure the clips of one model.
 
         Raises:
-            EvaluationError: none of them can be measured.
+            EvaluationError: no clip can be measured.
         """
         result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
-        gathered = Gathered(self.measurer, self.seed)
+        clip_set = SetMetrics(self.measure, self.seed)
         problems: dict[tuple[str, str], list[str]] = {}
-        for pair in progress(found.pairs, label):
+        for pair in self.progress(found.pairs, label):
             try:
                 clip = load_clip(pair, self.fps)
             except (GestureKitError, AudioFeaturesError) as error:
                 result.excluded.append(Excluded(pair.name, str(error)))
                 continue
-            figures, troubles = self.measurer.figures(clip)
-            self._see(clip)
-            which = (pair.stem, pair.window)
-            for key, reason in troubles:
+            figures, failed = self.measure.generated(clip)
+            self._measure_recording(clip)
+            window = (pair.stem, pair.window)
+            for key, reason in failed:
                 problems.setdefault((key, reason), []).append(pair.name)
             result.clips.append(
                 ClipResult(
                     pair,
                     clip.generated.duration,
                     figures,
-                    self._figures[which],
-                    self._unlike(clip, found.pairs),
-                    (*clip.notes, *self._oddities(clip)),
+                    self._recording_metrics[window],
+                    self._mismatched(clip, found.pairs),
+                    (*clip.notes, *self._clip_notes(clip)),
                 )
             )
-            gathered.add(clip, self._speeds[which])
+            clip_set.add(clip, self._speeds[window])
         if not result.clips:
             reasons = "; ".join(item.reason for item in result.excluded[:3])
             raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
-        self._summarise(result, gathered)
-        for key, reason in gathered.problems:
+        self._summarise(result, clip_set)
+        for key, reason in clip_set.problems:
             problems.setdefault((key, reason), []).append("the whole set")
         for (key, reason), names in problems.items():
             title = DEFINITIONS[key].name if key in DEFINITIONS else key
-            result.excluded.append(Excluded(_some(names), reason, title))
+            result.excluded.append(Excluded(listed(names, 3), reason, title))
         return result
 
     def recorded_speeds(self) -> SpeedHistogram:
-        """Of all recordings that a clip was compared with."""
+        """Pool the joint speeds of all recordings that a clip was compared with."""
         return pooled(list(self._speeds.values()))
 
     def recorded_wrists(self) -> np.ndarray:
-        """Wrist speeds of the same, m/s."""
+        """Return (N,) wrist speeds of the same recordings, m/s."""
         return thinned(list(self._wrists.values()))
 
-    def _see(self, clip: Clip) -> None:
-        """Take the recording's own figures, once."""
-        which = (clip.pair.stem, clip.pair.window)
-        if which not in self._figures:
-            self._figures[which] = self.measurer.recording(clip)[0]
-            self._speeds[which] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
-            self._wrists[which] = wrists_of(clip.recording)
-            self._windows[which] = clip.recording
+    def _measure_recording(self, clip: Clip) -> None:
+        """Measure the recording of a clip, once."""
+        window = (clip.pair.stem, clip.pair.window)
+        if window not in self._recording_metrics:
+            self._recording_metrics[window] = self.measure.recording(clip)[0]
+            self._speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
+            self._wrists[window] = wrists_of(clip.recording)
+            self._windows[window] = clip.recording
 
-    def _unlike(self, clip: Clip, pairs: Sequence[Pair]) -> dict[str, float]:
-        """Figures beside the sounds, and the motion, of other recordings."""
+    def _mismatched(self, clip: Clip, pairs: Sequence[Pair]) -> dict[str, float]:
+        """Measure the clip with the sounds, and the motion, of other recordings."""
         figures: dict[str, float] = {}
-        if SPEECH in self.measurer.groups and clip.pair.audio is not None:
+        if SPEECH in self.measure.groups and clip.pair.audio is not None:
             sounds = []
             others = list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio))
-            for path, window in _after(others, (clip.pair.audio, clip.pair.window), MISMATCHED):
+            for path, index in _after(others, (clip.pair.audio, clip.pair.window), MISMATCHED):
                 try:
-                    sounds.append(load_sound(path, window))
+                    sounds.append(load_sound(path, index))
                 except AudioFeaturesError:
-                    continue  # told where it is the clip's own sound
-            figures |= self.measurer.mismatched(clip, sounds)
-        recordings = self.measurer.known.recordings
+                    continue  # reported with the clip that it belongs to
+            figures |= self.measure.mismatched_sound(clip, sounds)
+        recordings = self.measure.statistics.recordings
         for other in _after(list(recordings), clip.pair.stem, 1):
-            figures |= self.measurer.unlike(clip, recordings[other])
+            figures |= self.measure.mismatched_motion(clip, recordings[other])
         return figures
 
-    def _oddities(self, clip: Clip) -> list[str]:
-        """What a reader should know of a clip that can be measured."""
+    def _clip_notes(self, clip: Clip) -> list[str]:
+        """Return notes on a measured clip: another length, frames that stand still, jumps."""
         notes = []
         wanted = MULTIRES_LENGTH if self.protocol == "multires" else 1.0
         gap = clip.generated.duration - wanted * clip.recording.duration
@@ -289,14 +315,14 @@ class _Run:
             notes.append(f"jumps at {at:.2f} s ({speed}, {speed_limit(limit)})")
         return notes
 
-    def _summarise(self, result: ModelResult, gathered: Gathered) -> None:
+    def _summarise(self, result: ModelResult, clip_set: SetMetrics) -> None:
         clips = result.clips
         for key in DEFINITIONS:
             has = [clip for clip in clips if key in clip.figures]
             if not has:
                 continue
             stems = [clip.pair.stem for clip in has]
-            result.figures[key] = Figure(
+            result.figures[key] = MetricResult(
                 key,
                 interval_of([clip.figures[key] for clip in has], stems, self.seed),
                 recording=_mean(clip.recording.get(key) for clip in has),
@@ -304,42 +330,44 @@ class _Run:
                 mismatched=_mean(clip.mismatched.get(key) for clip in has),
                 note="" if len(has) == len(clips) else f"{len(has)} of {len(clips)} clips",
             )
-        result.figures |= gathered.figures()
-        if FRECHET in self.measurer.groups:
-            full = list(self.measurer.known.recordings.values())
-            whole = {(key, None) for key in self.measurer.known.recordings}
+        result.figures |= clip_set.pooled()
+        if FRECHET in self.measure.groups:
+            full = list(self.measure.statistics.recordings.values())
+            whole = {(key, None) for key in self.measure.statistics.recordings}
             seen = {(clip.pair.stem, clip.pair.window) for clip in clips}
-            compared = None if seen == whole else [self._windows[which] for which in sorted(seen)]
-            result.figures |= gathered.frechet_figures(full, compared, self.features)
-        if PATCHES in self.measurer.groups:
-            self._by_recording(result)
-        result.speeds = pooled(gathered.histograms)
-        result.wrists = thinned(gathered.wrists)
+            compared = None if seen == whole else [self._windows[window] for window in sorted(seen)]
+            result.figures |= clip_set.frechet(full, compared, self.features)
+        if PATCHES in self.measure.groups:
+            result.by_recording = self._by_recording(result.clips)
+        result.speeds = pooled(clip_set.histograms)
+        result.wrists = thinned(clip_set.wrists)
         result.notes += self._protocol_notes(result)
 
-    def _by_recording(self, result: ModelResult) -> None:
-        """Eq. 18: the expectation over samples, for each recording."""
-        for stem in sorted({clip.pair.stem for clip in result.clips}):
+    def _by_recording(self, clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
+        """Average the patch metrics over the samples of each recording (eq. 18)."""
+        by_recording = {}
+        for stem in sorted({clip.pair.stem for clip in clips}):
             figures: dict[str, Interval] = {}
             for key, definition in DEFINITIONS.items():
                 values = [
                     clip.figures[key]
-                    for clip in result.clips
+                    for clip in clips
                     if clip.pair.stem == stem and key in clip.figures
                 ]
                 if definition.group == PATCHES and values:
                     figures[key] = interval_of(values, [stem] * len(values), self.seed)
-            result.by_recording[stem] = figures
+            by_recording[stem] = figures
+        return by_recording
 
     def _protocol_notes(self, result: ModelResult) -> list[str]:
-        """Where the clips are not what the protocol asks for."""
+        """Return notes on clips that differ from the protocol in number or length."""
         counts = Counter((clip.pair.stem, clip.pair.window) for clip in result.clips)
         wanted = {"multires": MULTIRES_SAMPLES, "lda": LDA_SAMPLES}.get(self.protocol)
         other = [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]
         notes = []
         if wanted and other:
             what = "window" if self.protocol == "lda" else "recording"
-            notes.append(f"the protocol takes {wanted} samples of each {what}; {_some(other)}")
+            notes.append(f"the protocol takes {wanted} samples of each {what}; {listed(other, 3)}")
         if self.protocol == "lda":
             odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
             if odd:
@@ -352,7 +380,7 @@ class _Run:
 
 
 def _after(items: list, item: Any, count: int) -> list:
-    """Up to `count` other items, from the next one on, round and round."""
+    """Return up to `count` other items, cyclically from the next one."""
     at = items.index(item) if item in items else 0
     return [items[(at + k) % len(items)] for k in range(1, min(count, len(items) - 1) + 1)]
 
@@ -360,17 +388,3 @@ def _after(items: list, item: Any, count: int) -> list:
 def _mean(values: Iterable[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
-    for name in ("gesturekit", "numpy", "scipy", "scikit-learn", "librosa"):
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed as a package"
-    return versions

@@ -199,13 +199,13 @@ def find_pairs(
 
     Args:
         generated: folder or file of motion (npz, BVH).
-        reference: the recordings. A single file is the reference of every generated clip. Every
-            item of a manifest is expected to have a clip.
+        reference: the recordings. A single file is the reference of every clip; every item of a
+            manifest is expected to have one.
         audio: folder or file of the recordings' sound; items of a manifest have their own.
         semantic: folder or file of semantic tracks: feature files (npz) or BEAT's (txt).
 
     Raises:
-        CorpusError: a folder that is missing or empty, or no clip that has a recording.
+        CorpusError: a missing or empty folder, or no clip that has a recording.
     """
     made = motion_files(generated)
     recorded = recordings(reference)
@@ -214,30 +214,13 @@ def find_pairs(
     else:
         sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
     tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
-    expects_all = isinstance(reference, Items) and bool(reference.split)
     found = Pairs()
     for name, stem, window in _matched(made, recorded, reference, found):
-        found.pairs.append(
-            Pair(
-                name,
-                stem,
-                window,
-                made[name],
-                recorded[stem],
-                _of_stem(stem, sounds, audio),
-                _of_stem(stem, tracks, semantic),
-            )
-        )
+        sound, track = _of_stem(stem, sounds, audio), _of_stem(stem, tracks, semantic)
+        pair = Pair(name, stem, window, made[name], recorded[stem], sound, track)
+        found.pairs.append(pair)
     if not found.pairs:
-        if found.notes and not found.excluded:
-            raise CorpusError(f"{generated}: nothing to measure: {'; '.join(found.notes)}")
-        are_items = not expects_all and any(map(_CUT.search, made))
-        advice = "; names with @START-END are items of a manifest: --corpus" if are_items else ""
-        raise CorpusError(
-            f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
-            f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
-            f"_s1, _s2 ... for samples{advice}"
-        )
+        raise _no_pair(generated, made, reference, recorded, found)
     if sounds and not any(pair.audio for pair in found.pairs):
         raise CorpusError(
             f"{audio}: none of its sounds ({_some(sounds)}) has the name of a recording "
@@ -245,7 +228,7 @@ def find_pairs(
         )
     found.pairs.sort(key=lambda pair: (pair.stem, pair.name))
     stems = dict.fromkeys(pair.stem for pair in found.pairs)
-    if expects_all:
+    if isinstance(reference, Items) and reference.split:
         missing = sorted(set(recorded) - set(stems))
         found.excluded += [Excluded(key, f"{generated} has no clip of it") for key in missing]
         return found
@@ -259,6 +242,26 @@ def find_pairs(
             if files and _of_stem(stem, files, folder) is None
         ]
     return found
+
+
+def _no_pair(
+    generated: Path,
+    made: Mapping[str, Path],
+    reference: Path | Items,
+    recorded: Mapping[str, Path | Stretch],
+    found: Pairs,
+) -> CorpusError:
+    """Return the error for clips of which none has a recording."""
+    if found.notes and not found.excluded:
+        return CorpusError(f"{generated}: nothing to measure: {'; '.join(found.notes)}")
+    from_manifest = isinstance(reference, Items) and bool(reference.split)
+    are_items = not from_manifest and any(map(_CUT.search, made))
+    advice = "; names with @START-END are items of a manifest: --corpus" if are_items else ""
+    return CorpusError(
+        f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
+        f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
+        f"_s1, _s2 ... for samples{advice}"
+    )
 
 
 def _matched(

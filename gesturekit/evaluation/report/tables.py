@@ -7,7 +7,7 @@ import html
 from gesturekit.evaluation.definitions import GROUPS, PATCHES, Definition
 from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.results import Evaluation, Figure, ModelResult
+from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
 from gesturekit.wording import counted
 
 _ARROWS = {
@@ -100,7 +100,9 @@ def _measure_cells(definition: Definition) -> str:
     )
 
 
-def _figure_cell(figure: Figure | None, definition: Definition, models: list[ModelResult]) -> str:
+def _figure_cell(
+    figure: MetricResult | None, definition: Definition, models: list[ModelResult]
+) -> str:
     if figure is None:
         return '<td class="number">–<small>not measured</small></td>'
     best = " class=best" if len(models) > 1 and _is_best(figure, definition, models) else ""
@@ -122,8 +124,8 @@ def _bounds(interval: Interval) -> str:
     return f"{number(interval.low)} … {number(interval.high)}, {n}"
 
 
-def _is_best(figure: Figure, definition: Definition, models: list[ModelResult]) -> bool:
-    def badness(one: Figure) -> float:
+def _is_best(figure: MetricResult, definition: Definition, models: list[ModelResult]) -> bool:
+    def badness(one: MetricResult) -> float:
         value = one.interval.value
         if definition.better == "reference":
             return abs(value - one.recording) if one.recording is not None else 0.0
