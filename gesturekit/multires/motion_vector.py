@@ -28,17 +28,61 @@ from gesturekit.motion.rotations import (
 from gesturekit.motion.selection.model_joints import ModelJoints, reference_skeleton
 from gesturekit.motion.skeleton import Skeleton
 
-__all__ = ["CONTACT_SPEED", "MultiresRepresentation", "reference_skeleton"]
+__all__ = ["CONTACT_SPEED", "MultiresRepresentation", "VectorLayout", "reference_skeleton"]
 
-_FRAMES_AT_ONCE = 1024  # decoded, so that what a rotation passes through on its way stays small
+_FRAMES_AT_ONCE = 1024
+"""Frames decoded in one call, which bounds the memory of intermediate rotations."""
+
+
+@dataclass(frozen=True)
+class VectorLayout:
+    """Columns of a motion vector: indices into an axis of 6 K + C + 3 numbers.
+
+    Args:
+        n_joints: K, modelled joints.
+        n_contacts: C, foot points with a contact label.
+    """
+
+    n_joints: int
+    n_contacts: int
+
+    @property
+    def width(self) -> int:
+        """Length of a motion vector, 6 K + C + 3."""
+        return 6 * self.n_joints + self.n_contacts + 3
+
+    @property
+    def rotations(self) -> slice:
+        """6 K columns: for each joint the first two columns of its rotation matrix."""
+        return slice(0, 6 * self.n_joints)
+
+    @property
+    def contacts(self) -> slice:
+        """C columns: contact labels, about 0 or 1."""
+        return slice(6 * self.n_joints, 6 * self.n_joints + self.n_contacts)
+
+    @property
+    def root(self) -> slice:
+        """Three columns: displacement along x, height, displacement along z."""
+        return slice(self.width - 3, self.width)
+
+    @property
+    def root_xz(self) -> list[int]:
+        """Two columns: the root's displacement along x and z since the previous frame, metres."""
+        return [self.width - 3, self.width - 1]
+
+    @property
+    def root_height(self) -> int:
+        """Column of the root's height, metres."""
+        return self.width - 2
 
 
 @dataclass(frozen=True, eq=False)
 class MultiresRepresentation(ModelJoints):
-    """Encodes motions of one rig as vectors, and vectors as motions.
+    """Conversion between motions of one rig and motion vectors.
 
     Attributes:
-        contact_speed: m/s on the reference body; a slower foot point stands.
+        contact_speed: m/s on the reference body; a slower foot point is in contact (eq. 1).
     """
 
     contact_speed: float = field(default=CONTACT_SPEED, kw_only=True)
@@ -50,7 +94,7 @@ class MultiresRepresentation(ModelJoints):
         joints: str | Sequence[str] = "body",
         contact_speed: float = CONTACT_SPEED,
     ) -> MultiresRepresentation:
-        """Learn from training motions which joints to model and how to hold the others.
+        """Choose the modelled joints, and fix the others at their mean training rotation.
 
         Args:
             motions: motions of one rig (same names and parents); see `reference_skeleton`.
@@ -64,52 +108,46 @@ class MultiresRepresentation(ModelJoints):
 
     @classmethod
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> MultiresRepresentation:
-        """Inverse of `to_json`; values of older models have no contact speed."""
+        """Return the inverse of `to_json`; values of older models have no contact speed."""
         speed = float(values.get("contact_speed", CONTACT_SPEED))
         return cls(**cls.chosen(skeleton, values), contact_speed=speed)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the skeleton, as plain values."""
+        """Return all attributes but the skeleton as plain values."""
         return super().to_json() | {"contact_speed": self.contact_speed}
 
     @cached_property
     def foot_points(self) -> tuple:
-        """The C points on the feet whose contact with the floor is modelled."""
+        """C points on the feet whose contact with the floor is modelled."""
         return tuple(foot_points(self.skeleton))
+
+    @cached_property
+    def layout(self) -> VectorLayout:
+        """Named columns of the motion vector."""
+        return VectorLayout(len(self.joints), len(self.foot_points))
 
     @property
     def n_features(self) -> int:
-        """Width of the vector: 6 K + C + 3."""
-        return 6 * len(self.joints) + len(self.foot_points) + 3
-
-    @property
-    def contact_columns(self) -> slice:
-        """Where the C contact labels stand."""
-        start = 6 * len(self.joints)
-        return slice(start, start + len(self.foot_points))
-
-    @property
-    def root_columns(self) -> slice:
-        """Where displacement along x, height and displacement along z stand."""
-        return slice(self.n_features - 3, self.n_features)
+        """Length of a motion vector: 6 K + C + 3."""
+        return self.layout.width
 
     def joint_columns(self, name: str) -> slice:
-        """Where the six numbers of one modelled joint stand."""
+        """Return the six columns of a modelled joint."""
         k = self.joints.index(name)
         return slice(6 * k, 6 * k + 6)
 
     @cached_property
     def block_sizes(self) -> tuple[int, ...]:
-        """Widths of the blocks that a skeleton-aware convolution tells apart."""
+        """Numbers in each block of a skeleton-aware convolution: K of 6, C of 1 and one of 3."""
         return (6,) * len(self.joints) + (1,) * len(self.foot_points) + (3,)
 
     def encode(self, motion: Motion, turn: float = 0.0) -> np.ndarray:
-        """(T, 6 K + C + 3) float64 of a motion of this rig; a performer's own offsets may differ.
+        """Return the motion vectors of a motion, (T, 6 K + C + 3) float64.
 
-        The root's orientation is the world's. Frame 0 has the displacement of frame 1.
+        The root's orientation is in world coordinates. Frame 0 has the displacement of frame 1.
 
         Args:
-            motion: T frames.
+            motion: T frames on this rig; bone lengths may differ.
             turn: radians about the world's Y axis by which the whole motion is turned first.
 
         Raises:
@@ -130,26 +168,26 @@ class MultiresRepresentation(ModelJoints):
         return np.concatenate([sixd, contacts, root], axis=-1)
 
     def contacts(self, values: np.ndarray) -> np.ndarray:
-        """(T, C) contact labels of motion vectors: over 0.5 where a foot point stands."""
-        return values[:, self.contact_columns]
+        """Return the (T, C) contact labels of (T, D) vectors: over 0.5 means contact."""
+        return values[:, self.layout.contacts]
 
     def decode(self, values: np.ndarray, fps: float, *, skeleton: Skeleton | None = None) -> Motion:
-        """A motion from (T, 6 K + C + 3) values; it starts above the origin.
+        """Return the motion of motion vectors; it starts above the origin.
 
         Args:
-            values: motion vectors; rotations need not be orthonormal.
+            values: (T, 6 K + C + 3); rotations need not be orthonormal.
             fps: frames per second.
-            skeleton: a performer's offsets to use in place of the reference ones; steps and the
-                height of the root grow with the length of the legs.
+            skeleton: bone lengths to use in place of the reference ones; the root's steps and
+                height scale with the length of the legs.
         """
         n_frames = len(values)
         rotations = self.hold(n_frames)
         index = self.indices
         for start in range(0, n_frames, _FRAMES_AT_ONCE):
-            part = values[start : start + _FRAMES_AT_ONCE, : 6 * len(index)]
+            part = values[start : start + _FRAMES_AT_ONCE, self.layout.rotations]
             modelled = quaternion_from_sixd(part.reshape(len(part), len(index), 6))
             rotations[start : start + len(part), index] = modelled
-        dx, height, dz = values[:, self.root_columns].T
+        dx, height, dz = values[:, self.layout.root].T
         position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1)
         size = self.scale * self.size_of(skeleton)
         return self.assemble(rotations, position * size, fps, skeleton)

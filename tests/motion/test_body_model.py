@@ -140,7 +140,7 @@ def test_the_motion_vector_has_the_six_labels_of_the_paper(body):
     motion = Motion(body.rig(motion.skeleton), motion.rotations, motion.translation, 30.0)
     representation = MultiresRepresentation.fit([motion], joints="all")
     assert representation.n_features == 24 * 6 + 6 + 3
-    labels = representation.encode(motion)[:, representation.contact_columns]
+    labels = representation.encode(motion)[:, representation.layout.contacts]
     np.testing.assert_array_equal(labels, contact_labels(motion))
 
 

@@ -90,8 +90,8 @@ def test_trembling_is_arm_acceleration_and_a_swing_has_one_at_any_rate(
 def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(representation, values):
     kinematics = VectorKinematics(representation, 25.0)
     still = values[:, :, :1].expand(-1, -1, 50).clone()
-    still[:, representation.root_columns] = torch.tensor([0.02, 0.9, 0.0])[:, None]
-    still[:, representation.contact_columns] = 1.0
+    still[:, representation.layout.root] = torch.tensor([0.02, 0.9, 0.0])[:, None]
+    still[:, representation.layout.contacts] = 1.0
 
     def contact(stride):
         velocity = kinematics.foot_velocity(still, stride)
@@ -101,7 +101,7 @@ def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(repre
     # 0.02 m a frame at 25 fps is 0.5 m/s; the label 1 weighs 1 / (1 + exp(5 - 10)).
     assert standing == pytest.approx(0.25 / (1 + np.exp(-5)), rel=1e-3)
     assert contact(4.0) == pytest.approx(standing, rel=1e-3)
-    still[:, representation.contact_columns] = 0.0
+    still[:, representation.layout.contacts] = 0.0
     assert contact(1.0) < 0.01 * standing
 
 
@@ -121,7 +121,7 @@ def test_smoothness_counts_per_full_rate_frame(representation, values):
 def test_speeds_count_per_second_at_every_level(representation, walker, values):
     kinematics = VectorKinematics(representation, walker.fps)
     standing = values.clone()
-    standing[:, representation.root_columns] = 0.0  # what is left is the swing of legs and arms
+    standing[:, representation.layout.root] = 0.0  # what is left is the swing of legs and arms
     half = resample(standing, standing.shape[-1] // 2)
     for measure in (
         lambda v, stride: kinematics.foot_velocity(v, stride).norm(dim=-1).mean(),

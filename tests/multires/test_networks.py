@@ -65,7 +65,7 @@ def test_a_joint_sees_its_neighbourhood_and_nothing_else(representation):
     changed = (conv(x) - quiet).abs().amax(dim=(0, 2)) > 1e-9
     assert changed[representation.joint_columns("RightArm")].all()
     assert not changed[representation.joint_columns("LeftHand")].any()
-    assert not changed[representation.contact_columns].any()
+    assert not changed[representation.layout.contacts].any()
 
 
 def test_only_live_weights_are_stored(representation):

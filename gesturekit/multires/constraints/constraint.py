@@ -121,9 +121,9 @@ class KeyframeHold:
         self.given = normalised(normaliser, given)
         self.weight = _spread(edited.any(axis=1)).to(self.given.dtype)
         self.channels = torch.ones(given.shape[1], 1)
-        self.channels[representation.contact_columns] = 0
+        self.channels[representation.layout.contacts] = 0
         free = np.ones(given.shape[1], bool)
-        free[representation.contact_columns] = False
+        free[representation.layout.contacts] = False
         rig = representation.skeleton
         upper = () if unidentified(rig) else upper_body(rig)
         for name in set(representation.joints) & set(upper):

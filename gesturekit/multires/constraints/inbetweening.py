@@ -199,7 +199,7 @@ class PartsHold:
         self.values = torch.from_numpy(values[nearer].T)
         # What goes on smoothly in its change too: all but labels and steps.
         self.smooth = np.ones(representation.n_features, bool)
-        self.smooth[representation.contact_columns] = False
+        self.smooth[representation.layout.contacts] = False
         self.smooth[[-3, -1]] = False
 
     def __call__(self, level: int, made: Tensor) -> Tensor:

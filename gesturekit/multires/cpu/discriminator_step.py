@@ -100,7 +100,7 @@ def _by_autograd(level: _Level) -> Tensor:
     scores = critic(torch.cat([fake, real]), twice)
     gap = critic_gap(scores[: len(fake)], scores[len(fake) :])
     penalty = gradient_penalty(critic, real, fake, level.mix, level.losses.penalty_on, told)
-    loss = level.losses.critic_scale * gap + level.losses.gradient_penalty * penalty
+    loss = level.losses.discriminator_scale * gap + level.losses.gradient_penalty * penalty
     parameters = list(critic.parameters())
     for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
         parameter.grad = gradient
@@ -163,7 +163,7 @@ class _Step:
         """Of the gap."""
         real, fake = self.level.real[part], self.level.fake[part]
         windows = torch.cat([fake, real])
-        share = self.level.losses.critic_scale / self.count
+        share = self.level.losses.discriminator_scale / self.count
         seeds = np.repeat(np.array([share, -share], dtype=np.float32), len(real))
         rows = Rows(len(windows), self.n_frames)
         signals = self._heard(rows, windows)

@@ -100,7 +100,7 @@ class VectorKinematics(nn.Module):
         skeleton = representation.skeleton
         self.fps = fps
         self.n_joints = len(representation.joints)
-        self.contacts = representation.contact_columns
+        self.contacts = representation.layout.contacts
         modelled = [skeleton.index(name) for name in representation.joints]
         points = representation.foot_points
         self.joints = _Places(representation, modelled)

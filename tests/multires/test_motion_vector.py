@@ -110,7 +110,7 @@ def test_the_first_frame_has_the_displacement_of_the_second(gesture):
     motion = gesture(1.0)
     motion.translation[:, 0] += 0.5 * motion.times
     representation = MultiresRepresentation.fit([motion])
-    dx = representation.encode(motion)[:, representation.root_columns][:, 0]
+    dx = representation.encode(motion)[:, representation.layout.root][:, 0]
     np.testing.assert_allclose(dx, 0.5 / 30 / representation.scale, rtol=1e-9)
 
 
@@ -124,3 +124,22 @@ def test_a_performer_of_twice_the_size_steps_twice_as_far(gesture):
         for skeleton in (None, motion.skeleton.scaled(2.0))
     )
     np.testing.assert_allclose(large, 2 * own, atol=1e-9)
+
+
+def test_named_columns_cover_the_motion_vector_once(gesture):
+    motion = gesture(1.0)
+    motion.translation[:, 2] += 0.5 * motion.times
+    representation = MultiresRepresentation.fit([motion])
+    layout, values = representation.layout, representation.encode(motion)
+    assert layout.width == representation.n_features == values.shape[1]
+    columns = np.arange(layout.width)
+    named = [layout.rotations, layout.contacts, layout.root_xz, layout.root_height]
+    parts = np.concatenate([np.atleast_1d(columns[part]) for part in named])
+    assert sorted(parts) == columns.tolist()
+    assert columns[layout.root].tolist() == [parts[-3], parts[-1], parts[-2]]
+    step = np.array([0, 0.5 / 30]) / representation.scale
+    np.testing.assert_allclose(
+        values[:, layout.root_xz], np.tile(step, (len(values), 1)), atol=1e-9
+    )
+    height = motion.positions()[:, representation.root, 1] / representation.scale
+    np.testing.assert_allclose(values[:, layout.root_height], height)
