@@ -1,4 +1,4 @@
-"""Recordings to learn from: the manifest, how it comes about, and what is read through it."""
+"""Corpora: the manifest, its preparation, and the loading of its items."""
 
 from __future__ import annotations
 

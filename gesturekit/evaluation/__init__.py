@@ -1,4 +1,4 @@
-"""How good a motion is, in numbers. Knows motions and sounds, never models."""
+"""Evaluation of motion: metrics and the report. Independent of models."""
 
 from __future__ import annotations
 

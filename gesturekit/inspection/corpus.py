@@ -1,4 +1,4 @@
-"""What a corpus holds: a manifest, or a folder of recordings that has none yet."""
+"""Summary of a corpus: a manifest, or a folder of recordings without one."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ _SHOWN = 5
 
 
 def inspect_manifest(path: Path) -> Summary:
-    """A manifest, by what it says and by whether its files are there; none but the first motion
-    is read.
+    """Summarise a manifest and check that its files exist; only the first motion is read.
 
     Raises:
         CorpusError: it cannot be read.
@@ -81,16 +80,16 @@ def inspect_recordings(
     read: Mapping[str, Any] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
 ) -> Summary:
-    """A folder of recordings: what `gesturekit prepare` would find in it. All are read.
+    """Summarise a folder of recordings as `gesturekit prepare` would find it; reads all of them.
 
     Args:
-        folder: where they are.
-        parts: joints named by hand, {"left_elbow": "Joint12"}.
-        read: how motion is read, see `gesturekit.corpus.prepare`.
+        folder: the folder.
+        parts: body parts assigned by hand, {"left_elbow": "Joint12"}.
+        read: options for reading motion, see `gesturekit.corpus.prepare`.
         progress: wraps the list of recordings while they are read, as tqdm does.
 
     Raises:
-        CorpusError: there is no recording in it.
+        CorpusError: the folder has no recordings.
     """
     report = prepare(
         [folder],
@@ -117,7 +116,7 @@ def inspect_recordings(
         "joints": _counts(r.skeleton and r.skeleton.n_joints for r in report.recordings),
         "sample_rates": _counts(r.sample_rate for r in report.recordings),
     }
-    # No split is made before `prepare` makes it, and labels are given there.
+    # Splits and labels are assigned by `prepare` only.
     rows = [(name, text.split(": train")[0]) for name, text in report.rows()]
     rows = [row for row in rows if row[0] not in ("speakers", "styles")]
     return Summary(
@@ -155,7 +154,7 @@ def _counts(values: Iterable[Any]) -> dict[str, int]:
 
 
 def _rig(manifest: Manifest) -> tuple[dict[str, Any], list[str]]:
-    """The skeleton that the first motion has; and why that cannot be read."""
+    """Return the rig of the first motion, and the error if it cannot be read."""
     item = next((item for item in manifest if item.motion and item.motion.is_file()), None)
     if item is None:
         return {}, []
@@ -179,7 +178,7 @@ def _missing(manifest: Manifest) -> Iterator[str]:
 
 
 def _leaks(manifest: Manifest) -> Iterator[str]:
-    """Stretches of one file that stand in two splits: what is held out would be trained on."""
+    """Report overlapping intervals of a file in two splits: held-out data would be trained on."""
     stretches: dict[Path, list[tuple[float, float, str, str]]] = defaultdict(list)
     for item in manifest:
         for path, start in ((item.audio, item.audio_start), (item.motion, item.motion_start)):

@@ -1,4 +1,4 @@
-"""What a feature file holds."""
+"""Summary of a feature file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SHOWN = 12
 
 
 def inspect_features(path: Path) -> Summary:
-    """A feature file (npz of values, times and spec).
+    """Summarise a feature file (npz of values, times and spec).
 
     Raises:
         FeatureError: it cannot be read.
@@ -46,7 +46,7 @@ def inspect_features(path: Path) -> Summary:
         ),
         ("columns", f"{n_columns}: {listed(track.names, _SHOWN)}"),
         ("values", f"{track.values.min():.4g} to {track.values.max():.4g}"),
-        ("made by", json.dumps(track.spec, ensure_ascii=False) if track.spec else "not told"),
+        ("made by", json.dumps(track.spec, ensure_ascii=False) if track.spec else "unknown"),
     ]
     still = [name for name, sd in zip(track.names, spread) if sd == 0]
     problems = (f"never change: {listed(still, _SHOWN)}",) if still and n_frames > 1 else ()

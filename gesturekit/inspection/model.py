@@ -1,4 +1,4 @@
-"""What a model is: read from its folder, without its networks and without WavLM."""
+"""Summary of a model folder, without loading its networks or WavLM."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _OF_CONFORMERS = {
     "farthest_view",
     "dropout",
 }
-"""Settings of a diffusion network that its diffwave architecture has no use for."""
+"""Settings of a diffusion network that its diffwave architecture does not use."""
 
 
 def inspect_model(folder: Path) -> Summary:
-    """A model folder.
+    """Summarise a model folder.
 
     Raises:
         ModelError: a part of it is missing or damaged.
@@ -52,7 +52,7 @@ def inspect_model(folder: Path) -> Summary:
         raise ModelError(f"{folder}: {error}") from None
     except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise ModelError(f"{folder}: the model is damaged ({error!r})") from None
-    if features is None:  # a model that does not hear
+    if features is None:  # a model without speech input
         features = {}
     if not isinstance(features, dict):
         raise ModelError(f"{folder / 'config.yaml'}: features is {features!r}, expected a mapping")
@@ -104,7 +104,7 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
 
 
 def _hears(spec: Any) -> str:
-    """The features in words: "logmel (n_mels 24), prosody"."""
+    """Describe the speech features: "logmel (n_mels 24), prosody"."""
     if not isinstance(spec, dict):
         return "nothing" if spec is None else str(spec)
     if spec.get("kind") == "stack":
@@ -114,7 +114,7 @@ def _hears(spec: Any) -> str:
 
 
 def _used(network: Any) -> Any:
-    """A network's settings without those that do nothing in it."""
+    """Return the settings that the network's architecture uses."""
     if not isinstance(network, dict) or network.get("architecture") != "diffwave":
         return network
     return {key: value for key, value in network.items() if key not in _OF_CONFORMERS}
@@ -131,7 +131,7 @@ def _value(value: Any) -> str:
 
 
 def _tensors(path: Path) -> dict[str, list[int]]:
-    """Names and shapes, from the header alone."""
+    """Return {name: shape} of the tensors, from the header alone."""
     try:
         with safe_open(path, framework="numpy") as file:
             return {name: file.get_slice(name).get_shape() for name in file.keys()}  # noqa: SIM118
@@ -140,7 +140,7 @@ def _tensors(path: Path) -> dict[str, list[int]]:
 
 
 def _notes(readme: Path) -> dict[str, str]:
-    """What the README says of the training; nothing where there is none."""
+    """Return {label: text} of the README's notes on the training; empty without a README."""
     try:
         text = readme.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):

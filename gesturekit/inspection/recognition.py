@@ -1,4 +1,4 @@
-"""Telling what a path is, and having it inspected."""
+"""Recognition of the kind of a path, and dispatch to its summary."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def inspect(
     read: Mapping[str, Any] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
 ) -> Summary:
-    """What a file, a folder, or a bundled model is.
+    """Summarise a file, a folder, or a bundled model.
 
     Args:
         path: motion, sound, features, model (folder or bundled name), corpus (manifest or folder
             of recordings), or run.
-        parts: for motion: joints named by hand, {"left_elbow": "Joint12"}.
+        parts: for motion: body parts assigned by hand, {"left_elbow": "Joint12"}.
         read: for motion: options of its reader, such as `up`.
         progress: wraps the list of a folder's recordings while they are read, as tqdm does.
 
@@ -84,7 +84,7 @@ def inspect(
 
 
 def kind_of(path: str | Path) -> str:
-    """motion, audio, features, model, corpus or run; "other" for what is known and has no summary.
+    """Return motion, audio, features, model, corpus or run; "other" for other known files.
 
     Raises:
         FormatError: none of these.
@@ -121,7 +121,7 @@ def kind_of(path: str | Path) -> str:
 
 
 def _recognised(path: Path) -> str:
-    """Return what a path of kind "other" is."""
+    """Describe a path of kind "other"."""
     if path.is_dir():
         return "a feature model of fit-features; give it to evaluate"
     if path.suffix.lower() == ".npz":

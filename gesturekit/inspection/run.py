@@ -1,4 +1,4 @@
-"""What has become of a training run."""
+"""Summary of a training run."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.wording import listed
 
 _ALIVE = 120.0
-"""Seconds: a run that has written later than that may still be at it."""
+"""A run that has written within this many seconds may still be running."""
 _SETTINGS = ("system", "corpus", "fps", "joints", "seed", "device", "precision")
 
 
 def inspect_run(folder: Path) -> Summary:
-    """A run folder.
+    """Summarise a run folder.
 
     Raises:
         ModelError: its configuration cannot be read.
@@ -57,7 +57,7 @@ def inspect_run(folder: Path) -> Summary:
 
 
 def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
-    ago = f"its last word came {span(facts['silent_seconds'])} ago"
+    ago = f"last written {span(facts['silent_seconds'])} ago"
     state = {
         "finished": f"finished; its model is {folder / 'model'}",
         "running": f"running, as it seems: {ago}",

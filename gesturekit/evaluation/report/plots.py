@@ -1,4 +1,4 @@
-"""The report's plots, as SVG: one colour a model, the recording dark, chance grey."""
+"""Plots of the report, as SVG: one colour per model, the recording dark, chance grey."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _MOST_RECORDINGS = 24
 
 
 def colour(index: int) -> str:
-    """The colour of the model of this index, in plots and tables."""
+    """Return the colour of a model by its index, in plots and tables."""
     return MODEL_COLOURS[index % len(MODEL_COLOURS)]
 
 
 def all_plots(evaluation: Evaluation) -> dict[str, str]:
-    """Title to SVG text, for what there is something to draw of."""
+    """Return {title: SVG text} of all plots that have data."""
     made = {
         "Speech: measured, by chance, and the recording's own": _speech(evaluation),
         "Movement, as a ratio to the recording": _ratios(evaluation),
