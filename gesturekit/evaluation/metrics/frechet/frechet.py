@@ -324,9 +324,8 @@ def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
 def _bounded(sets: list[list[np.ndarray]], resamples: int, seed: int) -> FrechetResult:
     """Return the Fréchet distance along principal components plus a lower bound of the rest.
 
-    The distances in the subspace and in its complement add up to at most the full distance. In the
-    complement the distance is at least |m1 - m2|² + Σ (s1 - s2)², s the standard deviation of each
-    dimension. The sets are lists of arrays (n_i, D).
+    The sets are lists of (n_i, D). The distances in the subspace and its complement add up to at
+    most the full one, which in the complement is at least |m1 - m2|² + Σ (s1 - s2)².
     """
     axes = _principal_axes(sets, _COMPONENTS)
     along = frechet_result(
