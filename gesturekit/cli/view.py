@@ -113,7 +113,7 @@ def _loaded(
 
     from gesturekit.errors import GestureKitError
     from gesturekit.formats.conversion import load
-    from gesturekit.formats.doubts import doubts
+    from gesturekit.formats.plausibility import plausibility_warnings
     from gesturekit.motion.parts import parse_parts
 
     named = parse_parts(parts)
@@ -133,7 +133,10 @@ def _loaded(
                 n_failed += 1
                 continue
         lines = [str(warning.message) for warning in caught]
-        for line in [*lines, *(f"{clip}: {doubt}" for doubt in doubts(motion, options))]:
+        for line in [
+            *lines,
+            *(f"{clip}: {doubt}" for doubt in plausibility_warnings(motion, options)),
+        ]:
             click.echo(f"Warning: {line}", err=True)
         motions[str(clip) if repeated else clip.stem] = motion
     return motions, n_failed

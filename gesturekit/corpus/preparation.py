@@ -21,7 +21,7 @@ from gesturekit.corpus.recording import Recording, examine
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
-from gesturekit.formats.conversion import reading_of, refuse_idle_reading
+from gesturekit.formats.conversion import applicable_read_options, refuse_unused_read_options
 from gesturekit.formats.sources import MOTION_SUFFIXES, OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, listed
@@ -155,14 +155,16 @@ def _examined(
 ) -> tuple[list[Recording], list[Problem]]:
     """Load, check and label the recordings; return the usable ones and all problems."""
     read = options.read or {}
-    refuse_idle_reading(read, {task.motion.suffix.lower() for task, _ in tasks if task.motion})
+    refuse_unused_read_options(
+        read, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
+    )
     recordings: list[Recording] = []
     problems: list[Problem] = []
     unmatched = 0
     for recording, is_alone in options.progress(tasks):
         recording = replace(recording, channel=options.channel)
         if recording.motion is not None:
-            reading = reading_of(recording.motion, read)
+            reading = applicable_read_options(recording.motion, read)
             if options.parts and "height" in reading:  # the height depends on the parts
                 reading["parts"] = dict(options.parts)
             recording = replace(recording, reading=reading)

@@ -41,7 +41,7 @@ from gesturekit.evaluation.set_metrics import SetMetrics, pooled, speeds_of, thi
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
-from gesturekit.motion.defects import MAX_SPEED, in_words, speed_limit
+from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
 from gesturekit.wording import listed
 
 if TYPE_CHECKING:
@@ -311,7 +311,7 @@ class _Comparison:
         if still > 0.05:
             notes.append(f"stands still in {100 * still:.0f} % of its frames")
         if fastest.max() > (limit := MAX_SPEED * scale):
-            at, speed = fastest.argmax() / self.fps, in_words(fastest.max())
+            at, speed = fastest.argmax() / self.fps, format_speed(fastest.max())
             notes.append(f"jumps at {at:.2f} s ({speed}, {speed_limit(limit)})")
         return notes
 

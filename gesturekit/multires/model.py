@@ -18,7 +18,8 @@ from gesturekit.corpus.speech import (
     to_output_rate,
 )
 from gesturekit.errors import ModelError, gesturekit_errors
-from gesturekit.motion.motion import Motion, checked_fps
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
