@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.corpus.speech import Speech, as_speech, at_rate
+from gesturekit.corpus.speech import Speech, as_speech, to_output_rate
 from gesturekit.diffusion.composition.experts import clip_denoised
 from gesturekit.diffusion.composition.product import ModelProduct, Term, product_of
 from gesturekit.diffusion.controls import DiffusionControlArguments, DiffusionControls
@@ -93,7 +93,7 @@ class DiffusionModel(TrainedModel):
                 motion = smooth_motion(motion, smooth) if smooth else motion
                 if asked.foot_lock:
                     motion = lock_feet(motion, keep_path=request.path is not None)
-                motions.append(at_rate(motion, rate, request.wave, seconds))
+                motions.append(to_output_rate(motion, rate, request.wave, seconds))
         return motions[0] if samples == 1 else motions
 
     def check_controls(

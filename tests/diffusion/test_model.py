@@ -271,10 +271,10 @@ def test_what_a_model_does_not_use_is_not_told_of_it(untrained, tmp_path):
         config = replace(model.network.config, architecture=kind, dilations=(1, 2))
         model.network = Denoiser(model.network.n_motion, 0, config).eval()
         model.save(tmp_path / kind)
-        sheet = inspect(tmp_path / kind)
-        network = dict(sheet.rows)["network"]
+        summary = inspect(tmp_path / kind)
+        network = dict(summary.rows)["network"]
         assert "blocks 2" in network and "embedding 16" in network
-        assert ("heads" in network) == ("heads" in sheet.facts["network"]) == used
+        assert ("heads" in network) == ("heads" in summary.facts["network"]) == used
         assert ("2 blocks of 1 layers" in (tmp_path / kind / "README.md").read_text()) == used
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import audio_features as af
-from gesturekit.corpus.speech import SpeechConditioner, hear
+from gesturekit.corpus.speech import SpeechConditioner, speech_features
 from gesturekit.diffusion.conditions import Conditions, check_event, smooth_path
 from gesturekit.diffusion.controls import DiffusionControls
 from gesturekit.diffusion.sampling.event_times import asked_events, wants_beats
@@ -87,7 +87,7 @@ class Request:
         if conditioner is None and wave is not None and seconds is None:
             # No model has speech input, but the beats of the sound are the times of events.
             sound, seconds = None, wave.n_frames(fps) / fps
-        features = hear(conditioner, sound, seconds, fps)
+        features = speech_features(conditioner, sound, seconds, fps)
         n_frames = len(features)
         found = None if events is None else asked_events(events, wave)
         if followed is not None:

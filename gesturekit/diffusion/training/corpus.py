@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.training.augmentation import phases
 from gesturekit.errors import ConfigError, CorpusError, MotionError

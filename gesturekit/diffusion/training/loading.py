@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.manifest import Item
+from gesturekit.corpus.item import Item
 from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig

@@ -13,7 +13,7 @@ from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.quick import quick_figures
+from gesturekit.evaluation.quick_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.training.seeds import rng_for
 
@@ -43,12 +43,12 @@ class Monitor:
         self.recordings = [data.decode(*clip, config.fps) for clip in self.clips]
 
     def figures(self, network: Denoiser) -> dict[str, float]:
-        """Return cheap metrics (`quick_figures`) of motion generated from the same noise each time.
+        """Return cheap metrics (`quick_metrics`) of motion generated from the same noise each time.
 
         Return nothing while the network does not generate valid motion.
         """
         try:
-            return quick_figures(list(self._generated(network)), self.recordings)
+            return quick_metrics(list(self._generated(network)), self.recordings)
         except MotionError:
             return {}
 
