@@ -10,9 +10,16 @@ from typing import Any, Literal
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.corpus.speech import Speech, SpeechConditioner, as_speech, at_rate, hear
+from gesturekit.corpus.speech import (
+    Speech,
+    SpeechConditioner,
+    as_speech,
+    speech_features,
+    to_output_rate,
+)
 from gesturekit.errors import ModelError, gesturekit_errors
-from gesturekit.motion.motion import Motion, checked_fps
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
@@ -197,7 +204,7 @@ class MultiresModel:
         )
         motions = Generation(self, request).motions()
         if not coarse:
-            motions = [at_rate(motion, rate, request.wave, seconds) for motion in motions]
+            motions = [to_output_rate(motion, rate, request.wave, seconds) for motion in motions]
         return motions[0] if samples == 1 else motions
 
     def check_controls(
@@ -251,7 +258,9 @@ class MultiresModel:
         if self.conditioner is not None and speech is None:
             raise ModelError(f"sequence {name!r}: the model hears; give the sequence's speech")
         seconds = sequence.frames / self.fps if speech is None else None
-        features = hear(self.conditioner, as_speech(speech, sample_rate), seconds, self.fps)
+        features = speech_features(
+            self.conditioner, as_speech(speech, sample_rate), seconds, self.fps
+        )
         features = features[: sequence.frames]
         lengths = af.level_lengths(sequence.frames, self.network_config.levels)
         if len(features) < sequence.frames:
