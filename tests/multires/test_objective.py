@@ -10,8 +10,8 @@ import torch
 
 from gesturekit.multires import losses
 from gesturekit.multires.network.networks import MultiresGenerator
-from gesturekit.multires.training.data import load_training_data
 from gesturekit.multires.training.kinematics import CAPTURE_SECONDS, VectorKinematics
+from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import Trainer, train
 from gesturekit.multires.training.window_cache import Bank, random_windows

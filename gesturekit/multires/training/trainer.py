@@ -18,7 +18,8 @@ from gesturekit.multires.constraints.constraint import fastest_second, plain_val
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.network.networks import MultiresGenerator
-from gesturekit.multires.training.data import TrainingData, load_training_data
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.stage import Stage
 from gesturekit.training.data.sources import described, save_sources
@@ -50,7 +51,7 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
     Raises:
         ConfigError: `config.out` holds a run already (or none to resume), or no such device.
         CorpusError: the corpus cannot be trained on.
-        ModelError: the loss became NaN or infinite.
+        ModelError: the loss or a weight became NaN or infinite.
     """
     with session(config, resume=resume) as (run, device, processes):
         return Trainer(config, run, device, processes, resume=resume).run()
