@@ -107,7 +107,7 @@ def _unpaired(
     if config.unpaired.corpus is None:
         items = manifest.motion_alone("train")
     else:
-        items = training_items(Manifest.load(where), where, heard=False)
+        items = training_items(Manifest.load(where), where, with_audio=False)
     if not items:
         raise CorpusError(
             f"{where}: no item of split train is motion alone; name a manifest of motion by "
