@@ -1,8 +1,8 @@
-"""What a multires run trains on: sequences in memory, and windows cut from them.
+"""Training data of a multires run: normalised recordings and speech features in memory.
 
-Paired sequences (speech and motion) feed reconstruction steps and the discriminators' real side;
-random-generation steps take their speech from the unpaired audio alone. Where nothing is heard,
-speech has no channels (0, T), and every motion is a sequence.
+Reconstruction steps and discriminators use paired sequences (speech and motion). Random-generation
+steps use unpaired speech only. Without speech input, speech has no channels (0, T), and every motion
+is a sequence.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from gesturekit.training.data.sources import Source, from_values, to_values
 from gesturekit.training.seeds import rng_for
 
 _SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
-"""Below these spreads (6D entries, label, m, m; of the reference body) a channel is scaled as if it
-had this much."""
+"""Smallest scale of each kind of channel (6D entries, label, m, m; on the reference body). Fixed:
+they keep noise of still channels from being amplified."""
 
 
 @dataclass(frozen=True)
 class Normaliser:
-    """Takes motion vectors to zero mean and comparable spread, whatever the rig's units.
+    """Normalisation of motion vectors to zero mean and comparable spread, in any unit of the rig.
 
-    One scale serves the six numbers of a joint, so that a rotation keeps its shape.
+    The six numbers of a joint share one scale, so that its rotation keeps its shape.
 
     Attributes:
         mean: (D,).
@@ -54,7 +54,7 @@ class Normaliser:
     def fit(
         cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation
     ) -> Normaliser:
-        """Mean and scale of encoded training motions, each (T, D)."""
+        """Compute mean and scale of encoded training motions, each (T, D)."""
         values = np.concatenate(motions)
         scale = values.std(axis=0)
         start = 0
@@ -65,34 +65,38 @@ class Normaliser:
             floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
             scale[part] = max(spread, floor)
             start += size
-        dx, height, dz = scale[-3:]
+        root = representation.layout.root
+        dx, height, dz = scale[root]
         across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"])
-        scale[-3:] = across, max(height, _SCALE_FLOORS["height"]), across
+        scale[root] = across, max(height, _SCALE_FLOORS["height"]), across
         return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
 
     def to(self, device: torch.device) -> Normaliser:
-        """The same on another device."""
+        """Return a copy on another device."""
         return Normaliser(self.mean.to(device), self.scale.to(device))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, D, T) in their own units to normalised."""
+        """Normalise motion vectors (B, D, T)."""
         return (x - self.mean[:, None]) / self.scale[:, None]
 
     def inverse(self, x: Tensor) -> Tensor:
-        """(B, D, T) normalised to their own units."""
+        """Return normalised motion vectors (B, D, T) to their own units."""
         return x * self.scale[:, None] + self.mean[:, None]
 
 
 @dataclass(frozen=True)
 class PairedSequence:
-    """One recording: normalised motion (D, T), speech (S, T), its noise and its style.
+    """Recording with speech features, noise and style.
 
     Attributes:
-        sigma: (L,) spread of what each level adds (RMSE of the level against the coarser one,
-            upsampled; RMS at the first level).
-        z_star: the noise at level 1 from which this recording is reconstructed, (T_1,), or
-            (D, T_1) where each channel has its own.
-        style: its number among the corpus's styles; 0 where there are none.
+        name: id of the manifest item.
+        motion: (D, T) normalised motion vectors.
+        speech: (S, T) features.
+        sigma: (L,) noise scale of each level: RMSE between the level and the upsampled coarser one;
+            RMS at the first level.
+        z_star: noise at level 1 from which this recording is reconstructed, (T_1,), or (D, T_1) with
+            separate noise for each channel.
+        style: index among the corpus's styles; 0 without styles.
     """
 
     TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star")
@@ -106,7 +110,7 @@ class PairedSequence:
 
     @property
     def n_frames(self) -> int:
-        """T, at the full rate."""
+        """Return T, at the full rate."""
         return self.motion.shape[-1]
 
     @classmethod
@@ -121,7 +125,7 @@ class PairedSequence:
         style: int = 0,
         full_noise: bool = False,
     ) -> PairedSequence:
-        """Draw the noise of a recording; it depends on the seed and the name alone."""
+        """Make a sequence; its noise depends on the seed and the name only."""
         sigma = level_sigmas(motion[None], levels)
         n_coarsest = af.level_lengths(motion.shape[-1], levels)[0]
         rng = rng_for(seed, "z_star", name)
@@ -132,7 +136,7 @@ class PairedSequence:
         return cls(name, motion, speech, sigma, noise, style)
 
     def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
-        """(1 or D, T_1) of the window that starts at this full-rate frame."""
+        """Return the noise (1 or D, T_1) of the window that starts at this full-rate frame."""
         noise = self.z_star.reshape(-1, self.z_star.shape[-1])
         first = round(start * noise.shape[-1] / self.n_frames)
         first = max(0, min(first, noise.shape[-1] - n_coarsest))
@@ -142,7 +146,7 @@ class PairedSequence:
 
 
 def level_sigmas(motion: Tensor, levels: int) -> Tensor:
-    """(L,) sigma_i of a normalised motion (1, D, T)."""
+    """Return sigma_i of all levels (L,) for a normalised motion (1, D, T)."""
     lengths = af.level_lengths(motion.shape[-1], levels)
     pyramid = [resample(motion, n) for n in lengths]
     sigmas = [pyramid[0].square().mean().sqrt()]
@@ -153,18 +157,18 @@ def level_sigmas(motion: Tensor, levels: int) -> Tensor:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """Everything a run needs, on the CPU.
+    """Training data of a run, on the CPU.
 
     Attributes:
         paired: recordings with motion.
-        unpaired: (S, T) speech without motion; where the corpus has none, that of `paired`.
-        silence: (S, T) what the model hears when nobody speaks, one window long.
-        conditioner: turns waves into what the model hears; None where it hears nothing.
-        styles: names of the styles, in alphabetical order; none outside label mode.
-        speakers: a reference skeleton for each named speaker.
-        window: frames of a training window; None takes whole sequences.
-        sources: the recordings that `paired` was read from.
-        recorded_fps: the commonest frame rate of the recordings; None where older runs lack it.
+        unpaired: (S, T) speech without motion; that of `paired` if the corpus has none.
+        silence: (S, T) speech features of silence, one window long.
+        conditioner: converts waves to speech features; None without speech input.
+        styles: names of the styles, in alphabetical order; empty outside label mode.
+        speakers: reference skeleton of each named speaker.
+        window: frames of a training window; None for whole sequences.
+        sources: recordings from which `paired` was read.
+        recorded_fps: most common frame rate of the recordings; None in older runs.
     """
 
     paired: tuple[PairedSequence, ...]
@@ -181,7 +185,7 @@ class TrainingData:
     recorded_fps: float | None = None
 
     def save(self, folder: Path) -> None:
-        """Write all of it into a folder, for a run that is resumed."""
+        """Write the data into a folder, from which a resumed run loads it."""
         tensors = {
             "silence": self.silence,
             "motion.mean": self.normaliser.mean,
@@ -214,7 +218,7 @@ class TrainingData:
 
         Raises:
             ConfigError: the folder's data is missing or damaged.
-            WeightsError: the WavLM weights are not those that the run began with.
+            WeightsError: the WavLM weights differ from those at the start of the run.
         """
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
@@ -253,18 +257,18 @@ class TrainingData:
 
     @property
     def n_speech(self) -> int:
-        """S, the number of speech features; 0 where nothing is heard."""
+        """Return S, the number of speech features; 0 without speech input."""
         return self.silence.shape[0]
 
     def style_shares(self, sequences: Sequence[PairedSequence]) -> Tensor:
-        """(K,) frames of each style in these: how often random motions are given it."""
+        """Return the frames of each style (K,) in these sequences: its weight in random draws."""
         frames = torch.zeros(len(self.styles))
         for sequence in sequences:
             frames[sequence.style] += sequence.n_frames
         return frames
 
     def window_lengths(self) -> dict[int, list[int]]:
-        """Window length to the paired sequences that give windows of that length."""
+        """Return {window length: indices of paired sequences with windows of that length}."""
         groups: dict[int, list[int]] = {}
         for i, sequence in enumerate(self.paired):
             frames = sequence.n_frames
@@ -273,7 +277,7 @@ class TrainingData:
         return groups
 
     def speech_window(self, n_frames: int, rng: torch.Generator) -> Tensor:
-        """(S, n_frames) of unpaired speech; a shorter clip is set into silence."""
+        """Draw a window (S, n_frames) of unpaired speech; a shorter clip is padded with silence."""
         if not self.n_speech:
             return torch.zeros(0, n_frames)
         weights = torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])

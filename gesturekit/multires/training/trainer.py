@@ -301,7 +301,9 @@ class Trainer:
             fastest=self.data.representation.scale
             * max(
                 fastest_second(
-                    plain_values(self.data.normaliser, sequence.motion[None])[:, [-3, -1]],
+                    plain_values(self.data.normaliser, sequence.motion[None])[
+                        :, self.data.representation.layout.root_xz
+                    ],
                     self.config.fps,
                 )
                 for sequence in self.data.paired
