@@ -1,8 +1,8 @@
 """Training data of a multires run: normalised recordings and speech features in memory.
 
 Reconstruction steps and discriminators use paired sequences (speech and motion). Random-generation
-steps use unpaired speech only. Without speech input, speech has no channels (0, T), and every motion
-is a sequence.
+steps use unpaired speech only. Without speech input, speech has no channels (0, T), and every
+motion is a sequence.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ class PairedSequence:
         speech: (S, T) features.
         sigma: (L,) noise scale of each level: RMSE between the level and the upsampled coarser one;
             RMS at the first level.
-        z_star: noise at level 1 from which this recording is reconstructed, (T_1,), or (D, T_1) with
-            separate noise for each channel.
+        z_star: noise at level 1 from which this recording is reconstructed, (T_1,), or (D, T_1)
+            with separate noise for each channel.
         style: index among the corpus's styles; 0 without styles.
     """
 

@@ -173,8 +173,8 @@ class VectorKinematics(nn.Module):
         """Return the summed angular speed (B, T) of shoulders and elbows, rad/s.
 
         Rotations are smoothed by a Gaussian of `smoothing` seconds, so that trembling does not
-        count as speed. The angle between frames is the chord |R' - R| / sqrt 2, which is accurate for
-        small angles and has a gradient everywhere. Frame 0 copies frame 1.
+        count as speed. The angle between frames is the chord |R' - R| / sqrt 2, which is accurate
+        for small angles and has a gradient everywhere. Frame 0 copies frame 1.
         """
         arms = self._arms(values, stride, smoothing)
         speed = _size(arms[..., 1:] - arms[..., :-1]) * (self.fps / stride)

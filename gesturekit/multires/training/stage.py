@@ -164,7 +164,7 @@ class Stage:
         return report
 
     def _precision(self) -> torch.autocast:
-        """What networks run under; losses and sums over time stay in float32."""
+        """Return the autocast context of networks; losses and sums over time stay in float32."""
         half = self.config.precision == "bfloat16"
         return torch.autocast(self.device.type, torch.bfloat16, enabled=half)
 
@@ -180,7 +180,7 @@ class Stage:
         return [level.float() for level in made]
 
     def _within(self, made: Sequence[Tensor], n_frames: int) -> list[Tensor]:
-        """The levels of the pair, (B, C, T_i), without the margins."""
+        """Return the generated levels (B, D, T_i) without margins."""
         if not self.config.random_margin:
             return list(made)
         lengths = af.level_lengths(n_frames, self.config.network.levels)
@@ -192,22 +192,22 @@ class Stage:
         return kept
 
     def _descend(self, batch_of: Callable[[int], Batch]) -> dict[str, float]:
-        """One step of the generators, each down the sum of its level's losses.
+        """Make one generator step on the losses of each level.
 
-        No gradient runs from a level into the one below, so levels go side by side.
+        No gradient runs from a level into the one below, so levels are computed in parallel.
 
         Args:
-            batch_of: takes a level's number in the pair.
+            batch_of: return the tensors of a level from its number in the stage.
 
         Returns:
-            the sum over levels of each loss.
+            {name: sum of the loss over levels}.
         """
         self.optimisers["generator"].zero_grad(set_to_none=True)
 
         def level(i: int) -> dict[str, Tensor]:
             parts = losses(batch_of(i), self.config.losses)
             if parts:
-                # Only this level gets gradients; its discriminator's would be thrown away.
+                # The discriminator needs no gradients here.
                 own = list(self.generators[i].parameters())
                 torch.stack(list(parts.values())).sum().backward(inputs=own)
             return {name: value.detach() for name, value in parts.items()}
@@ -221,14 +221,17 @@ class Stage:
         return sums
 
     def _update(self, name: str) -> None:
-        """One step down the mean gradient of all processes."""
+        """Average gradients over processes, and step an optimiser."""
         share = self._share
         parameters = [p for group in self.optimisers[name].param_groups for p in group["params"]]
         self.processes.average_gradients(parameters, (share.stop - share.start) / self.batches.size)
         self.optimisers[name].step()
 
     def _discriminator_steps(self, lengths: Sequence[int], rng: torch.Generator) -> float:
-        """Steps on windows of these lengths; the generator stands, so fakes are made beforehand."""
+        """Make a discriminator step for each window length; return the last value of eq. 12.
+
+        Generators do not change between them, so all motions are generated at once.
+        """
         fakes: dict[int, Iterator[Sequence[Tensor]]] = {}
         for n_frames in dict.fromkeys(lengths):
             count = lengths.count(n_frames)
@@ -246,7 +249,14 @@ class Stage:
     def _discriminator_step(
         self, n_frames: int, fakes: Sequence[Tensor], styles: Tensor, rng: torch.Generator
     ) -> float:
-        """Fakes are my share of a batch, styles (B, L) those of all of it."""
+        """Make one discriminator step.
+
+        Args:
+            n_frames: window length at the full rate.
+            fakes: this process's share of generated motions, (B, D, T_i) of each level.
+            styles: (B, L) of the whole batch.
+            rng: random numbers.
+        """
         batch, share = self.batches.size, self._share
         beside = styles[:, 0].tolist() if self.n_styles else None
         reals = self.batches.reals(n_frames, rng, beside)
@@ -265,7 +275,7 @@ class Stage:
         return float(gaps.mean())
 
     def _random_step(self, n_frames: int, rng: torch.Generator) -> dict[str, float]:
-        """Random generation from unpaired speech; there is no recorded motion to compare with."""
+        """Make a generator step on motions from random noise and unpaired speech."""
         weights, kinematics = self.config.losses, self.kinematics
         windows = self._draw("random", n_frames, rng)
         made = self._generate(windows)
@@ -319,10 +329,10 @@ class Stage:
         return scores
 
     def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
-        """Reconstruction of paired motion from z* and its own speech (eq. 15)."""
+        """Make a generator step on recordings reconstructed from z* and their speech (eq. 15)."""
         windows = self._draw("paired", n_frames, rng)
         if self.config.losses.rec_input == "real":
-            # Every level starts from the recorded motion below it, the pair's second one too.
+            # Both levels upsample recorded motion.
             below = (windows.coarser, *windows.targets)
             with self._precision():
                 made = [

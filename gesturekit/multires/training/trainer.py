@@ -42,11 +42,11 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
     Under torchrun each process takes its share of every batch, and the first one writes.
 
     Args:
-        config: what to train on, and how.
-        resume: go on from the last checkpoint in `config.out`.
+        config: settings of the run.
+        resume: continue from the last checkpoint in `config.out`.
 
     Returns:
-        the model folder, `config.out / "model"`.
+        The model folder, `config.out / "model"`.
 
     Raises:
         ConfigError: `config.out` holds a run already (or none to resume), or no such device.
@@ -58,7 +58,7 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
 
 
 def plan(config: MultiresConfig) -> None:
-    """Log what `train` would do and how long it would take; see `training.run.session`."""
+    """Log the plan of `train` and its estimated duration; see `training.run.session`."""
     session_plan(config, Trainer)
 
 
@@ -115,7 +115,7 @@ class Trainer:
         self.monitor = Monitor(self.data, config) if watched else None
 
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
-        """The configuration without losses on parts that the rig does not have, said once."""
+        """Return the settings without losses on body parts that the rig lacks; log them."""
         skeleton = self.data.representation.skeleton
         missing = unidentified(skeleton)
         if not missing:
@@ -276,7 +276,8 @@ class Trainer:
         save_sources(self.folder.folder / name, self.data.sources)
 
     def _model(self, network: MultiresGenerator) -> MultiresModel:
-        """The model of a network, which is moved to the CPU."""
+        """Return the model of a network, which is moved to the CPU."""
+        root_xz = self.data.representation.layout.root_xz
         return MultiresModel(
             fps=self.config.fps,
             representation=self.data.representation,
@@ -301,9 +302,7 @@ class Trainer:
             fastest=self.data.representation.scale
             * max(
                 fastest_second(
-                    plain_values(self.data.normaliser, sequence.motion[None])[
-                        :, self.data.representation.layout.root_xz
-                    ],
+                    plain_values(self.data.normaliser, sequence.motion[None])[:, root_xz],
                     self.config.fps,
                 )
                 for sequence in self.data.paired
