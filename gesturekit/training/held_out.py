@@ -48,8 +48,8 @@ class _Clip:
 class HeldOut:
     """Measurement of a model on the corpus's valid and test items, or on train without these.
 
-    Items are read at the first measurement. The training goes on with a warning if the corpus cannot
-    be read any more.
+    Items are read at the first measurement. The training goes on with a warning if the corpus
+    cannot be read any more.
 
     Args:
         config: of the run.

@@ -46,7 +46,6 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     if config.styles is not None:
         styles, style_of = item_styles(items, config.corpus)
     recorded = load_motions(items, config.corpus, None, config.parts)
-    sources = tuple(map(Source.of, items, recorded))
     motions = [motion.resample(config.fps) for motion in recorded]
     representation = _representation(config, motions)
     vectors = _encode(config, items, motions, representation)
@@ -72,8 +71,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
                 full_noise=config.z_star == "full",
             )
         )
-    longest = _longest(config, paired)
-    window = config.training.window
+    longest, window = _longest(config, paired), config.training.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
     silent = (frames or longest) + 2 * config.random_margin
     return TrainingData(
@@ -87,7 +85,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         normaliser=normaliser,
         speakers=speaker_skeletons(items, motions),
         unpaired_is_paired=conditioner is not None and not unpaired,
-        sources=sources,
+        sources=tuple(map(Source.of, items, recorded)),
         recorded_fps=recorded_rate(motions),
     )
 
