@@ -122,7 +122,7 @@ def train(
 ) -> Path:
     """Train the system that a configuration file names.
 
-    `train("light.yaml", {"schedule.batch": 8}, corpus="corpus.jsonl", out="runs/mine")`.
+    `train("light.yaml", {"training.batch": 8}, corpus="corpus.jsonl", out="runs/mine")`.
 
     Args:
         config: YAML file, whose `system:` is one of `SYSTEMS`; its parent may say so too. To

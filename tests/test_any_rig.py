@@ -32,13 +32,13 @@ Bones = dict[str, tuple[str | None, tuple[float, float, float]]]
 TINY = {
     "multires": {
         "network": {"levels": 3, "channels": [2, 2], "embedding": 4},
-        "schedule": {
-            "first_pair": 2,
-            "further_pairs": 2,
+        "training": {
+            "first_stage": 2,
+            "further_stages": 2,
             "discriminator_steps": 1,
             "batch": 2,
             "window": 1.0,
-            "bank": 2,
+            "window_cache": 2,
         },
     },
     "diffusion": {

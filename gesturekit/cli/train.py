@@ -27,7 +27,7 @@ import click
     help="Say what would be trained, on what, where to and how long it takes, and stop.",
 )
 def command(config: Path, overrides: tuple[str, ...], resume: bool, only_plan: bool) -> None:
-    """Train a model as CONFIG says; KEY=VALUE changes single settings (schedule.batch=8).
+    """Train a model as CONFIG says; KEY=VALUE changes single settings (training.batch=8).
 
     The run folder (out=...) gets the resolved config, metrics, TensorBoard events, checkpoints,
     and at the end the model.

@@ -85,7 +85,7 @@ class LossConfig:
     """Foot speed in the contact loss: squared (eq. 14), or as it is (GANimator)."""
     contact_slope: float = 10.0
     """Of the sigmoid over contact labels in eq. 14; 12 in GANimator."""
-    critic_scale: float = 1.0
+    discriminator_scale: float = 1.0
     """Of the critic's score in its own loss, before the penalty; 1/2 in GANimator."""
     penalty_on: Literal["window", "frame", "printed"] = "window"
     """Norm that the gradient penalty holds at 1: over a window, of the score's sum rather than its
@@ -97,13 +97,13 @@ class LossConfig:
 
 
 @dataclass(frozen=True)
-class ScheduleConfig:
+class TrainingConfig:
     """How long, how often and how fast. Two levels are trained at a time."""
 
-    first_pair: int = 15000
-    """Iterations for the two coarsest levels."""
-    further_pairs: int = 25000
-    """Iterations for each further pair."""
+    first_stage: int = 15000
+    """Iterations for the stage of the two coarsest levels."""
+    further_stages: int = 25000
+    """Iterations for each further stage, two levels at a time."""
     discriminator_steps: int = 5
     generator_steps: int = 1
     reconstruction_steps: int = 1
@@ -115,10 +115,10 @@ class ScheduleConfig:
     batch: int = 4
     window: float | None = 10.0
     """Seconds of each training window; null takes whole sequences, one at a time."""
-    bank: int | None = 64
+    window_cache: int | None = 64
     """Windows whose coarser levels are generated beforehand ...; null draws fresh noise and speech
     at every step, as both papers do."""
-    renew: int = 50
+    renew_every: int = 50
     """... and renewed every so many iterations."""
     margins: bool = False
     """Random motions are made with the margins that `generate` cuts off, and judged without. Else
@@ -131,14 +131,14 @@ class ScheduleConfig:
         check_positive(
             learning_rate=self.learning_rate,
             batch=self.batch,
-            renew=self.renew,
-            first_pair=self.first_pair,
-            further_pairs=self.further_pairs,
+            renew_every=self.renew_every,
+            first_stage=self.first_stage,
+            further_stages=self.further_stages,
         )
         if self.window is not None:
             check_positive(window=self.window)
-        if self.bank is not None:
-            check_positive(bank=self.bank)
+        if self.window_cache is not None:
+            check_positive(window_cache=self.window_cache)
         steps = {
             "discriminator_steps": self.discriminator_steps,
             "generator_steps": self.generator_steps,
@@ -167,7 +167,7 @@ class StyleConfig:
 
     mixing: float = 0.9
     """Share of random motions that have one style up to a random level and another above it."""
-    told: bool = True
+    condition_discriminator: bool = True
     """Discriminators are told the style of a motion that has one, beside recordings of that style;
     in the paper they are not."""
 
@@ -192,7 +192,7 @@ class MultiresConfig(RunConfig):
     0.54, which is 0.018 a frame at 30 fps."""
     z_star: Literal["shared", "full"] = "shared"
     """The noise of reconstructions: like all noise, or of each channel and unscaled (GANimator)."""
-    recall: int = 0
+    z_star_shuffle: int = 0
     """Noise of random motions is put together from pieces of z* of so many coarsest frames at
     most, in chance order, those of the style asked for; 0 draws it anew (both papers)."""
     noise_levels: int = 1
@@ -204,7 +204,7 @@ class MultiresConfig(RunConfig):
     """How styles are learnt; null for none."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     losses: LossConfig = field(default_factory=LossConfig)
-    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
     checkpoint_every: int = 250
     eval_every: int = 0
     """Iterations between cheap evaluations (`quick_figures`) on the training speech, written to
@@ -220,19 +220,19 @@ class MultiresConfig(RunConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_not_negative(recall=self.recall)
+        check_not_negative(z_star_shuffle=self.z_star_shuffle)
         check_positive(noise_levels=self.noise_levels, contact_threshold=self.contact_threshold)
 
     @property
     def uses_arm_speed(self) -> bool:
         """Whether random steps are told how the arms should move."""
         told = self.losses.arm_speed or self.losses.arm_acceleration
-        return bool(self.features and told and self.schedule.generator_steps)
+        return bool(self.features and told and self.training.generator_steps)
 
     @property
     def random_margin(self) -> int:
         """Frames that random motions of the training are made longer at either end."""
-        return self.network.margin if self.schedule.margins else 0
+        return self.network.margin if self.training.margins else 0
 
     @property
     def residual(self) -> bool:

@@ -41,7 +41,7 @@ class MultiresModel:
         normaliser: of motion vectors.
         network_config: how the pyramid is built.
         residual: whether finer levels hear only what the coarser ones lack.
-        recall: frames of the pieces of z* that noise is put together from; 0 draws it anew.
+        z_star_shuffle: frames of the patches of z* that random noise is made of; 0 draws it anew.
         noise_levels: how many of the coarsest levels are given noise.
         network: the generators.
         sigma: (N, L) noise spread of each training sequence and level.
@@ -65,7 +65,7 @@ class MultiresModel:
         normaliser: Normaliser,
         network_config: NetworkConfig,
         residual: bool,
-        recall: int = 0,
+        z_star_shuffle: int = 0,
         noise_levels: int = 1,
         network: MultiresGenerator,
         sigma: Tensor,
@@ -83,7 +83,7 @@ class MultiresModel:
         self.normaliser = normaliser
         self.network_config = network_config
         self.residual = residual
-        self.recall = recall
+        self.z_star_shuffle = z_star_shuffle
         self.noise_levels = noise_levels
         self.network = network
         self.sigma = sigma

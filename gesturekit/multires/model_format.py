@@ -47,7 +47,7 @@ def model_parts(
         if model.conditioner is None
         else {**conditioner_values(model.conditioner), "residual": model.residual},
         "styles": list(model.styles),
-        "recall": model.recall,
+        "z_star_shuffle": model.z_star_shuffle,
         "noise_levels": model.noise_levels,
         "network": to_dict(model.network_config),
         "sequences": {name: asdict(about) for name, about in model.sequences.items()},
@@ -108,7 +108,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         "normaliser": Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
         "network_config": network_config,
         "residual": bool(features and features["residual"]),
-        "recall": int(config.get("recall", 0)),
+        "z_star_shuffle": int(config.get("z_star_shuffle", 0)),
         "noise_levels": int(config.get("noise_levels", 1)),
         "network": network.eval(),
         "sigma": tensors["sigma"],

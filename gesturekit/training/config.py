@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import yaml
 
 from gesturekit.errors import ConfigError
+from gesturekit.training.renamed_keys import with_new_keys
 
 Schema = TypeVar("Schema")
 
@@ -90,16 +91,18 @@ def load_config(
             reason = " ".join(str(error).split())
             raise ConfigError(f"{override!r}: the value is not valid YAML ({reason})") from None
         changes.append((key, value))
+    given: dict[str, Any] = {}
     for key, value in [*changes, *(settings or {}).items()]:
         for part in reversed(key.split(".")):
             value = {part: value}
-        resolved = _resolve_paths(value, schema, Path.cwd())
-        merged = _merge(merged, resolved)
+        given = _merge(given, value)
+    given = with_new_keys(given, "command line")
+    merged = _merge(merged, _resolve_paths(given, schema, Path.cwd()))
     return build(schema, merged, where=str(path))
 
 
 def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, Any]:
-    values = read_yaml(path)
+    values = with_new_keys(read_yaml(path), str(path))
     base = values.pop("base", None)
     values = _resolve_paths(values, schema, path.resolve().parent)
     if base is None:

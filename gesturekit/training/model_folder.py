@@ -18,6 +18,7 @@ from gesturekit.atomic import atomic_write
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion.parts import unidentified
 from gesturekit.training.config import dump_yaml, read_yaml
+from gesturekit.training.renamed_keys import with_new_keys
 
 FORMAT = 1
 
@@ -85,7 +86,8 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
     """
     folder = Path(folder)
     try:
-        config = read_yaml(folder / "config.yaml")
+        path = folder / "config.yaml"
+        config = with_new_keys(read_yaml(path), str(path))
     except ConfigError as error:
         raise ModelError(f"not a model folder: {error}") from None
     found = config.get("format")

@@ -17,13 +17,13 @@ TINY = (
     "network.levels=4",
     "network.channels=[2,2,2]",
     "network.embedding=4",
-    "schedule.first_pair=2",
-    "schedule.further_pairs=2",
-    "schedule.discriminator_steps=1",
-    "schedule.reconstruction_steps=1",
-    "schedule.batch=2",
-    "schedule.window=2",
-    "schedule.bank=2",
+    "training.first_stage=2",
+    "training.further_stages=2",
+    "training.discriminator_steps=1",
+    "training.reconstruction_steps=1",
+    "training.batch=2",
+    "training.window=2",
+    "training.window_cache=2",
 )
 
 

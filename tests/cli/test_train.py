@@ -41,11 +41,11 @@ def error_line(done) -> str:
         ("network.levels=many", "network.levels: 'many' is not of type int"),
         ("network.kernel=4", "kernel: 4 must be odd"),
         ("network=3", "network"),
-        ("schedule.batch=0", "batch"),
+        ("training.batch=0", "batch"),
         ("levels", "key=value"),
         ("fps=[25", "not valid YAML"),
-        ("schedule.window=.nan", "window"),
-        ("schedule.discriminator_steps=-1", "discriminator_steps: -1"),
+        ("training.window=.nan", "window"),
+        ("training.discriminator_steps=-1", "discriminator_steps: -1"),
         ("losses.contact=-5", "contact: -5"),
         ("threads=0", "threads: 0"),
         ("network.levels=40", "take fewer levels"),
@@ -264,8 +264,8 @@ def test_a_mistyped_configuration_is_met_by_the_nearest(gesturekit, light, monke
         (["recipes/speech/light.yaml", "corpus=folder"], "it is a folder; run gesturekit prepare"),
         (["recipes/speech/light.yaml", "out=c.jsonl"], "c.jsonl: a file, not a run folder"),
         (["recipes/speech/light.yaml", "out=c.jsonl", "--plan"], "c.jsonl: a file, not a run"),
-        (["recipes/speech/light.yaml", "training.window=3"], "did you mean schedule.window?"),
-        (["recipes/speech/light.yaml", "window=3"], "did you mean schedule.window?"),
+        (["recipes/speech/light.yaml", "losses.window=3"], "did you mean training.window?"),
+        (["recipes/speech/light.yaml", "window=3"], "did you mean training.window?"),
     ],
 )
 def test_what_newcomers_name_in_place_of_a_run_a_recipe_or_a_setting(
@@ -285,9 +285,9 @@ def test_what_newcomers_name_in_place_of_a_run_a_recipe_or_a_setting(
 
 
 def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light):
-    done = gesturekit("train", light, "--schedule.first_pair", "20")
+    done = gesturekit("train", light, "--training.first_stage", "20")
     assert done.status == 2
-    assert "schedule.first_pair=VALUE" in done.err
+    assert "training.first_stage=VALUE" in done.err
 
 
 def test_the_model_of_a_run_stands_for_the_run(gesturekit, train, tmp_path):

@@ -13,14 +13,14 @@ SMALL = {
     "system": "multires",
     "threads": 1,
     "network": {"levels": 4, "channels": [2, 2, 2], "embedding": 8},
-    "schedule": {
-        "first_pair": 6,
-        "further_pairs": 4,
+    "training": {
+        "first_stage": 6,
+        "further_stages": 4,
         "discriminator_steps": 1,
         "batch": 2,
         "window": 3.0,
-        "bank": 4,
-        "renew": 3,
+        "window_cache": 4,
+        "renew_every": 3,
         "learning_rate": 1e-3,
     },
     "checkpoint_every": 5,
@@ -30,7 +30,7 @@ SMALL = {
 
 @pytest.fixture
 def make_config(corpus, tmp_path):
-    """make_config(schedule={"batch": 1}, ...): the small configuration with changes."""
+    """make_config(training={"batch": 1}, ...): the small configuration with changes."""
 
     def make(**changes) -> MultiresConfig:
         values = {**SMALL, "corpus": str(corpus), "out": str(tmp_path / "run")}

@@ -152,7 +152,7 @@ def weights(folder):
 def test_torch_trains_and_generates_values_close_to_numbas(
     engine, make_config, tmp_path, caplog, monkeypatch
 ):
-    short = {"schedule": {"first_pair": 2, "further_pairs": 2, "learning_rate": 1e-5}}
+    short = {"training": {"first_stage": 2, "further_stages": 2, "learning_rate": 1e-5}}
     folders, motions = {}, {}
     for name in ("numba", "torch"):
         with caplog.at_level(logging.INFO):
@@ -188,7 +188,7 @@ def test_a_deeper_discriminator_trains_under_auto_and_is_refused_by_numba(
 
     monkeypatch.setattr(stage.Pair, "_discriminator_step", recorded)
     with caplog.at_level(logging.INFO):
-        train(make_config(schedule={"first_pair": 2, "further_pairs": 2}))
+        train(make_config(training={"first_stage": 2, "further_stages": 2}))
     assert moved and all(moved)
     assert caplog.text.count("Backend: torch") == 1
     assert "Deeper (0) is not a class that the numba engine was written for" in caplog.text

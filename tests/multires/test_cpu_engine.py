@@ -139,7 +139,7 @@ def test_discriminator_gradients_are_those_of_autograd(
     torch.manual_seed(0)
     critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 3 if style else 0)
     style = None if style is None else torch.tensor(style).repeat(batch // 2, 1)
-    losses = LossConfig(critic_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
+    losses = LossConfig(discriminator_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
     real, fake = torch.randn(2, batch, representation.n_features, n_frames)
     mix = torch.rand(batch, 1, 1)
     exact = copy.deepcopy(critic).double()

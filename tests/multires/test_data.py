@@ -84,7 +84,9 @@ def two_performers(tmp_path_factory, gesture, write_speech):
 def test_each_speaker_keeps_a_body(two_performers, make_config):
     import gesturekit as gk
 
-    config = make_config(corpus=str(two_performers), schedule={"first_pair": 1, "further_pairs": 1})
+    config = make_config(
+        corpus=str(two_performers), training={"first_stage": 1, "further_stages": 1}
+    )
     model = gk.load(train(config))
     tall = {}
     for speaker in ("ann", "bob"):

@@ -36,8 +36,13 @@ def folder(gesture, tmp_path_factory):
     values = {"system": "multires", "threads": 1, "features": None, "out": str(where / "run")}
     values |= {"corpus": str(where / "clip.jsonl")}
     values["network"] = {"levels": 4, "channels": [3, 3]}
-    values["schedule"] = {"window": None, "first_pair": 40, "further_pairs": 20, "bank": 4}
-    values["schedule"] |= {"discriminator_steps": 1, "learning_rate": 2e-3}
+    values["training"] = {
+        "window": None,
+        "first_stage": 40,
+        "further_stages": 20,
+        "window_cache": 4,
+    }
+    values["training"] |= {"discriminator_steps": 1, "learning_rate": 2e-3}
     return train(build(MultiresConfig, values))
 
 

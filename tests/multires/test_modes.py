@@ -31,7 +31,7 @@ from gesturekit.multires.training.data import load_training_data
 from gesturekit.multires.training.trainer import train
 from gesturekit.training.run.checkpoint import Checkpoints
 
-SINGLE = {"features": None, "schedule": {"window": None}}
+SINGLE = {"features": None, "training": {"window": None}}
 LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
 
 
@@ -79,8 +79,8 @@ def test_discriminators_tell_a_style_from_others(make_config, motions, tmp_path)
         arm[:] = multiply_quaternions(about_z, arm)
     raised.save(tmp_path / "high_0.bvh")
     mode = {"features": None, "styles": {}, "network": {"levels": 2}}
-    schedule = {"first_pair": 40, "generator_steps": 0}
-    folder = train(make_config(corpus=str(corpus), schedule=schedule, **mode))
+    training = {"first_stage": 40, "generator_steps": 0}
+    folder = train(make_config(corpus=str(corpus), training=training, **mode))
     model = gk.load(folder)
     critic = LevelDiscriminator(model.representation, model.network_config, 2)
     _, state = Checkpoints(folder.parent / "checkpoints").latest()
@@ -234,10 +234,10 @@ def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
         corpus=str(motions(none=[4.0])),
         features=None,
         network={"levels": 3, "channels": [6, 6]},
-        schedule={
+        training={
             "window": None,
-            "first_pair": 150,
-            "further_pairs": 60,
+            "first_stage": 150,
+            "further_stages": 60,
             "discriminator_steps": 0,
             "generator_steps": 0,
             "reconstruction_steps": 2,
@@ -259,10 +259,12 @@ def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
         model.reconstruct("other")
 
 
-@pytest.mark.parametrize("mode", [SINGLE, {**LABELS, "recall": 3}], ids=["single", "labels"])
+@pytest.mark.parametrize(
+    "mode", [SINGLE, {**LABELS, "z_star_shuffle": 3}], ids=["single", "labels"]
+)
 def test_each_mode_resumes_bitwise(mode, make_config, motions):
     """From the middle of a pair and of a bank, and from a checkpoint that was not the last."""
-    changes = {**mode, "schedule": {"window": None, "further_pairs": 8}}
+    changes = {**mode, "training": {"window": None, "further_stages": 8}}
     config = make_config(corpus=str(motions(old=[3.0], angry=[4.0])), **changes)
     folder = train(config)
     whole = (folder / "model.safetensors").read_bytes()
@@ -283,20 +285,20 @@ def test_each_mode_resumes_bitwise(mode, make_config, motions):
 
 def test_each_switch_of_ganimator_changes_the_training(make_config, motions, tmp_path):
     corpus = str(motions(none=[3.0]))
-    short = {"window": None, "first_pair": 2, "further_pairs": 1}
+    short = {"window": None, "first_stage": 2, "further_stages": 1}
     switches = [
         {},
         {"normalise": False},
         {"z_star": "full"},
         {"losses": {"contact_speed": "norm"}},
         {"losses": {"contact_slope": 12.0}},
-        {"losses": {"critic_scale": 0.5}},
+        {"losses": {"discriminator_scale": 0.5}},
         {"losses": {"penalty_on": "frame"}},
     ]
     made = set()
     for number, switch in enumerate(switches):
         out = str(tmp_path / f"run{number}")
-        config = make_config(corpus=corpus, out=out, features=None, schedule=short, **switch)
+        config = make_config(corpus=corpus, out=out, features=None, training=short, **switch)
         folder = train(config)
         made.add((folder / "model.safetensors").read_bytes())
         assert gk.load(folder).reconstruct("none_0").n_frames == 75
@@ -335,7 +337,7 @@ def test_a_style_is_agreed_on_up_to_a_level():
 
 def test_finer_noise_has_its_levels_sigma(make_config, motions):
     corpus = motions(none=[4.0])
-    changes = {"schedule": {"first_pair": 1, "further_pairs": 1, "window": None}}
+    changes = {"training": {"first_stage": 1, "further_stages": 1, "window": None}}
     config = make_config(corpus=str(corpus), features=None, noise_levels=4, **changes)
     model = gk.load(train(config))
     loud = model.generate(seconds=3.0)

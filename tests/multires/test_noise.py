@@ -45,12 +45,12 @@ def test_pieces_are_of_the_style_asked_for():
 @pytest.mark.parametrize("styles", [None, {}], ids=["single", "labels"])
 def test_a_model_recalls_as_it_was_trained(styles, make_config, motions):
     corpus = motions(none=[4.0]) if styles is None else motions(old=[4.0, 3.0], angry=[4.0])
-    changes = {"features": None, "schedule": {"window": None}, "styles": styles}
-    config = make_config(corpus=str(corpus), recall=4, eval_every=2, **changes)
+    changes = {"features": None, "training": {"window": None}, "styles": styles}
+    config = make_config(corpus=str(corpus), z_star_shuffle=4, eval_every=2, **changes)
     model = gk.load(train(config))
-    assert model.recall == 4
+    assert model.z_star_shuffle == 4
     made = model.generate(seconds=5.0, seed=1)
     again = gk.load(config.out / "model").generate(seconds=5.0, seed=1)
     np.testing.assert_array_equal(made.rotations, again.rotations)
-    model.recall = 0
+    model.z_star_shuffle = 0
     assert np.abs(model.generate(seconds=5.0, seed=1).rotations - made.rotations).max() > 1e-4

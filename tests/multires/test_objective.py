@@ -171,7 +171,7 @@ def test_the_penalty_and_the_critics_scale_count(pair_of):
     both = gradient(gradient_penalty=1.0)
     more = gradient(gradient_penalty=3.0)
     torch.testing.assert_close(more - gap, 3 * (both - gap), rtol=1e-3, atol=1e-5)
-    torch.testing.assert_close(gradient(gradient_penalty=0.0, critic_scale=0.5), 0.5 * gap)
+    torch.testing.assert_close(gradient(gradient_penalty=0.0, discriminator_scale=0.5), 0.5 * gap)
 
 
 def scores_of(pair: Pair) -> tuple[float, float]:
@@ -213,13 +213,13 @@ def test_the_learning_rate_falls_to_a_tenth_where_it_is_told(make_config, monkey
         return iterate(self, iteration)
 
     monkeypatch.setattr(Pair, "_iterate", record)
-    train(make_config(schedule={"decay_at": 0.7, "first_pair": 10, "further_pairs": 10}))
+    train(make_config(training={"decay_at": 0.7, "first_stage": 10, "further_stages": 10}))
     assert rates == 2 * (7 * [{1e-3}] + 3 * [{1e-4}])
 
 
 @pytest.fixture
 def bank(make_config):
-    config = make_config(schedule={"silence": 0.0})
+    config = make_config(training={"silence": 0.0})
     data = load_training_data(config)
     network = MultiresGenerator(data.representation, data.n_speech, config.network)
     return Bank(data, config, network)
@@ -258,8 +258,8 @@ def test_windows_of_recordings_begin_anywhere(bank):
 def test_a_share_of_random_windows_is_silent(bank):
     n_frames = max(bank.data.window_lengths())
     for share in (0.0, 0.3):
-        schedule = replace(bank.config.schedule, silence=share)
-        bank.config = replace(bank.config, schedule=schedule)
+        training = replace(bank.config.training, silence=share)
+        bank.config = replace(bank.config, training=training)
         bank.config = replace(bank.config, features=replace(bank.config.features, residual=False))
         windows = bank.random(bank.data.paired, n_frames, 2, 200, rng_for("silent"))
         silent = (windows.conditions[-1] == bank.data.silence[:, :n_frames]).all(dim=(1, 2))
@@ -281,7 +281,7 @@ def test_reconstruction_has_z_star_at_the_first_level_and_no_noise_above(bank):
 def test_sampling_noise_is_scaled_by_the_first_levels_sigma(make_config):
     import gesturekit as gk
 
-    model = gk.load(train(make_config(schedule={"first_pair": 1, "further_pairs": 1})))
+    model = gk.load(train(make_config(training={"first_stage": 1, "further_stages": 1})))
     quiet = model.generate(seconds=2.0, fps=model.fps, foot_lock=False)
     model.sigma[:, 0] *= 100
     loud = model.generate(seconds=2.0, fps=model.fps, foot_lock=False)

@@ -16,11 +16,11 @@ from gesturekit.multires.training.trainer import train
 from gesturekit.training.config import to_dict
 from gesturekit.training.run.processes import Processes
 
-STEPS = {"first_pair": 2, "further_pairs": 2, "discriminator_steps": 2}
+STEPS = {"first_stage": 2, "further_stages": 2, "discriminator_steps": 2}
 
 
 def test_two_processes_train_what_one_does(make_config, tmp_path):
-    config = make_config(schedule=STEPS, out=str(tmp_path / "two"))
+    config = make_config(training=STEPS, out=str(tmp_path / "two"))
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(to_dict(config)))
     launch = ["torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
     run = subprocess.run(
@@ -34,7 +34,7 @@ def test_two_processes_train_what_one_does(make_config, tmp_path):
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
     )
     assert run.returncode == 0, run.stderr
-    train(make_config(schedule=STEPS, out=str(tmp_path / "one")))
+    train(make_config(training=STEPS, out=str(tmp_path / "one")))
     two, one = (load_file(tmp_path / n / "model" / "model.safetensors") for n in ("two", "one"))
     assert one.keys() == two.keys()
     for name, weight in one.items():
@@ -47,5 +47,5 @@ def test_more_processes_than_windows_are_refused(make_config, monkeypatch):
     three = nullcontext(Processes(count=3))
     monkeypatch.setattr(Processes, "from_environment", lambda device: three)
     monkeypatch.setattr(Processes, "wait", lambda self: None)
-    with pytest.raises(ConfigError, match="schedule.batch: 2 "):
+    with pytest.raises(ConfigError, match="training.batch: 2 "):
         train(make_config())

@@ -38,7 +38,7 @@ def steps(run) -> list[int]:
 def config_file(make_config, tmp_path):
     """200 iterations over two pairs of levels, a checkpoint every 50."""
     config = make_config(
-        schedule={"first_pair": 100, "further_pairs": 100, "renew": 30, "window": 2.0},
+        training={"first_stage": 100, "further_stages": 100, "renew_every": 30, "window": 2.0},
         checkpoint_every=50,
         log_every=2,
     )

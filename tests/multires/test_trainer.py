@@ -54,7 +54,7 @@ def test_a_model_keeps_the_rate_of_its_recordings(make_config, corpus, tmp_path)
     config = make_config(fps=20.0)
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text(dump_yaml(to_dict(config) | {"corpus": "elsewhere", "fps": 10.0}))
-    folder = gk.train(recipe, {"fps": 20.0}, corpus=corpus, schedule={"further_pairs": 2})
+    folder = gk.train(recipe, {"fps": 20.0}, corpus=corpus, training={"further_stages": 2})
     model = gk.load(folder)
     assert (model.fps, model.recorded_fps) == (20.0, 30.0)
     motion = model.generate(seconds=2.0)
@@ -65,8 +65,8 @@ def test_a_model_keeps_the_rate_of_its_recordings(make_config, corpus, tmp_path)
 
 def test_training_moves_towards_the_recording(make_config):
     config = make_config(
-        schedule={
-            "first_pair": 60,
+        training={
+            "first_stage": 60,
             "discriminator_steps": 0,
             "generator_steps": 0,
             "reconstruction_steps": 4,
@@ -93,9 +93,9 @@ def test_levels_side_by_side_train_as_one_after_the_other(make_config, monkeypat
 
 
 def test_finer_levels_learn_to_leave_what_is_coarse(make_config):
-    schedule = {"first_pair": 60, "discriminator_steps": 0, "reconstruction_steps": 0}
+    training = {"first_stage": 60, "discriminator_steps": 0, "reconstruction_steps": 0}
     losses = {"adversarial": 0, "arm_speed": 0, "coarse": 20, "detail": 1}
-    config = make_config(schedule=schedule, losses=losses, log_every=10)
+    config = make_config(training=training, losses=losses, log_every=10)
     train(config)
     lines = logged(config)
     pair = [line for line in lines if line["level"] == 1]
@@ -142,7 +142,7 @@ def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypat
     monkeypatch.setattr(Pair, "_generate", generate)
     for name in read:
         monkeypatch.setattr(Pair, name, recorded(name, getattr(Pair, name)))
-    train(make_config(features={"residual": False}, schedule={"silence": 0.0}))
+    train(make_config(features={"residual": False}, training={"silence": 0.0}))
     assert set(read["_random_step"]) == {(2.0, False)}
     assert set(read["_discriminator_steps"]) == {(2.0, False)}
     assert set(read["_reconstruction_step"]) == {(1.0, True)}
@@ -181,7 +181,7 @@ def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(
 
 
 def test_a_bank_holds_a_whole_sequence_once(make_config):
-    config = make_config(schedule={"window": None})
+    config = make_config(training={"window": None})
     data = trainer.load_training_data(config)
     network = MultiresGenerator(data.representation, data.conditioner.dim, config.network)
     bank = Bank(data, config, network)
@@ -194,7 +194,7 @@ def test_a_bank_holds_a_whole_sequence_once(make_config):
 
 @pytest.mark.parametrize(("bank", "repeats"), [(2, True), (None, False)])
 def test_without_a_bank_every_random_window_is_drawn_anew(make_config, monkeypatch, bank, repeats):
-    config = make_config(schedule={"bank": bank, "renew": 50})
+    config = make_config(training={"window_cache": bank, "renew_every": 50})
     generate, noises = Pair._generate, []
 
     def record(self, windows):
@@ -210,7 +210,7 @@ def test_without_a_bank_every_random_window_is_drawn_anew(make_config, monkeypat
 
 
 def test_with_margins_longer_motions_are_judged_by_their_middle(make_config, monkeypatch):
-    config = make_config(schedule={"margins": True, "window": 2.0, "first_pair": 1})
+    config = make_config(training={"margins": True, "window": 2.0, "first_stage": 1})
     seen = set()
     original = LevelDiscriminator.forward
 
@@ -241,7 +241,7 @@ def test_a_recording_of_one_frame_at_the_coarsest_level_trains(make_config, writ
     config = make_config(
         corpus=str(tmp_path / "short.jsonl"),
         network={"levels": 10},
-        schedule={"first_pair": 20, "further_pairs": 1},
+        training={"first_stage": 20, "further_stages": 1},
     )
     assert (train(config) / "config.yaml").is_file()
 
@@ -256,7 +256,7 @@ def test_no_checkpoint_is_written_of_what_is_no_number(make_config, monkeypatch)
         return report
 
     monkeypatch.setattr(Pair, "_random_step", broken)
-    config = make_config(schedule={"reconstruction_steps": 0}, checkpoint_every=1, log_every=100)
+    config = make_config(training={"reconstruction_steps": 0}, checkpoint_every=1, log_every=100)
     with pytest.raises(ModelError, match="diverged at step 1 "):
         train(config)
     assert Checkpoints(config.out / "checkpoints").latest() is None
@@ -266,7 +266,7 @@ def test_a_run_resumes_only_with_the_weights_it_began_with(make_config, write_wa
     write_wavlm(tmp_path / "weights")
     config = make_config(
         features={"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "weights")},
-        schedule={"first_pair": 1, "further_pairs": 1},
+        training={"first_stage": 1, "further_stages": 1},
     )
     train(config)
     assert train(config, resume=True).is_dir()
@@ -281,7 +281,7 @@ def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path
     kept = [line for line in lines if json.loads(line).get("motion") or "schema" in line]
     alone.write_text("\n".join(kept) + "\n")
     with caplog.at_level(logging.WARNING):
-        train(make_config(corpus=str(alone), schedule={"first_pair": 1, "further_pairs": 1}))
+        train(make_config(corpus=str(alone), training={"first_stage": 1, "further_stages": 1}))
     assert "random steps draw windows of the paired speech" in caplog.text
 
 
@@ -291,10 +291,10 @@ RANDOM = {"critic", "adversarial", "contact", "smooth", "arm_speed"}
 @pytest.mark.parametrize(
     ("changes", "losses"),
     [
-        ({"schedule": {"window": None}}, RANDOM | {"rec"}),
-        ({"schedule": {"margins": True}}, RANDOM | {"rec"}),
-        ({"schedule": {"discriminator_steps": 0, "generator_steps": 0}}, {"rec"}),
-        ({"schedule": {"reconstruction_steps": 0}}, RANDOM),
+        ({"training": {"window": None}}, RANDOM | {"rec"}),
+        ({"training": {"margins": True}}, RANDOM | {"rec"}),
+        ({"training": {"discriminator_steps": 0, "generator_steps": 0}}, {"rec"}),
+        ({"training": {"reconstruction_steps": 0}}, RANDOM),
         ({"features": {"residual": False}, "network": {"film": "input"}}, RANDOM | {"rec"}),
         ({"losses": {"arm_speed": 0, "rec_input": "real"}}, RANDOM - {"arm_speed"} | {"rec"}),
         ({"network": {"levels": 3}}, RANDOM | {"rec"}),
@@ -313,7 +313,7 @@ def test_variants_train_on_the_losses_that_they_name(make_config, changes, losse
     assert all(torch.isfinite(value).all() for value in trained.values())
     # One more iteration moves every level that the last pair trains.
     longer = make_config(**changes, out=str(config.out) + "_longer")
-    train(replace(longer, schedule=replace(longer.schedule, further_pairs=5)))
+    train(replace(longer, training=replace(longer.training, further_stages=5)))
     again, finest = weights(longer), f"levels.{config.network.levels - 1}.layers"
     moved = [name for name in trained if finest in name and name.endswith("weight")]
     assert moved
@@ -334,11 +334,11 @@ def test_a_folder_with_a_run_is_not_overwritten(make_config):
 
 
 def test_betas_reach_the_optimisers_and_wrong_ones_are_refused(make_config, tmp_path):
-    usual, other = make_config(), make_config(schedule={"betas": [0.5, 0.95]}, out=str(tmp_path))
+    usual, other = make_config(), make_config(training={"betas": [0.5, 0.95]}, out=str(tmp_path))
     train(usual)
     train(other)
     one, two = weights(usual), weights(other)
     assert any(not torch.equal(one[name], two[name]) for name in one)
     for betas in ([0.9], [0.9, 1.0]):
         with pytest.raises(ConfigError, match="betas"):
-            make_config(schedule={"betas": betas})
+            make_config(training={"betas": betas})

@@ -244,7 +244,7 @@ def test_a_bundle_is_the_model_in_fewer_bytes_with_its_figures(recipe, tmp_path,
 @pytest.mark.stress
 def test_one_command_makes_a_bundle(recipe, tmp_path):
     tiny = ["network.channels=[2,2]", "network.levels=4", "threads=1"]
-    tiny += ["schedule.first_pair=2", "schedule.further_pairs=2", "schedule.bank=2"]
+    tiny += ["training.first_stage=2", "training.further_stages=2", "training.window_cache=2"]
     recipe["bundle"].main(
         [str(tmp_path / "work"), "--out", str(tmp_path / "out"), "--minutes", "0.5", "--talks", "1"]
         + tiny

@@ -24,6 +24,12 @@ def model(tmp_path_factory, write_pair):
         "fps": 25,
         "threads": 1,
         "network": {"levels": 4, "channels": [2, 2, 2], "embedding": 4},
-        "schedule": {"first_pair": 2, "further_pairs": 2, "batch": 2, "window": 2.0, "bank": 2},
+        "training": {
+            "first_stage": 2,
+            "further_stages": 2,
+            "batch": 2,
+            "window": 2.0,
+            "window_cache": 2,
+        },
     }
     return gk.load(train(build(MultiresConfig, values)))

@@ -125,7 +125,7 @@ class DiscriminatorStep:
         """Return scores and parameter gradients of eq. 12 for a part of the windows."""
         real, fake = self.real[part], self.fake[part]
         windows = torch.cat([fake, real])
-        share = self.config.critic_scale / self.count
+        share = self.config.discriminator_scale / self.count
         score_gradients = np.repeat(np.array([share, -share], dtype=np.float32), len(real))
         packing = Packing(len(windows), self.n_frames)
         signals = self._signals(packing, windows)

@@ -81,7 +81,7 @@ class TorchBackend:
 
         gap = losses.discriminator_gap(*score(torch.cat([fake, real])).split(len(real)))
         penalty = losses.gradient_penalty(score, real, fake, mix, config.penalty_on)
-        loss = config.critic_scale * gap + config.gradient_penalty * penalty
+        loss = config.discriminator_scale * gap + config.gradient_penalty * penalty
         parameters = list(discriminator.parameters())
         for parameter, gradient in zip(
             parameters, torch.autograd.grad(loss, parameters), strict=True

@@ -99,7 +99,7 @@ class Pyramid:
     def _noise(self) -> Tensor:
         """(1, 1 or D, T_1) that a random motion begins with."""
         model, n_frames, rng = self.model, self.lengths[0], self.chance(0)
-        if not model.recall:
+        if not model.z_star_shuffle:
             return torch.randn(1, 1, n_frames, generator=rng) * model.sigma[:, 0].mean()
         names = sorted(model.z_star)
         owners, wanted = [0] * len(names), [0] * n_frames
@@ -107,7 +107,9 @@ class Pyramid:
             owners = [model.styles.index(model.sequences[name].style) for name in names]
             told = self.condition(0, 0, n_frames)[0, -len(model.styles) :]
             wanted = told.argmax(dim=0).tolist()
-        return Recall([model.z_star[name] for name in names], owners, model.recall)(wanted, rng)
+        return Recall([model.z_star[name] for name in names], owners, model.z_star_shuffle)(
+            wanted, rng
+        )
 
     def _plain(self, vectors: Tensor) -> np.ndarray:
         """(T, 6 K + C + 3) normalised vectors (1, D, T) in their own units."""

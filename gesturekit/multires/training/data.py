@@ -370,7 +370,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
                 full_noise=config.z_star == "full",
             )
         )
-    window = config.schedule.window
+    window = config.training.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
     longest = max(sequence.n_frames for sequence in paired)
     if af.level_lengths(longest, config.network.levels)[0] < 2:

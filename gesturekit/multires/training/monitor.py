@@ -78,8 +78,8 @@ class Monitor:
             return False
         log.warning(
             "Step %d: samples collapse: their patches differ %.2f times as much from one another "
-            "as the recordings' do. If it stays so, try a lower schedule.learning_rate, more "
-            "schedule.discriminator_steps, or fewer schedule.reconstruction_steps.",
+            "as the recordings' do. If it stays so, try a lower training.learning_rate, more "
+            "training.discriminator_steps, or fewer training.reconstruction_steps.",
             step,
             ratio,
         )

@@ -56,7 +56,7 @@ class Pair:
         ).to(trainer.device)
         requested = requested_backend(self.config.backend)
         self.backend = choose_backend(requested, self.generators, self.discriminators)
-        rate, betas = self.config.schedule.learning_rate, self.config.schedule.betas
+        rate, betas = self.config.training.learning_rate, self.config.training.betas
         self.optimisers = {
             name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, fused=True)
             for name, networks in (
@@ -85,14 +85,14 @@ class Pair:
 
     def train(self, begin: int, offset: int, progress: Steps, cost: float) -> None:
         """Run iterations `begin` to the last; `offset` iterations belong to earlier pairs."""
-        schedule = self.config.schedule
+        training = self.config.training
         totals: dict[str, float] = {}
         since, clock = 0, time.monotonic()
         for iteration in range(begin, self.iterations):
-            late = iteration >= schedule.decay_at * self.iterations
+            late = iteration >= training.decay_at * self.iterations
             for optimiser in self.optimisers.values():
                 for group in optimiser.param_groups:
-                    group["lr"] = schedule.learning_rate * (0.1 if late else 1.0)
+                    group["lr"] = training.learning_rate * (0.1 if late else 1.0)
             for name, value in self.iterate(iteration).items():
                 totals[name] = totals.get(name, 0.0) + value
             since += 1
@@ -128,7 +128,7 @@ class Pair:
         if wrong:
             raise ModelError(
                 f"training diverged at step {step} ({', '.join(wrong)} are no numbers any more); "
-                "the last checkpoint stands. A lower schedule.learning_rate usually helps"
+                "the last checkpoint stands. A lower training.learning_rate usually helps"
             )
 
     def _fill_bank(self, renewal: int) -> None:
@@ -137,15 +137,15 @@ class Pair:
         self._bank = {"paired": {}, "random": {}}
         rng = rng_for(self.config.seed, "bank", self.first, renewal)
         total = sum(len(members) for members in trainer.groups.values())
-        schedule = self.config.schedule
+        training = self.config.training
         for n_frames, members in trainer.groups.items():
             sequences = [trainer.data.paired[i] for i in members]
-            count = max(1, schedule.bank * len(members) // total)
-            if schedule.reconstruction_steps:
+            count = max(1, training.window_cache * len(members) // total)
+            if training.reconstruction_steps:
                 self._bank["paired"][n_frames] = bank.paired(
                     sequences, n_frames, self.first, count, rng
                 )
-            if schedule.discriminator_steps or schedule.generator_steps:
+            if training.discriminator_steps or training.generator_steps:
                 self._bank["random"][n_frames] = bank.random(
                     sequences, n_frames, self.first, count, rng
                 )
@@ -155,7 +155,7 @@ class Pair:
     ) -> tuple[Windows, Tensor]:
         """Windows, and the (batches, B) numbers of those that are used, for all processes."""
         size = (batches, self.trainer.batch)
-        if self.config.schedule.bank is not None:
+        if self.config.training.window_cache is not None:
             windows = self._bank[kind][n_frames]
             return windows, torch.randint(len(windows), size, generator=rng)
         draw = self.trainer.bank.paired if kind == "paired" else self.trainer.bank.random
@@ -174,7 +174,11 @@ class Pair:
     def _n_told(self) -> int:
         """K, how many styles discriminators are told of; 0 where they are told nothing."""
         styles = self.config.styles
-        return len(self.trainer.data.styles) if styles is not None and styles.told else 0
+        return (
+            len(self.trainer.data.styles)
+            if styles is not None and styles.condition_discriminator
+            else 0
+        )
 
     def _told(self, styles: Tensor) -> list[Tensor | None]:
         """What each discriminator is told of motions whose levels have these styles, (B, L)."""
@@ -193,9 +197,11 @@ class Pair:
             return self._iterate(iteration)
 
     def _iterate(self, iteration: int) -> dict[str, float]:
-        schedule = self.config.schedule
-        if schedule.bank is not None and (iteration % schedule.renew == 0 or not self._bank):
-            self._fill_bank(iteration // schedule.renew)
+        training = self.config.training
+        if training.window_cache is not None and (
+            iteration % training.renew_every == 0 or not self._bank
+        ):
+            self._fill_bank(iteration // training.renew_every)
         rng = rng_for(self.config.seed, "iteration", self.first, iteration)
         lengths = list(self.trainer.groups)
         report: dict[str, float] = {}
@@ -203,12 +209,12 @@ class Pair:
         def length() -> int:
             return lengths[int(torch.multinomial(self.trainer.group_frames, 1, generator=rng))]
 
-        if schedule.discriminator_steps:
-            chosen = [length() for _ in range(schedule.discriminator_steps)]
+        if training.discriminator_steps:
+            chosen = [length() for _ in range(training.discriminator_steps)]
             report["critic"] = self._discriminator_steps(chosen, rng)
-        for _ in range(schedule.generator_steps):
+        for _ in range(training.generator_steps):
             report.update(self._random_step(length(), rng))
-        for _ in range(schedule.reconstruction_steps):
+        for _ in range(training.reconstruction_steps):
             report["rec"] = self._reconstruction_step(length(), rng)
         values = self.trainer.processes.mean(torch.tensor(list(report.values())))
         return dict(zip(report, values.tolist(), strict=True))

@@ -82,7 +82,7 @@ class Trainer:
         self.processes = processes
         if self.batch < processes.count:
             raise ConfigError(
-                f"schedule.batch: {self.batch} window(s) a step cannot be shared by "
+                f"training.batch: {self.batch} window(s) a step cannot be shared by "
                 f"{processes.count} processes (whole sequences go one at a time)"
             )
         self.data = self._read(resume)
@@ -164,7 +164,7 @@ class Trainer:
     def batch(self) -> int:
         """Windows of a step, over all processes."""
         # Whole sequences differ in length, so they go one at a time, as in the paper.
-        return self.config.schedule.batch if self.config.schedule.window is not None else 1
+        return self.config.training.batch if self.config.training.window is not None else 1
 
     def _what(self) -> list[str]:
         """What there is to train on, for people."""
@@ -201,14 +201,14 @@ class Trainer:
             pace = (clock[3] - clock[1]) / 2
             refill = max(0.0, clock[1] - clock[0] - pace)
             needed += iterations * pace
-            needed += refill * math.ceil(iterations / self.config.schedule.renew)
+            needed += refill * math.ceil(iterations / self.config.training.renew_every)
         return needed
 
     def pairs(self) -> list[tuple[int, int]]:
         """(first level, iterations) of each pair."""
-        schedule, levels = self.config.schedule, self.config.network.levels
+        training, levels = self.config.training, self.config.network.levels
         return [
-            (first, schedule.first_pair if first == 0 else schedule.further_pairs)
+            (first, training.first_stage if first == 0 else training.further_stages)
             for first in range(0, levels, 2)
         ]
 
@@ -316,7 +316,7 @@ class Trainer:
             normaliser=self.data.normaliser,
             network_config=self.config.network,
             residual=self.config.residual,
-            recall=self.config.recall,
+            z_star_shuffle=self.config.z_star_shuffle,
             noise_levels=self.config.noise_levels,
             styles=self.data.styles,
             network=network.cpu().eval(),

@@ -118,9 +118,9 @@ class Bank:
         and are `random_margin` longer at either end.
         """
         n_frames += 2 * self.config.random_margin
-        schedule = self.config.schedule
+        training = self.config.training
         speech = torch.stack([self.data.speech_window(n_frames, rng) for _ in range(count)])
-        quiet = torch.rand(count, generator=rng) < schedule.silence
+        quiet = torch.rand(count, generator=rng) < training.silence
         speech[quiet] = self.data.silence[:, :n_frames]
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         noises = [
@@ -228,7 +228,7 @@ class Bank:
                         lengths=lengths[:first],
                         convolve=self.convolve,
                     )[-1]
-                    for part in _chunks(len(speech), self.config.schedule.batch)
+                    for part in _chunks(len(speech), self.config.training.batch)
                 ]
             )
         here = slice(first, first + 2)
@@ -248,10 +248,10 @@ class Bank:
 
 def recall(data: TrainingData, config: MultiresConfig) -> Recall | None:
     """What random noise is put together from; None where it is drawn anew."""
-    if not config.recall:
+    if not config.z_star_shuffle:
         return None
     z_stars = [sequence.z_star for sequence in data.paired]
-    return Recall(z_stars, [sequence.style for sequence in data.paired], config.recall)
+    return Recall(z_stars, [sequence.style for sequence in data.paired], config.z_star_shuffle)
 
 
 def random_windows(
