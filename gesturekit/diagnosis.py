@@ -119,7 +119,7 @@ def _libraries() -> Finding:
 
 
 def _torchaudio() -> Finding:
-    from audio_features.torchaudio_backend import import_torchaudio
+    from audio_features.acoustic.torchaudio_backend import import_torchaudio
 
     module, problem = import_torchaudio()
     if module is not None:

@@ -18,7 +18,7 @@ from gesturekit.training.model_folder import rates
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
-_TOLD = {"Kind", "Motion", "Hears", "Styles"}
+_TOLD = {"Kind", "Motion", "Hears", "Speech features", "Styles"}
 _OF_CONFORMERS = {
     "layers",
     "heads",

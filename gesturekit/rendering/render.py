@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -318,14 +318,17 @@ def _given(model: Any, controls: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         ModelError: one that the model does not have.
     """
-    known = inspect.signature(model.generate).parameters
+    parameters = inspect.signature(model.generate).parameters
+    defaults = {name: parameter.default for name, parameter in parameters.items()}
+    if schema := getattr(model, "controls", None):
+        defaults |= {field.name: field.default for field in fields(schema)}
     for name in controls:
-        if name not in known or name in ("speech", "seconds"):
+        if name not in defaults or name in ("speech", "seconds", "controls"):
             raise ModelError(f"{name}: a {model.kind} model knows no {name}")
     return {
         name: value
         for name, value in controls.items()
-        if value is not known[name].default and value != known[name].default
+        if value is not defaults[name] and value != defaults[name]
     }
 
 
