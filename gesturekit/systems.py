@@ -6,7 +6,7 @@ import difflib
 import importlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +14,7 @@ from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.model import Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.run_config import RunConfig
+from gesturekit.training.settings import Setting, list_settings
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def train(
     """
     if isinstance(overrides, Mapping):
         overrides, settings = (), {**overrides, **settings}
-    system, loaded = _resolved(config, overrides, settings, resume=resume)
+    system, loaded = _resolve(config, overrides, settings, resume=resume)
     return _part(system.train)(loaded, resume=resume)
 
 
@@ -149,15 +150,49 @@ def plan(config: str | Path, overrides: Sequence[str] = ()) -> None:
     Raises:
         ConfigError: the configuration is wrong. A run folder that holds a run is a warning.
     """
-    system, loaded = _resolved(config, overrides, {}, resume=False)
+    system, loaded = _resolve(config, overrides, {}, resume=False)
     _part(system.plan)(loaded)
 
 
-def _resolved(
+def resolved_settings(config: str | Path, overrides: Sequence[str] = ()) -> list[Setting]:
+    """Return all settings that `train` would use.
+
+    The corpus need not exist; where none is given, its value is null.
+
+    Args:
+        config: YAML file, or a run folder.
+        overrides: single settings, as `key=value` strings.
+
+    Raises:
+        ConfigError: the configuration is wrong.
+    """
+    path = Path(config)
+    resume = path.is_dir()
+    file, _ = _config_file(path, overrides, resume=resume)
+    has_corpus = "corpus" in read_chain(file) or any(o.startswith("corpus=") for o in overrides)
+    missing = {} if has_corpus else {"corpus": "corpus.jsonl"}
+    _, loaded = _resolve(config, overrides, missing, resume=resume)
+    return list(list_settings(loaded if has_corpus else replace(loaded, corpus=None)))
+
+
+def _resolve(
     config: str | Path, overrides: Sequence[str], settings: Mapping[str, Any], *, resume: bool
 ) -> tuple[System, RunConfig]:
-    """The system that a configuration names, and its settings."""
-    path = Path(config)
+    """Return the system that a configuration names, and its settings."""
+    path, overrides = _config_file(Path(config), overrides, resume=resume)
+    name = _system_name(path, overrides)
+    schema = _part(SYSTEMS[name].config)
+    return SYSTEMS[name], load_config(path, schema, overrides, settings)
+
+
+def _config_file(
+    path: Path, overrides: Sequence[str], *, resume: bool
+) -> tuple[Path, Sequence[str]]:
+    """Return the configuration file of a path, and the overrides with the folder of a run.
+
+    Raises:
+        ConfigError: there is none, or a run folder is given without `resume`.
+    """
     if resume and not path.exists():
         raise ConfigError(f"{path}: no such run")
     if path.is_dir():
@@ -171,11 +206,20 @@ def _resolved(
         if not resume:
             raise ConfigError(f"{path}: a run folder; add --resume to go on with it")
         # Its own config.yaml holds every setting, and the folder may have been moved.
-        path, overrides = path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
-    elif not path.exists():
+        return path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
+    if not path.exists():
         raise ConfigError(f"{path}: no such configuration file{_near(path)}")
-    elif path.suffix.lower() not in (".yaml", ".yml"):
+    if path.suffix.lower() not in (".yaml", ".yml"):
         raise ConfigError(f"{path}: {_not_a_config(path)}")
+    return path, overrides
+
+
+def _system_name(path: Path, overrides: Sequence[str]) -> str:
+    """Return the name of the system of a configuration file.
+
+    Raises:
+        ConfigError: there is no such system, or the overrides name another than the file.
+    """
     name = read_chain(path).get("system")
     for override in overrides:
         key, _, value = override.partition("=")
@@ -188,8 +232,7 @@ def _resolved(
             name = value
     if not isinstance(name, str) or name not in SYSTEMS:
         raise ConfigError(f"{path}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
-    schema = _part(SYSTEMS[name].config)
-    return SYSTEMS[name], load_config(path, schema, overrides, settings)
+    return name
 
 
 def _is_model(folder: Path) -> bool:
