@@ -89,7 +89,7 @@ def command(
     import sys
 
     from gesturekit.formats.changes import Changes, parse_trim
-    from gesturekit.formats.conversion import convert
+    from gesturekit.formats.conversion import FormatOptions, convert
     from gesturekit.formats.rig import Rig
     from gesturekit.motion.parts import parse_parts
     from gesturekit.progress import Progress
@@ -111,10 +111,12 @@ def command(
         out,
         formats=comma_separated(formats),
         changes=changes,
-        read=read_from(reading),
-        write=given(up=up, unit=unit, frame=frame),
-        body_model=body_model,
-        parts=parse_parts(parts),
+        options=FormatOptions(
+            read=read_from(reading),
+            write=given(up=up, unit=unit, frame=frame),
+            body_model=body_model,
+            parts=parse_parts(parts),
+        ),
         existing=existing,
         dry_run=dry_run,
         progress=lambda jobs: Progress(jobs, desc="Converting", unit="file"),

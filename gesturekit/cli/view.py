@@ -59,7 +59,7 @@ def command(
     from audio_features import Wave
     from gesturekit.errors import ConfigError, GestureKitError
     from gesturekit.formats.conversion import load
-    from gesturekit.formats.doubts import doubts
+    from gesturekit.formats.plausibility import plausibility_warnings
     from gesturekit.formats.sources import motions_of
     from gesturekit.motion.parts import parse_parts
     from gesturekit.viewer import write_html
@@ -91,7 +91,10 @@ def command(
                 failed += 1
                 continue
         lines = [str(warning.message) for warning in said]
-        for line in [*lines, *(f"{clip}: {doubt}" for doubt in doubts(motion, options))]:
+        for line in [
+            *lines,
+            *(f"{clip}: {doubt}" for doubt in plausibility_warnings(motion, options)),
+        ]:
             click.echo(f"Warning: {line}", err=True)
         motions[str(clip) if same else clip.stem] = motion
     if not motions:

@@ -19,7 +19,7 @@ from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
-from gesturekit.formats.conversion import reading_of, refuse_idle_reading
+from gesturekit.formats.conversion import applicable_read_options, refuse_unused_read_options
 from gesturekit.formats.sources import MOTION_SUFFIXES, OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, listed
@@ -95,7 +95,7 @@ def prepare(
     tasks, left_over, problems = _find(folders, unpaired, unpaired_motion)
     if unknown := sorted(set(read or {}) - set(READING)):
         raise CorpusError(f"{unknown[0]!r} is nothing a manifest keeps; read has {list(READING)}")
-    refuse_idle_reading(
+    refuse_unused_read_options(
         read or {}, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
     )
     recordings: list[Recording] = []
@@ -103,7 +103,7 @@ def prepare(
     for recording, is_alone in progress(tasks):
         recording = replace(recording, channel=channel)
         if recording.motion is not None:
-            reading = reading_of(recording.motion, read or {})
+            reading = applicable_read_options(recording.motion, read or {})
             if parts and "height" in reading:  # which depends on them
                 reading["parts"] = dict(parts)
             recording = replace(recording, reading=reading)

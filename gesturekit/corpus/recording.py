@@ -17,7 +17,7 @@ from gesturekit.corpus.manifest import CONDITIONS
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conversion import load
-from gesturekit.formats.doubts import doubts
+from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.motion import Motion, Skeleton, defects
@@ -96,7 +96,8 @@ def examine(
             text = f"read in {motion.info['unit']}, a guess; --in-unit or --height settles it"
             problems.append(Problem("note", recording.motion, text))
         problems += [
-            Problem("warning", recording.motion, text) for text in doubts(motion, recording.reading)
+            Problem("warning", recording.motion, text)
+            for text in plausibility_warnings(motion, recording.reading)
         ]
         if wave is not None:
             _check_lengths(wave.duration, motion, recording.motion, tolerance, problems)
@@ -207,7 +208,7 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
         text = (
             f"{len(jumps.frames)} of {used.n_frames} frames jump "
             f"({defects.speed_limit(jumps.limit)}) at {_times(jumps.frames, at)}; "
-            f"fastest is {jumps.joint!r} with {defects.in_words(jumps.speed)}"
+            f"fastest is {jumps.joint!r} with {defects.format_speed(jumps.speed)}"
         )
         if len(jumps.frames) > checks.MAX_JUMP_SHARE * used.n_frames:
             text += ": are its frame rate and its unit right (--in-fps, --in-unit, --height)?"

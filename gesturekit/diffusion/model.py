@@ -25,7 +25,8 @@ from gesturekit.diffusion.sampling.solvers import SOLVERS, Predict, Solver, chos
 from gesturekit.diffusion.sampling.tiling import LONGEST, windowed
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ModelError, MotionError, gesturekit_errors
-from gesturekit.motion.motion import Motion, checked_fps
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.postprocess import lock_feet, smooth_motion

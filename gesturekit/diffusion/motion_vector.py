@@ -68,7 +68,7 @@ class DeltaRepresentation(ModelJoints):
         Raises:
             MotionError: no motions, or a name that the rig does not have.
         """
-        chosen = cls.choose(motions, joints)
+        chosen = cls.fit_fields(motions, joints)
         names = chosen["skeleton"].names
         indices = [names.index(name) for name in chosen["joints"]]
         side = side_axis(motions, indices[0])
@@ -92,7 +92,7 @@ class DeltaRepresentation(ModelJoints):
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> DeltaRepresentation:
         """Inverse of `to_json`."""
         return cls(
-            **cls.chosen(skeleton, values),
+            **cls.fields_from_json(skeleton, values),
             makes_root=bool(values["makes_root"]),
             side=np.array(values["side"], dtype=np.float64),
             references=np.array(values["references"], dtype=np.float64),
@@ -190,7 +190,7 @@ class DeltaRepresentation(ModelJoints):
                 f"the path has {path.n_frames} frames at {path.fps:g} fps; the motion has "
                 f"{n_frames} at {fps:g}"
             )
-        rotations = self.hold(n_frames)
+        rotations = self.fixed_pose(n_frames)
         index = self.indices
         for first in range(0, n_frames, _FRAMES_AT_ONCE):
             part = values[first : first + _FRAMES_AT_ONCE, : 3 * len(index)]

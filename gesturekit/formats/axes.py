@@ -86,7 +86,7 @@ def standing_axis(motion: Motion) -> str | None:
     return _evidence(motion)[1]
 
 
-def turn_to_law(up: str, forward: str) -> np.ndarray:
+def rotation_to_y_up(up: str, forward: str) -> np.ndarray:
     """(4,) the rotation from axes `up` and `forward` to Y up, +Z forward.
 
     Raises:
@@ -132,10 +132,10 @@ def turn_axes(motion: Motion, world: np.ndarray, rest: np.ndarray) -> Motion:
     )
 
 
-def to_law(motion: Motion, axes: FileAxes) -> Motion:
+def with_y_up(motion: Motion, axes: FileAxes) -> Motion:
     """`motion`, whose axes are `axes`, with Y up and +Z forward."""
-    world = turn_to_law(axes.up, axes.forward)
-    return turn_axes(motion, world, turn_to_law(*axes.rest) if axes.rest else world)
+    world = rotation_to_y_up(axes.up, axes.forward)
+    return turn_axes(motion, world, rotation_to_y_up(*axes.rest) if axes.rest else world)
 
 
 def _vector(axis: str) -> np.ndarray:

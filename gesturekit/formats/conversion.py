@@ -1,11 +1,11 @@
-"""Motion files from one format to another, one or many; a broken one never stops the others."""
+"""Conversion of motion files between formats; a broken file never stops the others."""
 
 from __future__ import annotations
 
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,13 @@ import numpy as np
 
 from gesturekit.errors import ConfigError, FormatError, GestureKitError
 from gesturekit.formats.changes import Changes
-from gesturekit.formats.doubts import doubts
+from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.smpl.skeleton import is_smpl
 from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, Job, plan, unreadable_media
 from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted
 
-# Which options each format's reader and writer has.
+# Options of each format's reader and writer.
 _SEQUENCE = {"up", "fps", "person", "body_model"}
 _READS = {
     ".bvh": {"unit", "up", "forward"},
@@ -28,7 +28,7 @@ _READS = {
     "EasyMocap": _SEQUENCE,
 }
 _IN = {name: f"in-{name}" for name in ("unit", "up", "forward")}
-"""Options of readers that the command line gives another name."""
+"""Reader options that have another name on the command line."""
 _OF_ANY_FORMAT = ("fps", "height")
 _WRITES = {
     ".bvh": {"unit"},
@@ -40,15 +40,15 @@ _WRITES = {
 
 @dataclass(frozen=True)
 class Converted:
-    """What became of one motion.
+    """Outcome of one conversion.
 
     Attributes:
         source: the file, or the folder of a sequence.
-        files: what was written; nothing where all of it was there already and was to be skipped.
-        found: what was read, in words: unit, axes, rate, frames, joints.
-        done: what was changed on the way, in words.
-        warnings: what the files do not hold, or what other programs will make of them.
-        error: why some or all files are missing.
+        files: files written; empty if all of them existed and `existing` is "skip".
+        found: summary of the motion read: unit, axes, rate, frames, joints.
+        done: changes made, one phrase each.
+        warnings: data that a format cannot hold, and problems that other programs will have.
+        error: reason why some or all files are missing.
     """
 
     source: Path
@@ -59,16 +59,30 @@ class Converted:
     error: str | None = None
 
 
+@dataclass(frozen=True)
+class FormatOptions:
+    """Options of readers and writers; each gets those that it has.
+
+    Attributes:
+        read: options of readers, such as `up`; also `fps` and `height`, see `load`.
+        write: options of writers, such as `up`.
+        body_model: npz file of an SMPL or SMPL-X model, for readers and writers that use one.
+        parts: joints of the sources specified by hand, see `load`.
+    """
+
+    read: Mapping[str, Any] = field(default_factory=dict)
+    write: Mapping[str, Any] = field(default_factory=dict)
+    body_model: str | os.PathLike[str] | None = None
+    parts: Mapping[str, str] = field(default_factory=dict)
+
+
 def convert(
     sources: Sequence[str | os.PathLike[str]] | str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     formats: Sequence[str] = (),
     changes: Changes | None = None,
-    read: Mapping[str, Any] | None = None,
-    write: Mapping[str, Any] | None = None,
-    body_model: str | os.PathLike[str] | None = None,
-    parts: Mapping[str, str] | None = None,
+    options: FormatOptions | None = None,
     existing: str = "refuse",
     dry_run: bool = False,
     progress: Callable[[list[Job]], Iterable[Job]] = iter,
@@ -76,66 +90,69 @@ def convert(
     """Read each motion, change it, and write it in other formats.
 
     Args:
-        sources: motion files, and folders, which stand for all motions below them.
-        out: a file for a single motion, else a folder; see `gesturekit.formats.sources.plan`.
-        formats: what to write into a folder, of bvh, npz, html, png, obj.
-        changes: what to change on the way.
-        read: options for those readers that have them, such as `up`; `fps`, the rate that a
-            source really has, whatever it says; and `height`, to which its body is scaled.
-        write: options for those writers that have them, such as `up`.
-        body_model: npz file of an SMPL or SMPL-X model, for readers and writers that have a use.
-        parts: joints of the sources named by hand, see `load`.
-        existing: what to do about files that are there already: refuse, skip or replace.
+        sources: motion files, and folders to search for motions.
+        out: a file for a single motion, otherwise a folder; see `gesturekit.formats.sources.plan`.
+        formats: formats to write into a folder: bvh, npz, html, png, obj.
+        changes: changes to make to each motion.
+        options: options of readers and writers.
+        existing: "refuse", "skip" or "replace" files that exist.
         dry_run: read and change, but write nothing.
-        progress: wraps the list of jobs while they are done, as tqdm does.
+        progress: wrapper of the list of jobs, such as tqdm.
 
     Yields:
-        an outcome for each motion, as it is done.
+        The outcome of each motion, as soon as it is done.
 
     Raises:
-        ConfigError: nothing can start; see `gesturekit.formats.sources.plan`.
+        ConfigError: the conversion cannot start; see `gesturekit.formats.sources.plan`.
 
     Warns:
         UserWarning: meshes that cannot be written without a body model, beside other formats.
     """
     if isinstance(sources, str | os.PathLike):
         sources = [sources]
-    if body_model is None:
+    options, changes = options or FormatOptions(), changes or Changes()
+    if options.body_model is None:
         formats = _without_mesh(formats, Path(out))
     jobs = plan([Path(source) for source in sources], Path(out), formats, existing=existing)
-    read, write, changes = dict(read or {}), dict(write or {}), changes or Changes()
-    found = {_format(job.source) for job in jobs if not job.error}
-    written = {_format(target) for job in jobs for target in job.targets}
-    refuse_idle_reading(read, found)
-    _refuse_idle(write, _WRITES, written, "written")
-    if body_model is not None:
-        _refuse_idle({"body_model": body_model}, _READS | _WRITES, found | written, "converted")
-        read["body_model"] = write["body_model"] = body_model
-    said: set[str] = set()
+    options = _checked(options, jobs)
+    shown: set[str] = set()
     for job in progress(jobs):
         if job.targets or job.error:
-            outcome = _convert(job, changes, read, parts, write, dry_run)
-            fresh = tuple(line for line in outcome.warnings if line not in said)
-            said.update(fresh)
+            outcome = _convert(job, changes, options, dry_run)
+            fresh = tuple(line for line in outcome.warnings if line not in shown)
+            shown.update(fresh)
             yield replace(outcome, warnings=fresh)
         else:
             yield Converted(job.source)
 
 
+def _checked(options: FormatOptions, jobs: Sequence[Job]) -> FormatOptions:
+    """Raise ConfigError for options that no job uses; add the body model to `read` and `write`."""
+    found = {_format(job.source) for job in jobs if not job.error}
+    written = {_format(target) for job in jobs for target in job.targets}
+    refuse_unused_read_options(options.read, found)
+    _refuse_unused(options.write, _WRITES, written, "written")
+    if options.body_model is None:
+        return options
+    model = {"body_model": options.body_model}
+    _refuse_unused(model, _READS | _WRITES, found | written, "converted")
+    return replace(options, read={**options.read, **model}, write={**options.write, **model})
+
+
 def load(
     source: Path, options: Mapping[str, Any], parts: Mapping[str, str] | None = None
 ) -> Motion:
-    """Read a motion whatever its format is.
+    """Read a motion of any format.
 
     Args:
         source: a file, or the folder of a sequence.
-        options: those that the format's reader has are given to it; `fps`, the rate that the
-            source really has, whatever it says; and `height`, to which the body is scaled.
-        parts: joints named by hand, {"left_elbow": "Joint12"}, see `Skeleton.parts`.
+        options: options of the format's reader (others are ignored); `fps`, the true frame rate,
+            which replaces that of the file; `height`, the body height in metres to scale to.
+        parts: joints specified by hand, {"left_elbow": "Joint12"}, see `Skeleton.parts`.
 
     Raises:
         FormatError: it cannot be read.
-        MotionError: `parts` names a joint that is not there.
+        MotionError: `parts` names a joint that does not exist.
     """
     if _format(source) in OTHER_MOTION_SUFFIXES:
         raise FormatError(f"{source}: {unreadable_media(source)}")
@@ -147,25 +164,25 @@ def load(
     return replace(motion, fps=options["fps"]) if "fps" in options else motion
 
 
-def reading_of(source: Path, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of the `options` of `load` that have an effect on this source."""
+def applicable_read_options(source: Path, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the `options` of `load` that have an effect on this source."""
     known = (*_OF_ANY_FORMAT, *_READS.get(_format(source), ()))
     return {name: value for name, value in options.items() if name in known}
 
 
-def refuse_idle_reading(options: Mapping[str, Any], formats: set[str]) -> None:
-    """Refuse an option of `load` that no reader of these formats (suffixes) has.
+def refuse_unused_read_options(options: Mapping[str, Any], formats: set[str]) -> None:
+    """Refuse options of `load` that no reader of these formats (suffixes) has.
 
     Raises:
-        ConfigError: it would be given in vain.
+        ConfigError: an option would have no effect.
     """
     chosen = {name: value for name, value in options.items() if name not in _OF_ANY_FORMAT}
-    _refuse_idle(chosen, _READS, formats, "read")
+    _refuse_unused(chosen, _READS, formats, "read")
 
 
 def describe(motion: Motion) -> str:
-    """A motion in a few words: unit, axes, rate, frames, joints; ? marks what is but guessed."""
-    words = axes_in_words(motion.info, "?")
+    """Return a summary of a motion: unit, axes, rate, frames, joints; "?" marks guesses."""
+    words = describe_axes(motion.info, "?")
     if "scale" in motion.info:
         words.append(f"scaled by {motion.info['scale']:.4g}")
     words.append(f"{motion.fps:.6g} fps")
@@ -174,8 +191,8 @@ def describe(motion: Motion) -> str:
     return ", ".join(words)
 
 
-def axes_in_words(info: Mapping[str, Any], guessed: str) -> list[str]:
-    """Unit and axes of the file that a motion came from; `guessed` marks those without evidence."""
+def describe_axes(info: Mapping[str, Any], guessed: str) -> list[str]:
+    """Return unit and axes of a motion's file; `guessed` is appended to guesses."""
     words = []
     for key, text in (("unit", "{}"), ("up", "{} up"), ("forward", "{} forward")):
         if key in info:
@@ -185,12 +202,12 @@ def axes_in_words(info: Mapping[str, Any], guessed: str) -> list[str]:
 
 
 def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return, for each format, those options that its writer has: {"bvh": {"unit": "m"}}.
+    """Return, for each format, the options that its writer has: {"bvh": {"unit": "m"}}.
 
     Raises:
         ConfigError: an option that none of the formats has.
     """
-    _refuse_idle(options, _WRITES, {f".{name}" for name in formats}, "written")
+    _refuse_unused(options, _WRITES, {f".{name}" for name in formats}, "written")
     return {
         name: {key: options[key] for key in options if key in _WRITES.get(f".{name}", ())}
         for name in formats
@@ -209,10 +226,10 @@ def _without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
     return others
 
 
-def _refuse_idle(
+def _refuse_unused(
     options: Mapping[str, Any], table: Mapping[str, set[str]], formats: set[str], verb: str
 ) -> None:
-    """An option that none of the formats has would be given in vain."""
+    """Raise ConfigError for an option that none of the formats has."""
     for name in options:
         fitting = [form for form, known in table.items() if name in known]
         if formats and not formats & set(fitting):
@@ -227,40 +244,35 @@ def _format(path: Path) -> str:
     return "EasyMocap" if path.is_dir() else path.suffix.lower()
 
 
-def _convert(
-    job: Job,
-    changes: Changes,
-    read: Mapping[str, Any],
-    parts: Mapping[str, str] | None,
-    write: Mapping[str, Any],
-    dry_run: bool,
-) -> Converted:
+def _convert(job: Job, changes: Changes, options: FormatOptions, dry_run: bool) -> Converted:
+    """Return the outcome of one job; its errors and warnings are recorded in it."""
     outcome = Converted(job.source, error=job.error)
     files: list[Path] = []
     at = job.source
     try:
-        with warnings.catch_warnings(record=True) as said:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", UserWarning)
             if job.error is None:
-                motion = load(job.source, read, parts)
-                for doubt in doubts(motion, read):
-                    warnings.warn(f"{job.source}: {doubt}", stacklevel=2)
+                motion = load(job.source, options.read, options.parts)
+                for reason in plausibility_warnings(motion, options.read):
+                    warnings.warn(f"{job.source}: {reason}", stacklevel=2)
                 outcome = replace(outcome, found=describe(motion))
                 motion, done = changes(motion)
                 outcome = replace(outcome, done=tuple(done))
                 for at in job.targets:
-                    _write(motion, at, changes, write, dry_run)
+                    _write(motion, at, changes, options.write, dry_run)
                     files.append(at)
     except (GestureKitError, OSError, MemoryError, RecursionError) as error:
         outcome = replace(outcome, error=_reason(error, job.source, at))
-    lines = dict.fromkeys(str(warning.message) for warning in said)
+    lines = dict.fromkeys(str(warning.message) for warning in caught)
     return replace(outcome, files=tuple(files), warnings=tuple(lines))
 
 
 def _write(
     motion: Motion, target: Path, changes: Changes, write: Mapping[str, Any], dry_run: bool
 ) -> None:
+    """Write one file, warning of data that its format cannot hold."""
     known = _WRITES.get(_format(target), ())
     options = {name: value for name, value in write.items() if name in known}
     if changes.rig is not None:
@@ -276,11 +288,11 @@ def _write(
 
 
 def _reason(error: Exception, source: Path, at: Path) -> str:
-    """Why a motion was not read from `source`, or not written to `at`, in one line."""
-    if isinstance(error, OSError):  # of a temporary file beside it, where it was written
+    """Return in one line why a motion was not read from `source` or not written to `at`."""
+    if isinstance(error, OSError):  # it may name the temporary file, so name the target instead
         return f"{at}: {error.strerror or error}"
     reason = str(error) or "not enough memory"
-    # Not every reason names the file: a joint that is not there, parts that cannot be told.
+    # Some errors do not name the file, such as those about joints.
     reason = reason if str(source) in reason or str(at) in reason else f"{source}: {reason}"
-    # One line, and printable: a file name need not be text.
+    # File names may hold line breaks and bytes that are not text.
     return " ".join(reason.encode("utf-8", "replace").decode().splitlines())

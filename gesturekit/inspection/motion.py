@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
-from gesturekit.formats.conversion import axes_in_words, load
-from gesturekit.formats.doubts import doubts
+from gesturekit.formats.conversion import describe_axes, load
+from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.inspection.sheet import Sheet, size, span
 from gesturekit.inspection.tree import tree
 from gesturekit.motion.body_size import body_scale
@@ -21,8 +21,8 @@ from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_point
 from gesturekit.motion.defects import (
     find_jumps,
     find_pops,
+    format_speed,
     frozen_runs,
-    in_words,
     jitter_share,
     speed_limit,
 )
@@ -77,7 +77,10 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **opti
         **_movement(motion, figure, labels),
         **_feet(motion, labels),
     }
-    problems = [*(str(warning.message) for warning in said), *doubts(motion, options)]
+    problems = [
+        *(str(warning.message) for warning in said),
+        *plausibility_warnings(motion, options),
+    ]
     problems += [*([unknown] if unknown else []), *_defects(motion)]
     return Sheet(
         kind="motion",
@@ -129,7 +132,7 @@ def _defects(motion: Motion) -> list[str]:
     if jumps is not None:
         found.append(
             f"{counted(len(jumps.frames), 'jump')} ({speed_limit(jumps.limit)}), the fastest "
-            f"{in_words(jumps.speed)} of {jumps.joint}: {_at(jumps.frames, motion.fps)}"
+            f"{format_speed(jumps.speed)} of {jumps.joint}: {_at(jumps.frames, motion.fps)}"
         )
     if pops := find_pops(motion, jumps):
         far = f", the largest {np.rad2deg(pops.angle):.0f}° of" if pops.angle else " of"
@@ -188,7 +191,7 @@ def _rows(
         )
     if facts.get("contact_share"):
         shares = ", ".join(f"{k} {100 * v:.0f} %" for k, v in facts["contact_share"].items())
-        slow = in_words(CONTACT_SPEED * body_scale(skeleton))
+        slow = format_speed(CONTACT_SPEED * body_scale(skeleton))
         rows.append(("feet", f"stand still (heel or toe below {slow}): {shares} of the frames"))
     if info.get("renamed"):
         pairs = [f"{new} (was {old})" for new, old in info["renamed"].items()]
@@ -198,7 +201,7 @@ def _rows(
 
 def _axes(facts: Mapping[str, Any]) -> str:
     """Of the file, and where the body faces once it is read."""
-    words = axes_in_words(facts, " (guessed)")
+    words = describe_axes(facts, " (guessed)")
     turn = round(facts["facing_degrees"])
     side = ("+Z", "+X", "-Z", "-X")[round(turn / 90) % 4]
     words.append(f"the body faces {side} ({turn}° about Y) on average")

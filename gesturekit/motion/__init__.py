@@ -1,4 +1,4 @@
-"""What a motion is: skeletons, rotations, kinematics, body parts, contacts, mirroring."""
+"""Motion: skeletons, rotations, kinematics, body parts, contacts, mirroring."""
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton

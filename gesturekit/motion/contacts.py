@@ -1,4 +1,4 @@
-"""Feet and the floor: where on the rig a foot touches, and when it stands still."""
+"""Foot contacts: points of the feet that touch the floor, and labels of when they do."""
 
 from __future__ import annotations
 
@@ -15,31 +15,32 @@ from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
 CONTACT_SPEED = 0.2
-"""m/s on the reference body; a foot point that is slower stands (eq. 1)."""
+"""m/s on the reference body; a slower foot point is in contact (eq. 1)."""
 _SHORTEST_FOOT = 0.01
 """Metres on the reference body; a foot that ends closer to its ankle has no toe point."""
-_ON_THE_FLOOR = 0.05
+_FLOOR_QUANTILE = 0.05
+"""Share of frames in which the lowest joint is assumed to be at or below the floor."""
 
 
 @dataclass(frozen=True, eq=False)
 class FootPoint:
-    """A point that is fixed to a joint: its name, and an offset (3,) in its frame, metres."""
+    """Point fixed to a joint, at an offset (3,) in the joint's frame, metres."""
 
     joint: str
     offset: np.ndarray
 
 
 def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
-    """Return the points where the left foot touches the floor, then the right; none without legs.
+    """Return the contact points of the left foot, then of the right; none without legs.
 
-    Heel and toe. The heel is the ankle joint. The toe is the toe joint, or where the
-    rig has none the farthest end of the foot (a leaf or an end site on the ankle); without that
-    there is no toe point. End sites that no foot can have do not count (`end_sites`).
+    The heel is the ankle joint. The toe is the toe joint, or without one the farthest end of the
+    foot (a leaf or an end site on the ankle); without that there is no toe point. Implausible end
+    sites are ignored (`end_sites`).
 
-    With a body model, big toe, small toe and heel: `BodyModel.rig` puts those vertices on the foot
-    joints as end sites, and three or more of them on a foot are what touches the floor. They are
-    fixed to the joint they are weighted to most, so that labels, losses and measurements see the
-    same points and none needs the skin; see `BodyModel.vertices` for the skinned ones.
+    A rig from a body model (`BodyModel.rig`) has its big toe, small toe and heel vertices as end
+    sites of the foot joints. A foot with three or more end sites uses these instead. Each is fixed
+    to the joint with the largest skinning weight, so that labels, losses and metrics use the same
+    points without the skin; see `BodyModel.vertices` for the skinned ones.
     """
     legs = find_legs(skeleton)
     if legs is None:
@@ -63,6 +64,7 @@ def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
 
 
 def _toe(skeleton: Skeleton, leg: Leg, sites: Sequence[np.ndarray]) -> FootPoint | None:
+    """Return the toe point, if any; `sites` (3,) are the end sites on the ankle."""
     if leg.toe is not None:
         return FootPoint(leg.toe, np.zeros(3))
     ends = [skeleton.offsets[j] for j in skeleton.children(skeleton.index(leg.ankle))]
@@ -72,32 +74,31 @@ def _toe(skeleton: Skeleton, leg: Leg, sites: Sequence[np.ndarray]) -> FootPoint
 
 
 def foot_positions(motion: Motion) -> np.ndarray:
-    """(T, F, 3) world positions of the foot points, metres."""
+    """(T, F, 3) world positions of the F foot points, metres."""
     points = foot_points(motion.skeleton)
     joints = [motion.skeleton.index(point.joint) for point in points]
     offsets = np.array([point.offset for point in points]).reshape(-1, 3)
-    turned = motion.global_rotations()[:, joints]
-    return motion.positions()[:, joints] + rotate_vectors(turned, offsets)
+    world = motion.global_rotations()[:, joints]
+    return motion.positions()[:, joints] + rotate_vectors(world, offsets)
 
 
 def floor_height(motion: Motion) -> float:
-    """Metres: where the lowest joint of a motion is when it is on the floor.
+    """Return the height of the floor, metres: the 5th percentile of the lowest joint's height.
 
-    For motions that nobody has labelled and rigs whose feet cannot be told: the lowest joint is
-    there in a twentieth of the frames at the least, and hardly ever below.
+    It needs neither contact labels nor identified feet.
     """
-    return float(np.quantile(motion.positions()[..., 1].min(axis=1), _ON_THE_FLOOR))
+    return float(np.quantile(motion.positions()[..., 1].min(axis=1), _FLOOR_QUANTILE))
 
 
 def contact_labels(motion: Motion, threshold: float = CONTACT_SPEED) -> np.ndarray:
-    """(T, F) 1.0 where a foot point is slower than `threshold`, else 0.0.
+    """(T, F) contact labels: 1.0 if a foot point is slower than `threshold`, else 0.0.
 
-    Eq. 1 of Moreno-Villamarin et al. 2024. The speed of frame k is that since frame k - 1; frame
-    0 copies frame 1, and a single frame stands.
+    Eq. 1 of Moreno-Villamarin et al. 2024. The speed of frame k is measured since frame k - 1;
+    frame 0 copies frame 1, and a single frame is in contact.
 
     Args:
         motion: any rig with two legs.
-        threshold: m/s on the reference body; it is multiplied by `body_scale` of the rig.
+        threshold: m/s on the reference body; multiplied by `body_scale` of the rig.
     """
     threshold *= body_scale(motion.skeleton)
     feet = foot_positions(motion)

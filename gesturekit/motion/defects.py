@@ -75,11 +75,11 @@ def find_jumps(motion: Motion) -> Jumps | None:
 
 def speed_limit(limit: float) -> str:
     """Return the words for a limit on speed that was scaled from `MAX_SPEED` to a body."""
-    here, usual = in_words(limit), in_words(MAX_SPEED)
+    here, usual = format_speed(limit), format_speed(MAX_SPEED)
     return f"over {here}" if here == usual else f"over {here}, {usual} on a body of 1.7 m"
 
 
-def in_words(speed: float) -> str:
+def format_speed(speed: float) -> str:
     """Return a speed with two digits at least: "0.91 m/s", "24 m/s"."""
     return f"{speed:.0f} m/s" if speed >= 9.95 else f"{speed:.2g} m/s"
 

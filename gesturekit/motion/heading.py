@@ -1,4 +1,4 @@
-"""Which way a body faces."""
+"""Heading: the direction a body faces on the ground."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 
 _TOO_STEEP = 0.05
-"""Share of its length that a side axis needs along the ground to say where a body faces."""
+"""Horizontal share of the side axis below which it gives no heading."""
 
 
 def heading(motion: Motion) -> float:
-    """Mean direction the body faces, radians about Y; 0 is +Z, positive towards +X.
+    """Return the mean direction the body faces, radians about Y; 0 is +Z, positive towards +X.
 
-    A body that faces +Z has its left hip at +X of its right one. A rig without legs is taken to
-    face +Z.
+    A body that faces +Z has its left hip at +X of its right one. A rig without legs faces +Z.
     """
     across = _across(motion)
     if across is None:
@@ -30,45 +30,45 @@ def heading(motion: Motion) -> float:
 def side_axis(motions: Sequence[Motion], root: int) -> np.ndarray:
     """(3,) unit vector towards the body's left in the frame of joint `root`.
 
-    It is the mean direction from the right hip to the left one as that joint sees it. On a rig
-    without legs the joint's own +Z is taken to look forward; where that points up or down, its
-    axis that lies flattest is taken for the side.
+    It is the mean direction from the right hip to the left one in that frame. A rig without legs
+    is assumed to face the joint's +Z; if that points up or down, the most horizontal axis is the
+    side.
 
     Args:
         motions: motions of one rig.
-        root: index of the joint whose turns are the body's.
+        root: index of the joint that turns with the body.
     """
-    turned = np.concatenate([motion.global_rotations()[:, root] for motion in motions])
-    ways = [_across(motion) for motion in motions]
-    if any(way is None for way in ways):
-        flat = [np.hypot(*rotate_vectors(turned, axis)[:, [0, 2]].T).mean() for axis in np.eye(3)]
-        # Forward along z means that the side is x.
+    world = np.concatenate([motion.global_rotations()[:, root] for motion in motions])
+    hips = [_across(motion) for motion in motions]
+    if any(vectors is None for vectors in hips):
+        flat = [np.hypot(*rotate_vectors(world, axis)[:, GROUND].T).mean() for axis in np.eye(3)]
+        # If z points forward, the side is x.
         return np.eye(3)[0 if flat[2] > 0.5 and flat[0] > 0.5 else int(np.argmax(flat))]
-    side = rotate_vectors(invert_quaternions(turned), np.concatenate(ways)).mean(axis=0)
+    side = rotate_vectors(invert_quaternions(world), np.concatenate(hips)).mean(axis=0)
     length = np.linalg.norm(side)
     return side / length if length > 1e-9 else np.eye(3)[0]
 
 
-def headings(turned: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """(T,) where a body faces in each frame, radians about Y, without jumps by whole turns.
+def headings(world: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """(T,) direction the body faces in each frame, radians about Y, unwrapped.
 
-    Forward is what lies square to the side axis and to the world's Y. While the side axis points
-    up or down (somebody lies on one side) the heading goes straight between its neighbours.
+    Forward is perpendicular to the side axis and to the world's Y. Frames whose side axis points
+    up or down (the body lies on one side) are interpolated linearly.
 
     Args:
-        turned: (T, 4) world rotations of the root.
+        world: (T, 4) world rotations of the root.
         side: (3,) from `side_axis`.
     """
-    across = rotate_vectors(turned, np.broadcast_to(side, (len(turned), 3)))
-    told = np.flatnonzero(np.hypot(across[:, 0], across[:, 2]) > _TOO_STEEP)
-    if not len(told):
-        return np.zeros(len(turned))
-    angles = np.unwrap(np.arctan2(-across[told, 2], across[told, 0]))
-    return np.interp(np.arange(len(turned)), told, angles)
+    across = rotate_vectors(world, np.broadcast_to(side, (len(world), 3)))
+    defined = np.flatnonzero(np.hypot(across[:, 0], across[:, 2]) > _TOO_STEEP)
+    if not len(defined):
+        return np.zeros(len(world))
+    angles = np.unwrap(np.arctan2(-across[defined, 2], across[defined, 0]))
+    return np.interp(np.arange(len(world)), defined, angles)
 
 
 def _across(motion: Motion) -> np.ndarray | None:
-    """(T, 3) from the right hip to the left one, world, metres; None without legs."""
+    """(T, 3) world vectors from the right hip to the left one, metres; None without legs."""
     legs = find_legs(motion.skeleton)
     if legs is None:
         return None

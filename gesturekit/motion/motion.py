@@ -1,4 +1,4 @@
-"""A motion: a rig and how its joints turn over time."""
+"""Motion: a skeleton with joint rotations and a root translation for each frame."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ import numpy as np
 
 from gesturekit.errors import FormatError, MotionError, gesturekit_errors
 from gesturekit.motion import kinematics
+from gesturekit.motion.body_size import body_height
+from gesturekit.motion.mirroring import mirror
+from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import FARTHEST, Skeleton
 
-LOWEST_FPS, HIGHEST_FPS = 1e-5, 1e5
-"""Frame rates beyond these are damage."""
-
-# The one step upwards: files are read and written by packages that build on this one.
+# The only upward imports: readers and writers of files are in packages that import this one, and
+# are loaded by name when a file is read or written.
 _READERS = {
     ".bvh": ("gesturekit.formats.bvh.bvh", "read_bvh"),
     ".npz": ("gesturekit.formats.npz", "read_npz"),
@@ -40,21 +41,21 @@ _WRITERS = {
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Local rotations of a rig's joints and the path of its root; frame k is at k / fps seconds.
+    """Local joint rotations and a root translation for each frame; frame k is at k / fps seconds.
 
     Attributes:
         skeleton: the rig, J joints.
-        rotations: (T, J, 4) float64 local unit quaternions, x y z w.
-        translation: (T, 3) float64 of the root joint, metres, Y up; replaces the root's offset.
-        fps: frames per second, from `LOWEST_FPS` to `HIGHEST_FPS`.
-        joint_translations: joint name to (T, 3), metres, in the parent's frame: replaces that
-            joint's offset, for files that move joints other than the root.
-        info: what is known of its origin (source file, unit found, ...).
-        expressions: (T, E) coefficients of the face, as SMPL-X has them, or None. They are carried
-            along and resampled; nothing else looks at them.
+        rotations: (T, J, 4) float64 local unit quaternions, xyzw.
+        translation: (T, 3) float64 root positions, metres, Y up; they replace the root's offset.
+        fps: frames per second, 1e-5 to 1e5.
+        joint_translations: joint name to (T, 3) positions in the parent's frame, metres. They
+            replace that joint's offset, for files that move joints other than the root.
+        info: metadata on the origin (source file, detected unit, ...).
+        expressions: (T, E) SMPL-X face coefficients, or None. They are kept and resampled, but not
+            used otherwise.
 
     Raises:
-        MotionError: shapes that do not fit, numbers that are not finite, or no frame at all.
+        MotionError: shapes that do not match, values that are not finite, or no frames.
     """
 
     skeleton: Skeleton
@@ -82,19 +83,19 @@ class Motion:
                 f"the rotation of joint {self.skeleton.names[bad[1]]!r} in frame {bad[0]} is "
                 f"{rotations[bad[0], bad[1]].tolist()}, no quaternion"
             )
-        # Unit ones stay as they are, to the last bit: what is read again is what was written.
+        # Unit quaternions are not normalised again, so that a file round trip is bit-exact.
         if (off := np.abs(length - 1) > 1e-12).any():
             rotations = np.where(off, rotations / length, rotations)
         moving = {}
-        for name, places in self.joint_translations.items():
+        for name, values in self.joint_translations.items():
             if self.skeleton.index(name) == 0:
                 raise MotionError(f"{name!r} is the root: its place is the motion's translation")
-            moving[name] = _places(places, n_frames, f"translation of joint {name!r}")
+            moving[name] = _positions(values, n_frames, f"translation of joint {name!r}")
         fps = checked_fps(self.fps)
-        translation = _places(self.translation, n_frames, "translation")
+        translation = _positions(self.translation, n_frames, "translation")
         expressions = self.expressions
         if expressions is not None:
-            expressions = _rows(expressions, n_frames, "expressions")
+            expressions = _finite_frames(expressions, n_frames, "expressions")
         for key, value in (
             ("rotations", rotations),
             ("translation", translation),
@@ -117,12 +118,12 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Seconds, T / fps: each frame stands for 1 / fps."""
+        """Duration T / fps in seconds; each frame lasts 1 / fps."""
         return self.n_frames / self.fps
 
     @property
     def times(self) -> np.ndarray:
-        """(T,) seconds, k / fps."""
+        """(T,) frame times k / fps, seconds."""
         return np.arange(self.n_frames) / self.fps
 
     def positions(self) -> np.ndarray:
@@ -132,12 +133,12 @@ class Motion:
         )
 
     def end_positions(self) -> dict[str, np.ndarray]:
-        """Joint name to (T, E, 3), world positions of its E end sites, metres."""
-        positions, turned = self.positions(), self.global_rotations()
+        """Return, for each joint with E end sites, their (T, E, 3) world positions, metres."""
+        positions, world = self.positions(), self.global_rotations()
         ends = {}
         for name, sites in self.skeleton.end_sites.items():
             j = self.skeleton.index(name)
-            ends[name] = positions[:, j, None] + rotate_vectors(turned[:, j, None], np.stack(sites))
+            ends[name] = positions[:, j, None] + rotate_vectors(world[:, j, None], np.stack(sites))
         return ends
 
     def global_rotations(self) -> np.ndarray:
@@ -145,22 +146,61 @@ class Motion:
         return kinematics.global_rotations(self.rotations, self.skeleton)
 
     def resample(self, fps: float, n_frames: int | None = None, antialias: bool = False) -> Motion:
-        """At another frame rate; see `gesturekit.motion.resampling.resample_motion`."""
-        from gesturekit.motion.resampling import resample_motion
+        """Return the motion at another frame rate; after its last frame it stands still.
 
-        return resample_motion(self, fps, n_frames, antialias)
+        Rotations are interpolated by slerp, positions linearly.
 
-    def mirror(self) -> Motion:
-        """Left and right exchanged; see `gesturekit.motion.mirroring.mirror_motion`."""
-        from gesturekit.motion.mirroring import mirror_motion
-
-        return mirror_motion(self)
-
-    def scaled(self, factor: float) -> Motion:
-        """Multiply all lengths by `factor`: rig, path of the root, joints that move.
+        Args:
+            fps: frames per second of the result; its frame k is at k / fps seconds.
+            n_frames: number of frames; by default floor(duration fps + 1/2).
+            antialias: filter out frequencies above fps / 2, which would otherwise alias. No effect
+                if the rate rises.
 
         Raises:
-            MotionError: a factor that is not above 0 and finite.
+            MotionError: an invalid rate, fewer than one frame, or more than 8 GB of frames.
+        """
+        resampler = Resampler(
+            self.n_frames, self.skeleton.n_joints, self.fps, fps, n_frames, antialias
+        )
+        moving, face = self.joint_translations, self.expressions
+        return replace(
+            self,
+            rotations=resampler.rotations(self.rotations),
+            translation=resampler.values(self.translation),
+            fps=resampler.fps,
+            joint_translations={k: resampler.values(v) for k, v in moving.items()},
+            expressions=None if face is None else resampler.values(face),
+            info=dict(self.info),
+        )
+
+    def mirror(self) -> Motion:
+        """Return the motion with left and right exchanged and x reflected.
+
+        The skeleton is mirrored too (a longer left arm becomes a longer right arm), so that joint
+        positions are exact mirror images. Counterparts come from
+        `gesturekit.motion.parts.left_right_pairs`; a joint without one is its own. Expressions are
+        kept, because their coefficients have no known sides.
+
+        Raises:
+            MotionError: a rig with limbs whose left and right cannot be identified.
+        """
+        skeleton, rotations, translation, moving = mirror(
+            self.skeleton, self.rotations, self.translation, self.joint_translations
+        )
+        return replace(
+            self,
+            skeleton=skeleton,
+            rotations=rotations,
+            translation=translation,
+            joint_translations=moving,
+            info=dict(self.info),
+        )
+
+    def scaled(self, factor: float) -> Motion:
+        """Multiply all lengths by `factor`: skeleton, translation and joint translations.
+
+        Raises:
+            MotionError: a factor that is not positive and finite.
         """
         return replace(
             self,
@@ -171,45 +211,35 @@ class Motion:
         )
 
     def with_parts(self, parts: Mapping[str, str]) -> Motion:
-        """With parts of the rig named by hand, beside those that already are.
+        """Return the motion with more body parts of its rig specified by hand.
 
         Args:
-            parts: such as {"left_elbow": "Joint12"}, see `Skeleton.parts`.
+            parts: part to joint, such as {"left_elbow": "Joint12"}; see `Skeleton.parts`.
 
         Raises:
             MotionError: no such joint.
         """
-        if not parts:
-            return self
-        return replace(self, skeleton=self.skeleton.with_parts(parts))
+        return replace(self, skeleton=self.skeleton.with_parts(parts)) if parts else self
 
     def with_height(self, metres: float) -> Motion:
-        """Return the motion scaled so that its body is this tall; `info` keeps the `scale`.
+        """Return the motion scaled to a body height; the factor is stored as `info["scale"]`.
 
         Args:
             metres: sole to crown, standing upright; see `gesturekit.motion.body_size.body_height`.
 
         Raises:
-            MotionError: no such height, or a rig without bones.
+            MotionError: an invalid height, or a rig without bones.
         """
-        from gesturekit.motion.body_size import body_height
-
         if not 0 < metres < FARTHEST:
             raise MotionError(f"height is {metres!r}; expected metres, such as 1.75")
         scale = metres / body_height(self.skeleton)
-        return replace(
-            self,
-            skeleton=self.skeleton.scaled(scale),
-            translation=self.translation * scale,
-            joint_translations={k: v * scale for k, v in self.joint_translations.items()},
-            info=self.info | {"scale": scale},
-        )
+        return replace(self.scaled(scale), info=self.info | {"scale": scale})
 
     def slice(self, start_frame: int, stop_frame: int) -> Motion:
-        """Frames start_frame (included) to stop_frame (not included).
+        """Return frames `start_frame` up to, not including, `stop_frame`.
 
         Raises:
-            MotionError: the range is empty or leaves the motion.
+            MotionError: the range is empty or exceeds the motion.
         """
         if not 0 <= start_frame < stop_frame <= self.n_frames:
             raise MotionError(
@@ -226,10 +256,10 @@ class Motion:
         )
 
     def trim(self, start: float = 0.0, stop: float | None = None) -> Motion:
-        """Seconds `start` to `stop`, the end by default; both are rounded to whole frames.
+        """Return seconds `start` to `stop` (default: the end), both rounded to whole frames.
 
         Raises:
-            MotionError: nothing is left, or the range leaves the motion.
+            MotionError: the range is empty or exceeds the motion.
         """
         last = self.n_frames / self.fps if stop is None else stop
         if not (math.isfinite(start) and math.isfinite(last)):
@@ -246,17 +276,17 @@ class Motion:
     def load(
         cls, path: str | os.PathLike[str], *, height: float | None = None, **options: Any
     ) -> Motion:
-        """Read a .bvh or .npz file, or a folder of EasyMocap.
+        """Read a .bvh or .npz file, or an EasyMocap folder.
 
         Args:
             path: the file or folder.
-            height: of the body, metres: the motion is scaled to it, see `with_height`.
-            options: those of the reader.
+            height: body height in metres to scale the motion to, see `with_height`.
+            options: keyword arguments of the format's reader.
 
         Raises:
-            FormatError: the file is missing, of another kind, or broken, or an option that its
-                format does not have.
-            MotionError: a height that cannot be.
+            FormatError: the file is missing, of another kind or broken, or its format does not
+                have an option.
+            MotionError: an invalid height.
         """
         _refuse_special(Path(path))
         motion = _dispatch(_READERS, path, "read", options)(path, **options)
@@ -264,36 +294,29 @@ class Motion:
 
     @gesturekit_errors()
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write a .bvh, .npz, .obj, .html or .png file; `options` are those of the writer.
+        """Write a .bvh, .npz, .obj, .html or .png file.
+
+        Args:
+            path: the file; its suffix selects the format.
+            options: keyword arguments of the format's writer.
 
         Raises:
-            FormatError: no such format, one that cannot hold this motion, or an option that it
-                does not have.
+            FormatError: an unknown format, one that cannot hold this motion, or an option that the
+                format does not have.
         """
         _dispatch(_WRITERS, path, "write", options)(self, path, **options)
 
 
 def _refuse_special(path: Path) -> None:
-    """Reading a pipe or a device may never end."""
+    """Raise FormatError for a missing file, pipe or device; reading a pipe may never end."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
         raise FormatError(f"{path}: no such file") from None
     except (OSError, ValueError):
-        return  # whoever reads it says what is wrong with it
+        return  # the reader reports the error
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise FormatError(f"{path}: not a regular file")
-
-
-def checked_fps(fps: float) -> float:
-    """The frame rate as a float.
-
-    Raises:
-        MotionError: it is no rate that a motion can have.
-    """
-    if not LOWEST_FPS <= float(fps) <= HIGHEST_FPS:
-        raise MotionError(f"fps is {fps!r}; expected {LOWEST_FPS:g} to {HIGHEST_FPS:g}")
-    return float(fps)
 
 
 def _dispatch(
@@ -302,7 +325,7 @@ def _dispatch(
     verb: str,
     options: Iterable[str],
 ) -> Callable[..., Any]:
-    """The reader or writer of a file, which has these options."""
+    """Return the reader or writer for a path, after checking that it has these options."""
     suffix = "a folder" if Path(path).is_dir() else Path(path).suffix.lower()
     if suffix not in table:
         raise FormatError(
@@ -329,20 +352,22 @@ def _dispatch(
     return function(suffix)
 
 
-def _places(values: np.ndarray, n_frames: int, what: str) -> np.ndarray:
+def _positions(values: np.ndarray, n_frames: int, name: str) -> np.ndarray:
+    """Return `values` as float64 of shape (n_frames, 3), or raise MotionError."""
     values = np.asarray(values, dtype=np.float64)
     if values.shape != (n_frames, 3):
         raise MotionError(
-            f"{what} has shape {values.shape}; {n_frames} frames need ({n_frames}, 3)"
+            f"{name} has shape {values.shape}; {n_frames} frames need ({n_frames}, 3)"
         )
-    return _rows(values, n_frames, what)
+    return _finite_frames(values, n_frames, name)
 
 
-def _rows(values: np.ndarray, n_frames: int, what: str) -> np.ndarray:
+def _finite_frames(values: np.ndarray, n_frames: int, name: str) -> np.ndarray:
+    """Return `values` as finite float64 of shape (n_frames, D), or raise MotionError."""
     values = np.asarray(values, dtype=np.float64)
     if values.ndim != 2 or len(values) != n_frames:
-        raise MotionError(f"{what} has shape {values.shape}; {n_frames} frames need as many rows")
+        raise MotionError(f"{name} has shape {values.shape}; {n_frames} frames need as many rows")
     if not (near := np.abs(values) <= FARTHEST).all():
         frame = int(np.argwhere(~near)[0, 0])
-        raise MotionError(f"{what} is not finite, or over {FARTHEST:g}, in frame {frame}")
+        raise MotionError(f"{name} is not finite, or over {FARTHEST:g}, in frame {frame}")
     return values

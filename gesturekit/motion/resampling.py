@@ -1,15 +1,13 @@
-"""A motion at another frame rate."""
+"""Resampling to another frame rate, with linear interpolation and an optional low-pass filter."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.motion import Motion, checked_fps
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -18,79 +16,94 @@ from gesturekit.motion.rotations import (
     slerp,
 )
 
+LOWEST_FPS, HIGHEST_FPS = 1e-5, 1e5
+"""Frame rates outside this range are treated as errors in the file."""
 _MOST_ROTATIONS = 250_000_000  # 8 GB of them; ten hours of 75 joints at 60 fps are 162 million
 
 
-def resample_motion(
-    motion: Motion, fps: float, n_frames: int | None = None, antialias: bool = False
-) -> Motion:
-    """Frame k of the result is the motion at k / fps seconds; past its last frame it stands still.
-
-    Rotations go along the shorter arc, places along straight lines.
-
-    Args:
-        motion: what to resample.
-        fps: frames per second of the result.
-        n_frames: how many; by default as many as the duration holds, floor(duration fps + 1/2).
-        antialias: take out what is faster than the new rate can hold, half of it in Hz, instead of
-            folding it down. Does nothing where the rate rises.
+def checked_fps(fps: float) -> float:
+    """Return the frame rate as a float.
 
     Raises:
-        MotionError: a rate that no motion can have, no frame asked for, or more than 8 GB of them.
+        MotionError: it is outside `LOWEST_FPS` to `HIGHEST_FPS`.
     """
-    fps = checked_fps(fps)
-    if n_frames is None:
-        exact = motion.n_frames * Fraction(fps) / Fraction(motion.fps)
-        n_frames = max(1, math.floor(exact + Fraction(1, 2)))
-    if n_frames < 1:
-        raise MotionError(f"n_frames is {n_frames}; a motion needs at least one frame")
-    if n_frames * motion.skeleton.n_joints > _MOST_ROTATIONS:
-        raise MotionError(
-            f"{motion.duration:.6g} s at {fps:g} fps are {n_frames} frames, too many to hold; is "
-            f"the motion's own rate, {motion.fps:g} fps, right?"
-        )
-    last = motion.n_frames - 1
-    if fps == motion.fps:
-        low = high = np.minimum(np.arange(n_frames), last)
-        weight = np.zeros(n_frames)
-    else:
-        place = np.minimum(np.arange(n_frames) * (motion.fps / fps), last)
-        low = np.floor(place).astype(np.int64)
-        high = np.minimum(low + 1, last)
-        weight = place - low
+    if not LOWEST_FPS <= float(fps) <= HIGHEST_FPS:
+        raise MotionError(f"fps is {fps!r}; expected {LOWEST_FPS:g} to {HIGHEST_FPS:g}")
+    return float(fps)
 
-    def between(values: np.ndarray) -> np.ndarray:
-        return values[low] + weight[:, None] * (values[high] - values[low])
 
-    rotations = slerp(motion.rotations[low], motion.rotations[high], weight[:, None])
-    places = between
-    if antialias and fps < motion.fps:
-        lowpass = _LowPass(low + weight, motion.fps / fps, motion.n_frames)
-        rotations = lowpass.rotations(motion.rotations, rotations)
-        places = lowpass.places
-    return replace(
-        motion,
-        rotations=rotations,
-        translation=places(motion.translation),
-        fps=fps,
-        joint_translations={k: places(v) for k, v in motion.joint_translations.items()},
-        expressions=None if motion.expressions is None else places(motion.expressions),
-        info=dict(motion.info),
-    )
+class Resampler:
+    """Interpolation of the arrays of one motion at another frame rate; see `Motion.resample`.
+
+    Args:
+        n_source: frames T' of the motion.
+        n_joints: J; limits the number of frames that fit in memory.
+        source_fps: frames per second of the motion.
+        fps: frames per second of the result.
+        n_frames: frames T of the result; by default floor(duration fps + 1/2).
+        antialias: filter out frequencies above fps / 2 if the rate falls.
+
+    Raises:
+        MotionError: a rate outside the allowed range, or a number of frames below 1 or too large.
+    """
+
+    def __init__(
+        self,
+        n_source: int,
+        n_joints: int,
+        source_fps: float,
+        fps: float,
+        n_frames: int | None = None,
+        antialias: bool = False,
+    ) -> None:
+        self.fps = fps = checked_fps(fps)
+        if n_frames is None:
+            exact = n_source * Fraction(fps) / Fraction(source_fps)
+            n_frames = max(1, math.floor(exact + Fraction(1, 2)))
+        if n_frames < 1:
+            raise MotionError(f"n_frames is {n_frames}; a motion needs at least one frame")
+        if n_frames * n_joints > _MOST_ROTATIONS:
+            raise MotionError(
+                f"{n_source / source_fps:.6g} s at {fps:g} fps are {n_frames} frames, too many to "
+                f"hold; is the motion's own rate, {source_fps:g} fps, right?"
+            )
+        last = n_source - 1
+        if fps == source_fps:
+            self._low = self._high = np.minimum(np.arange(n_frames), last)
+            self._weight = np.zeros(n_frames)
+        else:
+            place = np.minimum(np.arange(n_frames) * (source_fps / fps), last)
+            self._low = np.floor(place).astype(np.int64)
+            self._high = np.minimum(self._low + 1, last)
+            self._weight = place - self._low
+        self._lowpass = None
+        if antialias and fps < source_fps:
+            self._lowpass = _LowPass(self._low + self._weight, source_fps / fps, n_source)
+
+    def values(self, source: np.ndarray) -> np.ndarray:
+        """(T, D) values, linearly interpolated from (T', D)."""
+        if self._lowpass is not None:
+            return self._lowpass.values(source)
+        low, high = source[self._low], source[self._high]
+        return low + self._weight[:, None] * (high - low)
+
+    def rotations(self, source: np.ndarray) -> np.ndarray:
+        """(T, J, 4) unit quaternions, interpolated by slerp from (T', J, 4)."""
+        between = slerp(source[self._low], source[self._high], self._weight[:, None])
+        return between if self._lowpass is None else self._lowpass.rotations(source, between)
 
 
 class _LowPass:
-    """A Lanczos filter of three lobes at any times between frames; the end frames are held, up to
-    the length of the motion.
+    """Lanczos filter of three lobes, evaluated at any times; the end frames are repeated.
 
     Rotations are averaged as rotation vectors about the unfiltered result (Lee and Shin 2002,
-    "General construction of time-domain filters for orientation data"): no bias by the sign of a
-    quaternion or by its chord.
+    "General construction of time-domain filters for orientation data"), which does not depend on
+    the signs of the quaternions.
 
     Args:
-        times: (T,) in frames of the source.
-        ratio: frames of the source for one of the result, above 1.
-        n_frames: of the source.
+        times: (T,) times of the result, in source frames.
+        ratio: source frames per frame of the result, above 1.
+        n_frames: number of source frames T'.
     """
 
     def __init__(self, times: np.ndarray, ratio: float, n_frames: int) -> None:
@@ -101,13 +114,13 @@ class _LowPass:
         self._weights = weights / weights.sum(axis=1, keepdims=True)
         self._taps = np.clip(taps, 0, n_frames - 1)
 
-    def places(self, values: np.ndarray) -> np.ndarray:
-        """(T, D) of (T', D)."""
-        # Tap by tap: all at once they would be six times the frames of the source.
+    def values(self, values: np.ndarray) -> np.ndarray:
+        """(T, D) filtered values from (T', D)."""
+        # Tap by tap, because all taps at once would take six times the memory of the source.
         return sum(w[:, None] * values[tap] for tap, w in zip(self._taps.T, self._weights.T))
 
     def rotations(self, source: np.ndarray, unfiltered: np.ndarray) -> np.ndarray:
-        """(T, J, 4) of (T', J, 4) and the result without a filter (T, J, 4)."""
+        """(T, J, 4) filtered rotations from `source` (T', J, 4) and `unfiltered` (T, J, 4)."""
         back = invert_quaternions(unfiltered)
         vector = np.zeros((*unfiltered.shape[:-1], 3))
         for tap, weight in zip(self._taps.T, self._weights.T):

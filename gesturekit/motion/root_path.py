@@ -1,4 +1,4 @@
-"""The path that a body takes over the ground, and where it faces on its way."""
+"""Root path: positions on the ground and headings over time."""
 
 from __future__ import annotations
 
@@ -10,29 +10,31 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import headings, side_axis
-from gesturekit.motion.motion import Motion, checked_fps
+from gesturekit.motion.kinematics import GROUND
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.selection.model_joints import first_moving_joint
 from gesturekit.motion.skeleton import FARTHEST
 
 STANDING = 0.05
-"""Below this speed (m/s of the reference body) where a path goes does not say where it looks."""
+"""m/s of the reference body; a slower path has no direction of travel."""
 SMOOTHED_SECONDS = 1 / 3
-"""What a path is smoothed over: 10 frames at 30 fps (section 4.1 of Alexanderson et al. 2023)."""
+"""Smoothing window: 10 frames at 30 fps (section 4.1 of Alexanderson et al. 2023)."""
 _MOST_FRAMES = 50_000_000  # over two weeks at 30 fps
 
 
 @dataclass(frozen=True, eq=False)
 class RootPath:
-    """Places on the ground and headings; frame k is at k / fps seconds.
+    """Positions on the ground and headings; frame k is at k / fps seconds.
 
     Attributes:
         positions: (T, 2) float64, x and z in metres.
-        headings: (T,) float64 radians about Y: 0 faces +Z, positive towards +X. They go on past a
-            whole turn (a circle walked twice ends at 4 pi); read headings that jump are put right.
+        headings: (T,) float64 radians about Y: 0 faces +Z, positive towards +X. They are unwrapped
+            (a circle walked twice ends at 4 pi).
         fps: frames per second.
 
     Raises:
-        MotionError: shapes that do not fit, numbers that are not finite, or no frame at all.
+        MotionError: shapes that do not match, values that are not finite, or no frames.
     """
 
     positions: np.ndarray
@@ -61,24 +63,27 @@ class RootPath:
     def of(
         cls, motion: Motion, root: int | None = None, side: np.ndarray | None = None
     ) -> RootPath:
-        """The way of a motion's root over the ground, facing where the hips face.
+        """Return the path of a motion's root, with the heading of the hips.
 
         Args:
             motion: any rig.
             root: index of the joint to follow; by default the first one that moves.
-            side: (3,) towards the body's left in the frame of that joint, by default as
-                `gesturekit.motion.heading.side_axis` finds it in this motion.
+            side: (3,) direction to the body's left in the frame of that joint; by default from
+                `gesturekit.motion.heading.side_axis`.
         """
         root = first_moving_joint([motion]) if root is None else root
         side = side_axis([motion], root) if side is None else side
-        places = motion.positions()[:, root][:, [0, 2]]
-        return cls(places, headings(motion.global_rotations()[:, root], side), motion.fps)
+        positions = motion.positions()[:, root][:, GROUND]
+        return cls(positions, headings(motion.global_rotations()[:, root], side), motion.fps)
 
     @classmethod
     def looking_ahead(cls, positions: np.ndarray, fps: float, scale: float = 1.0) -> RootPath:
-        """A path that looks where it goes; while it stands, it turns from one way to the next.
+        """Return a path that faces its direction of travel, interpolated while it stands.
 
-        `scale` is the `body_scale` of who goes there: a doll's walk is no standing.
+        Args:
+            positions: (T, 2) x and z, metres.
+            fps: frames per second.
+            scale: `body_scale` of the body that follows it, to scale the speed of standing.
         """
         positions = np.asarray(positions, dtype=np.float64)
         step = np.gradient(positions, axis=0) * fps if len(positions) > 1 else 0 * positions
@@ -92,22 +97,22 @@ class RootPath:
     def from_deltas(
         cls, deltas: np.ndarray, fps: float, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> RootPath:
-        """Inverse of `deltas`.
+        """Integrate `deltas` to a path.
 
         Args:
-            deltas: (T, 3) turn, forward, lateral per frame; those of frame 0 lead nowhere.
+            deltas: (T, 3) turn, forward, lateral per frame; frame 0 is ignored.
             fps: frames per second.
             start: x and z in metres and heading in radians of frame 0.
         """
         turn, forward, lateral = np.array(deltas, dtype=np.float64)[1:].T
-        angles = start[2] + np.concatenate([[0.0], np.cumsum(turn)])
+        x, z, heading = start
+        angles = heading + np.concatenate([[0.0], np.cumsum(turn)])
         between = angles[1:] - turn / 2
         sine, cosine = np.sin(between), np.cos(between)
         step = np.stack(
             [forward * sine + lateral * cosine, forward * cosine - lateral * sine], axis=-1
         )
-        places = np.concatenate([[start[:2]], step]).cumsum(axis=0)
-        return cls(places, angles, fps)
+        return cls(np.concatenate([[[x, z]], step]).cumsum(axis=0), angles, fps)
 
     @property
     def n_frames(self) -> int:
@@ -120,17 +125,17 @@ class RootPath:
         return self.n_frames / self.fps
 
     def frames_within(self, fps: float) -> int:
-        """How many frames at `fps` lie between the first and the last of the path, both included.
+        """Return the number of frames at `fps` from the path's first to its last, both included.
 
-        A table of places a second apart from 0 to 10 s is a path of 10 s, not of 11.
+        Positions one second apart from 0 to 10 s make a path of 10 s, not of 11.
         """
         last = (self.n_frames - 1) * Fraction(checked_fps(fps)) / Fraction(self.fps)
-        # Rates such as 29.97 are not told exactly: a hair too short is whole.
+        # Rates such as 29.97 are rounded, so allow for a thousandth of a frame.
         return math.floor(last + Fraction(1, 1000)) + 1
 
     @property
     def speeds(self) -> np.ndarray:
-        """(T,) m/s over the ground, from each frame to the next; the last is that before it."""
+        """(T,) speed over the ground from each frame to the next, m/s; the last is repeated."""
         if self.n_frames < 2:
             return np.zeros(self.n_frames)
         steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=-1) * self.fps
@@ -139,9 +144,9 @@ class RootPath:
     def deltas(self) -> np.ndarray:
         """(T, 3) turn (radians), forward and lateral (metres, left is positive), each per frame.
 
-        Row k leads from frame k - 1 to frame k, seen along the heading halfway between the two, so
-        that a step along a circle has no lateral part, and left and right are alike. Row 0 repeats
-        row 1; a single frame has zeros.
+        Entry k is the step from frame k - 1 to frame k, relative to the heading halfway between
+        them, so that a step along a circle has no lateral component. Entry 0 repeats entry 1; a
+        single frame has zeros.
         """
         if self.n_frames < 2:
             return np.zeros((self.n_frames, 3))
@@ -149,19 +154,19 @@ class RootPath:
         between = self.headings[1:] - turn / 2
         dx, dz = np.diff(self.positions, axis=0).T
         sine, cosine = np.sin(between), np.cos(between)
-        rows = np.stack([turn, dx * sine + dz * cosine, dx * cosine - dz * sine], axis=-1)
-        return np.concatenate([rows[:1], rows])
+        steps = np.stack([turn, dx * sine + dz * cosine, dx * cosine - dz * sine], axis=-1)
+        return np.concatenate([steps[:1], steps])
 
     def resample(self, fps: float, n_frames: int | None = None, *, start: float = 0.0) -> RootPath:
-        """Frame k of the result is the path at start + k / fps seconds; past its ends it stands.
+        """Return the path at another rate, linearly interpolated and constant beyond its ends.
 
         Args:
             fps: frames per second of the result.
-            n_frames: how many; by default as many as are left, floor((duration - start) fps + 1/2).
-            start: seconds, which need not fall on a frame.
+            n_frames: number of frames; by default floor((duration - start) fps + 1/2).
+            start: seconds at which the result begins; need not fall on a frame.
 
         Raises:
-            MotionError: a rate that no motion can have, or a number of frames out of bounds.
+            MotionError: an invalid rate or number of frames.
         """
         fps = checked_fps(fps)
         if n_frames is None:
@@ -177,10 +182,10 @@ class RootPath:
         return RootPath(np.stack([x, z], axis=-1), angle, fps)
 
     def slice(self, start_frame: int, stop_frame: int) -> RootPath:
-        """Frames start_frame (included) to stop_frame (not included).
+        """Return frames `start_frame` up to, not including, `stop_frame`.
 
         Raises:
-            MotionError: the range is empty or leaves the path.
+            MotionError: the range is empty or exceeds the path.
         """
         if not 0 <= start_frame < stop_frame <= self.n_frames:
             raise MotionError(
@@ -190,10 +195,10 @@ class RootPath:
         return replace(self, positions=self.positions[part], headings=self.headings[part])
 
     def smoothed(self, frames: int | None = None) -> RootPath:
-        """Averaged over `frames` frames, by default over `SMOOTHED_SECONDS`.
+        """Return the centred moving average over `frames`, by default `SMOOTHED_SECONDS`.
 
-        The average is centred on its frame, so nothing is delayed. Both ends are continued by
-        their point reflection: they stay where they are, and a straight walk stays what it is.
+        Both ends are padded by point reflection: they keep their positions, and a straight walk
+        does not change.
 
         Raises:
             MotionError: fewer than one frame.
@@ -202,7 +207,7 @@ class RootPath:
             frames = max(1, round(SMOOTHED_SECONDS * self.fps))
         if frames < 1:
             raise MotionError(f"frames is {frames}; a path is smoothed over at least 1")
-        # An even number of frames has no frame in its middle: two halves at the ends.
+        # An even window has no central frame, so its two ends get half the weight.
         half = frames // 2
         weights = np.ones(2 * half + 1)
         if frames % 2 == 0:
@@ -219,9 +224,9 @@ class RootPath:
         return replace(self, positions=np.stack([x, z], axis=-1), headings=angle)
 
     def scaled(self, factor: float) -> RootPath:
-        """Return the path with its places multiplied by `factor`."""
+        """Return the path with its positions multiplied by `factor`."""
         return replace(self, positions=self.positions * factor)
 
     def mirror(self) -> RootPath:
-        """Left for right: x turned into -x, as `Motion.mirror` does."""
+        """Return the path with x reflected, as `Motion.mirror` does."""
         return replace(self, positions=self.positions * [-1.0, 1.0], headings=-self.headings)

@@ -12,7 +12,8 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.speech import Speech, SpeechConditioner, as_speech, at_rate, hear
 from gesturekit.errors import ModelError, gesturekit_errors
-from gesturekit.motion.motion import Motion, checked_fps
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
-from gesturekit.motion.motion import checked_fps
+from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation

@@ -104,13 +104,13 @@ class MultiresRepresentation(ModelJoints):
         Raises:
             MotionError: no motions, or a name that the rig does not have.
         """
-        return cls(**cls.choose(motions, joints), contact_speed=contact_speed)
+        return cls(**cls.fit_fields(motions, joints), contact_speed=contact_speed)
 
     @classmethod
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> MultiresRepresentation:
         """Return the inverse of `to_json`; values of older models have no contact speed."""
         speed = float(values.get("contact_speed", CONTACT_SPEED))
-        return cls(**cls.chosen(skeleton, values), contact_speed=speed)
+        return cls(**cls.fields_from_json(skeleton, values), contact_speed=speed)
 
     def to_json(self) -> dict[str, Any]:
         """Return all attributes but the skeleton as plain values."""
@@ -181,7 +181,7 @@ class MultiresRepresentation(ModelJoints):
                 height scale with the length of the legs.
         """
         n_frames = len(values)
-        rotations = self.hold(n_frames)
+        rotations = self.fixed_pose(n_frames)
         index = self.indices
         for start in range(0, n_frames, _FRAMES_AT_ONCE):
             part = values[start : start + _FRAMES_AT_ONCE, self.layout.rotations]

@@ -1,4 +1,4 @@
-"""What a generated motion goes through before it is written: feet that stay put, less jitter."""
+"""Postprocessing of generated motion: foot locking and smoothing."""
 
 from gesturekit.postprocess.foot_lock import lock_feet
 from gesturekit.postprocess.smoothing import smooth_motion

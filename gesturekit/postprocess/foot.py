@@ -1,4 +1,4 @@
-"""A foot of a rig: its joints, the two places where it stands, and all that must not sink."""
+"""Feet of a rig: joints, contact anchors, and points of the sole."""
 
 from __future__ import annotations
 
@@ -16,16 +16,21 @@ from gesturekit.motion.skeleton import Skeleton
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """A place on the foot that stands: a joint, an offset (3,) in its frame, and which columns of
-    the contact labels tell about it."""
+    """Point of the foot that is pinned while it stands.
+
+    Attributes:
+        joint: joint that the point is fixed to.
+        offset: (3,) in the joint's frame, metres.
+        columns: columns of the contact labels that belong to the point.
+    """
 
     joint: int
     offset: np.ndarray
     columns: tuple[int, ...]
 
-    def places(self, positions: np.ndarray, turned: np.ndarray) -> np.ndarray:
-        """(T, 3) of joints at (T, J, 3), turned by (T, J, 4)."""
-        return positions[:, self.joint] + rotate_vectors(turned[:, self.joint], self.offset)
+    def positions(self, joints: np.ndarray, world: np.ndarray) -> np.ndarray:
+        """(T, 3) world positions, from those (T, J, 3) and world rotations (T, J, 4) of joints."""
+        return joints[:, self.joint] + rotate_vectors(world[:, self.joint], self.offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,33 +38,52 @@ class Foot:
     """One leg and its foot.
 
     Attributes:
-        limb: hip, knee and ankle, as joints.
-        toe: the joint that the toes turn about, None without one.
-        heel: where the foot stands at its back.
-        ball: where it stands, and rolls, at its front; None on a foot that is a mere point.
+        hip: joint of the hip.
+        knee: joint of the knee.
+        ankle: joint of the ankle.
+        toe: joint that the toes rotate about; None without one.
+        heel: rear contact point.
+        ball: front contact point, about which the foot rolls; None if the foot is a single point.
         sole: points (joint, offset) that must not sink into the floor, those of the toes last.
-        n_toes: how many of them belong to the toes.
+        n_toes: number of sole points that belong to the toes.
     """
 
-    limb: tuple[int, int, int]
+    hip: int
+    knee: int
+    ankle: int
     toe: int | None
     heel: Anchor
     ball: Anchor | None
     sole: tuple[tuple[int, np.ndarray], ...]
     n_toes: int
 
-    def sole_places(self, positions: np.ndarray, turned: np.ndarray) -> np.ndarray:
-        """(T, N, 3) of the points of the sole, metres."""
+    @property
+    def limb(self) -> list[int]:
+        """Joints of hip, knee and ankle."""
+        return [self.hip, self.knee, self.ankle]
+
+    @property
+    def anchors(self) -> list[Anchor]:
+        """Heel and ball, or the heel alone."""
+        return [self.heel] if self.ball is None else [self.heel, self.ball]
+
+    def sole_positions(self, positions: np.ndarray, world: np.ndarray) -> np.ndarray:
+        """(T, N, 3) world positions of the N points of the sole, metres.
+
+        Args:
+            positions: (T, J, 3) positions of the joints, metres.
+            world: (T, J, 4) world rotations of the joints.
+        """
         joints = [joint for joint, _ in self.sole]
         offsets = np.stack([offset for _, offset in self.sole])
-        return positions[:, joints] + rotate_vectors(turned[:, joints], offsets)
+        return positions[:, joints] + rotate_vectors(world[:, joints], offsets)
 
 
-def feet_of(skeleton: Skeleton) -> tuple[Foot, Foot]:
-    """The left and the right foot of a rig.
+def find_feet(skeleton: Skeleton) -> tuple[Foot, Foot]:
+    """Return the left and the right foot of a rig.
 
     Raises:
-        MotionError: legs that cannot be told; see `gesturekit.motion.parts.find_parts`.
+        MotionError: legs cannot be identified; see `gesturekit.motion.parts.find_parts`.
     """
     left, right = _feet(skeleton)
     return left, right
@@ -76,7 +100,7 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
         front = [k for k in own if points[k].joint == leg.toe]
         back = [k for k in own if k not in front] or front[:1]
         if toe is None and len(back) > 1:
-            # All of them hang on the ankle: the nearest is the heel.
+            # All points are fixed to the ankle, so the nearest is the heel.
             back.sort(key=lambda k: float(np.linalg.norm(points[k].offset)))
             back, front = back[:1], back[1:]
         if toe is not None:
@@ -92,7 +116,9 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
             sites = [(j, site) for site in ends.get(skeleton.names[j], ())]
             (tips if j in toes else sole).extend(sites)
         yield Foot(
-            limb=(skeleton.index(leg.hip), skeleton.index(leg.knee), ankle),
+            hip=skeleton.index(leg.hip),
+            knee=skeleton.index(leg.knee),
+            ankle=ankle,
             toe=toe,
             heel=Anchor(ankle, _middle(points, back), tuple(back)),
             ball=ball,
@@ -102,4 +128,5 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
 
 
 def _middle(points: tuple[FootPoint, ...], which: list[int]) -> np.ndarray:
+    """(3,) mean offset of some of the points, metres."""
     return np.mean([points[k].offset for k in which], axis=0)

@@ -1,16 +1,17 @@
-"""Feet that stay where they stand.
+"""Foot locking: remove the sliding of standing feet.
 
-1. Contact spans of heel and ball of each foot, from the labels that the model predicted, or from
-   speed and height (`contact_spans`).
-2. What the standing feet slide together, slowly, is taken from the path of the hips (`carrying`).
-3. In each span the point is pinned at its mean place, on the floor, and blended in and out
-   (`pinning`), but never pulled down in flight: a foot rolls onto the floor and off it as it did.
-   The ball holds while the heel lifts; a flat foot holds by both, turned as a whole.
-4. No foot sinks deeper than it was, and the hips come down a little where a leg is too short.
-5. Two-bone IK (`gesturekit.motion.ik.two_bone`) turns hips and knees; the ankle keeps the foot's
-   orientation, the toes lie as they lay.
+1. Find the contact spans of heel and ball of each foot, from the contact labels predicted by the
+   model, or from speed and height (`contact_spans`).
+2. Subtract slow sliding that is common to the standing feet from the hip path (`root_drift`).
+3. Pin each point at its mean position on the floor in each span, and blend the correction in and
+   out (`pinning`). A foot is never pulled down in flight: it rolls onto and off the floor as
+   before. While the heel lifts, only the ball is pinned; a flat foot is pinned at both and rotated
+   as a whole.
+4. Raise feet that would sink deeper than before, and lower the hips if a leg is too short.
+5. Solve hips and knees by two-bone IK (`gesturekit.motion.ik.two_bone`). The ankle keeps the
+   orientation of the foot, and the toes keep theirs.
 
-Frames without contact come back as they were.
+Frames without contact do not change.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
-from gesturekit.motion.retarget.feet import GIVE_WAY, smooth_above
+from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, smooth_upper_envelope
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -34,47 +35,45 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
-from gesturekit.motion.skeleton import Skeleton
-from gesturekit.postprocess.carrying import drift, rise
 from gesturekit.postprocess.contact_spans import (
     contact_frames,
     contact_spans,
-    split_where_it_moves,
-    with_edges,
+    include_landing,
+    split_at_movement,
 )
-from gesturekit.postprocess.foot import Anchor, Foot, feet_of
-from gesturekit.postprocess.pinning import FASTEST, give_way, pin
+from gesturekit.postprocess.foot import Foot, find_feet
+from gesturekit.postprocess.pinning import FASTEST, pin, soft_clamp
+from gesturekit.postprocess.root_drift import height_error, horizontal_drift
 
-_STRAY = 0.1
-"""Share of the leg's length within which a foot is pulled back to its pin."""
-_TURN = 0.15
-"""Share of the foot's length by which heel and ball are moved against each other: radians."""
+_MAX_CORRECTION = 0.1
+"""Largest correction of a foot, as a share of the leg length."""
+_MAX_TURN = 0.15
+"""Largest difference between corrections of heel and ball, as a share of the foot length."""
 _LIFT = 0.01
-"""Metres on the reference body; a heel that is farther from the floor while the ball stands is
-lifted, not noisy."""
+"""Metres on the reference body; a heel that is higher while the ball stands is really lifted."""
 _STRETCH = 0.995
-"""Legs are not pulled straighter than this share of their length, unless they were."""
-_LOWEST = 0.05
-"""Share of the leg's length by which the hips come down, at most."""
+"""Legs are not stretched beyond this share of their length, unless they were before."""
+_MAX_DROP = 0.05
+"""Largest lowering of the hips, as a share of the leg length."""
 _NOTHING = 1e-7
-"""Metres on the reference body, and sines of half angles, that are no change."""
+"""Metres on the reference body, and sines of half angles, that count as no change."""
 
 
 def lock_feet(
     motion: Motion, contacts: np.ndarray | None = None, *, keep_path: bool = False
 ) -> Motion:
-    """Take the sliding out of feet that stand.
+    """Remove the sliding of standing feet.
 
     Args:
-        motion: T frames of any rig; one without two legs that can be identified stays as it is.
-        contacts: (T, F) contact labels of `gesturekit.motion.contacts.foot_points`, over 0.5 where
-            a point stands; None judges by speed and height.
-        keep_path: leave the hips on their path even where both feet slide along with it, for
-            motion whose path was asked for.
+        motion: T frames of any rig; one without two identifiable legs does not change.
+        contacts: (T, F) labels of the points of `gesturekit.motion.contacts.foot_points`, above 0.5
+            if a point stands; None decides by speed and height.
+        keep_path: keep the hip path even if both feet slide with it, for motion that follows a
+            requested path.
 
     Returns:
-        The motion with other legs and, where both feet slid together, another path of the hips.
-        Frames without contact keep their pose to the last bit.
+        The motion with corrected legs and, if both feet slid together, a corrected hip path.
+        Frames without contact keep their pose bit for bit.
 
     Raises:
         MotionError: labels of another shape.
@@ -86,113 +85,96 @@ def lock_feet(
 
 @dataclass(eq=False)
 class _Goal:
-    """How a foot goes where it shall be: its ankle moves (T, 3), it turns (T, 4), in the world."""
+    """Correction of a foot in the world: (T, 3) movement of its ankle, (T, 4) rotation."""
 
     moved: np.ndarray
     turn: np.ndarray
 
 
 class _FootLock:
+    """Foot locking of one motion; `stands` holds (mask (T,), floor height) of each anchor."""
+
     def __init__(self, motion: Motion, contacts: np.ndarray | None) -> None:
         self.motion, self.skeleton, self.fps = motion, motion.skeleton, motion.fps
-        self.feet = feet_of(motion.skeleton)
-        columns = max(
-            k
-            for foot in self.feet
-            for anchor in (foot.heel, foot.ball)
-            if anchor is not None
-            for k in anchor.columns
-        )
+        self.feet = find_feet(motion.skeleton)
+        columns = max(k for foot in self.feet for anchor in foot.anchors for k in anchor.columns)
         self.labels = None if contacts is None else np.asarray(contacts, dtype=np.float64)
         if self.labels is not None and self.labels.shape != (motion.n_frames, columns + 1):
             raise MotionError(
                 f"contacts have shape {self.labels.shape}; {motion.n_frames} frames of this rig "
                 f"need ({motion.n_frames}, {columns + 1})"
             )
-        self.turned = motion.global_rotations()
+        self.world = motion.global_rotations()
         self.positions = motion.positions()
-        self.radius = _STRAY * leg_length(motion.skeleton)
+        self.radius = _MAX_CORRECTION * leg_length(motion.skeleton)
         self.scale = body_scale(motion.skeleton)
         self.nothing = _NOTHING * self.scale
 
     def locked(self, keep_path: bool) -> Motion:
+        """Return the corrected motion; see `lock_feet`."""
         stands = [self._stands(foot) for foot in self.feet]
         if not any(mask.any() for foot in stands for mask, _ in foot):
             return self.motion
         shift = np.zeros((self.motion.n_frames, 3))
         if not keep_path:
-            held = np.stack([np.any([mask for mask, _ in foot], axis=0) for foot in stands], axis=1)
-            left, right = (self._middle(foot) for foot in self.feet)
-            shift -= drift(left, right, held, self.fps)
-            above = [self._above(foot, own) for foot, own in zip(self.feet, stands, strict=True)]
-            shift[:, 1] -= rise(np.stack(above, axis=1), held, self.fps)
+            standing = np.stack(
+                [np.any([mask for mask, _ in foot], axis=0) for foot in stands], axis=1
+            )
+            left, right = (np.mean(self._places(foot), axis=0) for foot in self.feet)
+            shift -= horizontal_drift(left, right, standing, self.fps)
+            heights = [self._height(foot, own) for foot, own in zip(self.feet, stands, strict=True)]
+            shift[:, 1] -= height_error(np.stack(heights, axis=1), standing, self.fps)
         goals = [self._goal(foot, own, shift) for foot, own in zip(self.feet, stands, strict=True)]
-        shift[:, 1] -= self._lowered(goals, shift)
+        shift[:, 1] -= self._hip_drop(goals, shift)
         return self._posed(goals, shift)
 
-    def _anchors(self, foot: Foot) -> list[Anchor]:
-        return [anchor for anchor in (foot.heel, foot.ball) if anchor is not None]
+    def _places(self, foot: Foot) -> list[np.ndarray]:
+        """Return the (T, 3) world positions of each anchor, metres."""
+        return [anchor.positions(self.positions, self.world) for anchor in foot.anchors]
 
-    def _middle(self, foot: Foot) -> np.ndarray:
-        places = [anchor.places(self.positions, self.turned) for anchor in self._anchors(foot)]
-        return np.mean(places, axis=0)
-
-    def _above(self, foot: Foot, stands: list[tuple[np.ndarray, float]]) -> np.ndarray:
-        """(T,) metres of what stands of a foot, heel or ball, above where it stands."""
+    def _height(self, foot: Foot, stands: list[tuple[np.ndarray, float]]) -> np.ndarray:
+        """(T,) height of the ball, or of the heel if only that stands, above its floor, metres."""
         heights = [
-            anchor.places(self.positions, self.turned)[:, 1] - floor
-            for anchor, (_, floor) in zip(self._anchors(foot), stands, strict=True)
+            place[:, 1] - floor
+            for place, (_, floor) in zip(self._places(foot), stands, strict=True)
         ]
-        # The ball tells where it stands: a heel may be lifted.
+        # The ball takes precedence, because the heel may be lifted.
         return np.where(stands[-1][0], heights[-1], heights[0])
 
     def _stands(self, foot: Foot) -> list[tuple[np.ndarray, float]]:
-        """For heel and ball: when it stands, (T,) bool, and how high."""
+        """Return, for heel and ball, a contact mask (T,) and the height of the floor, metres."""
         found = []
-        for anchor in self._anchors(foot):
+        for anchor, place in zip(foot.anchors, self._places(foot), strict=True):
             labels = None
             if self.labels is not None:
                 labels = self.labels[:, list(anchor.columns)].mean(axis=1)
-            places = anchor.places(self.positions, self.turned)
-            found.append(contact_frames(places, self.fps, self.scale, labels))
+            found.append(contact_frames(place, self.fps, self.scale, labels))
         return found
 
     def _goal(self, foot: Foot, stands: list[tuple[np.ndarray, float]], shift: np.ndarray) -> _Goal:
-        """Where a foot shall be so that heel and ball stay where they stand."""
-        ankle = self.positions[:, foot.limb[2]] + shift
-        places = [a.places(self.positions, self.turned) + shift for a in self._anchors(foot)]
+        """Return the correction that keeps heel and ball in place while they stand.
+
+        Args:
+            foot: the foot.
+            stands: contact mask (T,) and floor height of each anchor.
+            shift: (T, 3) correction of the hip path, metres.
+        """
+        ankle = self.positions[:, foot.ankle] + shift
+        places = [place + shift for place in self._places(foot)]
         along = places[-1] - places[0]
         length = max(float(np.linalg.norm(along, axis=-1).mean()), self.nothing)
-        turns = _TURN * length
-        level = along * [1, 0, 1]
-        # Where the foot points, however far its heel is lifted.
-        level *= length / np.maximum(np.linalg.norm(level, axis=-1, keepdims=True), length / 2)
-        offsets, holds, lifts = [], [], 0.0
-        # The ball first: while it stands the heel may be lifted.
-        for place, (mask, floor) in zip(places[::-1], stands[::-1], strict=True):
-            if self.labels is None:
-                mask = with_edges(mask, place, floor, self.fps, self.scale)
-            spans = split_where_it_moves(
-                contact_spans(mask, self.fps),
-                np.stack([place, level], axis=1),
-                self.fps,
-                np.array([self.radius, turns]),
-            )
-            fastest = FASTEST * self.scale
-            offset, hold = pin(place, spans, floor, self.fps, self.radius, fastest, lifts)
-            offsets.insert(0, offset), holds.insert(0, hold[:, None])
-            above = places[0][:, 1] + offset[:, 1] - stands[0][1]
-            lifts = hold * _lifted(above, _LIFT * self.scale)
+        max_turn = _MAX_TURN * length
+        offsets, holds = self._pinned(places, stands, length, max_turn)
         turn = np.tile(IDENTITY, (len(ankle), 1))
         moved = offsets[0]
         if foot.ball is not None:
-            # What only one of them holds moves the foot as a whole.
+            # A correction of only one anchor moves the foot as a whole.
             heel = offsets[0] + (1 - holds[0]) * offsets[1]
             ball = offsets[1] + (1 - holds[1]) * offsets[0]
-            # Pins of other spans may ask for more of a turn than a foot that stands makes. Then,
-            # and where its length does not fit, the ball comes first: people turn on it.
+            # If the two pins need too large a turn, or do not match the length of the foot, the
+            # ball takes precedence, because people turn on it.
             first = holds[1]
-            excess = ball - heel - give_way(ball - heel, turns)
+            excess = ball - heel - soft_clamp(ball - heel, max_turn)
             heel, ball = heel + first * excess, ball - (1 - first) * excess
             turn = shortest_arc(_unit(along), _unit(along + ball - heel))
             about_heel = heel + rotate_vectors(turn, ankle - places[0]) - (ankle - places[0])
@@ -202,12 +184,48 @@ class _FootLock:
         goal.moved[:, 1] += self._lift(foot, goal, stands)
         return goal
 
+    def _pinned(
+        self,
+        places: list[np.ndarray],
+        stands: list[tuple[np.ndarray, float]],
+        length: float,
+        max_turn: float,
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Return, for each anchor, its corrections (T, 3) and the weight (T, 1) of its pin.
+
+        Args:
+            places: (T, 3) world positions of each anchor, metres.
+            stands: contact mask (T,) and floor height of each anchor.
+            length: length of the foot, metres.
+            max_turn: largest turn of the foot, metres at its length.
+        """
+        # Direction of the foot on the ground, also while its heel is lifted.
+        level = (places[-1] - places[0]) * [1, 0, 1]
+        level *= length / np.maximum(np.linalg.norm(level, axis=-1, keepdims=True), length / 2)
+        offsets, holds, lifts = [], [], 0.0
+        # The ball first, because the heel may be lifted while the ball stands.
+        for place, (mask, floor) in zip(places[::-1], stands[::-1], strict=True):
+            if self.labels is None:
+                mask = include_landing(mask, place, floor, self.fps, self.scale)
+            spans = split_at_movement(
+                contact_spans(mask, self.fps),
+                np.stack([place, level], axis=1),
+                self.fps,
+                np.array([self.radius, max_turn]),
+            )
+            fastest = FASTEST * self.scale
+            offset, hold = pin(place, spans, floor, self.fps, self.radius, fastest, lifts)
+            offsets.insert(0, offset), holds.insert(0, hold[:, None])
+            heel_height = places[0][:, 1] + offset[:, 1] - stands[0][1]
+            lifts = hold * _above_noise(heel_height, _LIFT * self.scale)
+        return offsets, holds
+
     def _lift(self, foot: Foot, goal: _Goal, stands: list[tuple[np.ndarray, float]]) -> np.ndarray:
-        """(T,) by how much the foot must come up for no point of it to be deeper than it was."""
-        before = foot.sole_places(self.positions, self.turned)
+        """(T,) lift of the foot that keeps its points from sinking deeper than before, metres."""
+        before = foot.sole_positions(self.positions, self.world)
         flat = np.any([mask for mask, _ in stands], axis=0)
         floors = np.median(before[flat, :, 1], axis=0) if flat.any() else before[..., 1].max(axis=0)
-        ankle = self.positions[:, foot.limb[2], None]
+        ankle = self.positions[:, foot.ankle, None]
         after = ankle + goal.moved[:, None] + rotate_vectors(goal.turn[:, None], before - ankle)
         if foot.toe is not None:
             toe = self.positions[:, foot.toe, None]
@@ -217,8 +235,8 @@ class _FootLock:
         deeper = np.minimum(before[..., 1], floors) - after[..., 1]
         return np.maximum(deeper.max(axis=1), 0)
 
-    def _lowered(self, goals: list[_Goal], shift: np.ndarray) -> np.ndarray:
-        """(T,) by how much the hips come down for both feet to be in reach, smoothly."""
+    def _hip_drop(self, goals: list[_Goal], shift: np.ndarray) -> np.ndarray:
+        """(T,) smooth lowering of the hips that brings both feet within reach, metres."""
         low, length = np.zeros(len(shift)), np.zeros(1)
         for foot, goal in zip(self.feet, goals, strict=True):
             hip, knee, ankle = (self.positions[:, j] for j in foot.limb)
@@ -229,10 +247,11 @@ class _FootLock:
             reach = np.sqrt(np.maximum(most**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
             low = np.maximum(low, away[:, 1] - reach)
         low = np.where(low > self.nothing, low, 0)
-        low = reachable(low, _LOWEST * length, 0 * low, 0.5)
-        return smooth_above(low, round(GIVE_WAY * self.fps))
+        low = reachable(low, _MAX_DROP * length, 0 * low, 0.5)
+        return smooth_upper_envelope(low, round(HIP_DROP_SECONDS * self.fps))
 
     def _posed(self, goals: list[_Goal], shift: np.ndarray) -> Motion:
+        """Return the motion with legs solved for the goals and hips moved by `shift` (T, 3)."""
         motion, skeleton = self.motion, self.skeleton
         rotations = motion.rotations.copy()
         changed = np.linalg.norm(shift, axis=-1) > self.nothing
@@ -240,60 +259,67 @@ class _FootLock:
             changed |= np.linalg.norm(goal.moved, axis=-1) > self.nothing
             changed |= np.linalg.norm(goal.turn[:, :3], axis=-1) > _NOTHING
         for foot, goal in zip(self.feet, goals, strict=True):
-            limb = list(foot.limb)
-            above = self.turned[:, [skeleton.parents[j] for j in limb[:2]]]
-            rotations[:, limb[:2]] = two_bone_ik(
-                self.positions[:, limb] + shift[:, None],
-                self.positions[:, limb[2]] + goal.moved,
-                rotations[:, limb[:2]],
-                above,
+            bones = [foot.hip, foot.knee]
+            rotations[:, bones] = two_bone_ik(
+                self.positions[:, foot.limb] + shift[:, None],
+                self.positions[:, foot.ankle] + goal.moved,
+                rotations[:, bones],
+                self.world[:, [skeleton.parents[j] for j in bones]],
                 hinge=True,
             )
-        turned = global_rotations(rotations, skeleton)
+        # Restore the world rotations of ankles and toes, turned with the foot.
+        world = global_rotations(rotations, skeleton)
         for foot, goal in zip(self.feet, goals, strict=True):
-            _turn_to(rotations, turned, skeleton, foot.limb[2], self._own(foot.limb[2], goal.turn))
+            self._turn(rotations, world, foot.ankle, goal.turn)
+        world = global_rotations(rotations, skeleton)
+        for foot, goal in zip(self.feet, goals, strict=True):
             if foot.toe is not None:
-                turned = global_rotations(rotations, skeleton)
-                _turn_to(
-                    rotations, turned, skeleton, foot.toe, self._own(foot.toe, _yaw(goal.turn))
-                )
+                self._turn(rotations, world, foot.toe, _yaw(goal.turn))
         rotations = np.where(changed[:, None, None], rotations, motion.rotations)
-        return _shifted(replace(motion, rotations=rotations), shift, self.turned)
+        return _shifted(replace(motion, rotations=rotations), shift, self.world)
 
-    def _own(self, joint: int, turn: np.ndarray) -> np.ndarray:
-        return multiply_quaternions(turn, self.turned[:, joint])
+    def _turn(self, rotations: np.ndarray, world: np.ndarray, joint: int, turn: np.ndarray) -> None:
+        """Set the local rotation that gives a joint its old world rotation turned by `turn` (T, 4).
+
+        Args:
+            rotations: (T, J, 4) local rotations, changed in place.
+            world: (T, J, 4) world rotations of the joints above.
+            joint: index of the joint.
+            turn: (T, 4) world rotation.
+        """
+        back = invert_quaternions(world[:, self.skeleton.parents[joint]])
+        wanted = multiply_quaternions(turn, self.world[:, joint])
+        rotations[:, joint] = multiply_quaternions(back, wanted)
 
 
-def _turn_to(
-    rotations: np.ndarray, turned: np.ndarray, skeleton: Skeleton, joint: int, world: np.ndarray
-) -> None:
-    """Give a joint the local rotation by which it is turned to `world` (T, 4)."""
-    back = invert_quaternions(turned[:, skeleton.parents[joint]])
-    rotations[:, joint] = multiply_quaternions(back, world)
+def _shifted(motion: Motion, shift: np.ndarray, world: np.ndarray) -> Motion:
+    """Return the motion with the body moved by `shift`, at the joint that carries it.
 
-
-def _shifted(motion: Motion, shift: np.ndarray, turned: np.ndarray) -> Motion:
-    """The motion with its body moved by `shift` (T, 3): the joint that carries it about moves."""
+    Args:
+        motion: T frames, J joints.
+        shift: (T, 3) world translation, metres.
+        world: (T, J, 4) world rotations of the joints.
+    """
     skeleton = motion.skeleton
     hips = [skeleton.index(leg.hip) for leg in find_legs(skeleton).values()]
     above_both = set(skeleton.ancestors(hips[0])) & set(skeleton.ancestors(hips[1]))
     for j in sorted(above_both, reverse=True):
         if skeleton.names[j] in motion.joint_translations:
-            own = rotate_vectors(invert_quaternions(turned[:, skeleton.parents[j]]), shift)
+            own = rotate_vectors(invert_quaternions(world[:, skeleton.parents[j]]), shift)
             moving = dict(motion.joint_translations)
             moving[skeleton.names[j]] = moving[skeleton.names[j]] + own
             return replace(motion, joint_translations=moving)
     return replace(motion, translation=motion.translation + shift)
 
 
-def _lifted(above: np.ndarray, noise: float) -> np.ndarray:
-    """(T,) of metres over the floor those that are no noise: none near it, all far from it."""
-    above = np.maximum(above, 0)
-    return above**3 / (above**2 + noise**2)
+def _above_noise(height: np.ndarray, noise: float) -> np.ndarray:
+    """(T,) heights above the floor, with those below `noise` suppressed, metres."""
+    height = np.maximum(height, 0)
+    return height**3 / (height**2 + noise**2)
 
 
 def _yaw(turn: np.ndarray) -> np.ndarray:
-    """(..., 4) what of turns is about the vertical."""
+    """(..., 4) components of rotations about the vertical."""
     return normalize_quaternions(turn * [0.0, 1.0, 0.0, 1.0])
 
 

@@ -1,4 +1,4 @@
-"""By how much a point of a foot moves so that it stays where it stands, without a pop."""
+"""Pinning: smooth corrections that keep a point of a foot in place while it stands."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from gesturekit.motion.ik.two_bone import reachable
 from gesturekit.postprocess.contact_spans import Span
 
 BLEND = 0.15
-"""Seconds over which a foot comes to its place and leaves it, at least."""
+"""Least time in seconds over which a correction is blended in and out."""
 FASTEST = 0.3
-"""m/s on the reference body at which a correction comes and goes, at most; large ones take longer
-than `BLEND`."""
-_GIVES = 0.25
-"""The last share of the radius over which a pinned foot starts to give way."""
+"""Largest speed of a correction while it is blended, m/s on the reference body; large corrections
+take longer than `BLEND`."""
+_SOFTNESS = 0.25
+"""Last share of the radius over which a correction is compressed."""
 
 
 def pin(
@@ -25,23 +25,22 @@ def pin(
     fastest: float,
     lifts: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pin a point in each span at its mean place, on the floor.
+    """Pin a point at its mean position on the floor in each span.
 
-    A point that comes down to the floor at the beginning of a span, or leaves it at the end, does
-    so as it did: a foot that still flies is not pulled down, where it would slide.
+    A point that descends to the floor at the beginning of a span, or rises at its end, keeps its
+    height there: pulling a foot in flight down to the floor would make it slide.
 
     Args:
-        places: (T, 3) of the point, metres.
-        spans: when it stands, in order.
+        places: (T, 3) positions of the point, metres.
+        spans: spans in which it stands, in order.
         floor: height of the point when it stands.
         fps: frames per second.
-        radius: metres; a point that strays farther from its pin is let go, softly.
+        radius: largest correction, metres; larger ones are compressed.
         fastest: m/s, `FASTEST` times the `body_scale` of the rig.
-        lifts: (T,) metres over the floor at which it is meant to be, such as a heel that is lifted.
+        lifts: (T,) intended height above the floor, such as that of a lifted heel, metres.
 
     Returns:
-        (T, 3) what is to be added to `places`, and (T,) how much the pin holds: 1 within spans, 0
-        away from them.
+        (T, 3) corrections to add to `places`, and (T,) weight of the pin: 1 in spans, 0 far away.
     """
     offset, hold = np.zeros_like(places), np.zeros(len(places))
     lifts = np.broadcast_to(lifts, len(places))
@@ -51,18 +50,24 @@ def pin(
         target = np.tile(inside.mean(axis=0), (stop - start, 1))
         rolled = _rolled(inside[:, 1], start > 0, stop < len(places), fps)
         target[:, 1] = floor + np.maximum(rolled, lifts[start:stop])
-        offset[start:stop] = give_way(target - inside, radius)
+        offset[start:stop] = soft_clamp(target - inside, radius)
         hold[start:stop] = 1
         pinned.append((start, stop))
     gaps = zip([(0, 0), *pinned], [*pinned, (len(places), len(places))], strict=True)
     for before, after in gaps:
-        _cross(offset, hold, before, after, fps, fastest)
+        _fill_gap(offset, hold, before, after, fps, fastest)
     return offset, hold
 
 
 def _rolled(height: np.ndarray, lands: bool, leaves: bool, fps: float) -> np.ndarray:
-    """(T,) metres over the floor at which a point stays in a span: what it comes down from at its
-    beginning and goes up to at its end, if it lands and leaves in sight."""
+    """(T,) height above the floor that a point keeps in a span as it descends and rises, metres.
+
+    Args:
+        height: (T,) height of the point in the span, metres.
+        lands: the motion shows the beginning of the span.
+        leaves: the motion shows its end.
+        fps: frames per second.
+    """
     above = np.maximum(height - np.median(height), 0)
     near = 1 - _ease(np.clip(np.arange(len(above)) / (BLEND * fps) - 1, 0, 1))
     landing = near * np.minimum.accumulate(above) * lands
@@ -70,19 +75,27 @@ def _rolled(height: np.ndarray, lands: bool, leaves: bool, fps: float) -> np.nda
     return np.maximum(landing, leaving)
 
 
-def give_way(offset: np.ndarray, radius: float) -> np.ndarray:
-    """(T, 3) offsets of less than `radius`, those far below it as they are."""
-    far = np.linalg.norm(offset, axis=-1, keepdims=True)
-    allowed = reachable(far, np.array(radius), np.array(0.0), _GIVES)
-    return offset * (allowed / np.maximum(far, 1e-9))
+def soft_clamp(offset: np.ndarray, radius: float) -> np.ndarray:
+    """(T, 3) offsets limited to length `radius`; those far below it do not change."""
+    length = np.linalg.norm(offset, axis=-1, keepdims=True)
+    allowed = reachable(length, np.array(radius), np.array(0.0), _SOFTNESS)
+    return offset * (allowed / np.maximum(length, 1e-9))
 
 
-def _cross(
+def _fill_gap(
     offset: np.ndarray, hold: np.ndarray, before: Span, after: Span, fps: float, fastest: float
 ) -> None:
-    """Fill the gap between two spans: out of the first and into the second, or straight across.
+    """Fill the gap between two spans in place, by blending to zero and back or straight across.
 
-    Where the gap is too short for the way, it takes frames from both spans, half of each at most.
+    A gap too short for a straight blend is extended into both spans, by half of each at most.
+
+    Args:
+        offset: (T, 3) corrections, changed in place.
+        hold: (T,) weight of the pin, changed in place.
+        before: span before the gap.
+        after: span after the gap.
+        fps: frames per second.
+        fastest: largest speed of a correction, m/s.
     """
     n_frames = len(offset)
     start, stop = before[1], after[0]
@@ -98,14 +111,14 @@ def _cross(
             offset[outside] = from_span * share[:, None]
             hold[outside] = share
             if from_span[1] < 0:
-                # Down it goes only once it stands: near the floor, what flies would slide.
+                # Lower the foot only while it stands; pulled to the floor in flight it would slide.
                 offset[outside, 1] = 0
                 count = min(count, (span[1] - span[0]) // 2)
                 inside = edge - step * (1 + np.arange(count))
                 offset[inside, 1] *= _ease((1 + np.arange(count)) / (count + 1))
         return
     if not start or stop == n_frames:
-        # Before the first span and after the last there is nothing to come from or to go to.
+        # No span on one side: keep the correction of the other.
         frames = np.arange(start, stop)
         offset[frames], hold[frames] = (last, 1.0) if not start else (first, 1.0)
         return
@@ -119,11 +132,15 @@ def _cross(
     hold[start:stop] = 1
 
 
-def _frames(way: np.ndarray, fps: float, fastest: float) -> int:
-    """Frames that a correction takes to come or go: its steepest is 1.5 times its mean."""
-    seconds = max(BLEND, 1.5 * float(np.linalg.norm(way)) / fastest)
+def _frames(change: np.ndarray, fps: float, fastest: float) -> int:
+    """Return the frames over which to blend a correction (3,).
+
+    The largest slope of `_ease` is 1.5 times its mean slope.
+    """
+    seconds = max(BLEND, 1.5 * float(np.linalg.norm(change)) / fastest)
     return max(round(seconds * fps), 1)
 
 
 def _ease(share: np.ndarray) -> np.ndarray:
+    """Return the smoothstep 3 x^2 - 2 x^3 of shares in [0, 1]."""
     return share * share * (3 - 2 * share)

@@ -1,9 +1,9 @@
-"""Jitter out, beats in: a low-pass on the upper body that lets speed peaks be.
+"""Smoothing: a low-pass filter on the upper body that keeps gesture beats.
 
-A plain low-pass takes the peaks of speed with the jitter, and it is the peaks that fall on the
-stressed words. So there are two zero-phase low-passes (Butterworth, forward and backward): the one
-asked for, and one at 6 Hz, above which gesture has next to nothing. Around each peak of the summed
-angular speed the second holds, between peaks the first.
+A plain low-pass filter flattens peaks of speed together with jitter, and these peaks coincide with
+stressed words. Two zero-phase Butterworth filters are therefore blended: one with the requested
+cutoff, and one at 6 Hz, above which gestures have almost no energy. The second is used around each
+peak of the summed angular speed, the first elsewhere.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import normalize_quaternions, rotation_angles
 
 _GESTURE = 6.0
-"""Hz; faster than this is jitter."""
+"""Hz; higher frequencies are jitter."""
 _PROMINENT = 0.05
-"""A beat stands out by this share of the fastest twentieth of the speeds."""
+"""Least prominence of a beat, as a share of the 95th percentile of the speed."""
 _AROUND = 0.1
 """Seconds before and after its peak in which a beat is kept."""
 
 
 def smooth_motion(motion: Motion, seconds: float) -> Motion:
-    """Smooth the upper body but for its beats; legs, feet and the path of the body stay.
+    """Smooth the upper body except for its beats; legs, feet and root path do not change.
 
     Args:
-        motion: T frames of any rig; one whose upper body cannot be identified stays as it is.
-        seconds: movements that are shorter go, except around peaks of speed; cutoff 1 / (2 x
-            seconds) Hz. From 1/12 s down nothing but the 6 Hz low-pass is left.
+        motion: T frames of any rig; one whose upper body cannot be identified does not change.
+        seconds: shorter movements are removed, except around peaks of speed; the cutoff is
+            1 / (2 seconds) Hz. From 1/12 s down only the 6 Hz filter remains.
 
     Returns:
-        The motion with other rotations of the spine and all above it. No frame is shifted.
+        The motion with smoothed rotations of the spine and all joints above it, without delay.
 
     Raises:
         MotionError: seconds is not positive and finite.
@@ -56,7 +56,7 @@ def smooth_motion(motion: Motion, seconds: float) -> Motion:
 
 
 def _beats(turns: np.ndarray, fps: float) -> np.ndarray:
-    """(T,) 1 around the peaks of the summed angular speed of (T, J, 4), 0 between them."""
+    """(T,) weight 1 around peaks of the summed angular speed of (T, J, 4), 0 between them."""
     keep = np.zeros(len(turns))
     if len(turns) < 3:
         return keep
@@ -72,6 +72,7 @@ def _beats(turns: np.ndarray, fps: float) -> np.ndarray:
 
 
 def _low_pass(turns: np.ndarray, cutoff: float, fps: float) -> np.ndarray:
+    """(T, J, 4) low-pass filtered quaternions, not normalised; `cutoff` is in Hz."""
     if cutoff >= 0.45 * fps or len(turns) < 4:
         return turns
     sections = butter(2, cutoff, fs=fps, output="sos")
@@ -79,7 +80,7 @@ def _low_pass(turns: np.ndarray, cutoff: float, fps: float) -> np.ndarray:
 
 
 def _without_sign_flips(q: np.ndarray) -> np.ndarray:
-    """(T, J, 4) the same rotations, each quaternion on the side of the one before."""
+    """(T, J, 4) the same rotations, with signs that make each quaternion near the previous one."""
     near = (q[1:] * q[:-1]).sum(axis=-1, keepdims=True) >= 0
     signs = np.cumprod(np.where(near, 1.0, -1.0), axis=0)
     return np.concatenate([q[:1], q[1:] * signs])

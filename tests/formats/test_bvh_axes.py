@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_bvh
-from gesturekit.formats.axes import AXES, turn_axes, turn_to_law
+from gesturekit.formats.axes import AXES, rotation_to_y_up, turn_axes
 from gesturekit.formats.units import METRES
 from gesturekit.motion import Motion
 from gesturekit.motion.heading import heading
@@ -26,7 +26,7 @@ def facing_z(gesture):
 
 def in_axes(motion, up, forward):
     """`motion` as a program whose world and rigs have these axes would export it."""
-    back = invert_quaternions(turn_to_law(up, forward))
+    back = invert_quaternions(rotation_to_y_up(up, forward))
     return turn_axes(motion, back, back)
 
 
@@ -94,7 +94,7 @@ def test_a_rig_that_faces_backwards_can_be_kept_so(facing_z, tmp_path, save_as_o
 
 def test_a_root_that_lays_an_upright_rig_over(facing_z, tmp_path, save_as_others):
     """Rest pose Y up, world Z up: as exported with the armature's turn in the root's channels."""
-    to_z = invert_quaternions(turn_to_law("z", "-y"))
+    to_z = invert_quaternions(rotation_to_y_up("z", "-y"))
     save_as_others(turn_axes(facing_z, to_z, np.array([0.0, 0, 0, 1])), tmp_path / "a.bvh")
     motion = read_bvh(tmp_path / "a.bvh")
     assert motion.info["up"] == "z"

@@ -12,7 +12,7 @@ import pytest
 
 from gesturekit.errors import ConfigError, FormatError, MotionError
 from gesturekit.formats.changes import Changes, parse_trim
-from gesturekit.formats.conversion import Converted, convert
+from gesturekit.formats.conversion import Converted, FormatOptions, convert
 from gesturekit.formats.rig import Rig
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.sources import motions_in, unreadable_media
@@ -20,7 +20,8 @@ from gesturekit.motion import Motion
 
 
 def outcomes(*arguments, **options) -> list[Converted]:
-    return list(convert(*arguments, **options))
+    own = {name: options.pop(name) for name in ("read", "write", "body_model") if name in options}
+    return list(convert(*arguments, options=FormatOptions(**own), **options))
 
 
 def written(folder: Path) -> set[str]:

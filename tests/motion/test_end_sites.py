@@ -8,7 +8,7 @@ import pytest
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts.end_sites import real_end_sites
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.postprocess.foot import feet_of
+from gesturekit.postprocess.foot import find_feet
 
 
 def with_ends(skeleton: Skeleton, **ends: tuple[float, float, float]) -> Skeleton:
@@ -61,4 +61,4 @@ def test_made_up_ends_are_no_points_of_a_foot(skeleton):
     up = {"LeftFoot": (0.0, 0.42, 0.0), "RightFoot": (0.0, 0.42, 0.0)}
     rig = with_ends(skeleton, **up)
     assert [point.joint for point in foot_points(rig)] == ["LeftFoot", "RightFoot"]
-    assert all(len(foot.sole) == 1 and foot.ball is None for foot in feet_of(rig))
+    assert all(len(foot.sole) == 1 and foot.ball is None for foot in find_feet(rig))

@@ -98,4 +98,4 @@ def _floor_of_model(model: DiffusionModel) -> float:
     own = model.representation
     height = float(model.standardiser.mean[own.height_column]) * own.scale
     place = np.array([[0.0, height, 0.0]])
-    return floor_height(own.assemble(own.hold(1), place, model.fps, None))
+    return floor_height(own.assemble(own.fixed_pose(1), place, model.fps, None))

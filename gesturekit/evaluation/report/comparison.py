@@ -41,7 +41,7 @@ from gesturekit.evaluation.report.results import ClipResult, Evaluation, Figure,
 from gesturekit.evaluation.sets import Gathered, pooled, speeds_of, thinned, wrists_of
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
-from gesturekit.motion.defects import MAX_SPEED, in_words, speed_limit
+from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
@@ -285,7 +285,7 @@ class _Run:
         if still > 0.05:
             notes.append(f"stands still in {100 * still:.0f} % of its frames")
         if fastest.max() > (limit := MAX_SPEED * scale):
-            at, speed = fastest.argmax() / self.fps, in_words(fastest.max())
+            at, speed = fastest.argmax() / self.fps, format_speed(fastest.max())
             notes.append(f"jumps at {at:.2f} s ({speed}, {speed_limit(limit)})")
         return notes
 

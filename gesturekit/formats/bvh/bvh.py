@@ -19,7 +19,7 @@ import numpy as np
 
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.axes import file_axes, to_law
+from gesturekit.formats.axes import file_axes, with_y_up
 from gesturekit.formats.bvh import mark as bvh_mark
 from gesturekit.formats.bvh.grammar import ParsedBvh, ParsedJoint, parse_bvh
 from gesturekit.formats.units import METRES, guess_unit
@@ -81,7 +81,7 @@ def read_bvh(
             forward=axes.forward,
             guessed=(*motion.info["guessed"], *axes.guessed),
         )
-        return to_law(motion, axes)
+        return with_y_up(motion, axes)
     except MotionError as error:
         raise FormatError(f"{path}: {error}") from None
 

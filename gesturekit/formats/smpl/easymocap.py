@@ -32,14 +32,17 @@ from gesturekit.motion.rotations import (
 from gesturekit.wording import counted
 
 _MAX_BYTES = 16 << 20
-"""Of one frame's file; a person takes two or three thousand."""
+"""Largest file of one frame; a person takes two or three thousand bytes."""
 SUBFOLDERS = ("smpl", "smplh", "smplx")
-"""Names of the folder that holds the frames, within EasyMocap's output."""
-_DIGITS = 9  # of a frame's number
+"""Names of the folder of frames within EasyMocap's output."""
+_DIGITS = 9  # most digits of a frame number
 _LAYOUTS = {66: 22, 72: 24, 78: 52, 87: 55, 156: 52, 165: 55}
-"""Joints by the length of `poses`. 78 is a body of 22 joints with 6 PCA coefficients a hand, 87
-has jaw and eyes after them; newer versions leave out the root's three numbers."""
+"""Length of `poses` to number of joints. 78 is a body of 22 joints and 6 PCA coefficients a hand;
+87 has jaw and eyes after them; newer versions omit the root's three numbers."""
 _BODY = 22
+"""Joints of the body without hands and face."""
+_FACE = slice(-9, None)
+"""Columns of `poses` with the rotation vectors of jaw and eyes, if hands are PCA coefficients."""
 _HANDS = "at rest: the file holds PCA coefficients, which need the hands of its model"
 
 
@@ -52,30 +55,29 @@ def read_easymocap(
     up: str = "auto",
     body_model: BodyModel | str | os.PathLike[str] | None = None,
 ) -> Motion:
-    """Read what EasyMocap made of a recording.
+    """Read the output of EasyMocap.
 
-    Files are put in order by the numbers in their names; a number that is left out, or a file
-    without the person, is a missing frame. Stretches of missing frames are filled in between
-    their neighbours; what is missing at either end is left out.
+    Files are ordered by the numbers in their names. A missing number, or a file without the
+    person, is a missing frame. Missing frames are interpolated, and left out at both ends.
 
     Args:
-        path: the folder `smpl`, the output folder that holds it, or one frame's file.
-        person: `id` of whom to read; by default whoever is in the most frames.
-        fps: of the recording, which the files do not tell.
-        max_gap: seconds; the longest stretch to fill in.
-        up: axis that points up, "y" or "z", as the cameras were calibrated; "auto" looks where
-            the pelvis' own up points in most frames.
-        body_model: of the SMPL family, or its .npz file, as in `read_npz`.
+        path: the folder `smpl`, the output folder that contains it, or the file of one frame.
+        person: `id` of the person to read; by default the one in the most frames.
+        fps: frame rate of the recording, which the files do not contain.
+        max_gap: longest gap to interpolate, seconds.
+        up: axis that points up, "y" or "z", as the cameras were calibrated; "auto" uses the
+            direction of the pelvis in most frames.
+        body_model: model of the SMPL family, or its .npz file, as in `read_npz`.
 
     Returns:
         The motion of a 22-, 24-, 52- or 55-joint rig. Hands given as PCA coefficients are at
-        rest. `info` tells `person`, `people`, `first_frame`, `filled_frames`, `up`, `hands`.
+        rest. `info` has `person`, `people`, `first_frame`, `filled_frames`, `up`, `hands`.
 
     Warns:
-        UserWarning: several people and none was named; frames were filled in.
+        UserWarning: several people and no `person`; frames were interpolated.
 
     Raises:
-        FormatError: no such folder, a broken file, nobody of that id, or a gap that is too long.
+        FormatError: no such folder, a broken file, no person of that id, or too long a gap.
     """
     path = Path(path)
     if up not in ("auto", "y", "z"):
@@ -84,23 +86,12 @@ def read_easymocap(
     seen = Counter(name for people in frames.values() for name in people)
     if not seen:
         raise FormatError(f"{path}: nobody in {counted(len(frames), 'frame')}")
-    listing = ", ".join(
-        f"{name} ({counted(count, 'frame')})" for name, count in sorted(seen.items())
-    )
-    if person is None:
-        person = min(seen, key=lambda name: (-seen[name], name))
-        if len(seen) > 1:
-            warnings.warn(
-                f"{path}: several people, {listing}; {person} is read (--person chooses)",
-                stacklevel=2,
-            )
-    if person not in seen:
-        raise FormatError(f"{path}: no person {person}; it has {listing}")
-    there = {number: people[person] for number, people in frames.items() if person in people}
-    numbers = np.array(sorted(there))
+    person = _chosen_person(path, seen, person)
+    present = {number: people[person] for number, people in frames.items() if person in people}
+    numbers = np.array(sorted(present))
     _check_gaps(path, numbers, fps, max_gap)
     try:
-        motion = _to_motion([there[n] for n in numbers], numbers, fps, up, body_model)
+        motion = _to_motion([present[n] for n in numbers], numbers, fps, up, body_model)
     except MotionError as error:
         raise FormatError(f"{path}: {error}") from None
     filled = motion.n_frames - len(numbers)
@@ -116,8 +107,25 @@ def read_easymocap(
     return motion if body_model is None else fit_body(motion, body_model)
 
 
+def _chosen_person(path: Path, seen: Counter[int], person: int | None) -> int:
+    """Return the id of the person to read, from the number of frames of each id."""
+    listing = ", ".join(
+        f"{name} ({counted(count, 'frame')})" for name, count in sorted(seen.items())
+    )
+    if person is None:
+        person = min(seen, key=lambda name: (-seen[name], name))
+        if len(seen) > 1:
+            warnings.warn(
+                f"{path}: several people, {listing}; {person} is read (--person chooses)",
+                stacklevel=3,
+            )
+    if person not in seen:
+        raise FormatError(f"{path}: no person {person}; it has {listing}")
+    return person
+
+
 def _files(path: Path) -> dict[int, Path]:
-    """Frame number to file."""
+    """Return frame number to file."""
     if path.is_file():
         return {0: path}
     for folder in (path, *(path / name for name in SUBFOLDERS)):
@@ -137,7 +145,7 @@ def _files(path: Path) -> dict[int, Path]:
 
 
 def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
-    """The people in one frame: id to the numbers of each key."""
+    """Return the people in one frame: id to the values (N,) of each key."""
     try:
         if file.stat().st_size > _MAX_BYTES:
             raise FormatError(f"{file}: larger than {_MAX_BYTES >> 20} MiB; that is no frame")
@@ -180,6 +188,7 @@ def _numbers(
     *,
     optional: bool = False,
 ) -> np.ndarray:
+    """Return the values (N,) of one key of a person, after checking them."""
     if key not in entry:
         if optional:
             return np.zeros(0)
@@ -205,6 +214,7 @@ def _numbers(
 
 
 def _check_gaps(path: Path, numbers: np.ndarray, fps: float, max_gap: float) -> None:
+    """Raise FormatError if frame numbers (N,) have a gap of more than `max_gap` seconds."""
     if not (np.isfinite(fps) and fps > 0):
         raise FormatError(f"{path}: fps is {fps!r}; expected a positive number")
     missing = np.diff(numbers) - 1
@@ -224,6 +234,8 @@ def _to_motion(
     up: str,
     body_model: BodyModel | str | os.PathLike[str] | None,
 ) -> Motion:
+    """Return the motion of one person, interpolated between frame `numbers` (N,)."""
+
     def table(key: str) -> np.ndarray:
         rows = [person[key] for person in people]
         if len({len(row) for row in rows}) > 1:
@@ -234,18 +246,18 @@ def _to_motion(
     n_joints = vectors.shape[1]
     rotations = quaternion_from_rotation_vector(vectors)
     turn = quaternion_from_rotation_vector(table("Rh"))
-    betas = table("shapes").mean(axis=0)  # as EasyMocap itself takes them for one person
+    betas = table("shapes").mean(axis=0)  # as EasyMocap itself does
     if betas.any():
         info["betas"] = betas
     pelvis = model_pelvis(n_joints)
     if body_model is not None:
         body = BodyModel.of(body_model)
-        if (body.n_joints == 55) == (n_joints == 55):  # else its shapes are others
+        if (body.n_joints == 55) == (n_joints == 55):  # otherwise the shape spaces differ
             pelvis = body.joints_at_rest(betas)[0]
     rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
     places = rotate_vectors(turn, pelvis) + table("Th")
     rotations, places, info["up"] = to_y_up(rotations, places, up)
-    # Between the frames that are there.
+    # Interpolate the missing frames.
     frames = np.arange(numbers[0], numbers[-1] + 1)
     low = np.searchsorted(numbers, frames, side="right") - 1
     high = np.minimum(low + 1, len(numbers) - 1)
@@ -266,7 +278,7 @@ def _to_motion(
 
 
 def _joints(poses: np.ndarray, has_hands: bool) -> tuple[np.ndarray, dict[str, Any]]:
-    """(T, J, 3) rotation vectors of all joints, and what there is to say of the hands."""
+    """Return (T, J, 3) rotation vectors of all joints, from `poses` (T, N), and `info` on hands."""
     if poses.shape[1] not in _LAYOUTS:
         poses = np.pad(poses, ((0, 0), (3, 0)))
     width = poses.shape[1]
@@ -278,5 +290,5 @@ def _joints(poses: np.ndarray, has_hands: bool) -> tuple[np.ndarray, dict[str, A
     vectors = np.zeros((len(poses), n_joints, 3))
     vectors[:, :_BODY] = poses[:, : 3 * _BODY].reshape(len(poses), _BODY, 3)
     if n_joints == 55:
-        vectors[:, _BODY : _BODY + 3] = poses[:, -9:].reshape(len(poses), 3, 3)
+        vectors[:, _BODY : _BODY + 3] = poses[:, _FACE].reshape(len(poses), 3, 3)
     return vectors, {"hands": _HANDS}

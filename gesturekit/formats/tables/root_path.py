@@ -9,7 +9,8 @@ import numpy as np
 
 from gesturekit.errors import FormatError, ModelError, MotionError
 from gesturekit.formats.tables.table import read_table
-from gesturekit.motion.motion import LOWEST_FPS, Motion
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import LOWEST_FPS
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import FARTHEST
 

@@ -1,8 +1,6 @@
 """Body parts of a rig: which joint is the head, a hand, a knee."""
 
 from gesturekit.motion.parts.body_parts import (
-    KNOWN_PARTS,
-    SIDES,
     Arm,
     BodyParts,
     Leg,
@@ -18,6 +16,8 @@ from gesturekit.motion.parts.body_parts import (
     unidentified,
     upper_body,
 )
+from gesturekit.motion.parts.finder import KNOWN_PARTS
+from gesturekit.motion.parts.joint_names import SIDES
 
 __all__ = [
     "KNOWN_PARTS",

@@ -1,4 +1,4 @@
-"""Which joint is which part of the body: told by names and shape (`part_finder`), and checked."""
+"""Body parts of a rig, identified by joint names and shape (`finder`)."""
 
 from __future__ import annotations
 
@@ -12,25 +12,6 @@ from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder, fi
 from gesturekit.motion.parts.joint_names import SIDES, named_pairs
 from gesturekit.motion.parts.limb_shapes import find_limbs
 from gesturekit.motion.skeleton import Skeleton
-
-__all__ = [
-    "KNOWN_PARTS",
-    "SIDES",
-    "Arm",
-    "BodyParts",
-    "Leg",
-    "arm_joints",
-    "body_joints",
-    "find_legs",
-    "find_parts",
-    "known_part_labels",
-    "left_right_pairs",
-    "leg_length",
-    "parse_parts",
-    "part_labels",
-    "unidentified",
-    "upper_body",
-]
 
 
 @dataclass(frozen=True)
@@ -55,18 +36,18 @@ class Leg:
 
 @dataclass(frozen=True)
 class BodyParts:
-    """Joint names by part of the body.
+    """Joint names by body part.
 
     Attributes:
-        pelvis: where the legs meet the spine.
-        spine: joints above the pelvis up to the one that the arms hang on, in order.
-        neck: the lowest joint between spine and head; None where the head sits on the spine.
-        head: None where the rig has none.
+        pelvis: joint where the legs meet the spine.
+        spine: joints above the pelvis up to the parent of the arms, in order.
+        neck: the lowest joint between spine and head; None if there is none.
+        head: None if the rig has none.
         arms: "left" and "right".
         legs: "left" and "right".
-        fingers: all that hangs on the wrists, but for hands and end joints.
-        face: all that hangs on the head (jaw, eyes), but for end joints.
-        ends: leaves that only mark where a bone stops ("HeadEnd", "LeftToe_End", "Nub").
+        fingers: joints below the wrists, except hands and end joints.
+        face: joints below the head (jaw, eyes), except end joints.
+        ends: leaves that only mark the end of a bone ("HeadEnd", "LeftToe_End", "Nub").
     """
 
     pelvis: str
@@ -81,14 +62,14 @@ class BodyParts:
 
 
 def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
-    """(left, right) names of the joints that are each other's mirror image, left joints in order.
+    """Return (left, right) names of joints that are mirror images, in the order of left joints.
 
-    By name; where no name tells sides, by the shape of the rig. Limbs named by hand
-    (`Skeleton.parts`) come first, with the joints above them on either side. A joint without a
-    counterpart lies in the middle of the body.
+    They are found by name, or by the shape of the rig if no name has a side. Limbs specified by
+    hand (`Skeleton.parts`) take precedence, with the joints above them on either side. A joint
+    without a counterpart lies in the middle of the body.
     """
     by_hand = dict(_pairs_by_hand(skeleton))
-    told = {*by_hand, *by_hand.values()}
+    specified = {*by_hand, *by_hand.values()}
     pairs = named_pairs(skeleton)
     if not pairs:
         try:
@@ -97,12 +78,12 @@ def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
             shape = None
         if shape is not None:
             pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
-    pairs = [*by_hand.items(), *(pair for pair in pairs if told.isdisjoint(pair))]
+    pairs = [*by_hand.items(), *(pair for pair in pairs if specified.isdisjoint(pair))]
     return tuple(sorted(pairs, key=lambda pair: skeleton.index(pair[0])))
 
 
 def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
-    """(left, right) of the limbs named by hand, and of what they hang on below where they meet."""
+    """Yield (left, right) of limbs specified by hand, and of their ancestors up to a common one."""
     for part, name in skeleton.parts.items():
         side, _, kind = part.partition("_")
         if side != "left" or f"right_{kind}" not in skeleton.parts:
@@ -115,17 +96,17 @@ def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
 
 
 def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> BodyParts:
-    """Name the parts of a rig.
+    """Identify the body parts of a rig.
 
     Args:
-        skeleton: the rig; parts that it was given by hand (`Skeleton.parts`) count.
-        overrides: more joints named by hand, such as {"left_elbow": "Joint12"}. Keys are `head` and
-            left_ or right_ with clavicle, shoulder, elbow, wrist, hip, knee, ankle or toe.
+        skeleton: the rig, including parts specified by hand (`Skeleton.parts`).
+        overrides: more joints specified by hand, such as {"left_elbow": "Joint12"}. Keys are `head`
+            and left_ or right_ with clavicle, shoulder, elbow, wrist, hip, knee, ankle or toe.
 
     Raises:
-        MotionError: parts that cannot be told, or cannot be what they are taken for (a knee that
-            does not hang on the hip, a left leg twice as long as the right one, ...), with what to
-            name by hand.
+        MotionError: parts that cannot be identified, or are implausible (a knee that is not below
+            the hip, a left leg twice as long as the right one, ...). The error says which joint to
+            specify by hand.
     """
     found = PartFinder(skeleton, {**skeleton.parts, **(overrides or {})})
 
@@ -151,10 +132,9 @@ def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -
 
 
 def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
-    """Return the "left" and "right" leg of any rig, or None where no two legs can be identified.
+    """Return the "left" and "right" leg of any rig, or None if two legs cannot be identified.
 
-    Other than for `find_parts`, nothing but the legs need be there: a body with one arm or without
-    a head stands on its feet like any other.
+    Unlike `find_parts`, this needs no other body parts, such as two arms or a head.
     """
     try:
         return find_parts(skeleton).legs
@@ -167,7 +147,7 @@ def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
 
 
 def unidentified(skeleton: Skeleton) -> str:
-    """Return which parts of a rig cannot be identified, in words: "" for a body like ours."""
+    """Return which parts of a rig cannot be identified, in words; "" for a human body."""
     try:
         find_parts(skeleton)
     except MotionError:
@@ -176,7 +156,7 @@ def unidentified(skeleton: Skeleton) -> str:
 
 
 def parse_parts(texts: Iterable[str]) -> dict[str, str]:
-    """Parts named by hand on a command line: "left_elbow=Joint12" to {"left_elbow": "Joint12"}.
+    """Parse parts given on a command line: "left_elbow=Joint12" to {"left_elbow": "Joint12"}.
 
     Raises:
         MotionError: no such part, or no joint.
@@ -191,27 +171,27 @@ def parse_parts(texts: Iterable[str]) -> dict[str, str]:
 
 
 def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Joint name to the part of the body it is, in words, for every joint in order.
+    """Return joint name to body part in words, for every joint in order.
 
-    "pelvis", "spine", "neck", "head", "left elbow" and the like; "finger", "face", "end" (marks
-    where a bone stops), "twist" (turns a bone about itself), "root" (above the pelvis), "other".
+    "pelvis", "spine", "neck", "head", "left elbow" and so on; "finger", "face", "end" (marks the
+    end of a bone), "twist" (rotates about its bone), "root" (above the pelvis), "other".
 
     Raises:
-        MotionError: as `find_parts`.
+        MotionError: see `find_parts`.
     """
     return _labels(PartFinder(skeleton, {**skeleton.parts, **(overrides or {})}))
 
 
 def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
-    """Return what `part_labels` does for any rig, and in a line what cannot be identified.
+    """Return `part_labels` of the parts that can be identified, and a line about the others.
 
-    The labels are empty where no part can be, the line where all can.
+    The labels are empty if no part can be identified, the line if all can.
     """
     try:
         return part_labels(skeleton), ""
     except MotionError as error:
         reason = str(error)
-    found = PartFinder.of_known(skeleton)
+    found = PartFinder.partial(skeleton)
     if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
         reason = (
             f"cannot identify the {found.missing_limbs()}: harmless where the rig has none, else "
@@ -223,6 +203,7 @@ def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
 
 
 def _labels(found: PartFinder) -> dict[str, str]:
+    """Return joint name to body part in words; later assignments take precedence."""
     skeleton = found.skeleton
     labels = dict.fromkeys(range(skeleton.n_joints), "other")
     if found.pelvis is not None:
@@ -245,9 +226,9 @@ def _labels(found: PartFinder) -> dict[str, str]:
 
 
 def body_joints(skeleton: Skeleton) -> tuple[str, ...]:
-    """Names of all joints but fingers, face and end joints, in the skeleton's order.
+    """Return the names of all joints except fingers, face and end joints, in order.
 
-    All joints of a rig whose parts cannot be identified.
+    A rig whose parts cannot be identified keeps all joints.
     """
     try:
         parts = find_parts(skeleton)
@@ -258,29 +239,29 @@ def body_joints(skeleton: Skeleton) -> tuple[str, ...]:
 
 
 def upper_body(skeleton: Skeleton) -> tuple[str, ...]:
-    """Names of the first joint of the spine and all below it: spine, neck, head, arms, hands."""
+    """Return the names of the spine's first joint and all below it: spine, neck, head, arms."""
     first = skeleton.index(find_parts(skeleton).spine[0])
     return tuple(skeleton.names[j] for j in (first, *skeleton.descendants(first)))
 
 
 def leg_length(skeleton: Skeleton) -> float:
-    """Length of thigh and shank, metres, mean of both sides.
+    """Return the length of thigh and shank, mean of both sides, metres.
 
     Raises:
-        MotionError: the rig has no two legs that can be identified.
+        MotionError: two legs cannot be identified.
     """
     legs = find_legs(skeleton) or find_parts(skeleton).legs
     bones: list[int] = []
     for leg in legs.values():
         ankle, hip = skeleton.index(leg.ankle), skeleton.index(leg.hip)
-        # All that lies between: helper joints split bones.
-        way = [ankle, *skeleton.ancestors(ankle)]
-        bones += way[: way.index(hip)]
+        # Helper joints may split a bone, so sum over all joints between hip and ankle.
+        chain = [ankle, *skeleton.ancestors(ankle)]
+        bones += chain[: chain.index(hip)]
     return float(np.linalg.norm(skeleton.offsets[bones], axis=1).sum() / 2)
 
 
 def arm_joints(skeleton: Skeleton) -> tuple[str, str, str, str]:
-    """Names of left shoulder, left elbow, right shoulder, right elbow (upper and lower arms)."""
+    """Return the names of left shoulder, left elbow, right shoulder and right elbow."""
     arms = find_parts(skeleton).arms
     left, right = arms["left"], arms["right"]
     return left.shoulder, left.elbow, right.shoulder, right.elbow

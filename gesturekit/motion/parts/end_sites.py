@@ -1,9 +1,9 @@
-"""End sites: which of them are where a bone stops, and which an exporter made up.
+"""Plausible end sites: those that mark the end of a bone, and are not placeholders of an exporter.
 
-A BVH file has to give each last joint an end site, and exporters that know none write one of their
-own: as long as the bone before it but pointing up (Blender on Mixamo's rigs), one and the same
-vector everywhere, or beyond a joint that marks the end already ("LeftToe_End"). Drawn, they make
-toes and fingertips stick up.
+A BVH file needs an end site on each leaf joint, and exporters without data write a placeholder: as
+long as the bone before it but pointing up (Blender on Mixamo's rigs), the same vector everywhere,
+or beyond a joint that already marks the end ("LeftToe_End"). Toes and fingertips drawn from these
+point up.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from gesturekit.motion.parts.joint_names import bare_name
 from gesturekit.motion.skeleton import Skeleton
 
 _MARKERS = ("end", "nub", "site", "headtop")
-"""Endings of names of joints that are the end of a bone themselves."""
+"""Name endings of joints that are themselves the end of a bone."""
 _OFF = np.cos(np.deg2rad(45.0))
-"""A bone goes on in its direction, or turns by less than this angle, where it stops."""
+"""Cosine of the largest angle between a plausible end site and the bone before it."""
 _SAME = 1e-3
-"""Share by which lengths and vectors that an exporter has copied differ: rounding."""
+"""Relative difference of lengths and vectors that an exporter copied: rounding."""
 _COPIES = 3
-"""A vector at so many ends is no measurement: left and right are two."""
+"""Number of equal end sites from which they are placeholders; left and right make two."""
 _LONGEST, _LONGER = 0.25, 1.6
-"""No end is longer than this share of the body (0.35 m on an adult) and by this factor longer than
-the bone before it: a forearm with its hand is, but the upper arm is nearly as long."""
+"""Largest plausible length, as a share of the body (0.35 m on an adult) and of the bone before. It
+must exceed both to be rejected: a forearm with its hand is long, but so is the upper arm."""
 
 
 def real_end_sites(skeleton: Skeleton) -> dict[str, tuple[np.ndarray, ...]]:
-    """Return the end sites that can be ends of bones, by joint name; the same at any scale."""
+    """Return joint name to the offsets (3,) of its plausible end sites; independent of scale."""
     named = [(name, site) for name, sites in skeleton.end_sites.items() for site in sites]
     if not named:
         return {}

@@ -1,10 +1,10 @@
-"""Finding the parts of a rig: by name first, by shape where the names say nothing.
+"""Identification of body parts: by joint names first, by the shape of the rig otherwise.
 
-Left and right are found first: a joint whose name holds a mark of the left side ("Left", "l_",
-".L", a leading "L", ...) and whose counterpart with the mark of the right side exists. Then the
-elbows and knees are found by name, as their names are the least ambiguous ("RightShoulder" is a
-collar bone in one file and an upper arm in the next), and all else by its place in the tree. Limbs
-whose names say nothing are told by the shape of the rig (`limb_shapes`), or not at all.
+Left and right come first: a joint is on the left if its name contains a mark of the left side
+("Left", "l_", ".L", a leading "L", ...) and the name with the mark of the right side exists. Then
+elbows and knees are found by name, because their names are the least ambiguous ("RightShoulder" is
+a clavicle in one file and an upper arm in the next), and all other parts by their position in the
+tree. Limbs without informative names are identified by the shape of the rig (`limb_shapes`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gesturekit.motion.skeleton import Skeleton
 ARM = ("clavicle", "shoulder", "elbow", "wrist")
 LEG = ("hip", "knee", "ankle", "toe")
 KNOWN_PARTS = ("head", *(f"{side}_{part}" for side in SIDES for part in (*ARM, *LEG)))
-"""What a joint may be called by hand."""
+"""Parts that a user can specify."""
 
 _ELBOW = ("forearm", "lowerarm", "lowarm", "elbow", "radius")
 _KNEE = ("knee", "shin", "calf", "tibia", "lowerleg", "lowleg", "leg")
@@ -36,7 +36,7 @@ _TWIST = ("twist", "roll")
 def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
     """Return part ("left_hip", ...) to joint of both legs, by name or by hand; None without them.
 
-    Nothing else of a body need be there: this serves rigs whose other parts cannot be identified.
+    It works on rigs whose other parts cannot be identified.
     """
     finder = PartFinder.__new__(PartFinder)
     finder._read_names(skeleton, skeleton.parts)
@@ -52,12 +52,12 @@ def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
 
 
 class PartFinder:
-    """The limbs, the trunk and the loose ends of one rig, as indices of joints.
+    """Limbs, trunk and end joints of one rig, as joint indices.
 
     Attributes:
-        limbs: part ("left_elbow", ...) to joint; None where the rig has none.
+        limbs: part ("left_elbow", ...) to joint; None if the rig has none.
         pelvis, spine, neck, head: the trunk; `neck` is all joints between spine and head.
-        ends: leaves that only mark where a bone stops.
+        ends: leaves that only mark the end of a bone.
     """
 
     def __init__(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
@@ -71,15 +71,15 @@ class PartFinder:
         self._trunk(shape)
 
     @classmethod
-    def of_known(cls, skeleton: Skeleton) -> PartFinder:
-        """Return what names and hand tell of a rig that lacks parts of a body.
+    def partial(cls, skeleton: Skeleton) -> PartFinder:
+        """Return the parts that names and the user identify, for a rig that lacks some.
 
-        Limbs that cannot be identified have None for joints; `pelvis` and `head` are None, `spine`
-        and `neck` empty where they cannot be.
+        Limbs that cannot be identified have None for joints. Without evidence `pelvis` and `head`
+        are None, and `spine` and `neck` are empty.
         """
         found = cls.__new__(cls)
         found._read_names(skeleton, skeleton.parts)
-        # A limb without its counterpart: no pair of names tells its side.
+        # A limb without a counterpart has no pair of names, so its side comes from its own name.
         for j, name in enumerate(skeleton.names):
             if not found.side[j] and (side := named_side(name)):
                 found.side[j], found.bare[j] = side, bare_name(name, side)
@@ -96,7 +96,7 @@ class PartFinder:
         return found
 
     def missing_limbs(self) -> str:
-        """Return the limbs of which a joint is missing, in words: "arms and left leg"."""
+        """Return the limbs with missing joints, in words: "arms and left leg"."""
         words = []
         for kind, limb in (("arm", ARM), ("leg", LEG)):
             sides = [s for s in SIDES if {f"{s}_{part}" for part in limb} & set(self.missing)]
@@ -104,7 +104,7 @@ class PartFinder:
         return " and ".join(words)
 
     def _read_names(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
-        """Identify single joints by name or by hand; limbs are not looked for yet."""
+        """Read side and bone of each joint from its name, and the parts specified by hand."""
         for key in by_hand:
             if key not in KNOWN_PARTS:
                 raise MotionError(
@@ -126,16 +126,17 @@ class PartFinder:
         }
 
     def helpers(self) -> set[int]:
-        """Joints that only turn a bone about itself."""
+        """Return joints that only rotate about their bone."""
         return {j for j, bare in enumerate(self.bare) if bare.endswith(_TWIST)}
 
     def fingers(self) -> list[int]:
-        """All that hangs on the wrists, but for hands and end joints."""
+        """Return the joints below the wrists, except hands and end joints."""
         wrists = [self.limbs[f"{side}_wrist"] for side in SIDES]
         below = {j for w in wrists if w is not None for j in self.skeleton.descendants(w)}
         return [j for j in sorted(below - self.ends) if not self.bare[j].endswith("hand")]
 
     def _trunk(self, shape: Limbs | None) -> None:
+        """Find pelvis, spine, neck and head from the limbs."""
         limbs, name = self.limbs, self.skeleton.names
         chest = self._meeting(limbs["left_shoulder"], limbs["right_shoulder"])
         pelvis = self._meeting(limbs["left_hip"], limbs["right_hip"])
@@ -152,6 +153,7 @@ class PartFinder:
             self.neck.insert(0, self.spine.pop())
 
     def _known_trunk(self) -> None:
+        """Find the parts of the trunk that the known limbs and the names identify."""
         limbs, side = self.limbs, self.side
         hips = [j for s in SIDES if (j := limbs[f"{s}_hip"]) is not None]
         arms = [limbs[f"{s}_clavicle"] or limbs[f"{s}_shoulder"] for s in SIDES]
@@ -195,7 +197,7 @@ class PartFinder:
         but: tuple[str, ...] = (),
         required: bool = True,
     ) -> int | None:
-        """The joint nearest the root whose bare name ends like one of `endings`."""
+        """Store and return the joint nearest the root whose bare name has one of `endings`."""
         fitting = [
             j for j in among if self.bare[j].endswith(endings) and not self.bare[j].endswith(but)
         ]
@@ -203,8 +205,10 @@ class PartFinder:
         return self._settle(part, found, required)
 
     def _above(self, part: str, joint: int | None, side: str, required: bool = True) -> int | None:
-        """The nearest joint above of the same side; helpers that only twist a bone do not count,
-        and of a bone in several pieces ("upper_arm.L", "upper_arm.L.001") the first does."""
+        """Store and return the nearest joint above on the same side, twist helpers skipped.
+
+        If a bone is split into several joints ("upper_arm.L", "upper_arm.L.001"), the first counts.
+        """
         found = None
         above = () if joint is None else self.skeleton.ancestors(joint)
         for j in above:
@@ -218,6 +222,7 @@ class PartFinder:
         return self._settle(part, found, required)
 
     def _settle(self, part: str, found: int | None, required: bool) -> int | None:
+        """Store a part, as specified by hand or else as found, and return its joint."""
         found = self.by_hand.get(part, found)
         if found is None and required:
             self.missing.append(part)
@@ -225,13 +230,13 @@ class PartFinder:
         return found
 
     def _limbs_by_shape(self) -> Limbs:
-        """Fill in from the shape of the rig what the names do not tell.
+        """Fill in missing limbs from the shape of the rig.
 
         Raises:
-            MotionError: the shape does not tell either, or contradicts the names.
+            MotionError: the shape is not clear either, or contradicts the names.
         """
         names = self.skeleton.names
-        told = f"cannot identify the {self.missing_limbs()}"
+        problem = f"cannot identify the {self.missing_limbs()}"
         first = self.missing[0]
         by_hand = (
             f"name what the rig has: --part {first}=JOINT (--rig-part for --rig), or "
@@ -240,19 +245,20 @@ class PartFinder:
         try:
             shape = find_limbs(self.skeleton)
         except MotionError as error:
-            raise MotionError(f"{told} ({error}); {by_hand}") from None
+            raise MotionError(f"{problem} ({error}); {by_hand}") from None
         for part, joint in self.limbs.items():
             if joint is None:
                 self.limbs[part] = shape.joints.get(part)
             elif part in shape.joints and shape.joints[part] != joint:
                 raise MotionError(
-                    f"{told}: the {part.replace('_', ' ')} is {names[shape.joints[part]]!r} by the "
-                    f"rig's shape, {names[joint]!r} by its name; {by_hand}"
+                    f"{problem}: the {part.replace('_', ' ')} is {names[shape.joints[part]]!r} by "
+                    f"the rig's shape, {names[joint]!r} by its name; {by_hand}"
                 )
         self.missing = []
         return shape
 
     def _head(self, chest: int, shape: Limbs | None) -> int | None:
+        """Return the head: specified by hand, or by name, shape or position above the chest."""
         in_limbs = {
             below
             for part in ("left_clavicle", "right_clavicle", "left_shoulder", "right_shoulder")
@@ -278,11 +284,11 @@ class PartFinder:
         return min(named or middle[-1:], key=lambda j: self.skeleton.depth[j], default=None)
 
     def _meeting(self, a: int, b: int) -> int:
-        """The lowest joint that both hang on (or are)."""
+        """Return the lowest common ancestor of two joints, themselves included."""
         of_a = {a, *self.skeleton.ancestors(a)}
         return next(j for j in (b, *self.skeleton.ancestors(b)) if j in of_a)
 
     def _way_down(self, top: int, bottom: int) -> list[int]:
-        """Joints from `top` to `bottom`, both included."""
+        """Return the joints from `top` down to `bottom`, both included; none if not connected."""
         way = [bottom, *self.skeleton.ancestors(bottom)]
         return way[: way.index(top) + 1][::-1] if top in way else []

@@ -1,4 +1,4 @@
-"""Which finger is which: thumb, index, middle, ring and little finger of each hand, by name."""
+"""Finger chains of each hand, identified by joint names."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _WORDS = {
     "little": r"pink(?:y|ie)|little",
 }
 _BY_NUMBER = re.compile(r"finger[ _]?([0-4])")
-"""3ds Max counts from the thumb: Finger0, Finger01, Finger02, Finger1, ..."""
+"""Names of 3ds Max, counted from the thumb: Finger0, Finger01, Finger02, Finger1, ..."""
 _IN_THE_PALM = re.compile(r"metacarpal|carpal|_mc(?![a-z])")
 
 
 def finger_chains(skeleton: Skeleton, parts: BodyParts, side: str) -> dict[str, tuple[int, ...]]:
-    """Joints of each finger of one hand, from the knuckle outwards; only fingers that are found.
+    """Return finger to its joints from the knuckle outwards, for the fingers that are found.
 
-    Bones within the palm (metacarpals) are not counted in; a joint of the thumb always is.
+    Bones within the palm (metacarpals) are left out, except that of the thumb.
     """
     wrist = parts.arms[side].wrist
     if wrist is None:
@@ -34,13 +34,14 @@ def finger_chains(skeleton: Skeleton, parts: BodyParts, side: str) -> dict[str, 
         if kind is None:
             continue
         chain = chains.setdefault(kind, [])
-        # One joint after the other: what branches off (nails, helpers) is no part of the chain.
+        # Side branches (nails, helpers) are not part of the chain.
         if not chain or skeleton.parents[joint] == chain[-1]:
             chain.append(joint)
     return {kind: tuple(chains[kind]) for kind in FINGERS if kind in chains}
 
 
 def _kind(name: str) -> str | None:
+    """Return the finger that a joint name belongs to."""
     name = name.rsplit(":", 1)[-1].lower()
     for kind, words in _WORDS.items():
         if re.search(words, name):

@@ -1,4 +1,4 @@
-"""What joint names say: which side of the body, and which bone."""
+"""Side of the body and bone from joint names."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from gesturekit.motion.skeleton import Skeleton
 SIDES = ("left", "right")
 
 _LEFT_WORD = re.compile("left", re.IGNORECASE)
-# An "l" that stands where a word begins (start, after a sign or digit, or a capital after a small
+# An "l" at the beginning of a word (start, after a sign or digit, or a capital after a lower-case
 # letter): "L_Hip", "b_l_arm", "upper_arm.L", "HandL", "lfemur".
 _LEFT_LETTER = re.compile(r"(?<![A-Za-z])[lL]|(?<=[a-z])L(?![a-z])")
 
-# The same of either side, where the letter stands apart: "lfemur" has no side by itself.
+# The same for either side, but only as a separate letter: "lfemur" alone has no side.
 _SIDE_LETTER = re.compile(r"(?<![A-Za-z])[lLrR](?![a-z])|(?<=[a-z])[LR](?![a-z])")
 
 
 def named_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
-    """(left, right) names of the joints that differ by the mark of a side alone, in order."""
+    """Return (left, right) names of joints that differ only by the side, in order."""
     pairs = []
     names = set(skeleton.names)
     for name in skeleton.names:
@@ -31,7 +31,7 @@ def named_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
 
 
 def _right_names(name: str) -> Iterable[str]:
-    """What the right counterpart of `name` may be called, if `name` is of the left."""
+    """Yield possible names of the right counterpart, if `name` is a left joint."""
     for match in _LEFT_WORD.finditer(name):
         right = {"left": "right", "LEFT": "RIGHT"}.get(match[0], "Right")
         yield name[: match.start()] + right + name[match.end() :]
@@ -41,9 +41,8 @@ def _right_names(name: str) -> Iterable[str]:
 
 
 def named_side(name: str) -> str:
-    """Return the side that a name tells by itself, "left" or "right"; "" where it tells none."""
-    small = name.lower()
-    found = {side for side in SIDES if side in small}
+    """Return the side in a single name, "left" or "right"; "" if it has none."""
+    found = {side for side in SIDES if side in name.lower()}
     if not found:
         letters = (match[0].lower() for match in _SIDE_LETTER.finditer(name))
         found = {SIDES["lr".index(letter)] for letter in letters}
@@ -51,7 +50,7 @@ def named_side(name: str) -> str:
 
 
 def bare_name(name: str, side: str) -> str:
-    """Small letters of a name without name space, side, digits and signs: "forearm"."""
+    """Return a name in lower case without namespace, side, digits and signs: "forearm"."""
     name = name.rsplit(":", 1)[-1]
     if side:
         letter = side[0]

@@ -1,10 +1,9 @@
-"""Arms and legs told from the shape of a rig alone, where its joint names say nothing.
+"""Arms and legs from the shape of a rig alone, for rigs whose joint names are not informative.
 
-A human rig is a trunk with two pairs of limbs: one pair where the trunk begins (legs), one farther
-along it (arms), with the head beyond. The limbs of a pair are as long as each other, bone by bone.
-In each limb the two longest bones follow one another: thigh and shank, upper arm and forearm. Feet
-say where is forward, and that, with the way from legs to head, what is left. Where any of this is
-not plainly so, nothing is told: a wrong guess is worse than none.
+A human rig is a trunk with two pairs of limbs: legs at its lower end, arms farther along it, and
+the head beyond. The limbs of a pair have equal bone lengths. The two longest bones of each limb are
+adjacent: thigh and shank, upper arm and forearm. Feet point forward, and forward and up determine
+left. If any of this is not clear, an error is raised, because a wrong guess is worse than none.
 """
 
 from __future__ import annotations
@@ -19,20 +18,26 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted
 
 _ALIKE = 0.15
-"""Lengths of left and right bones differ by less than this share."""
+"""Largest relative difference of left and right bone lengths."""
 _LONG = 0.25
-"""A limb is longer than this share of the longest way through the rig."""
+"""Shortest limb, as a share of the longest path through the rig."""
 _ROUNDING, _POINT, _FORWARD = 0.007, 0.007, 0.035
-"""Shares of how far the rig reaches from its root (1.4 m on an adult): by which short bones may
-differ and be alike, below which an end site has no length, and which feet point ahead by."""
+"""Shares of the rig's reach from its root (1.4 m on an adult): difference allowed between short
+bones, length below which an end site is a point, and least length of a foot that points forward."""
 _CLEARLY = 1.3
-"""The two long bones of a limb are longer than any other by this factor, and than each other by
-no more than its square."""
+"""Least ratio of a limb's two long bones to all its others, and square root of the largest ratio
+between the two."""
 
 
 @dataclass(frozen=True)
 class Limbs:
-    """What the shape tells: part ("left_elbow", ...) to joint, the head, and mirrored joints."""
+    """Limbs found by shape.
+
+    Attributes:
+        joints: part ("left_elbow", ...) to joint.
+        head: None if there is none.
+        pairs: joints of the limbs that are mirror images.
+    """
 
     joints: dict[str, int]
     head: int | None
@@ -40,22 +45,24 @@ class Limbs:
 
 
 def find_limbs(skeleton: Skeleton) -> Limbs:
-    """Tell arms and legs by shape.
+    """Find arms and legs by shape.
 
     Raises:
-        MotionError: the shape is not plainly that of a person at rest; says what is not.
+        MotionError: the shape is not clearly that of a person at rest; the message says why.
     """
     return _Shape(skeleton).limbs()
 
 
 class _Shape:
+    """Rest positions, bone lengths and reach of a rig's joints."""
+
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
         self.bone = np.linalg.norm(skeleton.offsets, axis=1)
         self.place = skeleton.offsets.copy()
         for j, above in enumerate(skeleton.parents):
             self.place[j] = skeleton.offsets[j] + self.place[above] if above >= 0 else 0.0
-        # How far each joint's bones reach, end sites and all that hangs on it counted in.
+        # Longest path from each joint down to a leaf, end sites included.
         sites = skeleton.end_sites
         self.tip = np.array(
             [max(map(np.linalg.norm, sites.get(name, ())), default=0.0) for name in skeleton.names]
@@ -66,6 +73,7 @@ class _Shape:
             self.reach[above] = max(self.reach[above], self.bone[j] + self.reach[j])
 
     def limbs(self) -> Limbs:
+        """Return the limbs; see `find_limbs`."""
         forks = self._pairs_of_limbs()
         if len(forks) != 2:
             raise MotionError(f"{counted(len(forks), 'pair')} of limbs of equal length, not 2")
@@ -101,7 +109,7 @@ class _Shape:
         return Limbs(joints, self._head(chest, arms), tuple(sorted(pairs)))
 
     def _pairs_of_limbs(self) -> list[tuple[int, tuple[int, int]]]:
-        """(joint they hang on, (limb, limb)) for each pair of long limbs, from the root."""
+        """Return (parent, (limb, limb)) of each pair of long limbs of one shape, from the root."""
         whole = self.reach[0] + max(
             (self.bone[j] + self.reach[j] for j in self.skeleton.children(0)), default=0.0
         )
@@ -119,7 +127,7 @@ class _Shape:
         return found
 
     def _alike(self, a: int, b: int) -> bool:
-        """Whether two limbs have bones of equal lengths in equal numbers."""
+        """Return whether two limbs have equal numbers of bones of equal lengths."""
         near = _ALIKE * max(self.bone[a], self.bone[b]) + _ROUNDING * self.reach[0]
         if abs(self.bone[a] - self.bone[b]) > near:
             return False
@@ -127,12 +135,12 @@ class _Shape:
         return len(below[0]) == len(below[1]) and all(map(self._alike, *below))
 
     def _sorted(self, joint: int) -> list[int]:
+        """Return the children of a joint, ordered by lengths, which are equal on both sides."""
         children = self.skeleton.children(joint)
-        # By what can be told of either side alike: how far they reach, and how far off they are.
         return sorted(children, key=lambda j: (self.reach[j] + self.bone[j], self.bone[j]))
 
     def _mirrored(self, a: int | list[int], b: int | list[int]) -> list[tuple[int, int]]:
-        """(joint, joint) for all of two limbs that are alike."""
+        """Return pairs of corresponding joints of two limbs of equal shape."""
         if isinstance(a, list) and isinstance(b, list):
             a, b = a[0], b[0]
         pairs = [(a, b)]
@@ -141,7 +149,7 @@ class _Shape:
         return pairs
 
     def _chain(self, joint: int) -> list[int]:
-        """Joints from the start of a limb along its longest way."""
+        """Return the joints of a limb along its longest path."""
         chain = [joint]
         while self.skeleton.children(chain[-1]):
             chain.append(
@@ -150,7 +158,7 @@ class _Shape:
         return chain
 
     def _two_bones(self, chains: list[list[int]]) -> int:
-        """Where in the chains of a pair the two long bones begin."""
+        """Return the index in the chains of a pair at which the two long bones begin."""
         first = chains[0]
         bones = np.append(self.bone[first[1:]], self.tip[first[-1]])
         if len(bones) < 2:
@@ -165,6 +173,7 @@ class _Shape:
         return start
 
     def _left(self, up: np.ndarray, legs: list[list[int]], hips: int) -> np.ndarray:
+        """(3,) unit vector to the left, from the upward direction (3,) and the feet."""
         up = up / np.linalg.norm(up)
         ahead = np.zeros(3)
         for chain in legs:
@@ -180,8 +189,11 @@ class _Shape:
         return np.cross(up, ahead / np.linalg.norm(ahead))
 
     def _head(self, chest: int, arms: tuple[int, int]) -> int | None:
-        """Beyond the arms, the joint that a face hangs on, or else the last but for a mark of the
-        top, which is farther from the head than that is from the neck."""
+        """Return the head: the first joint with several children beyond the arms, or the last one.
+
+        A last joint that only marks the top of the head is skipped; it is farther from the head
+        than the head is from the neck.
+        """
         beyond = [j for j in self.skeleton.children(chest) if j not in arms]
         if not beyond:
             return None

@@ -1,17 +1,18 @@
-"""What the joint axes of a rig mean: one anatomical frame for each segment of the body.
+"""Anatomical frames: the orientation of each body segment, independent of a rig's joint axes.
 
-The anatomical frames of a body that stands in a T-pose and faces +Z are all the world's axes: x to
-its left, y up, z forward. They move with their segments. So a segment's frame means the same on any
-rig, whatever the rig's rest pose, and a motion is carried from one to the other by them.
+On a body that stands in a T-pose and faces +Z, all anatomical frames equal the world axes: x to its
+left, y up, z forward. Each frame turns with its segment. A segment's frame therefore means the same
+on every rig, whatever the rest pose, and motion is transferred through these frames.
 
-How they lie in a rig's joints is read off a pose in which it stands (`standing`):
+The rotation from a joint's frame to its anatomical frame is read from a pose in which the rig
+stands (`standing_pose`):
 
-- arms, legs, fingers: turned the shortest way from the T-pose's direction to the bone's. An arm
-  that hangs, or is held forward, has its elbow and thumb where they then are on a person;
-- hands with fingers: by the knuckles;
-- feet: level and forward whichever way the bone to the toes is drawn; a motion that stands tells
-  what level is better than a rest pose does (`levelled`);
-- pelvis, spine, neck, head, clavicles: the body's own axes, for these bones are drawn as one likes.
+- arms, legs, fingers: the shortest rotation from the T-pose direction to the direction of the bone;
+- hands with fingers: from the knuckles;
+- feet: level and pointing forward, whatever the direction of the bone to the toes. A motion that
+  stands gives the level orientation better than a rest pose (`BodyFrames.levelled`);
+- pelvis, spine, neck, head, clavicles: the axes of the whole body, because the directions of these
+  bones differ between rigs.
 """
 
 from __future__ import annotations
@@ -36,56 +37,59 @@ from gesturekit.motion.rotations import (
 )
 from gesturekit.motion.skeleton import Skeleton
 
-_NO_LENGTH, _NO_WAY, _NO_END = 1e-6, 1e-3, 0.01
-"""Metres on the reference body; shorter bones, ways across a hand or along a foot, and ends of
+_NO_LENGTH, _NO_DISTANCE, _NO_END = 1e-6, 1e-3, 0.01
+"""Metres on the reference body; shorter bones, distances across a hand or along a foot, and ends of
 limbs have no direction."""
 _DRAWN_LEVEL = np.deg2rad(10.0)
-"""A foot whose bone to the toes is less steep at rest is drawn level: no person's ankle is as low
-as the ball of the foot."""
+"""A bone from ankle to toes that is less steep than this means a foot drawn level: no person's
+ankle is as low as the ball of the foot."""
 _STEEP = np.deg2rad(60.0)
+"""A steeper bone means a foot that points down."""
 _USUAL_PITCH = np.deg2rad(27.0)
+"""Pitch of the bone from ankle to toes on a level foot."""
 _STEADY = np.deg2rad(15.0)
+"""A foot whose tilt varies by more while it stands gives no level orientation."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyFrames:
-    """The segments of a rig and how their anatomical frames lie in its joints.
+    """Body segments of a rig, and their anatomical frames relative to its joints.
 
     Attributes:
-        skeleton: the rig.
-        parts: its parts.
+        skeleton: the rig, J joints.
+        parts: its body parts.
         pose: (J, 4) local rotations in which it stands.
         joints: segment ("pelvis", "spine0", "left_elbow", "left_index0", ...) to joint.
-        own: segment to (4,), the turn from the anatomical frame to the joint's frame.
-        bones: segment to (joint that its bone leads to, direction in the anatomical frame); only
-            segments whose direction is carried over exactly.
-        toes: side to (joint, offset (3,) in its frame) of the point where the foot rolls.
-        hands: side to the same of the wrist, or of where the forearm ends without one.
+        from_anatomical: segment to (4,), rotation from the anatomical frame to the joint's frame.
+        bones: segment to (joint at the end of its bone, direction (3,) in the anatomical frame);
+            only segments whose direction is transferred exactly.
+        toes: side to (joint, offset (3,) in its frame) of the point about which the foot rolls.
+        hands: side to (joint, offset (3,)) of the wrist, or of the end of the forearm without one.
     """
 
     skeleton: Skeleton
     parts: BodyParts
     pose: np.ndarray
     joints: dict[str, int]
-    own: dict[str, np.ndarray]
+    from_anatomical: dict[str, np.ndarray]
     bones: dict[str, tuple[int, np.ndarray]]
     toes: dict[str, tuple[int, np.ndarray]]
     hands: dict[str, tuple[int, np.ndarray]]
 
     def world(
-        self, turned: np.ndarray, positions: np.ndarray | None = None
+        self, rotations: np.ndarray, positions: np.ndarray | None = None
     ) -> dict[str, np.ndarray]:
-        """Segment to (..., 4), its anatomical frame in the world.
+        """Return segment to (..., 4), the world rotation of its anatomical frame.
 
         Args:
-            turned: (..., J, 4) world rotations of the joints.
-            positions: (..., J, 3) of the joints; where a file moves joints, or helper joints bend
-                a limb, they tell the direction of a bone better than its rest does.
+            rotations: (..., J, 4) world rotations of the joints.
+            positions: (..., J, 3) positions of the joints. If given, bone directions come from
+                them, which also handles joint translations and limbs bent by helper joints.
         """
         found = {}
         shortest = _NO_LENGTH * body_scale(self.skeleton)
         for segment, joint in self.joints.items():
-            own = multiply_quaternions(turned[..., joint, :], self.own[segment])
+            own = multiply_quaternions(rotations[..., joint, :], self.from_anatomical[segment])
             if positions is not None and segment in self.bones:
                 below, direction = self.bones[segment]
                 bone = positions[..., below, :] - positions[..., joint, :]
@@ -97,82 +101,85 @@ class BodyFrames:
         return found
 
     def chain(self, kind: str) -> list[str]:
-        """Segments "spine0", "spine1", ... or "neck0", ..., from below."""
+        """Return the segments of a kind, "spine" or "neck", from below: "spine0", "spine1", ..."""
         return [segment for segment in self.joints if segment.rstrip("0123456789") == kind]
 
     def leg_lengths(self) -> dict[str, float]:
-        """Side to metres from hip to knee to ankle."""
+        """Return side to metres from hip to knee to ankle."""
         places = forward_kinematics(self.pose, np.zeros(3), self.skeleton)
         lengths = {}
         for side in SIDES:
-            way = places[[self.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")]]
-            lengths[side] = float(np.linalg.norm(np.diff(way, axis=0), axis=-1).sum())
+            leg = places[[self.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")]]
+            lengths[side] = float(np.linalg.norm(np.diff(leg, axis=0), axis=-1).sum())
         return lengths
 
     def leg_length(self) -> float:
-        """Metres, mean of both legs."""
+        """Return the mean length of both legs, metres."""
         return sum(self.leg_lengths().values()) / 2
 
     def foot_heights(self, side: str) -> tuple[float, float]:
-        """(ankle, toe point), metres above the lower of the two on a level foot."""
+        """Return (ankle, toe point) heights above the lower of the two on a level foot, metres."""
         if side not in self.toes:
             return 0.0, 0.0
-        below = rotate_vectors(invert_quaternions(self.own[f"{side}_ankle"]), self.foot(side))[1]
+        back = invert_quaternions(self.from_anatomical[f"{side}_ankle"])
+        below = rotate_vectors(back, self.foot(side))[1]
         return max(-below, 0.0), max(below, 0.0)
 
     def foot(self, side: str) -> np.ndarray:
-        """(3,) from the ankle to the toe point, metres, in the ankle's frame."""
+        """(3,) vector from the ankle to the toe point in the frame of the ankle, metres."""
         ankle = self.joints[f"{side}_ankle"]
         joint, offset = self.toes[side]
         places = forward_kinematics(self.pose, np.zeros(3), self.skeleton)
-        turned = global_rotations(self.pose, self.skeleton)
-        tip = places[joint] + rotate_vectors(turned[joint], offset)
-        return rotate_vectors(invert_quaternions(turned[ankle]), tip - places[ankle])
+        world = global_rotations(self.pose, self.skeleton)
+        tip = places[joint] + rotate_vectors(world[joint], offset)
+        return rotate_vectors(invert_quaternions(world[ankle]), tip - places[ankle])
 
     def levelled(self, motion: Motion, standing: dict[str, np.ndarray]) -> BodyFrames:
-        """With feet as they stand in a motion, in place of as the rig draws them.
+        """Return the frames with level feet as measured in a motion instead of in the pose.
 
         Args:
-            motion: a motion of this rig.
-            standing: side to (T,) bool, frames in which that foot stands flat on the floor.
+            motion: T frames of this rig.
+            standing: side to (T,) bool, true if that foot stands flat on the floor.
         """
-        own = dict(self.own)
-        turned = motion.global_rotations()
+        levelled = dict(self.from_anatomical)
+        world = motion.global_rotations()
         for side in SIDES:
             if side not in self.toes or standing[side].sum() < 5:
                 continue
             ankle = self.joints[f"{side}_ankle"]
-            back = invert_quaternions(turned[standing[side], ankle])
+            back = invert_quaternions(world[standing[side], ankle])
             ups = rotate_vectors(back, np.broadcast_to(UP, (len(back), 3)))
             up = ups.mean(axis=0) / np.linalg.norm(ups.mean(axis=0))
             if np.quantile(np.arccos(np.clip(ups @ up, -1, 1)), 0.8) > _STEADY:
-                continue  # it rolls all the time: nothing to learn
-            own[f"{side}_ankle"] = frame(up, np.cross(up, self.foot(side)))
+                continue  # the foot rolls while it stands
+            levelled[f"{side}_ankle"] = frame(up, np.cross(up, self.foot(side)))
             toe = self.joints.get(f"{side}_toe")
             if toe is not None:
-                foot = multiply_quaternions(turned[standing[side], ankle], own[f"{side}_ankle"])
-                toes = invert_quaternions(turned[standing[side], toe])
-                own[f"{side}_toe"] = mean_quaternion(multiply_quaternions(toes, foot))
-        return replace(self, own=own)
+                foot = multiply_quaternions(world[standing[side], ankle], levelled[f"{side}_ankle"])
+                toes = invert_quaternions(world[standing[side], toe])
+                levelled[f"{side}_toe"] = mean_quaternion(multiply_quaternions(toes, foot))
+        return replace(self, from_anatomical=levelled)
 
 
 def body_frames(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> BodyFrames:
-    """Read the anatomical frames of a rig off a pose in which it stands.
+    """Read the anatomical frames of a rig from a pose in which it stands.
 
     Args:
-        skeleton: the rig.
-        parts: its parts.
-        pose: (J, 4) local rotations, as of `standing.standing_pose`.
+        skeleton: the rig, J joints.
+        parts: its body parts.
+        pose: (J, 4) local rotations, such as from `standing_pose.standing_pose`.
     """
     return _Builder(skeleton, parts, pose).build()
 
 
 class _Builder:
+    """Construction of `BodyFrames`, segment by segment."""
+
     def __init__(self, skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> None:
         self.skeleton, self.parts, self.pose = skeleton, parts, pose
         self.scale, self.ends = body_scale(skeleton), real_end_sites(skeleton)
         self.places = forward_kinematics(pose, np.zeros(3), skeleton)
-        self.turned = global_rotations(pose, skeleton)
+        self.world = global_rotations(pose, skeleton)
         self.body = body_frame(skeleton, parts, pose)
         self.joints: dict[str, int] = {}
         self.frames: dict[str, np.ndarray] = {}
@@ -185,9 +192,9 @@ class _Builder:
         for side, outward in zip(SIDES, (LEFT, -LEFT)):
             self._arm(side, outward)
             self._leg(side)
-        own = {
+        from_anatomical = {
             segment: multiply_quaternions(
-                invert_quaternions(self.turned[joint]), self.frames[segment]
+                invert_quaternions(self.world[joint]), self.frames[segment]
             )
             for segment, joint in self.joints.items()
         }
@@ -196,7 +203,7 @@ class _Builder:
             self.parts,
             self.pose,
             self.joints,
-            own,
+            from_anatomical,
             self.bones,
             self.toes,
             self.hands,
@@ -222,20 +229,25 @@ class _Builder:
         self._add("head", parts.head, self.body)
 
     def _limb(self, segment: str, joint: str | int, below: str | int, drawn: np.ndarray) -> None:
-        """A segment whose bone goes to `below`, and in a T-pose along `drawn` of the body."""
+        """Add a segment whose bone ends at `below` and has direction `drawn` (3,) in a T-pose."""
         joint = joint if isinstance(joint, int) else self.skeleton.index(joint)
         below = below if isinstance(below, int) else self.skeleton.index(below)
-        self._add(segment, joint, self._aligned(self.body, drawn, self._way(joint, below)))
+        self._add(segment, joint, self._aligned(self.body, drawn, self._direction(joint, below)))
         self.bones[segment] = (below, drawn)
 
-    def _way(self, joint: int, below: int) -> np.ndarray:
+    def _direction(self, joint: int, below: int) -> np.ndarray:
+        """(3,) world direction of the bone between two joints."""
         bone = self.places[below] - self.places[joint]
         return bone / max(np.linalg.norm(bone), 1e-9)
 
-    def _aligned(self, turn: np.ndarray, drawn: np.ndarray, way: np.ndarray) -> np.ndarray:
-        if np.linalg.norm(way) < 0.5:
+    def _aligned(self, turn: np.ndarray, drawn: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """(4,) `turn` rotated the shortest way so that `drawn` (3,) points along `direction`.
+
+        A direction of length 0 changes nothing.
+        """
+        if np.linalg.norm(direction) < 0.5:
             return turn
-        return multiply_quaternions(shortest_arc(rotate_vectors(turn, drawn), way), turn)
+        return multiply_quaternions(shortest_arc(rotate_vectors(turn, drawn), direction), turn)
 
     def _arm(self, side: str, outward: np.ndarray) -> None:
         arm = self.parts.arms[side]
@@ -246,10 +258,10 @@ class _Builder:
             elbow = self.skeleton.index(arm.elbow)
             end = self._end(elbow)
             if np.linalg.norm(end) > _NO_END * self.scale:
-                back = invert_quaternions(self.turned[elbow])
+                back = invert_quaternions(self.world[elbow])
                 self.hands[side] = (elbow, rotate_vectors(back, end))
-            way = end / max(np.linalg.norm(end), 1e-9)
-            self._add(f"{side}_elbow", arm.elbow, self._aligned(self.body, outward, way))
+            direction = end / max(np.linalg.norm(end), 1e-9)
+            self._add(f"{side}_elbow", arm.elbow, self._aligned(self.body, outward, direction))
             return
         self._limb(f"{side}_elbow", arm.elbow, arm.wrist, outward)
         self._hand(side, arm.wrist, outward)
@@ -262,12 +274,12 @@ class _Builder:
         forearm = self.frames[f"{side}_elbow"]
         hand = None
         if len(knuckles) >= 2:
-            way = np.mean(knuckles, axis=0) - self.places[wrist]
+            fingers = np.mean(knuckles, axis=0) - self.places[wrist]
             thumbward = knuckles[0] - knuckles[-1]
-            if min(np.linalg.norm(way), np.linalg.norm(thumbward)) > _NO_WAY * self.scale:
-                # Fingers go outward and the thumb's side forward in a T-pose, the palm down.
-                palm = np.cross(thumbward, way * outward[0])
-                hand = frame(palm, way * outward[0])
+            if min(np.linalg.norm(fingers), np.linalg.norm(thumbward)) > _NO_DISTANCE * self.scale:
+                # In a T-pose fingers point outward, the thumb's side forward and the palm down.
+                palm = np.cross(thumbward, fingers * outward[0])
+                hand = frame(palm, fingers * outward[0])
         if hand is None:
             end = self._end(wrist)
             hand = self._aligned(forearm, outward, end / max(np.linalg.norm(end), 1e-9))
@@ -276,14 +288,14 @@ class _Builder:
             for k, joint in enumerate(chain):
                 below = self.skeleton.children(joint)
                 if len(below) == 1:
-                    turn = self._aligned(hand, outward, self._way(joint, below[0]))
+                    turn = self._aligned(hand, outward, self._direction(joint, below[0]))
                     self._add(f"{side}_{kind}{k}", joint, turn)
                     self.bones[f"{side}_{kind}{k}"] = (below[0], outward)
 
     def _end(self, joint: int) -> np.ndarray:
-        """(3,) from a joint to the end of what hangs on it, in the world."""
+        """(3,) world vector from a joint to its farthest child or end site, metres."""
         sites = self.ends.get(self.skeleton.names[joint], ())
-        ends = [rotate_vectors(self.turned[joint], site) for site in sites]
+        ends = [rotate_vectors(self.world[joint], site) for site in sites]
         ends += [self.places[j] - self.places[joint] for j in self.skeleton.children(joint)]
         return max(ends, key=np.linalg.norm, default=np.zeros(3))
 
@@ -299,7 +311,7 @@ class _Builder:
         else:
             bone = self._end(ankle)
             if np.linalg.norm(bone) > _NO_END * self.scale:
-                back = invert_quaternions(self.turned[ankle])
+                back = invert_quaternions(self.world[ankle])
                 self.toes[side] = (ankle, rotate_vectors(back, bone))
         level = self._level(bone)
         foot = self._pitched(level, bone)
@@ -308,7 +320,7 @@ class _Builder:
             self._add(f"{side}_toe", toe, level)
 
     def _level(self, bone: np.ndarray) -> np.ndarray:
-        """Frame of a level foot that points where its bone does, seen from above."""
+        """(4,) frame of a level foot with the heading of its bone (3,)."""
         up = rotate_vectors(self.body, UP)
         ahead = bone - (bone @ up) * up
         if np.linalg.norm(ahead) < 0.1 * np.linalg.norm(bone) + 1e-9:
@@ -316,12 +328,12 @@ class _Builder:
         return frame(up, np.cross(up, ahead))
 
     def _pitched(self, level: np.ndarray, bone: np.ndarray) -> np.ndarray:
-        """Frame of the foot in the pose, which may have it drawn level or pointing down."""
+        """(4,) frame of the foot in the pose, in which it may be drawn level or pointing down."""
         _, y, z = rotate_vectors(invert_quaternions(level), bone)
         pitch = np.arctan2(-y, np.abs(z))
-        if _DRAWN_LEVEL <= pitch <= _STEEP or np.linalg.norm(bone) < _NO_WAY * self.scale:
+        if _DRAWN_LEVEL <= pitch <= _STEEP or np.linalg.norm(bone) < _NO_DISTANCE * self.scale:
             return level
-        # The pose has it lifted (or lowered) by so much against a foot that stands.
+        # Pitch of the foot in the pose against that of a standing foot.
         lift = (_USUAL_PITCH - pitch) / 2
         about_x = np.array([-np.sin(lift), 0.0, 0.0, np.cos(lift)])
         return multiply_quaternions(level, about_x)

@@ -1,4 +1,4 @@
-"""Where hips and feet go on another rig: what is planted stays planted, and stands on the floor."""
+"""Hip and foot targets of retargeting: planted feet stay planted, on the floor."""
 
 from __future__ import annotations
 
@@ -21,21 +21,24 @@ from gesturekit.motion.rotations import (
 )
 
 _STRETCH = 0.995
-"""Legs are not pulled straighter than this share of their length, unless the source's are."""
-GIVE_WAY = 0.2
-"""Seconds before and after in which the hips come down to where the legs reach."""
+"""Legs are not stretched beyond this share of their length, unless the source's are."""
+HIP_DROP_SECONDS = 0.2
+"""Seconds before and after a foot out of reach over which the hips move down and up again."""
+_FEWEST_STANDING = 5
+"""Frames in which a foot must stand for its height to be measured."""
 
 
 @dataclass(frozen=True, eq=False)
-class Feet:
-    """Where the source's feet are, and when they stand.
+class FootMotion:
+    """Foot positions of the source, and when each foot stands.
 
     Attributes:
-        ankles, toes: side to (T, 3), metres; a side without a toe point has its ankle in `toes`.
-        standing: side to (T,) bool, heel and toe both still.
-        hips: (T, 3) middle between the hips.
-        stretch: side to (T,), how straight that leg is, 0 to 1.
-        floor: height of the lowest joint of a standing foot.
+        ankles: side to (T, 3), metres.
+        toes: side to (T, 3) of the toe point, or of the ankle on a side without one, metres.
+        standing: side to (T,) bool, true if heel and toe are both still.
+        hips: (T, 3) midpoint between the hips, metres.
+        stretch: side to (T,), distance from hip to ankle as a share of the leg length, 0 to 1.
+        floor: height of the lowest joint of a standing foot, metres.
     """
 
     ankles: dict[str, np.ndarray]
@@ -46,9 +49,9 @@ class Feet:
     floor: float
 
     @classmethod
-    def of(cls, motion: Motion, frames: BodyFrames) -> Feet:
-        """The feet of a motion."""
-        positions, turned = motion.positions(), motion.global_rotations()
+    def measure(cls, motion: Motion, frames: BodyFrames) -> FootMotion:
+        """Measure the feet of a motion whose rig has these segments."""
+        positions, world = motion.positions(), motion.global_rotations()
         ankles, toes, standing, stretch = {}, {}, {}, {}
         still = CONTACT_SPEED * body_scale(motion.skeleton)
         for side in SIDES:
@@ -60,13 +63,13 @@ class Feet:
             ankles[side] = toes[side] = ankle
             if side in frames.toes:
                 joint, offset = frames.toes[side]
-                toes[side] = positions[:, joint] + rotate_vectors(turned[:, joint], offset)
+                toes[side] = positions[:, joint] + rotate_vectors(world[:, joint], offset)
             both = np.stack([ankles[side], toes[side]], axis=1)
             speed = np.linalg.norm(np.diff(both, axis=0, prepend=both[:1]), axis=-1) * motion.fps
             standing[side] = (speed < still).all(axis=1)
         lowest = {side: np.minimum(ankles[side], toes[side])[:, 1] for side in SIDES}
         still = np.concatenate([lowest[side][standing[side]] for side in SIDES])
-        anyway = np.quantile(np.minimum(lowest["left"], lowest["right"]), 0.05)
+        fallback = np.quantile(np.minimum(lowest["left"], lowest["right"]), 0.05)
         hips = sum(positions[:, frames.joints[f"{side}_hip"]] for side in SIDES) / 2
         return cls(
             ankles,
@@ -74,17 +77,27 @@ class Feet:
             standing,
             hips,
             stretch,
-            float(np.median(still) if len(still) > 10 else anyway),
+            float(np.median(still) if len(still) > 10 else fallback),
         )
 
     def heights(
         self, source: BodyFrames, target: BodyFrames, same: bool, scale: float
     ) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-        """Side to heights over the floor of (ankle, toe) on a level foot, source and target."""
+        """Return, for each side, (ankle, toe) heights above the floor of a level foot, metres.
+
+        Args:
+            source: segments of the source rig.
+            target: segments of the target rig.
+            same: both are one rig, apart from its size.
+            scale: leg length of the target over that of the source.
+
+        Returns:
+            Side to the heights of the source and of the target.
+        """
         found = {}
         for side in SIDES:
             own = source.foot_heights(side)
-            if self.standing[side].sum() >= 5:
+            if self.standing[side].sum() >= _FEWEST_STANDING:
                 still = self.standing[side]
                 own = tuple(
                     float(np.median(points[side][still, 1])) - self.floor
@@ -96,100 +109,136 @@ class Feet:
 
 
 @dataclass(frozen=True, eq=False)
-class FootPlan:
-    """Where hips and feet of the target shall be."""
+class FootTargets:
+    """Target positions of hips and feet.
+
+    Attributes:
+        target: segments of the target rig.
+        scale: leg length of the target over that of the source.
+        source: foot positions of the source.
+        heights: see `FootMotion.heights`.
+        drop_frames: frames before and after over which the hips move down.
+    """
 
     target: BodyFrames
     scale: float
-    source: Feet
+    source: FootMotion
     heights: dict[str, tuple[tuple[float, float], tuple[float, float]]]
-    frames_to_give_way: int
+    drop_frames: int
 
-    def between_hips(self, positions: np.ndarray) -> np.ndarray:
-        """(T, 3) middle between the target's hips."""
+    def hip_centre(self, positions: np.ndarray) -> np.ndarray:
+        """(T, 3) midpoint between the target's hips, from joint positions (T, J, 3), metres."""
         return sum(positions[:, self.target.joints[f"{side}_hip"]] for side in SIDES) / 2
 
-    def hips(self, turned: np.ndarray) -> np.ndarray:
-        """(T, 3) where the middle between the target's hips shall be: above its ankles as the
-        source's is, on the whole; longer or shorter feet than the source's shall not make it lean.
+    def hips(self, world: np.ndarray) -> np.ndarray:
+        """(T, 3) target midpoint between the hips, metres.
+
+        Its mean offset from the ankles is that of the source, so that a target with longer or
+        shorter feet does not lean.
+
+        Args:
+            world: (T, J, 4) world rotations of the target's joints.
         """
         ankle = [np.mean([self.heights[side][i][0] for side in SIDES]) for i in (0, 1)]
         hips = self._scaled(self.source.hips, *ankle)
         moved = sum(
-            self.ankle(side, turned) - self._scaled(self.source.ankles[side], *self._ankles(side))
+            self.ankle(side, world) - self._scaled(self.source.ankles[side], *self._ankles(side))
             for side in SIDES
         )
         pelvis = self.target.joints["pelvis"]
-        own = multiply_quaternions(turned[:, pelvis], self.target.own["pelvis"])
+        own = multiply_quaternions(world[:, pelvis], self.target.from_anatomical["pelvis"])
         ahead = rotate_vectors(own, np.broadcast_to(FORWARD, hips.shape))
         angle = np.arctan2(ahead[:, 0], ahead[:, 2])
         heading = np.stack([0 * angle, np.sin(angle / 2), 0 * angle, np.cos(angle / 2)], axis=-1)
-        own_way = rotate_vectors(invert_quaternions(heading), moved / 2).mean(axis=0)
-        return hips + rotate_vectors(heading, np.broadcast_to(own_way * [1, 0, 1], hips.shape))
+        mean = rotate_vectors(invert_quaternions(heading), moved / 2).mean(axis=0)
+        return hips + rotate_vectors(heading, np.broadcast_to(mean * [1, 0, 1], hips.shape))
 
     def _ankles(self, side: str) -> tuple[float, float]:
         own, target = self.heights[side]
         return own[0], target[0]
 
-    def give_way(self, turned: np.ndarray, at_origin: np.ndarray, hips: np.ndarray) -> np.ndarray:
-        """(T, 3) by how much the hips must come down for both feet to be in reach, smoothly."""
+    def hip_drop(self, world: np.ndarray, positions: np.ndarray, hips: np.ndarray) -> np.ndarray:
+        """(T, 3) smooth downward shift of the hips that brings both feet within reach, metres.
+
+        Args:
+            world: (T, J, 4) world rotations of the target's joints.
+            positions: (T, J, 3) joint positions of the target, its root at the origin.
+            hips: (T, 3) target midpoint between the hips.
+        """
         low = np.zeros(len(hips))
         for side in SIDES:
             length = self.target.leg_lengths()[side]
             length = length * np.maximum(self.source.stretch[side], _STRETCH)
-            hip = at_origin[:, self.target.joints[f"{side}_hip"]] - self.between_hips(at_origin)
-            away = hips + hip - self.ankle(side, turned)
+            hip = positions[:, self.target.joints[f"{side}_hip"]] - self.hip_centre(positions)
+            away = hips + hip - self.ankle(side, world)
             reach = np.sqrt(np.maximum(length**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
             low = np.maximum(low, away[:, 1] - reach)
-        low = smooth_above(low, self.frames_to_give_way)
+        low = smooth_upper_envelope(low, self.drop_frames)
         return np.stack([np.zeros_like(low), low, np.zeros_like(low)], axis=-1)
 
-    def ankle(self, side: str, turned: np.ndarray) -> np.ndarray:
-        """(T, 3) where an ankle of the target shall be: so that the ball of the foot is where the
-        source has it, as people stand and turn on it."""
+    def ankle(self, side: str, world: np.ndarray) -> np.ndarray:
+        """(T, 3) target position of an ankle, metres.
+
+        It puts the ball of the foot, on which people stand and turn, at the source's position.
+
+        Args:
+            side: "left" or "right".
+            world: (T, J, 4) world rotations of the target's joints.
+        """
         (own_ankle, own_toe), (ankle, toe) = self.heights[side]
         if side not in self.target.toes:
             return self._scaled(self.source.ankles[side], own_ankle, ankle)
         tip = self._scaled(self.source.toes[side], own_toe, toe)
         foot = self.target.foot(side)
-        turn = turned[:, self.target.joints[f"{side}_ankle"]]
+        turn = world[:, self.target.joints[f"{side}_ankle"]]
         return tip - rotate_vectors(turn, np.broadcast_to(foot, tip.shape))
 
-    def plant(
-        self, rotations: np.ndarray, turned: np.ndarray, at_origin: np.ndarray, hips: np.ndarray
+    def solve_legs(
+        self, rotations: np.ndarray, world: np.ndarray, positions: np.ndarray, hips: np.ndarray
     ) -> np.ndarray:
-        """(T, J, 4) local rotations with the ankles where they shall be, feet turned as before."""
+        """(T, J, 4) local rotations with the ankles at their targets; feet keep their orientation.
+
+        Args:
+            rotations: (T, J, 4) local rotations of the target's joints.
+            world: (T, J, 4) their world rotations.
+            positions: (T, J, 3) their positions, the root at the origin.
+            hips: (T, 3) target midpoint between the hips.
+        """
         skeleton = self.target.skeleton
         rotations = rotations.copy()
-        positions = at_origin + (hips - self.between_hips(at_origin))[:, None]
+        positions = positions + (hips - self.hip_centre(positions))[:, None]
         for side in SIDES:
             hip, knee, ankle = limb = [
                 self.target.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")
             ]
-            own = multiply_quaternions(turned[:, hip], self.target.own[f"{side}_hip"])
-            above = turned[:, [skeleton.parents[hip], skeleton.parents[knee]]]
+            own = multiply_quaternions(world[:, hip], self.target.from_anatomical[f"{side}_hip"])
             rotations[:, [hip, knee]] = two_bone_ik(
                 positions[:, limb],
-                self.ankle(side, turned),
+                self.ankle(side, world),
                 rotations[:, [hip, knee]],
-                above,
+                world[:, [skeleton.parents[hip], skeleton.parents[knee]]],
                 pole=rotate_vectors(own, np.broadcast_to(FORWARD, (len(own), 3))),
             )
             now = global_rotations(rotations, skeleton)
             back = invert_quaternions(now[:, skeleton.parents[ankle]])
-            rotations[:, ankle] = multiply_quaternions(back, turned[:, ankle])
+            rotations[:, ankle] = multiply_quaternions(back, world[:, ankle])
         return rotations
 
     def _scaled(self, points: np.ndarray, own_height: float, height: float) -> np.ndarray:
-        """Scaled about the floor under the hips of the first frame; heights over the floor count
-        from `own_height` in the source and from `height` in the target."""
+        """(T, 3) `points` (T, 3) scaled about the floor under the hips of the first frame.
+
+        Height `own_height` above the floor in the source becomes `height` in the target.
+        """
         floor = self.source.floor
         base = np.array([self.source.hips[0, 0], floor + own_height, self.source.hips[0, 2]])
         return (points - base) * self.scale + base + [0, height - own_height, 0]
 
 
-def smooth_above(values: np.ndarray, frames: int) -> np.ndarray:
-    """(T,) a smooth curve that is nowhere below `values` (T,), which are not negative."""
+def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:
+    """(T,) smooth curve that is nowhere below `values` (T,), which are not negative.
+
+    It is a running maximum over `frames` before and after, smoothed by a Hann window.
+    """
     if not values.any():
         return values
     around = np.pad(values, 2 * frames, mode="edge")

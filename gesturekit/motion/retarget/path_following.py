@@ -1,8 +1,8 @@
-"""A recording put onto a path, its feet where they were.
+"""Root path following: move a recording onto a path without moving its feet.
 
-A model whose root follows a path learns from roots on smooth paths, and real hips sway about
-them. Moved as a whole onto its path, a recorded body would slide over the floor by what its hips
-sway; so its legs reach back to where its feet stood.
+A model whose root follows a path is trained on roots that lie on smooth paths, but real hips sway
+about such a path. Moving the whole body onto the path would make the feet slide by the sway, so
+inverse kinematics keeps the feet in place.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.ik.two_bone import two_bone_ik
+from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
 from gesturekit.motion.root_path import RootPath
@@ -21,15 +22,14 @@ from gesturekit.motion.selection.model_joints import first_moving_joint
 
 
 def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Motion:
-    """Move the root onto a path near its own way; feet stay where they are, turned as they are.
+    """Move the root onto a nearby path; feet keep their positions and orientations.
 
-    Rotations of the root stay what they are. A foot that is out of reach comes along as far as its
-    leg is too short.
+    The root keeps its rotations. A foot that is out of reach moves by as much as its leg is short.
 
     Args:
         motion: T frames.
         path: T frames at the motion's rate, such as its own `RootPath.smoothed`.
-        root: index of the joint to put there; by default the first one that moves.
+        root: index of the joint to move; by default the first one that moves.
 
     Raises:
         MotionError: a path of another length or rate.
@@ -40,13 +40,13 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
             f"{motion.n_frames} at {motion.fps:g}"
         )
     root = first_moving_joint([motion]) if root is None else root
-    positions, turned = motion.positions(), motion.global_rotations()
+    positions, world = motion.positions(), motion.global_rotations()
     shift = np.zeros((motion.n_frames, 3))
-    shift[:, [0, 2]] = path.positions - positions[:, root][:, [0, 2]]
-    moved = _shifted(motion, root, shift, turned)
+    shift[:, GROUND] = path.positions - positions[:, root][:, GROUND]
+    moved = _shifted(motion, root, shift, world)
     legs = find_legs(motion.skeleton)
     if legs is None:
-        return moved  # nothing that stands on the floor
+        return moved
     parents = motion.skeleton.parents
     rotations = moved.rotations.copy()
     for leg in legs.values():
@@ -55,22 +55,29 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
             positions[:, [hip, knee, ankle]] + shift[:, None],
             positions[:, ankle],
             rotations[:, [hip, knee]],
-            turned[:, [parents[hip], parents[knee]]],
+            world[:, [parents[hip], parents[knee]]],
         )
     reached = replace(moved, rotations=rotations).global_rotations()
     for leg in legs.values():
         ankle = motion.skeleton.index(leg.ankle)
         back = invert_quaternions(reached[:, parents[ankle]])
-        rotations[:, ankle] = multiply_quaternions(back, turned[:, ankle])
+        rotations[:, ankle] = multiply_quaternions(back, world[:, ankle])
     return replace(moved, rotations=rotations)
 
 
-def _shifted(motion: Motion, root: int, shift: np.ndarray, turned: np.ndarray) -> Motion:
-    """With joint `root`, and all that hangs on it, moved by (T, 3) in the world."""
+def _shifted(motion: Motion, root: int, shift: np.ndarray, world: np.ndarray) -> Motion:
+    """Return the motion with joint `root` and all joints below it moved by `shift`.
+
+    Args:
+        motion: T frames, J joints.
+        root: index of the joint.
+        shift: (T, 3) world translation, metres.
+        world: (T, J, 4) world rotations of the joints.
+    """
     if root == 0:
         return replace(motion, translation=motion.translation + shift)
     name, parent = motion.skeleton.names[root], motion.skeleton.parents[root]
     still = np.tile(motion.skeleton.offsets[root], (motion.n_frames, 1))
-    place = motion.joint_translations.get(name, still)
-    place = place + rotate_vectors(invert_quaternions(turned[:, parent]), shift)
-    return replace(motion, joint_translations={**motion.joint_translations, name: place})
+    position = motion.joint_translations.get(name, still)
+    position = position + rotate_vectors(invert_quaternions(world[:, parent]), shift)
+    return replace(motion, joint_translations={**motion.joint_translations, name: position})

@@ -1,8 +1,8 @@
-"""The pose in which a rig stands upright: its rest pose, a frame of a motion, or one worked out.
+"""Standing pose of a rig: its rest pose, a frame of a motion, or a constructed T-pose.
 
-What a rig's joint axes mean is told by a pose of which we know what it looks like. Most rigs stand
-at rest, their arms out, lowered or wherever. Others (Bandai-Namco's, all whose bones lie along
-their own axes) are a heap of bones at rest: for them it takes a frame in which the body stands.
+A known pose shows how a rig's joint axes relate to the body. Most rigs stand at rest, with their
+arms anywhere. The rest pose of others (Bandai-Namco's, and all whose bones lie along their own
+axes) does not look like a body: they need a frame in which the body stands.
 """
 
 from __future__ import annotations
@@ -27,19 +27,21 @@ from gesturekit.motion.rotations import (
 from gesturekit.motion.skeleton import Skeleton
 
 LEFT, UP, FORWARD = np.eye(3)
-"""Axes of a body that stands and faces +Z."""
+"""(3,) axes of a body that stands and faces +Z."""
 
-_NO_LENGTH, _NO_BONE, _NO_WAY = 1e-6, 1e-4, 1e-3
-"""Metres on the reference body; shorter bones of a limb, of the trunk, and ways between collar
-bones have no direction."""
+_NO_LENGTH, _NO_BONE, _NO_DISTANCE = 1e-6, 1e-4, 1e-3
+"""Metres on the reference body; shorter bones of a limb, bones of the trunk, and distances between
+clavicles have no direction."""
 _UPRIGHT = np.cos(np.deg2rad(45.0))
+"""Cosine of the largest angle of a standing body between legs and torso, or shoulders and hips."""
 _AXIS_ALIGNED = np.cos(np.deg2rad(20.0))
+"""Cosine of the largest angle between a torso and the world axis that it stands along."""
 
 
 def standing_pose(motion: Motion, parts: BodyParts | None = None) -> np.ndarray:
     """(J, 4) local rotations in which the body of a motion stands upright.
 
-    The rest pose where it stands, else the frame that stands most upright with its arms down.
+    The rest pose if it stands, otherwise the most upright frame with lowered arms.
 
     Raises:
         MotionError: it stands neither at rest nor in any frame.
@@ -67,15 +69,15 @@ def standing_pose(motion: Motion, parts: BodyParts | None = None) -> np.ndarray:
 
 
 def rest_pose(skeleton: Skeleton) -> np.ndarray:
-    """(J, 4) local rotations of a rig at rest: none."""
+    """(J, 4) identity rotations."""
     return np.tile(IDENTITY, (skeleton.n_joints, 1))
 
 
 def standing_rig(skeleton: Skeleton, parts: BodyParts | None = None) -> np.ndarray:
-    """(J, 4) local rotations in which a rig stands upright, without a motion to learn from.
+    """(J, 4) local rotations in which a rig stands upright, found without a motion.
 
-    The rest pose where it stands. Else each bone is turned the shortest way to where it lies in a
-    T-pose: how far it is then turned about itself is a guess, its direction is not.
+    The rest pose if it stands. Otherwise each bone is rotated the shortest way to its direction in
+    a T-pose. The directions are then right, but the twist of each bone is a guess.
     """
     parts = parts or find_parts(skeleton)
     rest = rest_pose(skeleton)
@@ -89,12 +91,12 @@ def standing_rig(skeleton: Skeleton, parts: BodyParts | None = None) -> np.ndarr
     def at(name: str) -> np.ndarray:
         return places[skeleton.index(name)]
 
-    turned = rest.copy()
+    world = rest.copy()
     pose = rest.copy()
-    for j, above in enumerate(skeleton.parents):
-        own = turned[above] if above >= 0 else IDENTITY
+    for j, parent in enumerate(skeleton.parents):
+        own = world[parent] if parent >= 0 else IDENTITY
         if j in (pelvis, chest):
-            # Two directions are known: up the spine, and across hips or shoulders.
+            # Two directions are known: along the spine, and across hips or shoulders.
             top = wanted[j][0] if j == chest and j in wanted else chest
             up = places[top] - places[j] if top != j else places[chest] - places[pelvis]
             own = invert_quaternions(frame(up, _across(parts, j == pelvis, at, scale)))
@@ -105,14 +107,20 @@ def standing_rig(skeleton: Skeleton, parts: BodyParts | None = None) -> np.ndarr
             if length > _NO_LENGTH * scale:
                 arc = shortest_arc(bone / length, direction, spare)
                 own = multiply_quaternions(arc, own)
-        turned[j] = own
-        pose[j] = own if above < 0 else multiply_quaternions(invert_quaternions(turned[above]), own)
+        world[j] = own
+        pose[j] = (
+            own if parent < 0 else multiply_quaternions(invert_quaternions(world[parent]), own)
+        )
     return pose
 
 
 def frame(up: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """(..., 4) turns from body axes (left, up, forward) to the world, of a direction up (..., 3)
-    and one to the left; neither need be of length 1, and up is exact."""
+    """(..., 4) rotations from body axes (left, up, forward) to the world.
+
+    Args:
+        up: (..., 3) upward direction of any length; the result is exact for it.
+        across: (..., 3) direction to the left, of any length.
+    """
     y = up / np.linalg.norm(up, axis=-1, keepdims=True)
     x = across - (across * y).sum(axis=-1, keepdims=True) * y
     x = x / np.linalg.norm(x, axis=-1, keepdims=True)
@@ -120,9 +128,9 @@ def frame(up: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 
 def body_frame(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> np.ndarray:
-    """(4,) turn from body axes (left, up, forward) to the world, of a rig that stands in `pose`.
+    """(4,) rotation from body axes (left, up, forward) to the world, for a rig standing in `pose`.
 
-    Up is the world's axis that the body stands along, unless it stands aslant.
+    Up is the world axis nearest to the torso, or the torso itself if none is near.
     """
     places = forward_kinematics(pose, np.zeros(3), skeleton)
     bones = _bones(skeleton, parts, places)
@@ -134,7 +142,7 @@ def body_frame(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> np.nda
 
 
 def _stands(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> bool:
-    """Whether legs point down along the torso, and shoulders and hips to the same side."""
+    """Return whether legs point down along the torso, and shoulders to the same side as hips."""
     bones = _bones(skeleton, parts, forward_kinematics(pose, np.zeros(3), skeleton))
     up, hips = bones["torso"], bones["hips"]
     legs = [bones[f"{side}_{bone}"] for side in SIDES for bone in ("thigh", "shank")]
@@ -148,7 +156,7 @@ def _stands(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> bool:
 
 
 def _bones(skeleton: Skeleton, parts: BodyParts, places: np.ndarray) -> dict[str, np.ndarray]:
-    """Unit directions (..., 3) by name, of joints at `places` (..., J, 3)."""
+    """Return bone name to unit direction (..., 3), from joint positions (..., J, 3)."""
 
     def at(name: str) -> np.ndarray:
         return places[..., skeleton.index(name), :]
@@ -177,13 +185,13 @@ def _bones(skeleton: Skeleton, parts: BodyParts, places: np.ndarray) -> dict[str
 def _across(
     parts: BodyParts, hips: bool, at: Callable[[str], np.ndarray], scale: float
 ) -> np.ndarray:
-    """(3,) from the right hip to the left, or from the right collar bone or shoulder."""
+    """(3,) vector from right to left hip, or from right to left clavicle or shoulder, metres."""
     left, right = (parts.legs[side] if hips else parts.arms[side] for side in SIDES)
     if hips:
         return at(left.hip) - at(right.hip)
     if left.clavicle and right.clavicle:
         between = at(left.clavicle) - at(right.clavicle)
-        if np.linalg.norm(between) > _NO_WAY * scale:
+        if np.linalg.norm(between) > _NO_DISTANCE * scale:
             return between
     return at(left.shoulder) - at(right.shoulder)
 
@@ -191,18 +199,21 @@ def _across(
 def _t_pose(
     skeleton: Skeleton, parts: BodyParts
 ) -> dict[int, tuple[int, np.ndarray, np.ndarray | None]]:
-    """Joint to (joint that its bone leads to, direction in a T-pose, axis to turn about if
-    it points the other way)."""
-    ways: dict[int, tuple[int, np.ndarray, np.ndarray | None]] = {}
+    """Return joint to (joint at the end of its bone, direction (3,) in a T-pose, axis (3,)).
 
-    def lead(names: list[str | None], direction: np.ndarray, spare: np.ndarray) -> None:
+    A bone that points in the opposite direction is rotated about the axis.
+    """
+    bones: dict[int, tuple[int, np.ndarray, np.ndarray | None]] = {}
+
+    def add(names: list[str | None], direction: np.ndarray, axis: np.ndarray) -> None:
         chain = [skeleton.index(name) for name in names if name is not None]
-        ways.update({a: (b, direction, spare) for a, b in zip(chain, chain[1:])})
+        unit = direction / np.linalg.norm(direction)
+        bones.update({a: (b, unit, axis) for a, b in zip(chain, chain[1:])})
 
-    lead([parts.pelvis, *parts.spine, parts.neck, parts.head], UP, FORWARD)
+    add([parts.pelvis, *parts.spine, parts.neck, parts.head], UP, FORWARD)
     for side, outward in zip(SIDES, (LEFT, -LEFT)):
         arm, leg = parts.arms[side], parts.legs[side]
-        lead([arm.clavicle, arm.shoulder, arm.elbow, arm.wrist], outward, FORWARD)
-        lead([leg.hip, leg.knee, leg.ankle], -UP, LEFT)
-        lead([leg.ankle, leg.toe], FORWARD - 0.5 * UP, LEFT)
-    return {j: (below, way / np.linalg.norm(way), spare) for j, (below, way, spare) in ways.items()}
+        add([arm.clavicle, arm.shoulder, arm.elbow, arm.wrist], outward, FORWARD)
+        add([leg.hip, leg.knee, leg.ankle], -UP, LEFT)
+        add([leg.ankle, leg.toe], FORWARD - 0.5 * UP, LEFT)
+    return bones

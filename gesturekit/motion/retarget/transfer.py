@@ -1,15 +1,15 @@
-"""A motion on another rig of the same body plan: other names, offsets, rest pose, extra joints.
+"""Retargeting: transfer a motion to a rig with other names, offsets, rest pose or extra joints.
 
-1. Each segment of the target is turned so that its anatomical frame is the source's
-   (`body_frames`): arms, legs and fingers point the same way, hands and heads face the same way,
-   whatever the two rest poses are. Spines and necks of different numbers of joints are matched
-   along their length.
-2. The path of the hips is scaled by the length of the legs, above each rig's own ankles.
-3. Hands near the body go where they are on the source, scaled by the span of the arms (`reaching`).
-4. Where the target's feet then are not where the scaled source feet are, two-bone IK puts them
-   there (`planting`): what is planted stays planted, and stands on the floor.
+1. Each segment of the target gets the anatomical frame of the source (`body_frames`): arms, legs
+   and fingers point in the same direction, hands and heads have the same orientation, whatever the
+   two rest poses are. Spines and necks with different numbers of joints are matched along their
+   length.
+2. The path of the hips is scaled by leg length, measured above each rig's own ankles.
+3. Hands near the body are placed where they are on the source, scaled by arm span (`hands`).
+4. If the target's feet are then not at the scaled source positions, two-bone IK places them there
+   (`feet`): planted feet stay planted, on the floor.
 
-Joints that the source has no counterpart for rest.
+Joints without a counterpart in the source keep their rest rotation.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
-from gesturekit.motion.retarget.feet import GIVE_WAY, Feet, FootPlan
-from gesturekit.motion.retarget.hands import reach_hands
+from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, FootMotion, FootTargets
+from gesturekit.motion.retarget.hands import place_hands
 from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -36,9 +36,9 @@ from gesturekit.motion.rotations import (
 from gesturekit.motion.skeleton import Skeleton
 
 _NO_LENGTH = 1e-6
-"""Metres on the reference body; a spine or neck that is shorter has no length."""
-_MARKER_ON_THE_FLOOR = 0.25
-"""A root that lies farther from the pelvis than this share of the legs does not move with it."""
+"""Metres on the reference body; a shorter spine or neck has no length."""
+_FLOOR_MARKER = 0.25
+"""Share of the leg length; a root farther from the pelvis is a marker on the floor."""
 
 
 def retarget(
@@ -50,114 +50,136 @@ def retarget(
     feet: bool = True,
     pose: np.ndarray | None = None,
 ) -> Motion:
-    """Put a motion onto another rig.
+    """Transfer a motion to another rig.
 
     Args:
-        motion: what to carry over.
-        skeleton: the rig to put it on, in its own size.
-        parts: parts of the motion's rig named by hand, see `parts.find_parts`.
-        target_parts: parts of `skeleton` named by hand.
-        feet: keep the feet where the source has them, by inverse kinematics.
+        motion: T frames on the source rig.
+        skeleton: the target rig, J joints, in its own size.
+        parts: parts of the source rig specified by hand, see `parts.find_parts`.
+        target_parts: parts of `skeleton` specified by hand.
+        feet: keep the source's foot positions by inverse kinematics.
         pose: (J, 4) local rotations in which the target stands upright. By default its rest pose,
-            which need be neither T nor A. Rigs that do not stand at rest (Bandai-Namco's) turn
-            their joints about the bones as they should where a pose is given, see
-            `standing.standing_pose`; without one only the places of their joints are right.
+            which need not be a T- or A-pose. Some rigs do not stand at rest (Bandai-Namco's); for
+            these a pose also gives the twist of each bone, see `standing_pose.standing_pose`.
+            Without one only the joint positions are right.
 
     Returns:
-        The motion on `skeleton`, at the same frame rate; the floor stays where it is, and the
-        first frame where it stands.
+        The motion on `skeleton` at the same frame rate. The floor keeps its height, and the first
+        frame its position on it.
 
     Raises:
-        MotionError: parts of either rig that cannot be told, or a source that never stands.
+        MotionError: parts of either rig that cannot be identified, or a source that never stands.
     """
     source_parts = find_parts(motion.skeleton, parts)
     source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
-    feet_of_source = Feet.of(motion, source)
-    source = source.levelled(motion, feet_of_source.standing)
+    source_feet = FootMotion.measure(motion, source)
+    source = source.levelled(motion, source_feet.standing)
     same = (skeleton.names, skeleton.parents) == (motion.skeleton.names, motion.skeleton.parents)
     if same:
-        # One rig means one thing by its axes, whatever a performer's offsets.
+        # Joint axes mean the same on one rig, whatever the offsets of a performer.
         target = replace(source, skeleton=skeleton)
     else:
         found = find_parts(skeleton, target_parts)
-        target = body_frames(
-            skeleton, found, standing_rig(skeleton, found) if pose is None else np.asarray(pose)
-        )
-    turned = _turned(motion, source, target, same)
-    rotations = _local(turned, skeleton)
-    still = np.zeros((motion.n_frames, 3))
-    moving = {}
+        stands = standing_rig(skeleton, found) if pose is None else np.asarray(pose)
+        target = body_frames(skeleton, found, stands)
     scale = target.leg_length() / source.leg_length()
-    mover = _mover(target)
-    if same:
-        moving = {
-            name: values * scale
-            for name, values in motion.joint_translations.items()
-            if skeleton.index(name) != mover
-        }
-    plan = FootPlan(
+    carrier = _carrier(target)
+    moving = {
+        name: values * scale
+        for name, values in motion.joint_translations.items()
+        if same and skeleton.index(name) != carrier
+    }
+    world = _world_rotations(motion, source, target, same)
+    targets = FootTargets(
         target,
         scale,
-        feet_of_source,
-        feet_of_source.heights(source, target, same, scale),
-        round(GIVE_WAY * motion.fps),
+        source_feet,
+        source_feet.heights(source, target, same, scale),
+        round(HIP_DROP_SECONDS * motion.fps),
     )
-    at_origin = forward_kinematics(rotations, still, skeleton, moving)
-    rotations = reach_hands(
-        source,
-        target,
-        motion.positions(),
-        motion.global_rotations(),
-        at_origin,
-        rotations,
-    )
-    hips = plan.hips(turned)
-    if feet:
-        hips = hips - plan.give_way(turned, at_origin, hips)
-        rotations = plan.plant(rotations, turned, at_origin, hips)
-        at_origin = forward_kinematics(rotations, still, skeleton, moving)
-    shift = hips - plan.between_hips(at_origin)
-    made = _placed(motion, skeleton, rotations, moving, mover, at_origin[:, mover] + shift)
+    rotations, root = _solved(motion, source, targets, world, moving, carrier, feet)
+    made = _placed(motion, skeleton, rotations, moving, carrier, root)
     return replace(made, expressions=motion.expressions) if same else made
 
 
-# Turning
+def _solved(
+    motion: Motion,
+    source: BodyFrames,
+    targets: FootTargets,
+    world: np.ndarray,
+    moving: dict[str, np.ndarray],
+    carrier: int,
+    feet: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve arms and legs.
+
+    Args:
+        motion: T frames on the source rig.
+        source: segments of the source rig.
+        targets: where hips and feet of the target belong.
+        world: (T, J, 4) world rotations of the target's joints.
+        moving: joint translations of the target, (T, 3) each.
+        carrier: joint that carries the body.
+        feet: solve the legs.
+
+    Returns:
+        (T, J, 4) local rotations, and (T, 3) world positions of the carrier.
+    """
+    target = targets.target
+    skeleton = target.skeleton
+    rotations = _local_rotations(world, skeleton)
+    origin = np.zeros((motion.n_frames, 3))
+    positions = forward_kinematics(rotations, origin, skeleton, moving)
+    source_world = motion.global_rotations()
+    rotations = place_hands(source, target, motion.positions(), source_world, positions, rotations)
+    hips = targets.hips(world)
+    if feet:
+        hips = hips - targets.hip_drop(world, positions, hips)
+        rotations = targets.solve_legs(rotations, world, positions, hips)
+        positions = forward_kinematics(rotations, origin, skeleton, moving)
+    return rotations, positions[:, carrier] + (hips - targets.hip_centre(positions))
 
 
-def _turned(motion: Motion, source: BodyFrames, target: BodyFrames, same: bool) -> np.ndarray:
+def _world_rotations(
+    motion: Motion, source: BodyFrames, target: BodyFrames, same: bool
+) -> np.ndarray:
     """(T, J, 4) world rotations of the target's joints."""
     skeleton = target.skeleton
-    frames = _for_target(
+    frames = _segment_frames(
         source, target, source.world(motion.global_rotations(), motion.positions())
     )
-    # Fingers that the source does not have rest on their hands, as all other extra joints do.
+    # Joints without a segment in the source, fingers included, keep their rest rotation.
     segment_of = {joint: segment for segment, joint in target.joints.items() if segment in frames}
     rests = motion.rotations if same else np.tile(target.pose, (motion.n_frames, 1, 1))
-    pelvis, mover = target.joints["pelvis"], _mover(target)
-    turned = np.empty((motion.n_frames, skeleton.n_joints, 4))
-    for j, above in enumerate(skeleton.parents):
+    pelvis, carrier = target.joints["pelvis"], _carrier(target)
+    world = np.empty((motion.n_frames, skeleton.n_joints, 4))
+    for j, parent in enumerate(skeleton.parents):
         if j in segment_of:
-            back = invert_quaternions(target.own[segment_of[j]])
-            turned[:, j] = multiply_quaternions(frames[segment_of[j]], back)
-        elif j == mover and not same:
-            # The pelvis rests on it: what turns the pelvis turns the mover.
-            own = multiply_quaternions(frames["pelvis"], invert_quaternions(target.own["pelvis"]))
+            back = invert_quaternions(target.from_anatomical[segment_of[j]])
+            world[:, j] = multiply_quaternions(frames[segment_of[j]], back)
+        elif j == carrier and not same:
+            # The carrier turns with the pelvis; the joints between them keep the standing pose.
+            back = invert_quaternions(target.from_anatomical["pelvis"])
+            own = multiply_quaternions(frames["pelvis"], back)
             for between in (pelvis, *skeleton.ancestors(pelvis)):
-                if between == mover:
+                if between == carrier:
                     break
                 own = multiply_quaternions(own, invert_quaternions(target.pose[between]))
-            turned[:, j] = own
-        elif above < 0:
-            turned[:, j] = rests[:, j]
+            world[:, j] = own
+        elif parent < 0:
+            world[:, j] = rests[:, j]
         else:
-            turned[:, j] = multiply_quaternions(turned[:, above], rests[:, j])
-    return turned
+            world[:, j] = multiply_quaternions(world[:, parent], rests[:, j])
+    return world
 
 
-def _for_target(
+def _segment_frames(
     source: BodyFrames, target: BodyFrames, frames: dict[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Anatomical frames of the target's segments: those of the source, or what stands in."""
+    """Return segment to (T, 4) anatomical frame of the target, from `frames` of the source.
+
+    A segment that the source does not have gets the frame of a neighbour.
+    """
     found = {}
     spine = source.chain("spine")
     for segment in target.joints:
@@ -191,7 +213,15 @@ def _along(
     segment: str,
     frames: dict[str, np.ndarray],
 ) -> np.ndarray:
-    """Frames of a spine or neck at the height of one of the target's joints."""
+    """(T, 4) frame of the source's spine or neck at the height of one of the target's joints.
+
+    Args:
+        source: segments of the source rig.
+        chain: its segments of the spine or neck, from below.
+        target: segments of the target rig.
+        segment: segment of the target's spine or neck.
+        frames: segment to (T, 4) anatomical frame of the source.
+    """
     own = target.chain(segment.rstrip("0123456789"))
     place = _heights(target, own)[own.index(segment)]
     places = _heights(source, chain)
@@ -203,35 +233,34 @@ def _along(
 
 
 def _heights(frames: BodyFrames, chain: list[str]) -> np.ndarray:
-    """Middles of the bones of a chain, as shares of the way to the middle of the last one."""
+    """(N,) middles of the bones of a chain, as shares of the distance to the last one."""
     skeleton = frames.skeleton
     places = forward_kinematics(frames.pose, np.zeros(3), skeleton)
     joints = [frames.joints[segment] for segment in chain]
     end = {"spine": ("neck0", "head"), "neck": ("head",)}[chain[0].rstrip("0123456789")]
     top = next((frames.joints[segment] for segment in end if segment in frames.joints), joints[-1])
-    way = places[[*joints, top]]
-    lengths = np.linalg.norm(np.diff(way, axis=0), axis=-1)
+    lengths = np.linalg.norm(np.diff(places[[*joints, top]], axis=0), axis=-1)
     middles = np.cumsum(lengths) - lengths / 2
     if middles[-1] < _NO_LENGTH * body_scale(skeleton):
         return np.linspace(0, 1, len(chain) + 1)[1:]
     return middles / middles[-1]
 
 
-def _local(turned: np.ndarray, skeleton: Skeleton) -> np.ndarray:
-    local = turned.copy()
-    for j, above in enumerate(skeleton.parents):
-        if above >= 0:
-            back = invert_quaternions(turned[:, above])
-            local[:, j] = multiply_quaternions(back, turned[:, j])
+def _local_rotations(world: np.ndarray, skeleton: Skeleton) -> np.ndarray:
+    """(T, J, 4) local rotations from world rotations of the same shape."""
+    local = world.copy()
+    for j, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            local[:, j] = multiply_quaternions(invert_quaternions(world[:, parent]), world[:, j])
     return local
 
 
-def _mover(target: BodyFrames) -> int:
-    """The joint that carries the body about: the root, unless that is a marker on the floor."""
+def _carrier(target: BodyFrames) -> int:
+    """Return the joint that carries the body: the root, or the pelvis if the root is a marker."""
     pelvis = target.joints["pelvis"]
     places = forward_kinematics(target.pose, np.zeros(3), target.skeleton)
     far = np.linalg.norm(places[pelvis] - places[0])
-    return pelvis if far > _MARKER_ON_THE_FLOOR * target.leg_length() else 0
+    return pelvis if far > _FLOOR_MARKER * target.leg_length() else 0
 
 
 def _placed(
@@ -239,19 +268,19 @@ def _placed(
     skeleton: Skeleton,
     rotations: np.ndarray,
     moving: dict[str, np.ndarray],
-    mover: int,
-    place: np.ndarray,
+    carrier: int,
+    position: np.ndarray,
 ) -> Motion:
-    """The motion whose joint `mover` is at `place` (T, 3); what is above it stands still."""
-    translation = place
-    if mover:
-        translation = np.zeros_like(place)
-        above = skeleton.parents[mover]
-        positions = forward_kinematics(rotations, translation, skeleton, moving)[:, above]
-        turned = global_rotations(rotations, skeleton)[:, above]
+    """Return the motion with joint `carrier` at `position` (T, 3); joints above it stand still."""
+    translation = position
+    if carrier:
+        translation = np.zeros_like(position)
+        parent = skeleton.parents[carrier]
+        positions = forward_kinematics(rotations, translation, skeleton, moving)[:, parent]
+        world = global_rotations(rotations, skeleton)[:, parent]
         moving = dict(moving)
-        moving[skeleton.names[mover]] = rotate_vectors(
-            invert_quaternions(turned), place - positions
+        moving[skeleton.names[carrier]] = rotate_vectors(
+            invert_quaternions(world), position - positions
         )
     return Motion(
         skeleton=skeleton,

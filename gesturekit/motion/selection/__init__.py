@@ -1,1 +1,1 @@
-"""Motion on a subset of its joints."""
+"""Subsets of joints."""

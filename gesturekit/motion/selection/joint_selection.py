@@ -1,4 +1,4 @@
-"""A motion on some of its joints."""
+"""Removal of joints from a motion."""
 
 from __future__ import annotations
 
@@ -14,24 +14,23 @@ from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
 from gesturekit.motion.skeleton import Skeleton
 
 STILL = 2.5e-6
-"""Metres on the reference body that a place may vary by and still be an offset: rounding, not
-movement."""
+"""Metres on the reference body; a position that varies by less is a constant offset."""
 
 
 def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
-    """Cut all joints but `names`; those that stay lie and turn in the world as before.
+    """Remove all joints but `names`; kept joints keep their world positions and rotations.
 
-    A joint whose parent is cut hangs on the nearest joint above that stays. Where a cut joint
-    turned between them, its place under the new parent varies, and it moves by
-    `joint_translations`. A joint that has lost all its children gets an end site where its bone
-    stopped: at the child that was cut, or amid them (the knuckles of a hand).
+    A joint whose parent is removed becomes a child of its nearest kept ancestor. If a removed
+    joint between them rotates, the position under the new parent varies and is stored in
+    `joint_translations`. A joint that loses all its children gets an end site at the removed
+    child, or at the mean of several (the knuckles of a hand).
 
     Args:
-        motion: what to cut.
+        motion: T frames, J joints.
         names: the joints to keep, in any order.
 
     Raises:
-        MotionError: none, an unknown one, or joints without a kept joint above them all.
+        MotionError: no names, an unknown one, or no kept joint above all others.
     """
     skeleton = motion.skeleton
     kept = sorted({skeleton.index(name) for name in names})
@@ -41,35 +40,33 @@ def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
     root = kept[0]
     rotations = motion.rotations.copy()
     offsets = skeleton.offsets.copy()
-    moving = {name: motion.joint_translations[name] for name in motion.joint_translations}
+    moving = dict(motion.joint_translations)
     translation = motion.translation
     still = STILL * body_scale(skeleton)
     if any(parent[j] != skeleton.parents[j] for j in kept):
-        turned, places = motion.global_rotations(), motion.positions()
+        world, positions = motion.global_rotations(), motion.positions()
         for j in kept:
             if j == root:
-                rotations[:, j], translation = turned[:, j], places[:, j]
+                rotations[:, j], translation = world[:, j], positions[:, j]
                 offsets[j] = skeleton.offsets[[j, *skeleton.ancestors(j)]].sum(axis=0)
                 moving.pop(skeleton.names[j], None)
             elif parent[j] != skeleton.parents[j]:
-                back = invert_quaternions(turned[:, parent[j]])
-                rotations[:, j] = multiply_quaternions(back, turned[:, j])
-                place = rotate_vectors(back, places[:, j] - places[:, parent[j]])
-                low, high = place.min(axis=0), place.max(axis=0)
+                back = invert_quaternions(world[:, parent[j]])
+                rotations[:, j] = multiply_quaternions(back, world[:, j])
+                local = rotate_vectors(back, positions[:, j] - positions[:, parent[j]])
+                low, high = local.min(axis=0), local.max(axis=0)
                 offsets[j] = (low + high) / 2
                 moving.pop(skeleton.names[j], None)
                 if (high - low > still).any():
-                    moving[skeleton.names[j]] = place
+                    moving[skeleton.names[j]] = local
     number = {j: k for k, j in enumerate(kept)}
     rig = Skeleton(
         names=tuple(skeleton.names[j] for j in kept),
         parents=tuple(number.get(parent[j], -1) for j in kept),
         offsets=offsets[kept],
-        end_sites=_ends(skeleton, kept),
+        end_sites=_end_sites(skeleton, kept),
         rotation_orders=tuple(skeleton.rotation_orders[j] for j in kept),
-        parts={
-            part: name for part, name in skeleton.parts.items() if skeleton.index(name) in number
-        },
+        parts={p: name for p, name in skeleton.parts.items() if skeleton.index(name) in number},
     )
     return replace(
         motion,
@@ -82,7 +79,7 @@ def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
 
 
 def _kept_parents(skeleton: Skeleton, kept: Sequence[int]) -> dict[int, int]:
-    """The nearest kept joint above each kept one, -1 for the root, which comes first."""
+    """Return kept joint to its nearest kept ancestor, -1 for the root, which comes first."""
     if not kept:
         raise MotionError("no joints to keep; name at least one")
     staying = set(kept)
@@ -90,23 +87,24 @@ def _kept_parents(skeleton: Skeleton, kept: Sequence[int]) -> dict[int, int]:
     roots = [j for j in kept if above[j] < 0]
     if len(roots) > 1:
         first, second = roots[:2]
-        over_first = set(skeleton.ancestors(first))
-        common = next(j for j in skeleton.ancestors(second) if j in over_first)
+        above_first = set(skeleton.ancestors(first))
+        common = next(j for j in skeleton.ancestors(second) if j in above_first)
         raise MotionError(
-            f"no joint that stays lies above both {skeleton.names[first]!r} and "
+            f"no kept joint lies above both {skeleton.names[first]!r} and "
             f"{skeleton.names[second]!r}; keep {skeleton.names[common]!r} too"
         )
     return above
 
 
-def _ends(skeleton: Skeleton, kept: Sequence[int]) -> dict[str, tuple[np.ndarray, ...]]:
+def _end_sites(skeleton: Skeleton, kept: Sequence[int]) -> dict[str, tuple[np.ndarray, ...]]:
+    """Return joint name to offsets (3,) of its end sites, added ones included, metres."""
     staying = set(kept)
     ends = {}
     for j in kept:
         sites = skeleton.end_sites.get(skeleton.names[j], ())
         children = skeleton.children(j)
-        is_bare = children and not staying & set(skeleton.descendants(j))
-        if is_bare and not sites:
+        lost_all = children and not staying & set(skeleton.descendants(j))
+        if lost_all and not sites:
             sites = (skeleton.offsets[list(children)].mean(axis=0),)
         if sites:
             ends[skeleton.names[j]] = tuple(sites)

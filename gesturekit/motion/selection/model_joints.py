@@ -1,7 +1,7 @@
-"""The joints of a rig that a model moves, and how all the others are held.
+"""Modelled joints of a rig, and the constant pose of all others.
 
-What every motion representation shares: it encodes the modelled joints, the first of which is the
-model's root, and puts a motion of the whole rig together from them again.
+Both motion representations share this: they encode the modelled joints, the first of which is the
+model's root, and assemble a motion of the whole rig from them.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from gesturekit.motion.skeleton import Skeleton
 
 @dataclass(frozen=True, eq=False)
 class ModelJoints:
-    """The joints of one rig that a model moves.
+    """Modelled joints of one rig.
 
     Attributes:
-        skeleton: the whole rig, with all the joints of the user's file.
+        skeleton: the whole rig, with all J joints of the user's file.
         joints: names of the K modelled joints, in the skeleton's order; the first is the model's
-            root, the first joint of the rig that moves.
-        fixed_rotations: (J, 4) mean local quaternions; joints outside `joints` are held at them.
-        fixed_translations: joint name to (3,): local positions that replace offsets, held likewise.
-        scale: metres of the rig for a metre of the reference body (`body_scale`). Lengths in motion
-            vectors are those of the reference body, so that training is alike for a rig of any
-            size or unit; 1 in models from before this was kept.
+            root, which is the first joint of the rig that moves.
+        fixed_rotations: (J, 4) mean local quaternions of joints outside `joints`.
+        fixed_translations: joint name to (3,), mean local positions that replace offsets, metres.
+        scale: metres of the rig per metre of the reference body (`body_scale`). Lengths in motion
+            vectors are those of the reference body, so that training does not depend on size or
+            unit of the rig; 1 in old models that did not store it.
     """
 
     skeleton: Skeleton
@@ -48,13 +48,13 @@ class ModelJoints:
     scale: float = field(default=1.0, kw_only=True)
 
     @classmethod
-    def choose(
+    def fit_fields(
         cls, motions: Sequence[Motion], joints: str | Sequence[str] = "body"
     ) -> dict[str, Any]:
-        """Settle the root, the modelled joints and the means of all others from training motions.
+        """Determine the root, the modelled joints and the means of all others.
 
         Args:
-            motions: motions of one rig (same names and parents); see `reference_skeleton`.
+            motions: training motions of one rig (same names and parents).
             joints: "body" (no fingers, no end joints), "all", or names.
 
         Returns:
@@ -97,7 +97,7 @@ class ModelJoints:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the skeleton, as plain values."""
+        """Return all attributes but the skeleton as JSON values."""
         return {
             "joints": list(self.joints),
             "fixed_rotations": self.fixed_rotations.tolist(),
@@ -106,8 +106,8 @@ class ModelJoints:
         }
 
     @staticmethod
-    def chosen(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
-        """The attributes by name, from what `to_json` gave."""
+    def fields_from_json(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
+        """Return the attributes by name, from the values of `to_json`."""
         scale = float(values.get("scale", 1.0))
         if not 0 < scale < np.inf:
             raise MotionError(f"scale: {scale} must be above 0")
@@ -124,16 +124,16 @@ class ModelJoints:
 
     @property
     def root(self) -> int:
-        """The model's root, as an index into the skeleton's joints."""
+        """Index of the model's root in the skeleton."""
         return self.skeleton.index(self.joints[0])
 
     @property
     def indices(self) -> list[int]:
-        """The modelled joints, as indices into the skeleton's."""
+        """Indices of the K modelled joints in the skeleton."""
         return [self.skeleton.index(name) for name in self.joints]
 
     def check_rig(self, motion: Motion) -> None:
-        """Offsets may differ: every performer has his own.
+        """Check that a motion has this rig; offsets may differ between performers.
 
         Raises:
             MotionError: joint names or parents differ from the rig's.
@@ -149,9 +149,9 @@ class ModelJoints:
             )
 
     def size_of(self, skeleton: Skeleton | None) -> float:
-        """How much larger a performer is than the rig, told by the legs; None is the rig itself.
+        """Return the leg length of a performer over that of the rig; 1 for None.
 
-        On a rig without legs, told by all its bones.
+        A rig without legs is measured by the total length of its bones.
         """
         if skeleton is None:
             return 1.0
@@ -171,14 +171,14 @@ class ModelJoints:
         fps: float,
         skeleton: Skeleton | None = None,
     ) -> Motion:
-        """A motion of the whole rig: joints that are not modelled are held still.
+        """Return a motion of the whole rig.
 
         Args:
-            rotations: (T, J, 4) local quaternions, but for the model's root the world's; those
-                of joints outside `joints` as `hold` gives them.
-            position: (T, 3) of the model's root in the world, metres.
+            rotations: (T, J, 4) local quaternions; world quaternions for the model's root, and
+                those of `fixed_pose` for joints outside `joints`.
+            position: (T, 3) world position of the model's root, metres.
             fps: frames per second.
-            skeleton: a performer's offsets to use in place of the rig's.
+            skeleton: a performer's skeleton, to use its offsets instead of the rig's.
         """
         skeleton = skeleton or self.skeleton
         n_frames = len(position)
@@ -188,7 +188,7 @@ class ModelJoints:
         translation = position
         ancestors = self.skeleton.ancestors(self.root)[::-1]
         if ancestors:
-            # The joints above the model's root stand still: take them off its world position.
+            # Joints above the model's root do not move: express the root relative to them.
             turn, origin = IDENTITY, np.zeros(3)
             for j in ancestors:
                 step = self.fixed_translations.get(skeleton.names[j], skeleton.offsets[j])
@@ -207,24 +207,24 @@ class ModelJoints:
             joint_translations=moving,
         )
 
-    def hold(self, n_frames: int) -> np.ndarray:
-        """(T, J, 4) every joint at its fixed rotation."""
+    def fixed_pose(self, n_frames: int) -> np.ndarray:
+        """(T, J, 4) fixed rotations of all joints, repeated for each frame."""
         return np.tile(self.fixed_rotations, (n_frames, 1, 1))
 
 
 def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
-    """The skeleton of these motions that lies nearest to the median of all their offsets.
+    """Return the skeleton whose offsets are nearest to the median over all motions.
 
-    Files of one performer may differ in where a moving joint happens to rest; the commonest
-    place is meant, and no bone shall get a length that nobody has.
+    Files of one performer may differ in the rest offset of a moving joint. A median of offsets
+    would give bones a length that no file has, so an existing skeleton is chosen.
     """
     offsets = np.stack([motion.skeleton.offsets for motion in motions])
-    apart = np.abs(offsets - np.median(offsets, axis=0)).sum(axis=(1, 2))
-    return motions[int(apart.argmin())].skeleton
+    distance = np.abs(offsets - np.median(offsets, axis=0)).sum(axis=(1, 2))
+    return motions[int(distance.argmin())].skeleton
 
 
 def first_moving_joint(motions: Sequence[Motion]) -> int:
-    """The first joint, from the root outwards, whose place or rotation changes in some motion."""
+    """Return the first joint, from the root, whose position or rotation changes in any motion."""
     skeleton = motions[0].skeleton
     still = 1e-6 * body_scale(skeleton)
     for j, name in enumerate(skeleton.names):
@@ -238,6 +238,6 @@ def first_moving_joint(motions: Sequence[Motion]) -> int:
 
 
 def _local_position(motion: Motion, name: str) -> np.ndarray:
-    """(T, 3) position of a joint in its parent's frame, whether the file moves it or not."""
+    """(T, 3) position of a joint in its parent's frame, metres; constant if it does not move."""
     still = motion.skeleton.offsets[motion.skeleton.index(name)]
     return motion.joint_translations.get(name, np.tile(still, (motion.n_frames, 1)))

@@ -19,7 +19,7 @@ SMALLEST, TALLEST = 0.3, 5.0
 """Metres beyond which a height that somebody asked for is doubted."""
 
 
-def doubts(motion: Motion, reading: Mapping[str, Any]) -> list[str]:
+def plausibility_warnings(motion: Motion, reading: Mapping[str, Any]) -> list[str]:
     """Return what is doubtful of a motion, one line each, with the option that settles it.
 
     Args:
