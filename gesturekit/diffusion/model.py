@@ -25,6 +25,7 @@ from gesturekit.diffusion.sampling.solvers import SOLVERS, Predict, Solver, chos
 from gesturekit.diffusion.sampling.tiling import LONGEST, windowed
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.errors import ModelError, MotionError, gesturekit_errors
+from gesturekit.model import Inputs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.root_path import RootPath
@@ -65,6 +66,7 @@ class DiffusionModel:
     """
 
     kind = "diffusion"
+    folder: Path | None = None
 
     def __init__(
         self,
@@ -105,6 +107,13 @@ class DiffusionModel:
     def styles(self) -> tuple[str, ...]:
         """Names of the styles it knows; empty for a model that was told none."""
         return self.conditions.styles
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
+        conditions = self.conditions
+        has_speech = conditions.conditioner is not None
+        return Inputs(speech=has_speech, path=conditions.path, events=conditions.events)
 
     @gesturekit_errors()
     def generate(

@@ -12,6 +12,7 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.speech import Speech, SpeechConditioner, as_speech, at_rate, hear
 from gesturekit.errors import ModelError, gesturekit_errors
+from gesturekit.model import Inputs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.root_path import RootPath
@@ -55,6 +56,7 @@ class MultiresModel:
     """
 
     kind = "multires"
+    folder: Path | None = None
 
     def __init__(
         self,
@@ -99,6 +101,11 @@ class MultiresModel:
     def skeleton(self) -> Skeleton:
         """The rig, with all the joints of the training files."""
         return self.representation.skeleton
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
+        return Inputs(speech=self.conditioner is not None)
 
     @gesturekit_errors()
     def generate(

@@ -1,0 +1,58 @@
+"""Controls of `DiffusionModel.generate`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from gesturekit.model import ControlArguments, Controls, Model
+
+Solver = Literal["ancestral", "ddim", "dpm"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiffusionControls(Controls):
+    """Controls that diffusion models take beside those of every system.
+
+    `style` may also be a mixture with weights, such as old:0.25,angry:0.75; each style is then one
+    expert of a product. Without a style, each sample gets a random one.
+    """
+
+    events: str | Path | None = None
+    """Events and their times in seconds: kick@1.0,punch@2.5:0.5 (with a duration), kick@beats (on
+    every beat of the sound), or a table time,name[,duration]."""
+    guidance: float | None = None
+    """Weight gamma of classifier-free guidance (eq. 6): 1 is the plain model, values above 1
+    exaggerate the style, 0 leaves it out. Models without styles guide on all of their inputs."""
+    unconditional: Model | None = None
+    """The model that guidance extrapolates from; by default this one, with the style dropped."""
+    experts: Sequence[tuple[Any, ...]] = ()
+    """Further experts of a product: (model, weight) or (model, weight, style). The weight is a
+    number, one number per frame, a text such as 0.2@0-10,0.8@10-20 (seconds), or None for an equal
+    share of the remaining weight, which this model has too."""
+    change: float = 0.5
+    """How much of `like` may change, above 0 and up to 1: the noise level from which SDEdit
+    starts."""
+    solver: Solver | None = None
+    """Solver of the reverse diffusion: ancestral (as published), ddim, or dpm (second order). The
+    default is ancestral for all steps and dpm for fewer."""
+    steps: int | None = None
+    """Number of denoising steps; by default all that the model was trained with."""
+    batch: int = 1
+    """Number of samples to generate at once. Larger batches are faster on a GPU; the last digits
+    then differ from those of samples generated one by one."""
+
+
+class DiffusionControlArguments(ControlArguments, total=False):
+    """Keywords of `DiffusionControls`, for type checkers."""
+
+    events: str | Path | None
+    guidance: float | None
+    unconditional: Model | None
+    experts: Sequence[tuple[Any, ...]]
+    change: float
+    solver: Solver | None
+    steps: int | None
+    batch: int
