@@ -8,7 +8,7 @@ READY := $(VENV)/.gesturekit-ready
 PLAYER := gesturekit/viewer/player
 BUNDLE := gesturekit/viewer/player.bundle.js
 
-# Every pip in here, the ones that build packages included, keeps to the versions we test with.
+# All pip commands, including package builds, use the tested versions.
 export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -17,15 +17,15 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
-	@echo "make test    set up, then check style and run every test"
-	@echo "make stress  set up, then run the tests that take long (every recording, every scale)"
-	@echo "make mutants set up, then break the code in every kept way and see a test fail each time"
-	@echo "make setup   make $(VENV) with gesturekit and everything it needs"
-	@echo "make lint    check style only          make format  put style right"
-	@echo "make bench   run every benchmark, the quick way"
-	@echo "make interop opens files we wrote in Blender and three.js (installs Blender: 1.6 GB)"
-	@echo "make picture makes docs/demo.png anew (wants chromium)"
-	@echo "make clean   remove what these commands made, $(VENV) included"
+	@echo "make test    set up, then check style and run all tests"
+	@echo "make stress  set up, then run the slow tests (all recordings, all scales)"
+	@echo "make mutants set up, then apply each recorded defect and check that a test fails"
+	@echo "make setup   create $(VENV) with gesturekit and its dependencies"
+	@echo "make lint    check style only          make format  fix style"
+	@echo "make bench   run all benchmarks in quick mode"
+	@echo "make interop open files written by gesturekit in Blender and three.js (installs Blender: 1.6 GB)"
+	@echo "make picture render docs/demo.png again (needs chromium)"
+	@echo "make clean   remove everything that these commands created, including $(VENV)"
 
 setup: $(READY) $(BUNDLE)
 	@:
@@ -56,12 +56,12 @@ bench: setup
 	    echo "== $$script"; $(BIN)/python "$$script" --quick; \
 	done
 
-# Blender's module wants an environment of its own, and its own versions.
+# Blender's module needs its own environment and versions.
 $(VENV)/interop/ready:
 	@echo "Installing Blender's module into $(VENV)/interop (1.6 GB: some minutes) ..."
 	@$(PYTHON) -m venv $(VENV)/interop
 	@PIP_CONSTRAINT= $(VENV)/interop/bin/python -m pip install -qq "bpy==4.2.0" || { \
-	    echo "It is made for Python 3.11 alone. Name one with: make interop PYTHON=/path/to/python3.11"; \
+	    echo "It requires Python 3.11. Specify it with: make interop PYTHON=/path/to/python3.11"; \
 	    exit 1; }
 	@touch $@
 
@@ -83,12 +83,12 @@ clean:
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
-	    echo "gesturekit needs Python 3.11 or newer. Name one with: make PYTHON=/path/to/python3"; exit 1; }
+	    echo "gesturekit needs Python 3.11 or newer. Specify it with: make PYTHON=/path/to/python3"; exit 1; }
 	@echo "Making a Python environment in $(VENV) ..."
 	@$(PYTHON) -m venv $(VENV) || { \
-	    echo "No environment could be made (on Debian: apt-get install python3-venv)."; exit 1; }
+	    echo "The environment could not be created (on Debian: apt-get install python3-venv)."; exit 1; }
 
-# The player first: installing the package then finds its bundle in place.
+# The player is built first, so that the installation of the package finds its bundle.
 $(BUNDLE): $(wildcard $(PLAYER)/*.js) $(PLAYER)/package-lock.json $(PLAYER)/bundle.py | $(BIN)/python
 	@if ! $(BIN)/python $(PLAYER)/bundle.py --check-node; then \
 	    echo "Installing Node.js into $(VENV) (none is on the PATH) ..."; \
@@ -97,7 +97,7 @@ $(BUNDLE): $(wildcard $(PLAYER)/*.js) $(PLAYER)/package-lock.json $(PLAYER)/bund
 	@touch $@
 
 $(READY): pyproject.toml constraints.txt | $(BIN)/python $(BUNDLE)
-	@echo "Installing gesturekit and what it needs into $(VENV) (PyTorch is big: some minutes) ..."
+	@echo "Installing gesturekit and its dependencies into $(VENV) (PyTorch is large: some minutes) ..."
 	@$(BIN)/python -m pip install -qq -e '.[dev]'
 	@touch $@
 	@echo "Ready."

@@ -12,7 +12,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-# Public name -> module. Imported on first use: `import audio_features` costs next to nothing.
+# Public name -> module. Imported on first use, so that `import audio_features` is fast.
 _EXPORTS = {
     "AudioError": "errors",
     "AudioFeaturesError": "errors",
@@ -20,12 +20,12 @@ _EXPORTS = {
     "FeatureCache": "cache",
     "FeatureError": "errors",
     "FeatureTrack": "track",
-    "Liveliness": "acoustic",
-    "LogMel": "acoustic",
-    "MFCC": "acoustic",
-    "Music": "music",
-    "Onset": "acoustic",
-    "Prosody": "acoustic",
+    "Liveliness": "acoustic.extractors",
+    "LogMel": "acoustic.extractors",
+    "MFCC": "acoustic.extractors",
+    "Music": "acoustic.music",
+    "Onset": "acoustic.extractors",
+    "Prosody": "acoustic.extractors",
     "Stack": "extractor",
     "WavLM": "wavlm",
     "Wave": "wave",

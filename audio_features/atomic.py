@@ -1,4 +1,4 @@
-"""Writing a file so that nothing partial ever has a final name."""
+"""Atomic file writing: a partial file never has the final name."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pathlib import Path
 def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on leaving without error it becomes `path`.
 
-    The temporary file lies in the same folder (a rename across file systems is not atomic)
-    and keeps the suffix (libraries look at it), or has `suffix` for those that look for what a
-    killed run left. It is flushed to disk before the rename, and removed if the block raises. The
-    folder is made if it does not exist. Raises OSError where it cannot be written to.
+    The temporary file is in the same folder, because a rename across file systems is not atomic.
+    It keeps the suffix, which some libraries inspect, unless `suffix` is given; a caller uses
+    that to find the files of killed runs. It is flushed to disk before the rename and removed if
+    the block raises. A missing folder is created. Raises OSError if it cannot be written to.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -27,7 +27,7 @@ def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> 
     temporary = Path(name)
     try:
         yield temporary
-        # mkstemp makes files that their owner alone may read; give the usual permissions back.
+        # mkstemp creates files that only their owner may read; restore the usual permissions.
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)

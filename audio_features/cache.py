@@ -1,4 +1,4 @@
-"""FeatureCache: what is slow to extract, kept on disk under what it was made from."""
+"""FeatureCache: features that are slow to extract, stored on disk."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 MAX_BYTES = 20 * 10**9
-"""How much the cache may hold unless told otherwise: 36 hours of WavLM Base."""
+"""Default size limit: 36 hours of WavLM Base."""
 
-# Packages whose next version may change the last bits of a feature.
+# Packages of which another version may change the last bits of a feature.
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
 _SUFFIX = ".safetensors"
-_PART = ".part"  # of an entry that is being written; what is left of one, a killed run left
+_PART = ".part"  # suffix of an entry that is being written
 _STALE_SECONDS = 3600  # a temporary file older than this was left by a process that was killed
 
 log = logging.getLogger(__name__)
 
 
 def default_folder() -> Path:
-    """$GESTUREKIT_CACHE, else the user's cache folder as the system has it.
+    """Return $GESTUREKIT_CACHE, or the platform's cache folder of the user.
 
-    That is $XDG_CACHE_HOME/gesturekit (~/.cache/gesturekit), ~/Library/Caches/gesturekit on
+    The latter is $XDG_CACHE_HOME/gesturekit (~/.cache/gesturekit), ~/Library/Caches/gesturekit on
     macOS, %LOCALAPPDATA%/gesturekit on Windows.
     """
     named = os.environ.get("GESTUREKIT_CACHE")
@@ -59,7 +59,7 @@ def default_folder() -> Path:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a cache holds: entries, bytes, and when the oldest and newest were last used."""
+    """Summary of a cache: number of entries, bytes, and last use of the oldest and newest."""
 
     entries: int
     size: int
@@ -68,27 +68,27 @@ class Contents:
 
 
 class FeatureCache:
-    """Features on disk, found again by the sound and everything that made them.
+    """Cache of features on disk, keyed by the sound and everything that affects the features.
 
-    The key is a digest of the samples and their rate, the extractor's spec (which holds settings
-    and the fingerprint of weights), the source code of this package, and the versions of the
-    libraries that compute. A change in any of them is another entry, so nothing has to be
-    cleared by hand. A value read back is bit for bit the one that was extracted, unless
-    `precision` is "fp16"; then the first call rounds too, so that all calls agree. (What a GPU
-    computed is found by a CPU as well: the device is no part of a spec.)
+    The key is a digest of the samples and their rate, the extractor's spec (settings and
+    fingerprint of the weights), the source code of this package, and the versions of the
+    numerical libraries. A change of any of these gives another entry, so the cache never has to
+    be cleared by hand. A value read from the cache is bit-identical to the extracted one. With
+    `precision` "fp16" the first call rounds too, so that all calls agree. The device is not part
+    of a spec, so a CPU may read features computed on a GPU.
 
-    Light features (log-mel, MFCC, prosody by YIN, onsets, music by librosa) are not kept: they
-    take less than a hundredth of the sound's length, for twenty kilobytes a second on disk.
-    Kept are WavLM, pitch by pyin and beats by madmom. In a `Stack` each part is looked up alone.
+    Light features (log-mel, MFCC, prosody by YIN, onsets, music by librosa) are not cached: they
+    take less than a hundredth of the sound's duration, and 20 kB per second on disk. WavLM,
+    pitch by pyin and beats by madmom are cached. The parts of a `Stack` are cached separately.
 
-    Several processes may share a folder. An entry gets its name only when it is whole; one that
-    is damaged all the same (its checksum says so) is made again. Where the folder cannot be
-    written to, features are extracted as if there were no cache, with one warning.
+    Several processes may share a folder. An entry gets its final name only when it is complete;
+    an entry with a wrong checksum is extracted again. If the folder cannot be written to,
+    features are extracted without a cache, with one warning.
 
     Args:
-        folder: where; `default_folder()` by default.
-        max_bytes: above this, the entries that were not used for longest are removed.
-        precision: "fp16" halves the size, for an error of at most 0.05 %.
+        folder: folder of the cache; None means `default_folder()`.
+        max_bytes: size limit; beyond it the least recently used entries are removed.
+        precision: "fp16" halves the size, with a relative error of at most 0.05 %.
     """
 
     def __init__(
@@ -110,8 +110,8 @@ class FeatureCache:
         self._warned = False
 
     def extract(self, extractor: Extractor, wave: Wave) -> FeatureTrack:
-        """What `extractor.extract(wave)` gives, from the cache where it holds it."""
-        from audio_features.acoustic import AcousticExtractor
+        """Return `extractor.extract(wave)`, values (T, D), from the cache if possible."""
+        from audio_features.acoustic.extractors import AcousticExtractor
         from audio_features.extractor import Stack
 
         if isinstance(extractor, Stack):
@@ -126,7 +126,7 @@ class FeatureCache:
         return track
 
     def contents(self) -> Contents:
-        """Count the entries."""
+        """Summarise the entries of the cache."""
         found = list(self._entries())
         used = [entry.st_mtime for _, entry in found]
         return Contents(
@@ -137,13 +137,13 @@ class FeatureCache:
         )
 
     def clear(self) -> Contents:
-        """Remove every entry, and nothing else in the folder; returns what was removed."""
+        """Remove all entries, and nothing else in the folder; return a summary of them."""
         contents = self.contents()
         for path, _ in self._entries():
             path.unlink(missing_ok=True)
         self._remove_leftovers(0.0)
-        for folder in (*self._shelves(), self._root):
-            with contextlib.suppress(OSError):  # something of somebody else's is in it
+        for folder in (*self._subfolders(), self._root):
+            with contextlib.suppress(OSError):  # the folder holds other files
                 folder.rmdir()
         return contents
 
@@ -172,7 +172,7 @@ class FeatureCache:
         return FeatureTrack(track.values.astype(np.float16), track.times, track.spec, track.names)
 
     def _read(self, path: Path, extractor: Extractor) -> FeatureTrack | None:
-        """The entry, marked as used; None where there is none, or a damaged one."""
+        """Read an entry and mark it as used; None if it is missing or damaged."""
         from safetensors import SafetensorError, safe_open
 
         try:
@@ -187,7 +187,7 @@ class FeatureCache:
         except (OSError, SafetensorError, TypeError, ValueError) as error:
             log.warning("%s: damaged (%s); extracting again", path, error)
             return None
-        with contextlib.suppress(OSError):  # somebody else's entry, or a disk to read only
+        with contextlib.suppress(OSError):  # another user's entry, or a read-only disk
             os.utime(path)
         return track
 
@@ -204,8 +204,8 @@ class FeatureCache:
             with atomic_write(path, suffix=_PART) as temporary:
                 temporary.write_bytes(data)
             self._unmeasured += len(data)
-            # Looking at every entry for each new one would be slow with many; other processes
-            # write too, so a look now and then is needed in any case.
+            # Measuring the folder after every write would be slow. Other processes write too, so
+            # it is measured from time to time.
             if self._unmeasured > self.max_bytes // 16:
                 self._make_room()
         except OSError as error:
@@ -214,7 +214,7 @@ class FeatureCache:
             self._warned = True
 
     def _make_room(self) -> None:
-        """Remove the entries unused for longest until the rest fits, and what killed runs left."""
+        """Remove least recently used entries above the limit, and files of killed runs."""
         entries = sorted(self._entries(), key=lambda found: found[1].st_mtime)
         size = sum(entry.st_size for _, entry in entries)
         for path, entry in entries:
@@ -225,7 +225,7 @@ class FeatureCache:
         self._remove_leftovers(_STALE_SECONDS)
         self._unmeasured = 0
 
-    def _shelves(self) -> list[Path]:
+    def _subfolders(self) -> list[Path]:
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             return [path for path in self._root.iterdir() if path.is_dir()]
         return []
@@ -237,9 +237,9 @@ class FeatureCache:
                     yield path, path.stat()
 
     def _files(self) -> Iterator[Path]:
-        for shelf in self._shelves():
+        for folder in self._subfolders():
             with contextlib.suppress(FileNotFoundError):
-                yield from list(shelf.iterdir())
+                yield from list(folder.iterdir())
 
     def _remove_leftovers(self, age: float) -> None:
         for path in self._files():
@@ -249,11 +249,11 @@ class FeatureCache:
 
 
 def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> FeatureCache:
-    """The cache in `default_folder()`, of $GESTUREKIT_CACHE_GB gigabytes at most (20).
+    """Return the cache in `default_folder()`, limited to $GESTUREKIT_CACHE_GB gigabytes (20).
 
-    The same object each time, so that the folder is not measured anew for every sound.
+    Every call returns the same object, so that the folder is not measured again for every sound.
 
-    Raises AudioFeaturesError where that is no number from 0 up; 0 keeps nothing.
+    Raises AudioFeaturesError if the variable is not a number of at least 0; 0 stores nothing.
     """
     size = os.environ.get("GESTUREKIT_CACHE_GB")
     try:
@@ -280,7 +280,7 @@ def _checksum(values: np.ndarray, times: np.ndarray) -> str:
 
 @lru_cache
 def _code_digest() -> str:
-    """Of this package's source: another version, or an edit, is another extractor."""
+    """Compute a digest of this package's source code."""
     digest = hashlib.sha256()
     root = Path(__file__).parent
     for path in sorted(root.rglob("*.py")):

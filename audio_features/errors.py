@@ -1,6 +1,6 @@
-"""The errors audio_features raises on purpose.
+"""Errors that audio_features raises on purpose.
 
-Every message holds what went wrong, where (path or field), the value met, and what to do.
+Every message states the problem, the place (path or field), the value, and the remedy.
 """
 
 from __future__ import annotations

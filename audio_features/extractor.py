@@ -1,4 +1,4 @@
-"""What an extractor is, stacking several, and making one from its spec."""
+"""Extractor protocol, a stack of several extractors, and construction from a spec."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from audio_features.acoustic import (
+from audio_features.acoustic.extractors import (
     MFCC,
     AcousticExtractor,
     Liveliness,
@@ -16,9 +16,9 @@ from audio_features.acoustic import (
     Onset,
     Prosody,
 )
+from audio_features.acoustic.music import Music
+from audio_features.acoustic.spectrum import ShortTimeSpectrum
 from audio_features.errors import FeatureError
-from audio_features.music import Music
-from audio_features.spectrum import ShortTimeSpectrum
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
@@ -30,7 +30,7 @@ LIGHT = {
     "liveliness": Liveliness,
     "music": Music,
 }
-"""Kind to extractor, of those that need no weights."""
+"""Extractors that need no weights, by kind."""
 
 
 @runtime_checkable
@@ -39,11 +39,11 @@ class Extractor(Protocol):
 
     @property
     def spec(self) -> dict[str, Any]:
-        """What makes the features, JSON-able; the inverse is `extractor_from_spec`."""
+        """JSON-serialisable settings; `extractor_from_spec` is the inverse."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """One name a column."""
+        """Names of the D columns."""
 
     @property
     def dim(self) -> int:
@@ -51,16 +51,16 @@ class Extractor(Protocol):
 
     @property
     def centred(self) -> tuple[bool, ...]:
-        """For each column, whether a clip's own mean tells of voice and room alone."""
+        """D flags; true if a clip's mean depends only on voice and recording conditions."""
 
     def extract(self, wave: Wave) -> FeatureTrack:
-        """The features of a sound, (T, D) on their own time base."""
+        """Extract the features of a sound: (T, D) on their own time base."""
 
 
 class Stack:
-    """Several extractors side by side, on the time base of the one with the most frames.
+    """Concatenation of several extractors, on the time base of the one with the most frames.
 
-    The acoustic ones share one spectrum.
+    Acoustic extractors share one spectrum.
     """
 
     def __init__(self, parts: Sequence[Extractor]) -> None:
@@ -71,16 +71,16 @@ class Stack:
         self.centred = tuple(mark for part in self.parts for mark in part.centred)
         doubles = sorted({name for name in self.names if self.names.count(name) > 1})
         if doubles:
-            raise FeatureError(f"two parts of a stack both give {doubles[0]!r}: name each once")
+            raise FeatureError(f"two parts of a stack both give {doubles[0]!r}: list it once")
 
     @property
     def spec(self) -> dict[str, Any]:
-        """{"kind": "stack", "parts": [spec, …]}."""
+        """Spec {"kind": "stack", "parts": [spec, …]}."""
         return {"kind": "stack", "parts": [part.spec for part in self.parts]}
 
     @property
     def dim(self) -> int:
-        """Number of columns D, the sum of the parts'."""
+        """Number of columns D, summed over the parts."""
         return len(self.names)
 
     def extract(
@@ -88,12 +88,11 @@ class Stack:
         wave: Wave,
         extract: Callable[[Extractor, Wave], FeatureTrack] = lambda part, wave: part.extract(wave),
     ) -> FeatureTrack:
-        """The parts' features side by side: values (T, D).
+        """Extract and concatenate the parts' features: values (T, D).
 
         Args:
             wave: the sound.
-            extract: how the parts that share no spectrum are extracted; a cache takes its place
-                here.
+            extract: function for the parts that share no spectrum, for example a cache's.
         """
         spectra: dict[str | None, ShortTimeSpectrum] = {}
         tracks = []
@@ -120,15 +119,15 @@ def extractor_from_spec(
     weights: str | os.PathLike[str] | None = None,
     device: str = "cpu",
 ) -> Extractor:
-    """The extractor that a spec describes.
+    """Build the extractor that a spec describes.
 
     Args:
-        spec: as `Extractor.spec` gives it, and as feature files and models store it.
-        weights: folder or file of the WavLM weights, where the spec asks for WavLM.
-        device: where WavLM, and torchaudio where a spec names it, compute: "cpu" or "cuda".
+        spec: value of `Extractor.spec`, as stored in feature files and models.
+        weights: folder or file of the WavLM weights, if the spec contains WavLM.
+        device: "cpu" or "cuda", for WavLM and torchaudio.
 
-    Raises FeatureError for a spec of an unknown kind or with other settings than its kind has,
-    and WeightsError where weights are needed and missing, or are not those of the spec.
+    Raises FeatureError for an unknown kind or a setting that the kind does not have, and
+    WeightsError if weights are missing or have another fingerprint than the spec.
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)

@@ -1,7 +1,7 @@
 """Level lengths, resampling between levels, and residual features.
 
-Motion and features use the same interpolation, so the two never disagree about where in time
-a frame of a level lies.
+Motion and features use the same interpolation, so the frames of a level have the same times in
+both.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from audio_features.errors import FeatureError
 
 
 def level_lengths(n_frames: int, levels: int, factor: float = 4 / 3) -> list[int]:
-    """Number of frames at every level, coarse to fine; the last is `n_frames`.
+    """Return the number of frames of every level, coarse to fine; the last is `n_frames`.
 
     T_i = max(1, round(T / factor^(L - i))) for i = 1 … L. Rounding is to nearest, ties to even.
 
-    Raises FeatureError where n_frames or levels is below 1, or factor is not above 1.
+    Raises FeatureError if n_frames or levels is below 1, or factor is not above 1.
     """
     if n_frames < 1 or levels < 1:
         raise FeatureError(f"n_frames={n_frames}, levels={levels}: both must be at least 1")
@@ -32,21 +32,21 @@ def level_lengths(n_frames: int, levels: int, factor: float = 4 / 3) -> list[int
 def interpolation_weights(
     n_in: int, n_out: int, start: int = 0, stop: int | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Linear interpolation from n_in to n_out frames, as indices and weights.
+    """Return indices and weights of the linear interpolation from n_in to n_out frames.
 
     out[k] = (1 - w[k])·in[lo[k]] + w[k]·in[hi[k]], the convention of
     `torch.nn.functional.interpolate(mode="linear", align_corners=False)`: frame k lies at
-    (k + ½)·n_in/n_out - ½, held at the ends.
+    (k + ½)·n_in/n_out - ½, clamped to the first and the last frame.
 
     Args:
         n_in, n_out: numbers of frames.
-        start, stop: the frames out that are wanted; all M = n_out of them by default.
+        start, stop: range of M output frames; by default all M = n_out.
 
     Returns lo (M,) int64, hi (M,) int64, w (M,) float64 in [0, 1).
     """
     if n_in < 1 or n_out < 1:
         raise FeatureError(f"cannot interpolate from {n_in} to {n_out} frames: at least 1 each")
-    # Whole numbers as far as possible: the position is `numerator` / (2·n_out).
+    # Exact integer arithmetic: the position is `numerator` / (2·n_out).
     out = np.arange(start, n_out if stop is None else stop, dtype=np.int64)
     numerator = np.maximum((2 * out + 1) * n_in - n_out, 0)
     lo, remainder = np.divmod(numerator, 2 * n_out)
@@ -57,9 +57,9 @@ def interpolation_weights(
 def resample_frames(
     values: np.ndarray, n: int, start: int = 0, stop: int | None = None
 ) -> np.ndarray:
-    """(T, …) to (n, …) by `interpolation_weights`; floats keep their dtype.
+    """Resample (T, …) to (n, …) by `interpolation_weights`; the dtype is kept.
 
-    With start and stop, only those of the n frames.
+    With start and stop, only that range of the n frames is computed.
     """
     values = np.asarray(values)
     if values.dtype.kind != "f":
@@ -72,7 +72,7 @@ def resample_frames(
 
 
 def residual_pyramid(values: np.ndarray, lengths: Sequence[int]) -> list[np.ndarray]:
-    """What each level adds to the one below: s_1 = s̃_1, s_i = ↑s̃_{i-1} - s̃_i.
+    """Split values (T, D) into residual levels: s_1 = s̃_1, s_i = ↑s̃_{i-1} - s̃_i.
 
     s̃_i is `values` (T, D) resampled to lengths[i] directly, ↑ the resampling from one level's
     length to the next (multi-resolution paper, section on speech features; its sign).
@@ -96,9 +96,9 @@ def residual_pyramid(values: np.ndarray, lengths: Sequence[int]) -> list[np.ndar
 def residual_level(
     values: np.ndarray, lengths: Sequence[int], level: int, start: int, stop: int
 ) -> np.ndarray:
-    """Frames `start` to `stop` of `residual_pyramid(values, lengths)[level]`, without the rest.
+    """Compute frames `start` to `stop` of `residual_pyramid(values, lengths)[level]` alone.
 
-    Only the frames of `values` (T, D) around them are read.
+    Reads only the neighbouring frames of `values` (T, D). Returns (stop - start, D).
     """
     fine = resample_frames(values, lengths[level], start, stop)
     if level == 0:
@@ -110,10 +110,10 @@ def residual_level(
 
 
 def from_residual_pyramid(levels: Sequence[np.ndarray]) -> np.ndarray:
-    """The inverse of `residual_pyramid`: s̃_i = ↑s̃_{i-1} - s_i, up to the finest level.
+    """Invert `residual_pyramid`: s̃_i = ↑s̃_{i-1} - s_i, up to the finest level (T, D).
 
-    Works in float64 so that rounding does not build up over levels; returns the dtype of the
-    finest level, (T, D).
+    Computes in float64, so that rounding errors do not accumulate over levels, and returns the
+    dtype of the finest level.
     """
     if not levels:
         raise FeatureError("an empty pyramid: give at least one level")

@@ -1,4 +1,4 @@
-"""FeatureTrack: values on a time base, and the file that holds one."""
+"""FeatureTrack: features on a time base, and their file format."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from audio_features.wave import exact_rate
 
 FORMAT = 1
 ALIGNMENTS = ("linear", "mean", "gaussian", "length_ratio")
-"""How `to_rate` can put features on motion frames."""
-# What zipfile, numpy and json raise on a file that is damaged or something else.
+"""Methods of `to_rate` for aligning features with motion frames."""
+# Exceptions of zipfile, numpy and json for a file that is damaged or of another kind.
 _UNREADABLE = (
     OSError,
     EOFError,
@@ -35,7 +35,7 @@ _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
 )
-_MAX_BYTES = 8 << 30  # a feature file that unpacks to more than this is not read
+_MAX_BYTES = 8 << 30  # larger files (unpacked) are refused
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,11 @@ class FeatureTrack:
 
     Args:
         values: (T, D) float32, finite.
-        times: (T,) float64 seconds, ascending; where the frames are centred.
-        spec: what made them, JSON-able; `extractor_from_spec` reads it.
-        names: D names, one a column; by default "0", "1", …
+        times: (T,) float64 seconds, ascending; centres of the frames.
+        spec: JSON-serialisable settings of the extractor, as for `extractor_from_spec`.
+        names: names of the D columns; by default "0", "1", …
 
-    Raises FeatureError where shapes disagree or a value is not finite.
+    Raises FeatureError if shapes disagree or a value is not finite.
     """
 
     values: np.ndarray
@@ -78,7 +78,7 @@ class FeatureTrack:
         object.__setattr__(self, "names", names)
 
     def at(self, times: np.ndarray) -> FeatureTrack:
-        """The track at other times (M,) in seconds: linear in time, held at both ends."""
+        """Interpolate at times (M,) in seconds: linear, constant beyond both ends."""
         times = np.asarray(times, dtype=np.float64)
         if len(self.times) == 1:
             return self._with(np.repeat(self.values, len(times), axis=0), times)
@@ -93,23 +93,23 @@ class FeatureTrack:
         n_frames: int | None = None,
         method: Literal["linear", "mean", "gaussian", "length_ratio"] = "linear",
     ) -> FeatureTrack:
-        """The track on motion frames: frame k is at k/fps.
+        """Align the track with motion frames: frame k is at k/fps.
 
         Args:
             fps: frames per second.
-            n_frames: how many; give `wave.n_frames(fps)` or the motion's own count. By default
-                the frames that are not later than the last one of this track.
-            method: "linear" interpolates by true time; "mean" averages the frames within half
-                a motion frame (and interpolates where there are none), which does not alias;
-                "gaussian" averages such means of the frames around with a standard deviation of a
-                motion frame, for models that tremble with what flickers from frame to frame;
-                "length_ratio" ignores time and stretches the first frame to the first and the
-                last to the last (torch's `interpolate(align_corners=True)`), which is up to a
-                frame of this track wrong at the ends: only to reproduce systems that did so.
+            n_frames: number of frames, as `wave.n_frames(fps)` or the motion's. By default all
+                frames up to the time of this track's last frame.
+            method: "linear" interpolates by true time. "mean" averages the frames within half
+                a motion frame, and interpolates if there are none; it avoids aliasing.
+                "gaussian" smooths these means with a standard deviation of one motion frame,
+                for models whose output jitters when features flicker. "length_ratio" ignores
+                time and maps the first frame to the first and the last to the last (torch's
+                `interpolate(align_corners=True)`); its error at the ends is up to a frame of
+                this track, so use it only to reproduce systems that did so.
         """
         rate = exact_rate(fps)
         if n_frames is None:
-            # A hair of slack: 0.29 · 100 is 28.999999999999996.
+            # The tolerance absorbs rounding: 0.29 · 100 is 28.999999999999996.
             n_frames = math.floor(self.times[-1] * float(rate) + 1e-6) + 1
         if n_frames < 1:
             raise FeatureError(f"n_frames={n_frames}: at least 1")
@@ -117,18 +117,18 @@ class FeatureTrack:
             raise FeatureError(f"method={method!r}: one of {', '.join(ALIGNMENTS)}")
         times = np.arange(n_frames) * rate.denominator / rate.numerator
         if method == "length_ratio":
-            place = np.arange(n_frames) * (len(self.times) - 1) / max(n_frames - 1, 1)
-            lo = place.astype(np.int64)
-            return self._with(self._between(lo, place - lo), times)
+            position = np.arange(n_frames) * (len(self.times) - 1) / max(n_frames - 1, 1)
+            lo = position.astype(np.int64)
+            return self._with(self._between(lo, position - lo), times)
         track = self.at(times)
         if method == "linear":
             return track
-        # A frame that lies on an edge belongs to the later window, whatever the rounding says.
+        # The tolerance assigns a frame on an edge to the later window, whatever the rounding.
         edges = np.append(times, n_frames / float(rate)) - 0.5 / float(rate) - 1e-9
         first = np.searchsorted(self.times, edges, side="left")
         full = np.flatnonzero(first[1:] > first[:-1])
-        # Consecutive windows touch, so summing from one full window's start to the next one's
-        # is summing the window; past the last edge nothing is left in.
+        # Windows are contiguous, so the sum from one non-empty window's start to the next one's
+        # is the sum over the window. Frames after the last edge are excluded.
         sums = np.add.reduceat(self.values[: first[-1]], first[full], axis=0) if len(full) else 0
         values = track.values.copy()
         values[full] = sums / (first[full + 1] - first[full])[:, None]
@@ -141,8 +141,7 @@ class FeatureTrack:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a feature file: npz of `values`, `times` and `spec` (a JSON string).
 
-        The JSON also holds the format number and the column names. The file gets its name only
-        when it is whole and on disk.
+        The JSON also holds the format number and the column names. The write is atomic.
         """
         text = json.dumps({**self.spec, "format": FORMAT, "names": self.names}, allow_nan=False)
         with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -150,7 +149,7 @@ class FeatureTrack:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> FeatureTrack:
-        """Read a feature file. Raises FeatureError where it is not one, or a newer one."""
+        """Read a feature file. Raises FeatureError for other files and newer formats."""
         name = os.fspath(path)
         if not Path(name).is_file():
             raise FeatureError(f"{name}: no such file: give a feature file (npz)")
@@ -159,7 +158,7 @@ class FeatureTrack:
                 size = sum(member.file_size for member in archive.infolist())
             if size > _MAX_BYTES:
                 raise FeatureError(
-                    f"{name}: unpacks to {size} bytes, at most {_MAX_BYTES} are read"
+                    f"{name}: unpacks to {size} bytes, more than the limit of {_MAX_BYTES}"
                 )
             with np.load(name, allow_pickle=False) as file:
                 values, times = file["values"], file["times"]
@@ -182,7 +181,7 @@ class FeatureTrack:
             raise FeatureError(f"{name}: {error}") from error
 
     def _between(self, lo: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """(M, D) values at a share w of the way from frame lo to the one after it."""
+        """Interpolate (M, D) between frames lo (M,) and lo + 1; w (M,) is the latter's weight."""
         w = w.astype(np.float32)[:, None]
         after = np.minimum(lo + 1, len(self.times) - 1)
         return self.values[lo] * (1 - w) + self.values[after] * w

@@ -1,4 +1,4 @@
-"""Wave: one channel of sound at the rate of its file, checked on the way in."""
+"""Wave: one validated channel of sound at the sample rate of its file."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from audio_features.containers.sound_file import read_sound
 from audio_features.errors import AudioError
 
 MIN_SECONDS = Fraction(25, 1000)
-"""Shortest sound accepted: 400 samples at 16 kHz, what one WavLM frame sees."""
+"""Shortest sound accepted: 400 samples at 16 kHz, the input of one WavLM frame."""
 SAMPLE_RATES = (4_000, 768_000)
 """Lowest and highest sample rate accepted, in Hz."""
 SILENCE_DBFS = -75.0
-"""A clip whose active level is below this holds no speech."""
+"""Active level below which a clip counts as silent."""
 ACTIVE_RANGE_DB = 20.0
 """A frame is active when its power is within this range of the mean power of active frames."""
 SPEECH_LEVEL_DBFS = -23.0
-"""The active level that `Wave.at_level` gives by default (the target of EBU R128)."""
+"""Default active level of `Wave.at_level` (the target of EBU R128)."""
 
 _FULL_SCALE = 0.999  # 16-bit files clip at 32767/32768, resampled ones a little lower
 _DC_OFFSET = 0.01
-_BLOCK = 1 << 20  # samples worked on at a time, so that memory stays bounded on long files
+_BLOCK = 1 << 20  # samples processed at a time, which bounds the memory for long files
 
 
 def exact_rate(fps: float | Fraction) -> Fraction:
-    """A frame rate as a fraction, so that frame counts are exact.
+    """Convert a frame rate to a fraction, so that frame counts are exact.
 
-    Floats are taken to the nearest fraction with a denominator of at most 1001: 25.0 is 25,
+    Floats are rounded to the nearest fraction with a denominator of at most 1001: 25.0 is 25,
     29.97 is 2997/100, and the float 30000/1001 is NTSC's own 30000/1001.
 
-    Raises AudioError where `fps` is not a positive, finite number.
+    Raises AudioError if `fps` is not a positive, finite number.
     """
     if not isinstance(fps, Fraction) and not math.isfinite(fps):
         raise AudioError(f"fps is {fps!r}: give a positive number of frames per second")
@@ -55,9 +55,9 @@ class Wave:
     Args:
         samples: (N,) floats, full scale is ±1; stored as float32.
         sample_rate: Hz, 4,000 to 768,000.
-        source: where the sound comes from, for messages; usually a path.
+        source: origin of the sound for messages, usually a path.
 
-    Raises AudioError where the samples are not one finite channel of at least 25 ms.
+    Raises AudioError if the samples are not one finite channel of at least 25 ms.
     """
 
     samples: np.ndarray
@@ -94,47 +94,46 @@ class Wave:
 
         Args:
             path: the file; any sample rate, any number of channels.
-            start, duration: the stretch to read, in seconds; None reads to the end, and a
-                stretch that reaches past the end is cut there.
-            channel: which channel to take, counted from 1 as sox and audio editors count (1 is
-                the left one); by default the mean of all. Where two speakers share a stereo
-                file, name the one you want.
-            max_seconds: longest stretch that is read into memory.
+            start, duration: segment to read, in seconds; None reads to the end, and a segment
+                that extends past the end is cut there.
+            channel: channel to read, counted from 1 as in sox and audio editors (1 is the left
+                one); by default the mean of all. Give it if two speakers share a stereo file.
+            max_seconds: longest segment that is read into memory.
 
-        Memory grows with the stretch alone (4 bytes a sample), not with the channels.
+        Memory depends on the length of the segment (4 bytes per sample), not on the channels.
 
         Raises AudioError for a missing, unreadable, truncated, damaged, empty or too short file,
-        a channel that is not there, and samples that are not finite. Every checksum and every
-        length that the file holds is held against what was decoded, so that nothing is read
-        silently short. (A wav has no checksum of its samples: damage to those alone cannot show.)
+        a missing channel, and samples that are not finite. Every checksum and every length in the
+        file is compared with the decoded sound, so that no truncated file is accepted silently.
+        (A wav has no checksum: damage to its samples alone cannot be detected.)
         """
         name = os.fspath(path)
 
-        def stretch(n: int, rate: int) -> tuple[int, int]:
-            return _stretch(name, n, _checked_rate(rate, name), start, duration, max_seconds)
+        def segment(n: int, rate: int) -> tuple[int, int]:
+            return _segment(name, n, _checked_rate(rate, name), start, duration, max_seconds)
 
-        samples, rate = read_sound(name, stretch, channel)
+        samples, rate = read_sound(name, segment, channel)
         return cls(samples, rate, name)
 
     @classmethod
     def from_array(
         cls, samples: ArrayLike, sample_rate: int | None, source: str | None = None
     ) -> Wave:
-        """Make a wave of an array as librosa, soundfile, torchaudio and transformers give it.
+        """Make a wave of an array as returned by librosa, soundfile, torchaudio or transformers.
 
         Args:
-            samples: (N,), or channels (C, N) or (N, C), whose mean is taken; the shorter axis is
-                that of the channels. A numpy array, a list, or a torch tensor on any device.
-                Floats have full scale ±1; integers of 8 to 32 bits are scaled from their own.
+            samples: (N,), or (C, N) or (N, C), which are averaged over the C channels (the
+                shorter axis). A numpy array, a list, or a torch tensor on any device. Floats
+                have full scale ±1; integers of 8 to 32 bits are scaled by their range.
             sample_rate: Hz.
             source: as in `Wave`.
 
-        Raises AudioError without a rate, and for what is no sound.
+        Raises AudioError without a rate, and for arrays that are not sound.
         """
         name = source or "samples"
         if sample_rate is None:
             raise AudioError(
-                f"{name}: an array has no rate of its own: give its sample_rate, as 16000 (Hz)"
+                f"{name}: an array holds no sample rate: give sample_rate, for example 16000 (Hz)"
             )
         values = _numbers(samples, name)
         if values.ndim == 2:
@@ -147,38 +146,38 @@ class Wave:
         return len(self.samples) / self.sample_rate
 
     def n_frames(self, fps: float | Fraction) -> int:
-        """Number of frames at `fps`: floor(duration·fps + ½), in exact arithmetic."""
+        """Return the number of frames at `fps`: floor(duration·fps + ½), in exact arithmetic."""
         return math.floor(
             Fraction(len(self.samples), self.sample_rate) * exact_rate(fps) + Fraction(1, 2)
         )
 
     def resample(self, sample_rate: int) -> Wave:
-        """The same sound at another rate (soxr HQ); ceil(N·new/old) samples."""
+        """Resample the sound (soxr HQ) to ceil(N·new/old) samples."""
         if sample_rate == self.sample_rate:
             return self
         sample_rate = _checked_rate(sample_rate, "sample_rate")
         samples = soxr.resample(self.samples, self.sample_rate, sample_rate, quality="HQ")
-        # soxr's own count may be one off the ceiling; frame counts must not depend on that.
+        # soxr's length may differ by one from the ceiling; frame counts must not depend on that.
         n = -(-len(self.samples) * sample_rate // self.sample_rate)
         samples = np.pad(samples[:n], (0, max(0, n - len(samples))))
         return Wave(samples, sample_rate, self.source)
 
     def slice(self, start: float, duration: float | None = None) -> Wave:
-        """The stretch of `duration` seconds from `start`; cut at the end of the sound."""
+        """Cut out `duration` seconds from `start`, or up to the end of the sound."""
         name = self.source or "samples"
-        first, count = _stretch(
+        first, count = _segment(
             name, len(self.samples), self.sample_rate, start, duration, math.inf
         )
         return Wave(self.samples[first : first + count], self.sample_rate, self.source)
 
     def rms(self, times: np.ndarray, window: float = 0.05) -> np.ndarray:
-        """Root mean square around given times, about the clip's mean (no DC offset).
+        """Compute the root mean square around given times, about the clip's mean (no DC offset).
 
         Args:
-            times: (M,) seconds, ascending; where the windows are centred.
+            times: (M,) seconds, ascending; centres of the windows.
             window: length in seconds; windows are cut at the ends of the sound.
 
-        Returns (M,) float64; 0 where a window lies wholly outside the sound.
+        Returns (M,) float64; 0 for windows completely outside the sound.
         """
         n = len(self.samples)
         centres = np.asarray(times, dtype=np.float64) * self.sample_rate
@@ -202,33 +201,33 @@ class Wave:
         return np.sqrt(np.maximum(power, 0.0))
 
     def active(self, hop: float = 0.01) -> np.ndarray:
-        """Where there is speech, on frames of 25 ms centred every `hop` seconds.
+        """Detect speech on frames of 25 ms centred every `hop` seconds.
 
-        A frame is active when its power is at most 20 dB below the mean power of the active
-        frames; the set is found by starting from all frames and dropping the quieter ones
-        until none is left to drop (each drop raises the mean, so it ends). This is the gating
-        of EBU R128 and ITU-T P.56 without an absolute gate: the same sound at another level
-        has the same active frames. A clip whose active level is below -75 dBFS has none.
+        A frame is active if its power is at most 20 dB below the mean power of the active
+        frames. The set is found by starting from all frames and removing quieter ones until it
+        no longer changes. This is the gating of EBU R128 and ITU-T P.56 without an absolute
+        gate: the same sound at another level has the same active frames. A clip whose active
+        level is below -75 dBFS has none.
 
         Returns (n_frames(1/hop),) bool.
         """
         return self._activity(hop)[0]
 
     def active_level(self) -> float:
-        """RMS over the active frames in dBFS (a full-scale square wave is 0); -inf on silence."""
+        """Return the RMS of the active frames in dBFS (0 is a full-scale square wave), or -inf."""
         return self._level
 
     @property
     def is_silent(self) -> bool:
-        """True where no frame is active: digital silence, or noise below -75 dBFS."""
+        """True if no frame is active: digital silence, or noise below -75 dBFS."""
         return self._level == -math.inf
 
     def faults(self) -> list[str]:
-        """What a listener would complain about, in phrases; empty for a good recording.
+        """Describe audible faults of the recording in phrases; empty for a good recording.
 
-        Silence; clipping (three or more samples in a row at full scale); a DC offset of 1 % of
-        full scale or more. None of them stops anything: light features take level and offset
-        out, and silence gives idle motion.
+        Faults are silence, clipping (three or more consecutive samples at full scale), and a DC
+        offset of at least 1 % of full scale. None of them is an error: acoustic features remove
+        level and offset, and silence gives idle motion.
         """
         found = []
         if self.is_silent:
@@ -244,10 +243,7 @@ class Wave:
         return found
 
     def at_level(self, dbfs: float = SPEECH_LEVEL_DBFS) -> Wave:
-        """The same sound with its active level at `dbfs` and no DC offset.
-
-        Silence is returned unchanged: there is no speech whose level could be set.
-        """
+        """Scale the active level to `dbfs` and remove the DC offset; silence is unchanged."""
         if self.is_silent:
             return self
         gain = 10.0 ** ((dbfs - self._level) / 20.0)
@@ -257,7 +253,7 @@ class Wave:
 
     @cached_property
     def digest(self) -> str:
-        """What tells this sound from others: sha256 over the rate and the samples, hex."""
+        """Hexadecimal sha256 of the sample rate and the samples."""
         found = hashlib.sha256(f"{self.sample_rate} ".encode())
         found.update(self.samples)
         return found.hexdigest()
@@ -267,7 +263,7 @@ class Wave:
         return float(np.mean(self.samples, dtype=np.float64))
 
     def _clipping(self) -> tuple[int, int]:
-        """How many samples are the third in a row at full scale, and where the first is."""
+        """Count samples that are third in a run at full scale; return (count, first index)."""
         count, first = 0, 0
         for at in range(0, len(self.samples) - 2, _BLOCK):
             full = np.abs(self.samples[at : at + _BLOCK + 2]) >= _FULL_SCALE
@@ -282,7 +278,7 @@ class Wave:
         return self._activity(0.01)[1]
 
     def _activity(self, hop: float) -> tuple[np.ndarray, float]:
-        """Active frames (M,) bool and their level in dBFS."""
+        """Return the active frames (M,) bool and their level in dBFS."""
         times = np.arange(self.n_frames(1 / Fraction(hop).limit_denominator(1000))) * hop
         power = np.square(self.rms(times, window=0.025))
         active = power > 0.0
@@ -298,8 +294,8 @@ class Wave:
 
 
 def _numbers(samples: ArrayLike, name: str) -> np.ndarray:
-    """(N,) or two-dimensional float32, full scale ±1."""
-    if hasattr(samples, "detach"):  # a torch tensor: bfloat16 and GPUs are unknown to numpy
+    """Convert to (N,) or two-dimensional float32 with full scale ±1."""
+    if hasattr(samples, "detach"):  # a torch tensor: numpy knows neither bfloat16 nor GPUs
         samples = samples.detach().cpu()
         samples = samples.float() if samples.is_floating_point() else samples
     try:
@@ -331,7 +327,7 @@ def _checked_rate(rate: int, name: str) -> int:
     if not is_whole or not low <= rate <= high:
         raise AudioError(
             f"{name}: sample rate {rate} Hz, expected a whole number from {low} to {high}: "
-            "resample the sound, or mend its header"
+            "resample the sound, or correct its header"
         )
     return int(rate)
 
@@ -347,10 +343,10 @@ def _check_finite(samples: np.ndarray, rate: int, name: str) -> None:
             )
 
 
-def _stretch(
+def _segment(
     name: str, n: int, rate: int, start: float, duration: float | None, max_seconds: float
 ) -> tuple[int, int]:
-    """First sample and number of samples of a stretch given in seconds."""
+    """Return the first sample and the number of samples of a segment given in seconds."""
     if not (math.isfinite(start) and start >= 0):
         raise AudioError(f"{name}: start is {start} s: give 0 or more")
     if duration is not None and not (math.isfinite(duration) and duration > 0):
@@ -361,7 +357,7 @@ def _stretch(
     count = n - first if duration is None else min(n - first, round(duration * rate))
     if count > max_seconds * rate:
         raise AudioError(
-            f"{name}: {count / rate:.0f} s of sound, at most {max_seconds:.0f} s are read: "
+            f"{name}: {count / rate:.0f} s of sound exceed the limit of {max_seconds:.0f} s: "
             "split the file, or give start and duration (or a larger max_seconds)"
         )
     return first, count

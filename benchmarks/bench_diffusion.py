@@ -1,10 +1,10 @@
-"""A 10 s clip by the diffusion model at the paper's gesture size, on two threads.
+"""Diffusion sampling of a 10 s clip at the paper's gesture size, on two threads.
 
-Against our own plain version, which does what the released code does: in every layer of every step
-the bias is a sum of 21 kernels at every pair of frames, attention is full, convolutions are
-convolutions. The released code took 0.65 to 0.72 s a step on 2 quiet cores. Then few steps against
-many, bfloat16 against single precision, and 100 s against 10 s, each in a process of its own whose
-peak memory is told. Weights are random: costs do not depend on them.
+"other" is a plain version with the released code's algorithm: in every layer of every step the bias
+is a sum of 21 kernels at every pair of frames, attention is full, and convolutions use conv1d. The
+released code took 0.65 to 0.72 s per step on 2 quiet cores. Further comparisons: few steps with
+many, bfloat16 with single precision, and 100 s with 10 s, each in its own process, whose peak
+memory is reported. Weights are random: the cost does not depend on them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import torch.nn.functional as F
 from harness import arguments, compare, report, timed
 from torch import Tensor
 
-from gesturekit.diffusion.composition.experts import bounded
+from gesturekit.diffusion.composition.experts import clip_denoised
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.network.attention import Attention
 from gesturekit.diffusion.network.denoiser import Conformer, Denoiser, DilatedConv
@@ -126,8 +126,8 @@ def peak_mib() -> float:
 
 
 def clip(n_frames: int, runs: int) -> None:
-    """In a process of its own: median seconds of a step and peak MiB of all, as JSON."""
-    predict, noisy = network().listening(condition(n_frames), [50]), noise_at(0, n_frames)
+    """Measure a step in its own process: median seconds and peak MiB, as JSON."""
+    predict, noisy = network().for_condition(condition(n_frames), [50]), noise_at(0, n_frames)
     predict(noisy, 50)
     times = timed(lambda: predict(noisy, 50), runs)
     print(json.dumps([statistics.median(times), peak_mib()]))
@@ -143,8 +143,8 @@ def measured_clip(n_frames: int, runs: int) -> tuple[float, float]:
 def main() -> None:
     options = arguments(__doc__.splitlines()[0])
     net, told = network(), condition(CLIP)
-    ours, plain = net.listening(told, range(SCHEDULE.steps)), Plain(net, told)
-    short = copy.deepcopy(net).to(torch.bfloat16).listening(told, range(SCHEDULE.steps))
+    ours, plain = net.for_condition(told, range(SCHEDULE.steps)), Plain(net, told)
+    short = copy.deepcopy(net).to(torch.bfloat16).for_condition(told, range(SCHEDULE.steps))
     noisy = noise_at(0)
     exact = ours(noisy, 50)
     apart = float((exact - plain(noisy, 50)).abs().max())
@@ -152,7 +152,9 @@ def main() -> None:
     off = float((short(noisy, 50) - exact).norm() / exact.norm())
 
     def made(predict: Predict, solver: str = "ancestral", steps: int | None = None) -> Tensor:
-        return sample(bounded(predict, SCHEDULE), noise_at, SCHEDULE, solver=solver, steps=steps)
+        return sample(
+            clip_denoised(predict, SCHEDULE), noise_at, SCHEDULE, solver=solver, steps=steps
+        )
 
     few, runs = lambda: made(ours, "dpm", FEW), 3 if options.quick else 9
     alike = f"{off:.1e} apart (relative L2)"

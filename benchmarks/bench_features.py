@@ -1,7 +1,7 @@
-"""Light features of a minute of speech, and the cache against extracting.
+"""Acoustic features of a minute of speech, and the feature cache compared with extraction.
 
-"other" computes each feature by a call of librosa of its own, as scripts do; ours share one
-spectrum. The speech is the bundled recording, said again and again at changing loudness.
+"other" computes each feature by a separate call of librosa; ours share one spectrum. The speech is
+the bundled recording, repeated with varying loudness.
 """
 
 from __future__ import annotations

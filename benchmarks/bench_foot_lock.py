@@ -1,13 +1,10 @@
-"""Locking the feet of 10 s of motion, against 500 steps of gradient descent on all joints.
+"""Foot locking of 10 s of motion, compared with 500 steps of gradient descent on all joints.
 
-"other" is the usual post-process of single-clip models: each contact span is pinned at its mean
-place, blended over 5 frames, and 500 steps of Adam fit all joints to the pinned feet by forward
-kinematics, held near the first pose (weights 0.1 on rotations, 0.01 on positions). Both see the
-same contact labels. The note gives foot skate: the mean speed of the foot points on the frames
-that the labels call contact.
-
-The motions: the bundled model's, and the same with the
-body drifting at 0.1 m/s.
+"other" is the usual post-processing of single-clip models: each contact span is pinned at its mean
+position, blended over 5 frames, and 500 steps of Adam fit all joints to the pinned feet by forward
+kinematics, regularised towards the initial pose (weights 0.1 on rotations, 0.01 on positions). Both
+use the same contact labels. The note gives foot skate: the mean speed of the foot points in frames
+labelled as contact. The motions are the bundled model's, without and with a drift of 0.1 m/s.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Coverage, global and local diversity against a direct computation over all window pairs.
+"""Coverage, global and local diversity, compared with a direct computation over all window pairs.
 
-742 generated frames and 371 of reference, 168 numbers each: one sample of GANimator's published
-evaluation. The other way sums the cost of every stretch of one motion on every stretch of the
-other, as the published kernel does (compiled too, its 1.6 GB table allocated beforehand); that
-kernel was measured at 870 ms for the three, once its table is in memory. Also prints the peak
-memory of 5,500 frames against 5,500.
+742 generated and 371 reference frames of 168 columns: one sample of GANimator's published
+evaluation. "other" sums the cost of every segment of one motion for every segment of the other, as
+the published kernel does (compiled too, with its 1.6 GB table allocated beforehand); that kernel
+took 870 ms for the three metrics once its table was in memory. Also prints the peak memory for
+5,500 frames and 5,500.
 """
 
 from __future__ import annotations

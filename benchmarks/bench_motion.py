@@ -1,8 +1,7 @@
-"""Reading, writing and forward kinematics of BVH, against bvhio and plain numpy.
+"""BVH reading, writing and forward kinematics, compared with bvhio and plain numpy.
 
-A rig of 75 joints that gestures at 60 fps. bvhio keeps a pose object for each joint and frame, so
-it gets a few seconds of motion; the ten minutes that we promise are read against numpy.loadtxt of
-the same numbers.
+The rig has 75 joints at 60 fps. bvhio stores a pose object per joint and frame, so it gets a few
+seconds of motion; reading ten minutes is compared with numpy.loadtxt of the same numbers.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Sampling a pyramid: 24 joints, 7 levels, hidden channels 6, 9, 9 a joint, no condition.
+"""Sampling of a pyramid: 24 joints, 7 levels, hidden channels 6, 9, 9 per joint, no condition.
 
-Against real time; against the same arithmetic as GANimator runs it, whose dense kernels are
-multiplied by a mask at every call and made in one piece (10 s of it cost 11 to 12 ms on 2 cores);
-and an hour in pieces against an hour in one piece, each in a process of its own whose peak memory
-over that of an idle one is told.
+Compared with real time; with the same arithmetic as in GANimator, whose dense kernels are
+multiplied by a mask in every call (10 s took 11 to 12 ms on 2 cores); and an hour tiled with an
+hour in one piece, each in its own process, whose peak memory above an idle one's is reported.
 """
 
 from __future__ import annotations
@@ -84,7 +83,7 @@ def peak_mib() -> float:
 
 
 def hour(chunk: int) -> None:
-    """In a process of its own: seconds and MiB of an hour, as JSON."""
+    """Measure an hour in its own process: seconds and MiB, as JSON."""
     network = pyramid()
     sample(network, *noise(10 * FPS), None)
     idle, start = peak_mib(), time.perf_counter()

@@ -1,20 +1,18 @@
-"""Training a pyramid: seconds of one iteration, and of a masked dense one with the same arithmetic.
+"""Training of a pyramid: seconds per iteration, compared with masked dense kernels.
 
 One clip of 648 frames, 29 blocks (24 joints, 4 contacts, the root), 7 levels, hidden channels 5, 9
-and 9 a joint, batch 1; an iteration is five discriminator steps, one generator step and one
-reconstruction step on each level of a pair, with GANimator's losses (recipes/ganimator,
-published.yaml). The other side is written here as GANimator goes about it: dense kernels times a
-mask at every call, six channels for every block, reflection padding, each of the seven steps
-running all levels up to its own under autograd, a gradient penalty by double backward, an optimiser
-for each network of each level, and losses levelled one after the other.
+and 9 per joint, batch 1. An iteration is five discriminator steps, one generator step and one
+reconstruction step on each level of a training stage, with GANimator's losses (recipes/ganimator,
+published.yaml). "other" has the same arithmetic in GANimator's way: dense kernels times a mask in
+every call, six channels for every block, reflection padding, each of the seven steps running all
+levels up to its own under autograd, a gradient penalty by double backward, an optimiser for each
+network of each level, and losses computed level after level.
 
-The sides take turns of some iterations, as an iteration follows others in training and finds in the
-caches what they left there.
+The two sides alternate every few iterations, so that caches are in the state of real training.
 
-`GANIMATOR` holds what its released code took on 2 cores for each of its groups, seconds an
-iteration, the least of two runs; the dense side on the same lengths stands beside it, so that one
-sees whether the comparison is fair on the machine at hand. The ratio is taken at our own lengths,
-on both sides the same.
+`GANIMATOR` holds the seconds per iteration of the released code on 2 cores for each of its groups,
+the minimum of two runs. The dense side is also timed at those lengths, which shows whether the
+comparison is fair on this machine. The ratio is taken at our own lengths, equal on both sides.
 """
 
 from __future__ import annotations

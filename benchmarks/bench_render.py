@@ -1,9 +1,8 @@
-"""From a minute of speech to a BVH file, against real time: in process, and as a cold command.
+"""Rendering a minute of speech to BVH, compared with real time: in process and as a new process.
 
-And from 10 s of it by a first command after an installation, when no cache holds anything.
-
-The speech is the bundled recording, said again and again at changing loudness. "other" is how
-long the speech itself lasts, so the ratio is how many times faster than real time it goes.
+Also 10 s of speech by the first command after an installation, with empty caches. The speech is the
+bundled recording, repeated with varying loudness. "other" is the duration of the speech, so the
+ratio is the real-time factor.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Skeleton-aware convolution: live weights alone, against gathering.
+"""Skeleton-aware convolution: sparse kernels, compared with gathering.
 
 Forward and backward of one hidden layer at the sizes of the light recipe: 29 blocks of 6 channels,
-kernel 5. The other way gathers each block's neighbours and runs torch's grouped convolution.
+kernel 5. "other" gathers each block's neighbours and runs torch's grouped convolution.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
-"""WavLM Base+ against transformers' own forward: time, memory, and what chunks cost in accuracy.
+"""WavLM Base+ compared with transformers: time, memory, and the accuracy of chunks.
 
-The weights are random (none can be shipped), of the published size: speed and memory are those of
-the real ones, and so is exactness; the differences between chunked and full context are not, so
-they are given for two kinds of random weights: as initialised, whose attention is spread over the
-whole sound, and "peaky" ones with sharp attention that prefers near frames.
+The weights are random (none can be shipped) and of the published size: speed, memory and exactness
+are those of real weights. The difference between chunks and full context is not, so it is given for
+two kinds of random weights: as initialised, with attention spread over the whole sound, and "peaky"
+ones with sharp attention to near frames.
 
-Threads are torch's (two where there are two). Peaks are of whole child processes, imports and
-weights included.
+Threads are torch's. Peak memory is of whole child processes, including imports and weights.
 """
 
 from __future__ import annotations

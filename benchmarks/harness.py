@@ -1,4 +1,4 @@
-"""What every benchmark shares: its two flags, medians of interleaved runs, and the JSON."""
+"""Shared parts of all benchmarks: the two flags, medians of interleaved runs, and the JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading an npz file that may be broken or hostile: nothing pickled, nothing beyond its size."""
+"""Safe reader of npz files that may be broken or hostile: no pickles, limited memory."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _END = struct.Struct("<12xI6x")  # end record of a zip: the size of the list of 
 
 
 class Archive:
-    """The arrays of an npz file, each read when it is asked for; see `open_archive`.
+    """Arrays of an npz file, read on access; see `open_archive`.
 
-    An array's header is looked at before memory is taken for it. Arrays of pickled Python objects
-    are refused when they are asked for, and do no harm before.
+    The header of an array is checked before memory is allocated. Pickled objects are never loaded;
+    accessing one raises an error.
     """
 
     def __init__(self, path: Path, members: zipfile.ZipFile) -> None:
@@ -44,7 +44,7 @@ class Archive:
         return (name[:-4] for name in self._members.NameToInfo if name.endswith(".npy"))
 
     def __getitem__(self, key: str) -> np.ndarray:
-        """The array called `key`.
+        """Return the array called `key`.
 
         Raises:
             FormatError: there is none, it is pickled, damaged, or larger than the file allows.
@@ -83,10 +83,10 @@ class Archive:
             raise FormatError(f"{self.path}: key {key!r} cannot be read: {error}") from None
 
     def numbers(self, key: str, dtype: type = np.float64) -> np.ndarray:
-        """The array called `key` as floating-point numbers.
+        """Return the array called `key` as floating-point numbers.
 
         Raises:
-            FormatError: as above, or it does not hold real numbers.
+            FormatError: it cannot be read, or does not hold real numbers.
         """
         values = self[key]
         if values.dtype.kind not in "fiu":
@@ -96,10 +96,10 @@ class Archive:
         return values.astype(dtype, copy=False)
 
     def texts(self, key: str, at_most: int = 1) -> list[str]:
-        """The texts in the array called `key`; none where it holds anything else.
+        """Return the texts in the array called `key`; none if it holds anything else.
 
         Raises:
-            FormatError: as above, more texts than `at_most`, or characters that do not exist.
+            FormatError: it cannot be read, has more than `at_most` texts, or invalid characters.
         """
         values = self[key]
         if values.size > at_most:

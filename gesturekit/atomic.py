@@ -1,4 +1,4 @@
-"""Writing a file so that nothing partial ever has a final name."""
+"""Atomic file writing: a partial file never has its final name."""
 
 from audio_features.atomic import atomic_write
 

@@ -1,4 +1,4 @@
-"""Functions compiled by numba, kept in a folder beside the code where there is one."""
+"""Functions compiled by numba, cached beside the code if the folder is writable."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from numba import njit
 
 
 def compiled(*, fastmath: Set[str] = frozenset()) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator. Other Python threads run beside what it compiles.
+    """Return a decorator that compiles a function which releases the GIL.
 
     Args:
-        fastmath: what the compiler may do to floating-point arithmetic, by LLVM's names.
+        fastmath: LLVM's names of allowed floating-point transformations.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Diagnosis: what of this machine gesturekit can use, what is broken, and what to do about it."""
+"""Diagnosis of the installation: usable components, broken ones, and remedies."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _NEEDED = ("numpy", "scipy", "soundfile", "soxr", "librosa", "safetensors", "yam
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes:
-        name: what it is.
-        state: "ok"; "note" for what is missing or slow and not needed; "broken" for what is
-            needed and does not work.
-        text: what was found.
-        advice: what to do, where there is something.
+        name: the component.
+        state: "ok"; "note" for an optional component that is missing or slow; "broken" for a
+            required one that does not work.
+        text: the finding.
+        advice: the remedy, or "".
     """
 
     name: str
@@ -34,10 +34,10 @@ class Finding:
 
 
 def diagnose(weights: str | os.PathLike[str] | None = None) -> Iterator[Finding]:
-    """Look at everything, one thing after the other; nothing raises.
+    """Run all checks, one after the other; errors become findings.
 
     Args:
-        weights: WavLM weights to read; by default those in the usual places are named.
+        weights: WavLM weights to read; by default those in the usual folders are listed.
     """
     checks: dict[str, Callable[[], Finding]] = {
         "gesturekit": _program,
@@ -57,7 +57,7 @@ def diagnose(weights: str | os.PathLike[str] | None = None) -> Iterator[Finding]
     for name, check in checks.items():
         try:
             yield check()
-        except Exception as error:  # what a broken installation raises is anybody's guess
+        except Exception as error:  # a broken installation may raise anything
             yield Finding(name, "broken", _line(error), "install it again: make setup")
 
 
@@ -119,7 +119,7 @@ def _libraries() -> Finding:
 
 
 def _torchaudio() -> Finding:
-    from audio_features.torchaudio_backend import import_torchaudio
+    from audio_features.acoustic.torchaudio_backend import import_torchaudio
 
     module, problem = import_torchaudio()
     if module is not None:
@@ -223,7 +223,7 @@ def _weights(weights: str | os.PathLike[str] | None) -> Finding:
 
 
 def _usual_places() -> Iterator[Path]:
-    """Where Hugging Face's and torch's tools put what they download."""
+    """Yield WavLM weights in the download folders of Hugging Face and torch."""
     home = Path.home() / ".cache"
     hub = os.environ.get("HF_HUB_CACHE") or Path(os.environ.get("HF_HOME", home / "huggingface"))
     hub = Path(hub) if os.environ.get("HF_HUB_CACHE") else hub / "hub"
@@ -241,5 +241,5 @@ def _line(error: BaseException) -> str:
 
 
 def is_usable(findings: list[Finding]) -> bool:
-    """Whether nothing that is needed is broken."""
+    """Return True if no required component is broken."""
     return all(finding.state != "broken" for finding in findings)

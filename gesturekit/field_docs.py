@@ -1,11 +1,43 @@
-"""Docstrings of dataclass fields: the string below a field says what it is."""
+"""Dataclasses as schemas of options: docstrings of their fields, construction from keywords."""
 
 from __future__ import annotations
 
 import ast
+import dataclasses
+import difflib
 import inspect
 import textwrap
+from collections.abc import Mapping
 from functools import cache
+from typing import Any, TypeVar
+
+from gesturekit.errors import GestureKitError
+
+Options = TypeVar("Options")
+
+
+class UnknownOptionError(GestureKitError, TypeError):
+    """A keyword that a function does not have."""
+
+
+def build_options(schema: type[Options], keywords: Mapping[str, Any], function: str) -> Options:
+    """Build the options of one call of a public function.
+
+    Args:
+        schema: a dataclass, one field for each keyword.
+        keywords: by field name.
+        function: its name, for errors.
+
+    Raises:
+        UnknownOptionError: a keyword that is not a field; the message gives the nearest name.
+    """
+    names = [field.name for field in dataclasses.fields(schema)]
+    for name in keywords:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names)}"
+            raise UnknownOptionError(f"{function} has no option {name}; {hint}")
+    return schema(**keywords)
 
 
 @cache

@@ -6,11 +6,12 @@ import difflib
 import importlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
+from gesturekit.field_docs import field_docs
 from gesturekit.model import Controls, Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.run_config import RunConfig
@@ -71,6 +72,18 @@ def model_folder(model: str | Path) -> Path:
 def controls_type(kind: str) -> type[Controls]:
     """Return the dataclass of controls of a system."""
     return _part(SYSTEMS[kind].controls)
+
+
+def control_docs() -> dict[str, str]:
+    """Return the docstring of each control of any system, with its default if that is a number."""
+    docs: dict[str, str] = {}
+    for kind in SYSTEMS:
+        schema = controls_type(kind)
+        docs |= field_docs(schema)
+        for field in fields(schema):
+            if isinstance(field.default, int | float) and not isinstance(field.default, bool):
+                docs[field.name] += f"  [default: {field.default:g}]"
+    return docs
 
 
 @gesturekit_errors()

@@ -21,7 +21,7 @@ for _room in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_room] = {"formats", "motion"}
 MAY_IMPORT["evaluation"] |= {"corpus", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
-MAY_IMPORT["multires"] = {"postprocess", "training", *MAY_IMPORT["training"]}
+MAY_IMPORT["multires"] = {"model", "postprocess", "training", *MAY_IMPORT["training"]}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
 MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}
 MAY_IMPORT["rendering"] = {"model", "systems", "multires", "diffusion", *MAY_IMPORT["multires"]}

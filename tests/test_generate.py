@@ -34,7 +34,6 @@ def diffusion(gesture, **rates: float) -> DiffusionModel:
         representation=body,
         conditions=conditions,
         standardiser=Standardiser.fit([body.encode(gesture(2.0))]),
-        network_config=config,
         noise_config=NoiseConfig(predict="velocity", steps=4),
         network=seeded("network", lambda: Denoiser(width, conditions.width, config)),
         speakers={},

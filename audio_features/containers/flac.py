@@ -1,14 +1,14 @@
-"""FLAC: every frame has a checksum that its decoder holds; the header is checked here."""
+"""FLAC header; the decoder itself verifies the checksum of every frame."""
 
 from __future__ import annotations
 
 from typing import BinaryIO
 
-from audio_features.containers import Promise, exactly, ffmpeg_line
+from audio_features.containers.header import Header, exactly, ffmpeg_line
 from audio_features.errors import AudioError
 
 _BLOCKS = 1000
-# Rates that a frame names by a code (RFC 9639, section 9.1.2).
+# Sample rates by their code in a frame header (RFC 9639, section 9.1.2).
 _RATE_CODES = dict(
     enumerate(
         (88_200, 176_400, 192_000, 8_000, 16_000, 22_050, 24_000, 32_000, 44_100, 48_000, 96_000),
@@ -16,11 +16,11 @@ _RATE_CODES = dict(
     )
 )
 _CHECKED_BITS = (8, 16, 24)
-"""Depths that float32 holds without loss, so that the checksum can be taken from it."""
+"""Bit depths that float32 represents exactly, so that the MD5 can be computed from it."""
 
 
-def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
-    """Length and MD5 from STREAMINFO; its rate must be that of the first frame."""
+def read_header(file: BinaryIO, name: str, size: int) -> Header:
+    """Read length and MD5 from STREAMINFO; its rate must match the first frame's."""
     exactly(file, 4, name)
     info = None
     for _ in range(_BLOCKS):
@@ -38,11 +38,10 @@ def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
     rate, bits, frames = numbers >> 44, (numbers >> 36 & 0x1F) + 1, numbers & (1 << 36) - 1
     if frames == 0:
         raise AudioError(
-            f"{name}: a FLAC file that does not say how long it is (written to a pipe): "
-            f"run {ffmpeg_line(name)}"
+            f"{name}: a FLAC file of undeclared length (written to a pipe): run {ffmpeg_line(name)}"
         )
     first = exactly(file, 4, name)
-    # A file may begin with other frames than these; then the decoder has the last word.
+    # If the first frame has another form, only the decoder can judge it.
     code = first[2] & 0x0F if first[0] == 0xFF and first[1] >> 2 == 0x3E else 0
     if _RATE_CODES.get(code, rate) != rate:
         raise AudioError(
@@ -51,4 +50,4 @@ def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
         )
     digest = info[18:]
     checked = any(digest) and bits in _CHECKED_BITS
-    return Promise(frames=frames, md5=(digest, bits) if checked else None)
+    return Header(frames=frames, md5=(digest, bits) if checked else None)

@@ -1,22 +1,22 @@
-"""MP3: where the encoder left the length in the first frame, the sound must be as long."""
+"""MP3 header: the length that most encoders store in the first frame."""
 
 from __future__ import annotations
 
 import struct
 from typing import BinaryIO
 
-from audio_features.containers import Promise, exactly
+from audio_features.containers.header import Header, exactly
 
 _HEAD = 4096
 _HAS_FRAMES = 1
-# Samples that encoder and decoder may drop at the ends (their delays and the last frame).
+# Samples that encoder and decoder may drop at the ends (codec delays and the last frame).
 _SLACK = 4 * 1152
 
 
-def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
-    """The number of frames in the Xing or Info header that most encoders write.
+def read_header(file: BinaryIO, name: str, size: int) -> Header:
+    """Read the number of frames from the Xing or Info header, which most encoders write.
 
-    Without one the length of an MP3 is anybody's guess: whatever decodes is the sound.
+    Without that header the length of an MP3 is unknown and is not checked.
     """
     head = exactly(file, 10, name)
     start = 0
@@ -26,9 +26,9 @@ def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
     first = file.read(_HEAD)
     at = max(first.find(b"Xing", 4, 64), first.find(b"Info", 4, 64))
     if at < 0 or len(first) < at + 12 or first[0] != 0xFF:
-        return Promise()
+        return Header()
     flags, frames = struct.unpack(">II", first[at + 4 : at + 12])
     if not flags & _HAS_FRAMES:
-        return Promise()
-    # MPEG-1 has 1152 samples a frame in layer III, MPEG-2 and 2.5 have 576.
-    return Promise(least=max(0, frames * (1152 if first[1] & 0x08 else 576) - _SLACK))
+        return Header()
+    # MPEG-1 has 1152 samples per frame in layer III, MPEG-2 and 2.5 have 576.
+    return Header(least=max(0, frames * (1152 if first[1] & 0x08 else 576) - _SLACK))

@@ -1,4 +1,4 @@
-"""Ogg: every page has a checksum and a number, and the last page says that it is the last."""
+"""Ogg pages: each has a checksum and a number, and the last one is marked as such."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import struct
 import zlib
 from typing import BinaryIO
 
-from audio_features.containers import Promise, exactly
+from audio_features.containers.header import Header, exactly
 from audio_features.errors import AudioError
 
 _FIRST, _LAST = 2, 4
-# Ogg's CRC runs through bits from the top, zlib's from the bottom: mirror what goes in and out.
+# Ogg's CRC processes the most significant bit first, zlib's the least: mirror input and output.
 _MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
-def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
-    """Walk the pages: none damaged, none missing, none after the end.
+def read_header(file: BinaryIO, name: str, size: int) -> Header:
+    """Check every page: none damaged, none missing, none after the end.
 
-    libsndfile drops a damaged page and goes on, and takes what is there for the whole.
+    libsndfile would skip a damaged page and treat the remaining pages as the whole sound.
     """
     expected: dict[int, int] = {}
     ended: set[int] = set()
@@ -52,13 +52,13 @@ def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
             ended.add(serial)
     if set(expected) != ended:
         raise AudioError(
-            f"{name}: truncated: the last Ogg page does not say that the sound ends there: "
+            f"{name}: truncated: the last Ogg page is not marked as the end of the sound: "
             "copy or export the file again"
         )
-    return Promise()
+    return Header()
 
 
 def _checksum(page: bytes) -> int:
-    """CRC-32 with polynomial 0x04C11DB7, no reflection, start 0 (RFC 3533)."""
+    """Compute CRC-32 with polynomial 0x04C11DB7, no reflection, initial value 0 (RFC 3533)."""
     mirrored = zlib.crc32(page.translate(_MIRROR), 0xFFFFFFFF) ^ 0xFFFFFFFF
     return int(f"{mirrored:032b}"[::-1], 2)

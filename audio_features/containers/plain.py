@@ -1,21 +1,21 @@
-"""AIFF, Sun's au and NIST SPHERE: a header with a length, then plain samples."""
+"""AIFF, Sun au and NIST SPHERE: a header with a length, then uncompressed samples."""
 
 from __future__ import annotations
 
 import struct
 from typing import BinaryIO
 
-from audio_features.containers import Promise, exactly
+from audio_features.containers.header import Header, exactly
 from audio_features.errors import AudioError
 
 _MAX_CHUNKS = 10_000
 _UNKNOWN_AU_SIZE = 0xFFFFFFFF
 
 
-def read_aiff(file: BinaryIO, name: str, size: int) -> Promise:
-    """AIFF and AIFF-C: the frames that COMM declares must fit into SSND, and SSND into the file."""
+def read_aiff(file: BinaryIO, name: str, size: int) -> Header:
+    """Read an AIFF or AIFF-C header; the SSND chunk must fit into the file."""
     if exactly(file, 12, name)[8:] not in (b"AIFF", b"AIFC"):
-        raise AudioError(f"{name}: an IFF file that is no AIFF: give a sound file")
+        raise AudioError(f"{name}: an IFF file that is not AIFF: give a sound file")
     frames = None
     for _ in range(_MAX_CHUNKS):
         head = file.read(8)
@@ -30,19 +30,19 @@ def read_aiff(file: BinaryIO, name: str, size: int) -> Promise:
         file.seek(start + length + length % 2)
     if frames is None:
         raise AudioError(f"{name}: an AIFF file without COMM: export the file again")
-    return Promise(frames=frames)
+    return Header(frames=frames)
 
 
-def read_au(file: BinaryIO, name: str, size: int) -> Promise:
-    """Sun's au: 0xFFFFFFFF bytes of sound mean up to the end."""
+def read_au(file: BinaryIO, name: str, size: int) -> Header:
+    """Read a Sun au header; a length of 0xFFFFFFFF means up to the end of the file."""
     offset, length = struct.unpack(">II", exactly(file, 12, name)[4:])
     if length != _UNKNOWN_AU_SIZE:
         _check_fits(name, length, size - offset)
-    return Promise()
+    return Header()
 
 
-def read_nist(file: BinaryIO, name: str, size: int) -> Promise:
-    """NIST SPHERE (TIMIT and other corpora): text fields, then the samples."""
+def read_nist(file: BinaryIO, name: str, size: int) -> Header:
+    """Read a NIST SPHERE header (TIMIT and other corpora): text fields."""
     try:
         lines = exactly(file, 1024, name).decode("ascii", "replace").splitlines()
         offset = int(lines[1])
@@ -52,7 +52,7 @@ def read_nist(file: BinaryIO, name: str, size: int) -> Promise:
     except (ValueError, KeyError, IndexError) as error:
         raise AudioError(f"{name}: the SPHERE header cannot be read: export it again") from error
     _check_fits(name, frames * block, size - offset)
-    return Promise(frames=frames)
+    return Header(frames=frames)
 
 
 def _check_fits(name: str, declared: int, there: int) -> None:

@@ -1,4 +1,4 @@
-"""Reading a sound file block by block, and holding it to what its header promised."""
+"""Reading of sound files block by block, checked against their headers."""
 
 from __future__ import annotations
 
@@ -10,24 +10,37 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from audio_features.containers import Promise, ffmpeg_line, read_promise
+from audio_features.containers import flac, mpeg, ogg, plain, wav
+from audio_features.containers.header import Header, ffmpeg_line
 from audio_features.errors import AudioError
 
-_BLOCK = 1 << 20  # numbers (samples times channels) decoded at a time, so that memory is bounded
+_READERS = {
+    b"RIFF": wav.read_header,
+    b"RIFX": wav.read_header,
+    b"RF64": wav.read_header,
+    b"fLaC": flac.read_header,
+    b"OggS": ogg.read_header,
+    b"FORM": plain.read_aiff,
+    b".snd": plain.read_au,
+    b"NIST": plain.read_nist,
+}
+"""Header reader by the first four bytes of the file."""
 
-Stretch = Callable[[int, int], tuple[int, int]]
-"""(samples a channel, rate) to (first sample, number of samples) of what is wanted."""
+_BLOCK = 1 << 20  # values (samples times channels) decoded at a time, which bounds the memory
+
+Segment = Callable[[int, int], tuple[int, int]]
+"""Function from (samples per channel, rate) to (first sample, number of samples) to read."""
 
 
-def read_sound(name: str, stretch: Stretch, channel: int | None) -> tuple[np.ndarray, int]:
-    """One channel, or the mean of all: (N,) float32 and the sample rate.
+def read_sound(name: str, segment: Segment, channel: int | None) -> tuple[np.ndarray, int]:
+    """Read one channel, or the mean of all: (N,) float32 and the sample rate.
 
     Args:
         name: path of the file.
-        stretch: which samples are wanted; raises where there are none.
+        segment: function that selects the samples to read; raises if there are none.
         channel: counted from 1; None for the mean of all channels.
 
-    Raises AudioError where the file is missing, is no sound, is damaged or ends too soon.
+    Raises AudioError if the file is missing, is not a sound file, is damaged or ends too soon.
     """
     if not Path(name).is_file():
         what = "not a regular file" if Path(name).exists() else "no such file"
@@ -35,14 +48,13 @@ def read_sound(name: str, stretch: Stretch, channel: int | None) -> tuple[np.nda
     try:
         if Path(name).stat().st_size == 0:
             raise AudioError(f"{name}: the file is empty (0 bytes): export it again")
-        promise = read_promise(name)
-        with _opened(name, promise) as file:
-            _check_length(file, name, promise)
-            first, count = stretch(file.frames, file.samplerate)
-            return _read(file, name, promise, first, count, channel), file.samplerate
+        header = read_header(name)
+        with _opened(name, header) as file:
+            _check_length(file, name, header)
+            first, count = segment(file.frames, file.samplerate)
+            return _read(file, name, header, first, count, channel), file.samplerate
     except (soundfile.LibsndfileError, OSError, TypeError, UnicodeError) as error:
-        # TypeError is what soundfile says to files named .raw; UnicodeError to names that are
-        # no text.
+        # soundfile raises TypeError for files named .raw, and UnicodeError for undecodable names.
         reason = str(error).removeprefix(f"Error opening {name!r}: ").rstrip(".")
         raise AudioError(
             f"{name}: cannot be read as sound ({reason}): "
@@ -52,15 +64,40 @@ def read_sound(name: str, stretch: Stretch, channel: int | None) -> tuple[np.nda
         raise AudioError(f"{name}: too long for this machine's memory: split it") from error
 
 
+def read_header(name: str) -> Header:
+    """Read the header of a sound file.
+
+    Raises AudioError if the header contradicts itself or the file, and for formats that
+    libsndfile cannot decode (for example AAC in m4a), with the ffmpeg command to run.
+    """
+    with Path(name).open("rb") as file:
+        head = file.read(16)
+        kind = _foreign(head)
+        if kind is not None:
+            raise AudioError(f"{name}: {kind} is not supported: run {ffmpeg_line(name)}")
+        size = Path(name).stat().st_size
+        if head[:4] in _READERS:
+            file.seek(0)
+            return _READERS[head[:4]](file, name, size)
+        if head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0):
+            file.seek(0)
+            return mpeg.read_header(file, name, size)
+    is_text = all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in head)
+    raise AudioError(
+        f"{name}: cannot be read as sound (it begins with {head[:8]!r}): give a wav, flac, ogg, "
+        "mp3 or aiff file" + ("" if is_text else f", or run {ffmpeg_line(name)}")
+    )
+
+
 class _Unsized(io.FileIO):
-    """A wav whose length is 0 for "unknown", shown with the 0xFFFFFFFF that libsndfile knows."""
+    """A wav file whose length 0 ("unknown") is read as 0xFFFFFFFF, which libsndfile understands."""
 
     def __init__(self, name: str, at: int) -> None:
         super().__init__(name)
         self._at = at
 
     def readinto(self, buffer: bytearray | memoryview) -> int:
-        """Fill the buffer, with the four bytes of the length changed."""
+        """Fill the buffer, replacing the four bytes of the length."""
         start = self.tell()
         count = super().readinto(buffer)
         for at in range(max(self._at, start), min(self._at + 4, start + count)):
@@ -68,16 +105,16 @@ class _Unsized(io.FileIO):
         return count
 
 
-def _opened(name: str, promise: Promise) -> soundfile.SoundFile:
-    if promise.unsized_at is None:
+def _opened(name: str, header: Header) -> soundfile.SoundFile:
+    if header.unsized_at is None:
         return soundfile.SoundFile(name)
-    return soundfile.SoundFile(io.BufferedReader(_Unsized(name, promise.unsized_at)))
+    return soundfile.SoundFile(io.BufferedReader(_Unsized(name, header.unsized_at)))
 
 
-def _check_length(file: soundfile.SoundFile, name: str, promise: Promise) -> None:
-    if promise.frames is not None and promise.frames != file.frames:
+def _check_length(file: soundfile.SoundFile, name: str, header: Header) -> None:
+    if header.frames is not None and header.frames != file.frames:
         raise AudioError(
-            f"{name}: damaged: the header declares {promise.frames} samples a channel, "
+            f"{name}: damaged: the header declares {header.frames} samples a channel, "
             f"{file.frames} can be found: copy or export the file again"
         )
 
@@ -85,7 +122,7 @@ def _check_length(file: soundfile.SoundFile, name: str, promise: Promise) -> Non
 def _read(
     file: soundfile.SoundFile,
     name: str,
-    promise: Promise,
+    header: Header,
     first: int,
     count: int,
     channel: int | None,
@@ -93,7 +130,7 @@ def _read(
     if channel is not None and not 1 <= channel <= file.channels:
         raise AudioError(f"{name}: channel {channel}: the file has {file.channels}, counted from 1")
     whole = first == 0 and count == file.frames
-    digest = hashlib.md5(usedforsecurity=False) if whole and promise.md5 else None
+    digest = hashlib.md5(usedforsecurity=False) if whole and header.md5 else None
     samples = np.empty(count, dtype=np.float32)
     if first:
         file.seek(first)
@@ -110,10 +147,10 @@ def _read(
         else:
             here[:] = block[:, channel - 1]
         if digest is not None:
-            digest.update(_integers(block, promise.md5[1]))
+            digest.update(_integers(block, header.md5[1]))
         done += len(block)
-    if file.format in ("MP3", "MPEG"):  # a stream that only estimates its length
-        least = promise.least if whole else 0
+    if file.format in ("MP3", "MPEG"):  # these formats only estimate their length
+        least = header.least if whole else 0
     else:
         least = count
     if done < least:
@@ -121,16 +158,35 @@ def _read(
             f"{name}: truncated: the header declares {first + least} samples a channel, "
             f"only {first + done} can be read: copy or export the file again"
         )
-    if digest is not None and digest.digest() != promise.md5[0]:
+    if digest is not None and digest.digest() != header.md5[0]:
         raise AudioError(
-            f"{name}: damaged: the sound is not what its MD5 in the header says: "
+            f"{name}: damaged: the sound does not match the MD5 in its header: "
             "copy or export the file again"
         )
     return samples[:done]
 
 
 def _integers(block: np.ndarray, bits: int) -> bytes:
-    """Decoded samples as FLAC's MD5 takes them: signed little-endian integers, interleaved."""
+    """Convert samples (N, C) to FLAC's MD5 input: interleaved signed little-endian integers."""
     integers = np.rint(block * np.float32(1 << (bits - 1))).astype("<i4")
     size = bits // 8
     return integers.view(np.uint8).reshape(*block.shape, 4)[..., :size].tobytes()
+
+
+def _foreign(head: bytes) -> str | None:
+    """Name a format that libsndfile cannot decode; None for any other."""
+    if head[4:8] == b"ftyp":
+        return "MPEG-4 sound (m4a, mp4, AAC)"
+    if head[:2] in (b"\xff\xf1", b"\xff\xf9"):
+        return "AAC sound"
+    for magic, kind in (
+        (b"\x1a\x45\xdf\xa3", "Matroska or WebM sound"),
+        (b"\x30\x26\xb2\x75", "Windows Media sound (wma)"),
+        (b"#!AMR", "AMR sound"),
+        (b"caff", "a Core Audio file (caf)"),
+        (b"riff\x2e\x91\xcf\x11", "a Sony Wave64 file (w64)"),
+        (b"ADIF", "AAC sound"),
+    ):
+        if head.startswith(magic):
+            return kind
+    return None

@@ -7,12 +7,12 @@ import struct
 from dataclasses import dataclass
 from typing import BinaryIO
 
-from audio_features.containers import Promise, exactly, ffmpeg_line
+from audio_features.containers.header import Header, exactly, ffmpeg_line
 from audio_features.errors import AudioError
 
-# What writers that stream to a pipe put in place of a size they cannot know (ffmpeg, sox).
+# Placeholder sizes of writers that stream to a pipe (ffmpeg, sox).
 _UNKNOWN_SIZES = {0, 0xFFFFFFFF, 0x7FFFFFFF, 0x7FFFF000, 0x7FFFFFFE, 0xFFFFFFFE}
-_LARGEST_PIPE_SIZE = 0x7FFF0000  # from here on the size of a whole file is no promise either
+_LARGEST_PIPE_SIZE = 0x7FFF0000  # larger declared file sizes are placeholders too
 _MAX_CHUNKS = 10_000
 _MAX_FORMAT_BYTES = 4096
 # Formats whose sample is a fixed number of bytes: linear PCM, float, A-law, mu-law.
@@ -22,7 +22,7 @@ _EXTENSIBLE = 0xFFFE
 
 @dataclass(frozen=True)
 class _Format:
-    """The numbers of a `fmt ` chunk."""
+    """Fields of a `fmt ` chunk."""
 
     tag: int
     channels: int
@@ -32,17 +32,17 @@ class _Format:
     bits: int
 
 
-def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
-    """What a wav declares, held against its size and against itself.
+def read_header(file: BinaryIO, name: str, size: int) -> Header:
+    """Read a wav header and check it against the file's size.
 
-    A length of 0 or 0xFFFFFFFF (and sox's 0x7FFFF000) is unknown: the sound lasts to the end of
-    the file. So do `ffmpeg -i … -f wav -` and others that write to a pipe.
+    A length of 0 or 0xFFFFFFFF (and sox's 0x7FFFF000) means unknown: the sound lasts to the end
+    of the file. Programs that write to a pipe produce it, for example `ffmpeg -i … -f wav -`.
     """
     head = exactly(file, 12, name)
     order = ">" if head[:4] == b"RIFX" else "<"
     riff_size = struct.unpack(f"{order}I", head[4:8])[0]
     if head[8:] != b"WAVE":
-        raise AudioError(f"{name}: a RIFF file that is no wav ({head[8:]!r}): give a sound file")
+        raise AudioError(f"{name}: a RIFF file that is not a wav ({head[8:]!r}): give a sound file")
     settings, long_sizes = None, None
     for _ in range(_MAX_CHUNKS):
         kind, length = struct.unpack(f"{order}4sI", _chunk_head(file, name))
@@ -65,7 +65,7 @@ def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
         riff_size = long_sizes[0] if riff_size == 0xFFFFFFFF else riff_size
         length = long_sizes[1] if length == 0xFFFFFFFF else length
     there = size - start
-    # A 0 is unknown too, unless the file's own size is known and right.
+    # A 0 means unknown as well, unless the declared file size is known and correct.
     sized = riff_size not in _UNKNOWN_SIZES and riff_size + 8 == size
     unknown = length in _UNKNOWN_SIZES and not (length == 0 and (sized or there == 0))
     if unknown:
@@ -82,10 +82,10 @@ def read_promise(file: BinaryIO, name: str, size: int) -> Promise:
     ):
         raise AudioError(
             f"{name}: damaged: the header declares {length} bytes of sound, but what follows in "
-            f"the file ({there - length} bytes) is nothing a wav holds: copy or export it again"
+            f"the file ({there - length} bytes) is not valid in a wav: copy or export it again"
         )
     plain = settings.tag in _PLAIN_FORMATS
-    return Promise(
+    return Header(
         frames=length // settings.block if plain else None,
         unsized_at=unsized_at if unknown else None,
     )
@@ -106,7 +106,7 @@ def _format(body: bytes, order: str) -> _Format:
 
 
 def _check_format(settings: _Format, name: str) -> None:
-    """Three numbers of the header follow from three others; a damaged one shows."""
+    """Raise AudioError if the redundant fields of the header contradict each other."""
     if settings.tag not in _PLAIN_FORMATS:
         return
     block = settings.channels * -(-settings.bits // 8)
@@ -118,20 +118,20 @@ def _check_format(settings: _Format, name: str) -> None:
     if settings.block != block or settings.bytes_per_second != settings.rate * block:
         raise AudioError(
             f"{name}: the header contradicts itself: {settings.channels} channels of "
-            f"{settings.bits} bits at {settings.rate} Hz are {block} bytes a sample and "
-            f"{settings.rate * block} a second, it says {settings.block} and "
+            f"{settings.bits} bits at {settings.rate} Hz are {block} bytes per sample and "
+            f"{settings.rate * block} per second, it declares {settings.block} and "
             f"{settings.bytes_per_second}: export it again, or run {ffmpeg_line(name)}"
         )
 
 
 def _end(riff_size: int, sound_end: int, size: int) -> int:
-    """Where the wav ends in its file; tags may stand behind it."""
+    """Return the byte at which the wav ends; other tags may follow it in the file."""
     end = riff_size + 8
     return end if riff_size not in _UNKNOWN_SIZES and sound_end <= end <= size else size
 
 
 def _only_chunks_follow(file: BinaryIO, at: int, end: int, order: str) -> bool:
-    """Whether `at` to `end` is a row of chunks; the pad byte after an odd one may be missing."""
+    """Return true if bytes `at` to `end` are chunks; an odd chunk may lack its pad byte."""
     return any(
         _chunks_fill(file, start, end, order) for start in ({at, at + 1} if at % 2 else {at})
     )

@@ -1,4 +1,4 @@
-"""WavLM speech features from weights on disk; nothing here ever reaches for the network."""
+"""WavLM speech features from local weights; nothing is downloaded."""
 
 from audio_features.wavlm.extractor import WavLM
 

@@ -1,4 +1,4 @@
-"""What shapes a WavLM network, read from the settings of any of the three layouts."""
+"""Architecture of a WavLM network, read from the settings of any of the three layouts."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     import torch
 
 WINDOW = 400
-"""Samples that one frame sees, at 16 kHz."""
+"""Samples that one frame covers, at 16 kHz."""
 HOP = 320
 """Samples between two frames."""
 
 _STRIDES = (5, 2, 2, 2, 2, 2, 2)
-# Far above Large (1024, 24, 4096); what a file may ask for must stay countable.
+# Far above Large (1024, 24, 4096); limits the memory that a damaged file can request.
 _LARGEST = 1 << 14
 _MOST_LAYERS = 256
 
@@ -39,17 +39,19 @@ _RELATIVE = ("relative_position_embedding", "gru_rel_pos")
 
 @dataclass(frozen=True)
 class Architecture:
-    """The numbers that make a WavLM network.
+    """Sizes and variants of a WavLM network.
 
     Attributes:
-        width, layers, heads, inner: of the encoder; `inner` is the width of the feed-forward part.
+        width, layers, heads: sizes of the encoder.
+        inner: width of the encoder's feed-forward part.
         front_norm: "group" normalises the first convolution over the whole sound (Base),
             "layer" normalises every convolution frame by frame (Large).
-        pre_norm: whether layers normalise their input (Large) and not their output (Base).
-        channels, kernels, strides, conv_bias: of the seven convolutions.
-        position_kernel, position_groups: of the positional convolution.
-        buckets, max_distance: of the relative position bias.
-        eps: of the encoder's layer normalisations.
+        pre_norm: true if layers normalise their input (Large), false for their output (Base).
+        channels, kernels, strides: sizes of the seven convolutions.
+        conv_bias: true if those convolutions have a bias.
+        position_kernel, position_groups: sizes of the positional convolution.
+        buckets, max_distance: sizes of the relative position bias.
+        eps: epsilon of the encoder's layer normalisations.
     """
 
     width: int
@@ -70,9 +72,9 @@ class Architecture:
 
     @classmethod
     def from_huggingface(cls, config: Mapping[str, Any], where: str) -> Architecture:
-        """From config.json; what it leaves out is WavLMConfig's default.
+        """Read config.json; missing settings have the defaults of transformers' WavLMConfig.
 
-        Raises WeightsError naming `where` for settings that make no WavLM network.
+        Raises WeightsError, which names `where`, for settings that are not a WavLM network's.
         """
         _check_gelu(where, config, "hidden_act", "feat_extract_activation")
         return cls._checked(
@@ -96,10 +98,10 @@ class Architecture:
 
     @classmethod
     def from_microsoft(cls, cfg: Mapping[str, Any], where: str) -> Architecture:
-        """From the `cfg` of Microsoft's checkpoint, which has to hold all of this.
+        """Read the `cfg` of Microsoft's checkpoint; a missing setting is an error.
 
         Microsoft's own loader falls back on defaults that no published model has (a
-        max_distance of 1280, no relative positions): here a missing setting is an error.
+        max_distance of 1280, no relative positions).
         """
         needed = [*_MICROSOFT_KEYS.values(), "extractor_mode", "conv_feature_layers", *_RELATIVE]
         missing = [name for name in needed if name not in cfg]
@@ -126,7 +128,7 @@ class Architecture:
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, torch.Tensor], where: str) -> Architecture:
-        """From the shapes of tensors under Hugging Face's names; the rest is as published."""
+        """Infer the shapes from tensors under Hugging Face's names; the rest is as published."""
         depth = 1 + max(
             (int(name.split(".")[2]) for name in tensors if re.match(r"encoder\.layers\.\d", name)),
             default=0,
@@ -137,7 +139,7 @@ class Architecture:
             if len(found) != axes:
                 raise WeightsError(
                     f"{where}: tensor {name} has shape {found}, expected {axes} axes: "
-                    "the network's size cannot be told"
+                    "the network's size cannot be determined"
                 )
             return found
 
@@ -206,13 +208,13 @@ class Architecture:
 
     @property
     def size(self) -> str:
-        """What the network is called: Base and Base+ have one shape."""
+        """Name of the published size; Base and Base+ have the same shape."""
         names = {(768, 12): "Base or Base+", (1024, 24): "Large"}
-        return names.get((self.width, self.layers), "of its own size")
+        return names.get((self.width, self.layers), "of a custom size")
 
     @property
     def unpublished(self) -> dict[str, Any]:
-        """Settings that shapes do not tell and that differ from those of published models."""
+        """Settings that do not show in the shapes and differ from those of published models."""
         usual = {
             "pre_norm": self.front_norm == "layer",
             "strides": _STRIDES,
@@ -222,7 +224,7 @@ class Architecture:
         return {key: value for key in usual if (value := getattr(self, key)) != usual[key]}
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Every tensor of the network: its name, as transformers has it, and its shape."""
+        """Return the shape of every tensor of the network by its name in transformers."""
         width, head = self.width, self.width // self.heads
         shapes: dict[str, tuple[int, ...]] = {}
         for i, (n_in, n_out) in enumerate(zip((1, *self.channels), self.channels)):
@@ -267,7 +269,7 @@ def _norm(name: str, width: int) -> dict[str, tuple[int, ...]]:
 
 
 def _convolutions(text: Any, where: str) -> list[tuple[int, int, int]]:
-    """Microsoft's "[(512,10,5)] + [(512,3,2)] * 4 + …", which their loader evaluates as code."""
+    """Parse Microsoft's "[(512,10,5)] + [(512,3,2)] * 4 + …", which their loader evaluates."""
     layers: list[tuple[int, int, int]] = []
     for term in str(text)[:1000].split("+"):
         found = re.fullmatch(r"\s*\[\((\d+),\s*(\d+),\s*(\d+)\)\]\s*(?:\*\s*(\d{1,2}))?\s*", term)

@@ -1,4 +1,4 @@
-"""WavLM's transformer: the values of transformers' own forward, in memory linear in length."""
+"""WavLM's transformer, equal to transformers' forward pass, in memory linear in length."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from audio_features.wavlm.architecture import Architecture
 
 _CPU_SCORES = 3 << 19
 _GPU_SCORES = 1 << 28
-"""How many attention scores are held at a time."""
+"""Number of attention scores held in memory at a time."""
 _FEED_FORWARD_FRAMES = 2048
 
 
 class Encoder:
     """Positional convolution and transformer layers with gated relative position bias.
 
-    The bias depends on key - query alone, so it is kept as (heads, 2T - 1) and read through a
-    view that slides by one from row to row; scores exist for a block of query rows at a time
-    and never as (heads, T, T).
+    The bias depends only on key - query. It is stored as (heads, 2T - 1) and read through a
+    view that shifts by one from query to query. Scores are computed for a block of queries at a
+    time, never as (heads, T, T).
 
     Args:
-        shape: the network's numbers.
-        tensors: under transformers' names, float32.
-        depth: how many layers are wanted; those above are not kept.
-        dtype: of matrix products but for queries with keys. Scores, softmax, normalisations and
-            the residual stream are float32 in any case.
+        shape: sizes of the network.
+        tensors: float32 tensors under transformers' names.
+        depth: number of layers; those above are not loaded.
+        dtype: type of all matrix products except queries with keys. Scores, softmax,
+            normalisations and the residual stream are always float32.
     """
 
     def __init__(
@@ -53,21 +53,21 @@ class Encoder:
 
     @property
     def reach(self) -> tuple[int, int]:
-        """Frames that the positional convolution sees before and after each frame."""
+        """Number of frames before and after each frame that the positional convolution covers."""
         before = self._shape.position_kernel // 2
         return before, self._shape.position_kernel - 1 - before
 
     @property
     def ends_in_norm(self) -> bool:
-        """Whether the network's output is its last state normalised (Large), or that state."""
+        """True if the network's output is its last state after normalisation (Large)."""
         return self._shape.pre_norm
 
     def states(self, x: torch.Tensor) -> Iterator[torch.Tensor]:
-        """Yield hidden states 0 (which enters the first layer) to `depth`, each (B, T, width).
+        """Yield hidden states 0 (input of the first layer) to `depth`, each (B, T, width).
 
         Args:
-            x: (B, before + T + after, width) projected frames, with `reach` frames of what lies
-                around, zeros where a sound begins or ends.
+            x: (B, before + T + after, width) projected frames, with `reach` frames of context,
+                zeros beyond the start and the end of the sound.
         """
         before, after = self.reach
         own = x[:, before : x.shape[1] - after]
@@ -81,7 +81,7 @@ class Encoder:
             yield x
 
     def final_norm(self, x: torch.Tensor) -> torch.Tensor:
-        """The encoder's own normalisation: Large's last step, Base's first."""
+        """Normalise states (B, T, width): the last step of Large, the first of Base."""
         return self._normalised(x, self._norm)
 
     def _positions(self, x: torch.Tensor) -> torch.Tensor:
@@ -101,7 +101,7 @@ class Encoder:
         parts = [pair(f"attention.{part}_proj") for part in "qkv"]
         parts[0] = parts[0][0] * scale, parts[0][1] * scale
         weight, bias = (torch.cat([part[i] for part in parts]).to(self._dtype) for i in (0, 1))
-        # The gate's eight outputs are only ever summed in two groups of four.
+        # The gate's eight outputs are only used as sums over two groups of four.
         gate = tuple(
             tensor.view(2, 4, *tensor.shape[1:]).sum(1)
             for tensor in pair("attention.gru_rel_pos_linear")
@@ -144,7 +144,7 @@ class Encoder:
         gates = gates.transpose(1, 2).contiguous()
         qkv = F.linear(x.to(self._dtype), *layer["qkv"])
         q, k, v = qkv.view(batch, frames, 3, heads, -1).permute(2, 0, 3, 1, 4)
-        # With the keys reversed in time, rows of the bias slide forwards: no stride is negative.
+        # Reversing the keys in time avoids a negative stride in the view of the bias.
         q, k, v = q.contiguous().float(), k.flip(2).float().transpose(2, 3), v.flip(2)
         out = v.new_empty(batch, frames, heads, width // heads)
         for item in range(batch):
@@ -153,16 +153,16 @@ class Encoder:
         return F.linear(out.view(x.shape), *layer["out"])
 
     def _bias(self, frames: int) -> torch.Tensor:
-        """(heads, 2T - 1): entry i + j is for query i and the j-th key from the end."""
+        """Return (heads, 2T - 1): entry i + j is for query i and the j-th key from the end."""
         distance = torch.arange(frames - 1, -frames, -1, device=self._embedding.device)
         return self._embedding[self._bucket(distance)].T.contiguous()
 
     def _bucket(self, distance: torch.Tensor) -> torch.Tensor:
-        """T5's buckets for key - query: exact near zero, then logarithmic, one sign each half."""
+        """Return T5 buckets of key - query: exact near zero, then logarithmic; half per sign."""
         half = self._shape.buckets // 2
         exact = half // 2
         far = distance.abs()
-        # The order of float32 operations is transformers': buckets change at rounding.
+        # Float32 operations in transformers' order: rounding can change a bucket.
         position = torch.log(far.float() / exact) / math.log(self._shape.max_distance / exact)
         large = (exact + position * (half - exact)).clamp(max=half - 1)
         return torch.where(far < exact, far, large.long()) + half * (distance > 0)
@@ -171,22 +171,24 @@ class Encoder:
 def _attend(
     q: torch.Tensor, k: torch.Tensor, v: torch.Tensor, gates: torch.Tensor, bias: torch.Tensor
 ) -> torch.Tensor:
-    """Attention with gated relative bias, a block of scores at a time.
+    """Compute attention (H, T, D) with gated relative bias, a block of scores at a time.
 
-    Written out rather than through scaled_dot_product_attention: on a CPU a mask made for each
-    block and read by that kernel costs half as much again.
+    Written out instead of calling scaled_dot_product_attention, which on a CPU takes 1.5 times
+    as long because each block needs a materialised mask.
 
     Args:
-        q: (H, T, D) scaled queries; k: (H, D, T), v: (H, T, D) reversed in time. What `v` is
-            of, its product with the weights is of too.
-        gates: (H, T). bias: (H, 2T - 1), see `Encoder._bias`.
+        q: (H, T, D) scaled queries.
+        k: (H, D, T) keys, reversed in time.
+        v: (H, T, D) values, reversed in time; their dtype is that of the product with them.
+        gates: (H, T).
+        bias: (H, 2T - 1), see `Encoder._bias`.
     """
     heads, frames, _ = q.shape
     held = _CPU_SCORES if q.device.type == "cpu" else _GPU_SCORES
     rows = min(frames, max(1, held // frames))
-    # A CPU multiplies matrices of one head faster than batches of heads.
+    # On a CPU one matrix product per head is faster than a batched one.
     group = 1 if q.device.type == "cpu" else min(heads, max(1, held // (rows * frames)))
-    # One buffer for all blocks: fresh memory of this size costs more than what is done in it.
+    # One buffer for all blocks: allocating this much memory costs more than the computation.
     buffer = q.new_empty(group * rows * frames)
     narrow = buffer if v.dtype == q.dtype else v.new_empty(len(buffer))
     out = torch.empty_like(v)

@@ -1,4 +1,4 @@
-"""WavLM's front end: from samples to projected frames, block by block, exact for any block."""
+"""WavLM's front end: samples to projected frames, in blocks of any size with equal results."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ _NORM_EPS = 1e-5  # of the normalisations in the front end, in all three code ba
 class FrontEnd:
     """Seven convolutions, a normalisation and a projection to the encoder's width.
 
-    Frame t needs samples [320t, 320t + 400) and nothing else, but for one thing: Base
-    normalises each channel of its first convolution over the whole sound. That convolution is
-    linear, so mean and variance of its output follow from the first and second moments of the
-    10 samples it sees, and the normalisation is folded into its weights (`for_sound`). Thus a
-    sound can go through in blocks and come out as if it had gone through at once.
+    Frame t depends on samples [320t, 320t + 400), with one exception: Base normalises each
+    channel of its first convolution over the whole sound. That convolution is linear, so mean
+    and variance of its output follow from the first and second moments of its 10 input samples,
+    and the normalisation is folded into its weights (`for_sound`). Processing a sound in blocks
+    then gives the same result as processing it at once.
 
     Activations are (frames, channels), so that a convolution is one or two matrix products on
     views of its input.
 
     Args:
-        shape: the network's numbers.
-        tensors: under transformers' names, float32.
-        dtype: of the convolutions after the first, and of the projection.
+        shape: sizes of the network.
+        tensors: float32 tensors under transformers' names.
+        dtype: type of the convolutions after the first, and of the projection.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class FrontEnd:
         )
 
     def for_sound(self, samples: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """The first convolution's weight (10, C) and bias (C,) for one sound, (N,) float32."""
+        """Return the first convolution's weight (10, C) and bias (C,) for a sound (N,) float32."""
         weight, bias = self._convs[0]
         if self._shape.front_norm == "layer":
             return weight, bias
@@ -66,16 +66,16 @@ class FrontEnd:
         for at in range(0, count, _MOMENT_FRAMES):
             n = min(_MOMENT_FRAMES, count - at)
             part = samples[at * stride : (at + n - 1) * stride + kernel].double()
-            seen = part.unfold(0, kernel, stride)
-            first += seen.sum(0)
-            second += seen.T @ seen
+            inputs = part.unfold(0, kernel, stride)
+            first += inputs.sum(0)
+            second += inputs.T @ inputs
         mean = first / count
         covariance = second / count - torch.outer(mean, mean)
         exact = weight.double()
         variance = ((covariance @ exact) * exact).sum(0).clamp_min(0.0)
         gain, shift = (part.double() for part in self._norms[0])
         scale = gain / torch.sqrt(variance + _NORM_EPS)
-        # The convolution's own bias falls out with the mean.
+        # The convolution's own bias cancels with the mean.
         return (exact * scale).float(), (shift - scale * (mean @ exact)).float()
 
     def frames(
@@ -86,19 +86,19 @@ class FrontEnd:
         first: tuple[torch.Tensor, torch.Tensor | None],
         block: int = _BLOCK_FRAMES,
     ) -> torch.Tensor:
-        """Projected frames [start, stop) of a sound: (stop - start, width) float32.
+        """Compute projected frames [start, stop) of a sound: (stop - start, width) float32.
 
         Args:
             samples: (N,) float32, the whole sound.
-            start, stop: the frames wanted.
-            first: what `for_sound` gave for it.
-            block: how many frames are worked on at a time.
+            start, stop: range of frames.
+            first: result of `for_sound` for this sound.
+            block: number of frames processed at a time.
         """
         out = torch.empty(stop - start, self._shape.width, device=samples.device)
         for at in range(start, stop, block):
             end = min(stop, at + block)
-            seen = samples[at * HOP : (end - 1) * HOP + WINDOW]
-            out[at - start : end - start] = self._project(self._convolve(seen, first))
+            inputs = samples[at * HOP : (end - 1) * HOP + WINDOW]
+            out[at - start : end - start] = self._project(self._convolve(inputs, first))
         return out
 
     def _convolve(
@@ -119,7 +119,7 @@ class FrontEnd:
 
 
 class SoundFrames:
-    """The projected frames of one sound, each made once, for windows that move forwards.
+    """Projected frames of one sound, each computed once, for windows that move forwards.
 
     Args:
         front: the front end.
@@ -134,9 +134,9 @@ class SoundFrames:
         self._held = front.frames(samples, 0, 0, self._first)
 
     def window(self, start: int, stop: int) -> torch.Tensor:
-        """Frames [start, stop): (stop - start, width), zeros where the sound has none.
+        """Return frames [start, stop): (stop - start, width), zeros outside the sound.
 
-        Neither `start` nor `stop` may be less than at the call before.
+        Neither `start` nor `stop` may be less than in the previous call.
         """
         low, high = max(0, start), min(self._count, stop)
         new = self._front.frames(
@@ -149,16 +149,16 @@ class SoundFrames:
 def _conv(
     x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None, kernel: int, stride: int
 ) -> torch.Tensor:
-    """A convolution along the frames: (T, C) and (kernel · C, D) to ((T - kernel)//stride + 1, D).
+    """Convolve (T, C) with (kernel · C, D) along the frames: ((T - kernel)//stride + 1, D).
 
-    `stride` rows side by side are a view, so a kernel of up to two strides is two products
-    without a copy. The first convolution has one channel: there copying is the cheaper way.
+    `stride` consecutive frames are a view, so a kernel of up to two strides takes two products
+    without a copy. The first convolution has one channel, for which copying is faster.
     """
     channels = x.shape[1]
     count = (len(x) - kernel) // stride + 1
     if channels == 1 or not stride <= kernel <= 2 * stride:
-        seen = x.unfold(0, kernel, stride).transpose(1, 2).reshape(count, kernel * channels)
-        return seen @ weight if bias is None else torch.addmm(bias, seen, weight)
+        inputs = x.unfold(0, kernel, stride).transpose(1, 2).reshape(count, kernel * channels)
+        return inputs @ weight if bias is None else torch.addmm(bias, inputs, weight)
     split, rest = stride * channels, (kernel - stride) * channels
     near = x[: count * stride].view(count, split)
     out = near @ weight[:split] if bias is None else torch.addmm(bias, near, weight[:split])

@@ -1,4 +1,4 @@
-"""Which hidden states of WavLM become features."""
+"""Layer selection: the hidden states of WavLM that become features."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from audio_features.errors import FeatureError
 from audio_features.wavlm.encoder import Encoder
 
 Layer = int | str | Sequence[int] | Mapping[int | str, float]
-"""As `WavLM` takes it: a number, "last", "mean", several numbers, or {number: weight}."""
+"""Argument of `WavLM`: a number, "last", "mean", several numbers, or {number: weight}."""
 
 
 @dataclass(frozen=True)
 class LayerChoice:
-    """Hidden states 0 to `top`, side by side or averaged.
+    """Selection from hidden states 0 to `top`, concatenated or averaged.
 
     Args:
         layer: see `WavLM`.
-        final_norm: whether the topmost state is taken after the encoder's final normalisation;
-            None means only for "last".
-        top: how many layers the network has.
+        final_norm: true applies the encoder's final normalisation to the topmost state; None
+            means only for "last".
+        top: number of layers of the network.
 
-    Raises FeatureError for a layer that the network has not, or settings that contradict.
+    Raises FeatureError for a layer that does not exist, or contradictory settings.
     """
 
     layer: Layer
@@ -56,13 +56,13 @@ class LayerChoice:
 
     @property
     def indices(self) -> tuple[int, ...]:
-        """The hidden states wanted, counted as transformers' `hidden_states`."""
+        """Selected indices into transformers' `hidden_states`."""
         if self.layer == "last":
             return (self.top,)
         if self.layer == "mean":
             return tuple(range(self.top + 1))
         if isinstance(self.layer, Mapping):
-            # A spec that went through JSON has text for keys.
+            # JSON turns the keys of a spec into strings.
             return tuple(
                 int(key) if isinstance(key, str) and key.isdecimal() else key for key in self.layer
             )
@@ -72,7 +72,7 @@ class LayerChoice:
 
     @property
     def weights(self) -> tuple[float, ...] | None:
-        """One a state where they are averaged, else None."""
+        """One weight per state if they are averaged, else None."""
         if self.layer == "mean":
             return (1.0,) * (self.top + 1)
         if not isinstance(self.layer, Mapping):
@@ -84,18 +84,18 @@ class LayerChoice:
 
     @property
     def spec(self) -> int | str | list[int] | dict[str, float]:
-        """The choice as JSON has it."""
+        """Selection as a JSON-serialisable value."""
         if isinstance(self.layer, Mapping):
             return {str(i): weight for i, weight in zip(self.indices, self.weights)}
         return list(self.layer) if isinstance(self.layer, tuple) else self.layer
 
     @property
     def is_list(self) -> bool:
-        """Whether states stand side by side, under names that say which is which."""
+        """True if several states are concatenated; the column names then include the layer."""
         return isinstance(self.layer, list | tuple)
 
     def pick(self, encoder: Encoder, states: Iterable[torch.Tensor]) -> torch.Tensor:
-        """The features: (B, T, D) from the states 0, 1, … that `encoder` yields."""
+        """Compute the features (B, T, D) from the states 0, 1, … that `encoder` yields."""
         share = dict.fromkeys(self.indices, 1.0)
         if self.weights is not None:
             share = {i: w / sum(self.weights) for i, w in zip(self.indices, self.weights)}

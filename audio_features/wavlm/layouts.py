@@ -1,7 +1,6 @@
-"""The names that WavLM's tensors have in Microsoft's, torchaudio's and Hugging Face's files.
+"""Tensor names of WavLM in Microsoft's, torchaudio's and Hugging Face's files.
 
-Everything is put under the names that transformers gives them, with torch's present spelling of
-weight normalisation.
+All are renamed to transformers' names, with torch's current names for weight normalisation.
 """
 
 from __future__ import annotations
@@ -38,18 +37,18 @@ _TORCHAUDIO = (
     (r"encoder\.transformer\.(layers\.\d+\.attention)\.attention\.(.+)", r"encoder.\1.\2"),
     (r"encoder\.transformer\.(.+)", r"encoder.\1"),
 )
-# What stands beside the network in models for training, recognition or speakers.
+# Heads of models for pre-training, recognition or speaker tasks.
 _HEADS = (
     r"(lm_head|quantizer|project_hid|project_q|projector|classifier|tdnn|objective)\..*"
     r"|layer_weights"
 )
-_MASK = {"masked_spec_embed", "mask_emb"}  # stands in for masked frames, in training only
+_MASK = {"masked_spec_embed", "mask_emb"}  # replaces masked frames, in training only
 
 
 def from_huggingface(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Without the prefix `wavlm.` and without heads."""
+    """Remove the prefix `wavlm.` and the heads from Hugging Face's tensors."""
     if any(name.startswith("wavlm.") for name in tensors):
-        # With the prefix on the network, everything without it is a head, whatever its name.
+        # If the network has the prefix, every tensor without it belongs to a head.
         found = {
             name.removeprefix("wavlm."): tensor
             for name, tensor in tensors.items()
@@ -61,14 +60,14 @@ def from_huggingface(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Ten
 
 
 def from_microsoft(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """From the `model` of Microsoft's checkpoint."""
+    """Rename the tensors of the `model` of Microsoft's checkpoint."""
     return _weight_norm(
         {_renamed(name, _MICROSOFT): t for name, t in tensors.items() if name not in _MASK}
     )
 
 
 def from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """From a state dict of `torchaudio.models.wavlm_*` or of its pipelines."""
+    """Rename the state dict of `torchaudio.models.wavlm_*` or of its pipelines."""
     found: dict[str, torch.Tensor] = {}
     for name, tensor in tensors.items():
         name = name.removeprefix("model.")
@@ -80,13 +79,13 @@ def from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tens
             found[name] = tensor
         else:
             attention, kind = stacked.groups()
-            for part, rows in zip("qkv", tensor.chunk(3)):
-                found[f"{attention}.{part}_proj.{kind}"] = rows
+            for part, chunk in zip("qkv", tensor.chunk(3)):
+                found[f"{attention}.{part}_proj.{kind}"] = chunk
     return _weight_norm(found)
 
 
 def is_torchaudio(names: Mapping[str, object]) -> bool:
-    """Whether these are torchaudio's names; nobody else has a `transformer` in the encoder."""
+    """Return true for torchaudio's names, the only layout with `encoder.transformer`."""
     return any(name.removeprefix("model.").startswith("encoder.transformer.") for name in names)
 
 
@@ -98,7 +97,7 @@ def _renamed(name: str, table: tuple[tuple[str, str], ...]) -> str:
 
 
 def _weight_norm(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Old torch calls magnitude and direction weight_g and weight_v."""
+    """Rename magnitude and direction, which older torch calls weight_g and weight_v."""
     conv = "encoder.pos_conv_embed.conv"
     new = {
         f"{conv}.weight_g": f"{conv}.parametrizations.weight.original0",

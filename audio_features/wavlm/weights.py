@@ -1,8 +1,8 @@
-"""Reading WavLM weights in the three layouts people have them in.
+"""Reading of WavLM weights in three layouts: Hugging Face, Microsoft and torchaudio.
 
-The files are read here rather than by their own loaders, which fill missing tensors with random
-numbers, contact a hub about a local folder, evaluate settings as code, or unpickle objects. Only
-numbers are taken from a file, and neither transformers nor torchaudio is needed.
+Their own loaders are not used because they fill missing tensors with random numbers, contact a hub
+about a local folder, evaluate settings as code, or unpickle objects. Only tensors and settings are
+read from a file, and neither transformers nor torchaudio is needed.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     import torch
 
 HUGGINGFACE_EPS = 1e-7
-"""Added to the waveform's variance by Hugging Face's feature extractor."""
+"""Constant that Hugging Face's feature extractor adds to the waveform's variance."""
 MICROSOFT_EPS = 1e-5
-"""The same in Microsoft's and torchaudio's code."""
+"""Constant that Microsoft's and torchaudio's code add to the waveform's variance."""
 
 _MAX_CONFIG_BYTES = 1 << 20
 _MOST_LISTED = 8
@@ -41,17 +41,17 @@ _MOST_LISTED = 8
 
 @dataclass(frozen=True)
 class Weights:
-    """What was found where the weights are said to be.
+    """Description of the weights found at a path.
 
     Attributes:
         path: as given.
         layout: "Hugging Face folder", "Microsoft checkpoint" or "torchaudio state dict".
-        architecture: what shapes the network.
-        normalize: what these weights expect of the waveform: None as it is, else mean 0 and
-            variance 1 with this number added to the variance.
-        fingerprint: sha256 over the sorted names (as transformers has them), shapes and float32
-            bytes of the tensors, and over settings unlike the published ones: the same weights
-            have the same one in every layout.
+        architecture: sizes of the network.
+        normalize: None if the weights expect the waveform unnormalised; otherwise they expect
+            mean 0 and variance 1 with this number added to the variance.
+        fingerprint: sha256 over the sorted names (transformers'), shapes and float32 bytes of the
+            tensors, and over settings that differ from the published ones. The same weights
+            have the same fingerprint in every layout.
     """
 
     path: str
@@ -61,27 +61,31 @@ class Weights:
     fingerprint: str
 
     def describe(self) -> str:
-        """One line for people: layout, size, layers, width, normalisation, fingerprint."""
+        """Summarise in one line: layout, size, layers, width, normalisation, fingerprint."""
         shape = self.architecture
         eps = self.normalize
-        rule = "as it is" if eps is None else f"to mean 0 and variance 1 (eps {eps:g})"
+        rule = (
+            "not normalised"
+            if eps is None
+            else f"normalised to mean 0 and variance 1 (eps {eps:g})"
+        )
         return (
             f"{self.path}: WavLM {shape.size}, {self.layout}: {shape.layers} layers of "
             f"{shape.width}, {shape.heads} heads, relative positions up to {shape.max_distance}; "
-            f"waveform taken {rule}; fingerprint {self.fingerprint}"
+            f"waveform {rule}; fingerprint {self.fingerprint}"
         )
 
 
 def read_weights(path: str | os.PathLike[str]) -> tuple[Weights, dict[str, torch.Tensor]]:
-    """What lies at `path`, and its tensors: float32, on the CPU, under transformers' names.
+    """Read the weights at `path`: description, and float32 CPU tensors by transformers' names.
 
     Args:
         path: a Hugging Face folder (config.json with model.safetensors or pytorch_model.bin),
             Microsoft's WavLM-*.pt, or a state dict of torchaudio's models (torch's or
-            safetensors' format). Which it is, is told by looking.
+            safetensors' format). The layout is detected from the content.
 
-    Raises WeightsError where nothing of the kind is there, where a tensor is missing, left over
-    or of another shape, and where a file could only be read by running code from it.
+    Raises WeightsError if the path holds no such weights, if a tensor is missing, unknown or of
+    another shape, and if a file could only be read by running code from it.
     """
     path = Path(path)
     if path.is_dir():
@@ -101,7 +105,7 @@ def read_weights(path: str | os.PathLike[str]) -> tuple[Weights, dict[str, torch
             layout = "torchaudio state dict"
             tensors = from_torchaudio(_plain_tensors(path, content))
             shape = Architecture.from_tensors(tensors, str(path))
-            # What torchaudio's pipelines do: Large alone wants a normalised waveform.
+            # As in torchaudio's pipelines: only Large expects a normalised waveform.
             normalize = MICROSOFT_EPS if shape.front_norm == "layer" else None
         else:
             raise _unknown_layout(path, content)
@@ -116,7 +120,7 @@ def read_weights(path: str | os.PathLike[str]) -> tuple[Weights, dict[str, torch
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a small file."""
+    """Read a JSON object from a small file."""
     if not path.is_file():
         raise WeightsError(f"{path}: no such file: the folder must hold all of the model's files")
     try:
@@ -147,7 +151,7 @@ def _huggingface_config(folder: Path) -> dict[str, Any]:
 
 
 def _huggingface_normalize(folder: Path, shape: Architecture) -> float | None:
-    """`do_normalize` of preprocessor_config.json; without that file, as the published weights."""
+    """Return eps by preprocessor_config.json; without that file, as for the published weights."""
     path = folder / "preprocessor_config.json"
     normalize: Any = shape.front_norm == "layer"
     if path.exists():
@@ -173,7 +177,7 @@ def _read_folder(folder: Path) -> dict[str, torch.Tensor]:
 
 
 def _read_file(path: Path) -> Any:
-    """What a file of safetensors or of torch holds; no object is ever unpickled."""
+    """Return the content of a safetensors or torch file; no object is ever unpickled."""
     import torch
     from safetensors import SafetensorError
     from safetensors.torch import load_file
@@ -192,7 +196,7 @@ def _read_file(path: Path) -> Any:
         return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         kind = re.search(r"GLOBAL (\S+)", str(error))
-        if kind is None:  # torch's own words would advise to load it all the same
+        if kind is None:  # torch's own message would advise loading it anyway
             raise _unreadable(path, ValueError("it is damaged, or no plain tensors")) from error
         what = f"{path}: holds a Python object ({kind[1]}), which could run code and is not read: "
         if kind[1] != "argparse.Namespace":
@@ -205,7 +209,7 @@ def _read_file(path: Path) -> Any:
             f"c = torch.load({str(path)!r}); "
             "torch.save({'cfg': vars(c['cfg']), 'model': c['model']}, 'plain.pt')"
         ) from error
-    # What torch raises on a damaged file is not defined; safetensors has a class of its own.
+    # torch documents no exception for damaged files; safetensors has its own class.
     except (SafetensorError, zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
         raise _unreadable(path, error) from error
     except (EOFError, KeyError, TypeError, IndexError, AttributeError, MemoryError) as error:
@@ -242,7 +246,7 @@ def _plain_tensors(path: Path, content: Any) -> dict[str, torch.Tensor]:
 
     if not isinstance(content, Mapping) or not all(map(torch.is_tensor, content.values())):
         raise WeightsError(f"{path}: holds no plain table of tensors: give the published file")
-    # A tensor may claim more numbers than the file has, by repeating them.
+    # A tensor with stride 0 may claim more values than the file holds.
     claimed = sum(tensor.numel() * tensor.element_size() for tensor in content.values())
     if claimed > 2 * path.stat().st_size:
         raise WeightsError(
@@ -255,7 +259,7 @@ def _plain_tensors(path: Path, content: Any) -> dict[str, torch.Tensor]:
 def _fitting(
     path: Path, tensors: dict[str, torch.Tensor], shape: Architecture
 ) -> dict[str, torch.Tensor]:
-    """Exactly the network's tensors, in float32."""
+    """Return exactly the network's tensors, in float32."""
     import torch
 
     expected = shape.shapes()

@@ -1,4 +1,4 @@
-"""gesturekit evaluate: how good generated motion is, in numbers and as a page."""
+"""gesturekit evaluate: metrics of generated motion, as a table and a report."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.options import (
+    RECORDING_OPTIONS,
     existing_option,
     is_left,
     read_from,
@@ -19,7 +20,7 @@ from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
-    from gesturekit.evaluation.report.results import ModelResult
+    from gesturekit.evaluation.results import ModelResult
 
 
 @click.command(
@@ -30,17 +31,17 @@ if TYPE_CHECKING:
 @click.argument("generated")
 @click.argument("reference", type=click.Path(path_type=Path), required=False)
 @click.argument("others", nargs=-1, metavar="[MODEL]...")
-@click.option("--compare", is_flag=True, help="Compare with the folders named last.")
+@click.option("--compare", is_flag=True, help="Compare with the models given last.")
 @click.option(
     "--corpus",
     type=click.Path(path_type=Path),
     metavar="CORPUS.jsonl",
-    help="In place of REFERENCE and --audio: the items of a manifest, cut as it says.",
+    help="Compare with the items of a manifest instead of REFERENCE and --audio.",
 )
 @click.option(
     "--split",
     type=click.Choice(["train", "valid", "test"]),
-    help="Which items of --corpus.  [default: test]",
+    help="Split of --corpus to use.  [default: test]",
 )
 @click.option("--audio", type=click.Path(path_type=Path), help="Sound of the recordings.")
 @click.option(
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
 @click.option(
     "--features",
     type=click.Path(path_type=Path, file_okay=False),
-    help="What gesturekit fit-features made, for FGD.",
+    help="Feature model of gesturekit fit-features, for FGD.",
 )
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="HTML report.")
 @click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="JSON.")
@@ -59,37 +60,35 @@ if TYPE_CHECKING:
     "--protocol",
     type=click.Choice(["multires", "lda"]),
     help="multires: patches of each training sequence, 200 samples of twice its length. lda: "
-    "Fréchet distances of 10 s windows, 3 samples each, against all of REFERENCE. GENERATED and "
-    "MODEL may then be model folders, too: they are sampled first.",
+    "Fréchet distances of 10 s windows, 3 samples each, against all of REFERENCE. With a protocol, "
+    "GENERATED and MODEL may be model folders: motion is sampled first.",
 )
 @click.option(
     "--samples",
     type=click.IntRange(min=1),
-    help="Samples, where models are sampled.  [default: the protocol's]",
+    help="Number of samples of a model folder.  [default: that of the protocol]",
 )
 @click.option(
     "--samples-dir",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("evaluation_samples"),
     show_default=True,
-    help="Where sampled motion goes.",
+    help="Folder for motion sampled from model folders.",
 )
-@click.option(
-    "--weights", type=click.Path(path_type=Path), help="WavLM weights of models that are sampled."
-)
+@click.option("--weights", type=click.Path(path_type=Path), help="WavLM weights for model folders.")
 @click.option(
     "--variant",
     type=click.Choice(["ganimator", "paper"]),
     default="ganimator",
     show_default=True,
-    help="How patches are compared.",
+    help="Definition of the patch metrics.",
 )
 @click.option(
     "--threshold",
     type=click.FloatRange(min=0, min_open=True),
-    help="Distance below which a patch is covered.  [default: 2.0; none for paper]",
+    help="Coverage threshold: largest distance of a covered patch.  [default: 2.0; none for paper]",
 )
-@click.option("--seed", default=0, show_default=True, help="Of samples and intervals.")
+@click.option("--seed", default=0, show_default=True, help="Seed of samples and intervals.")
 @existing_option("replace", note="; samples of an earlier run are only skipped or refused")
 @recording_options
 @click.pass_context
@@ -99,86 +98,44 @@ def command(
     reference: Path | None,
     others: tuple[str, ...],
     compare: bool,
-    corpus: Path | None,
-    split: str | None,
-    audio: Path | None,
-    semantic: Path | None,
-    features: Path | None,
     out: Path | None,
     json_out: Path | None,
-    protocol: str | None,
-    samples: int | None,
-    samples_dir: Path,
-    weights: Path | None,
-    variant: str,
-    threshold: float | None,
-    seed: int,
-    existing: str,
-    **reading: object,
+    **options: Any,
 ) -> None:
     """Measure generated motion (GENERATED: folder or file, npz or BVH) against recordings.
 
-    Clips and recordings belong together by name; STEM_s1, STEM_s2 ... are samples for STEM. With
-    --compare, each further folder is a model of its own. Without --audio nothing is said about
-    speech. Prints a table; --out and --json write all of it. Held-out recordings:
+    Clips are matched with recordings by name; STEM_s1, STEM_s2 ... are samples for STEM. With
+    --compare, each further folder is another model. Without --audio, speech metrics are left out.
+    Prints a table; --out and --json write all results. Held-out recordings:
 
     \b
     gesturekit render --corpus corpus.jsonl --split test --model M --out rendered
     gesturekit evaluate rendered --corpus corpus.jsonl --split test
 
-    --in-unit and the like say how REFERENCE is read; a manifest keeps its own.
+    --in-unit and similar options set how REFERENCE is read; a manifest stores its own.
 
     Exit codes: 0 every clip was measured; 1 some were left out, as listed; 2 nothing could be
-    measured. Clips of other splits of --corpus, and of its items without motion, are not meant to
-    be measured: a note names them.
+    measured. Clips of other splits of --corpus, and of its items without motion, are not expected
+    to be measured: a note lists them.
     """
     import shlex
     import sys
 
-    from gesturekit.evaluation import FeatureModel, PatchOptions, evaluate, write_report
-    from gesturekit.progress import Progress
+    from gesturekit.evaluation import write_report
 
-    if corpus is not None and reference is not None:
-        # There is no REFERENCE: it is the first of the models.
+    if options["corpus"] is not None and reference is not None:
+        # With --corpus there is no REFERENCE: the argument is the first of the models.
         reference, others = None, (str(reference), *others)
-    recordings = _recordings(reference, corpus, split, audio, protocol, read_from(reading))
+    recordings = _recordings(reference, options)
     if others and not compare:
         raise click.UsageError(f"what is {others[0]}? Add --compare to compare with it")
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
     if compare and not others:
         raise click.UsageError("--compare needs folders to compare with, named last")
-    out, json_out = (
-        None if path is None or is_left([path], existing) else path for path in (out, json_out)
-    )
-    for path in filter(None, (out, json_out)):
-        _require_writable(path)
-    folders = _folders(
-        (generated, *others),
-        reference or Path(),  # with --corpus no model is sampled
-        audio,
-        protocol,
-        samples,
-        samples_dir,
-        weights,
-        seed,
-        existing,
-    )
-    try:
-        found = evaluate(
-            folders,
-            recordings,
-            audio=audio,
-            semantic=semantic,
-            protocol=protocol or "",
-            patches=PatchOptions(variant, threshold),
-            features=None if features is None else FeatureModel.load(features),
-            seed=seed,
-            progress=lambda pairs, label: Progress(pairs, desc=label, unit="clip"),
-        )
-    except KeyboardInterrupt:
-        click.echo("Stopped, and nothing was written. The same command measures anew.", err=True)
-        raise
+    out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
+    folders = _folders((generated, *others), reference, options)
+    found = _evaluated(folders, recordings, options)
     for line in _table(found):
         click.echo(line)
     for line in _notes(found):
@@ -197,53 +154,73 @@ def command(
     ctx.exit(0 if found.is_complete else 1)
 
 
-def _recordings(
-    reference: Path | None,
-    corpus: Path | None,
-    split: str | None,
-    audio: Path | None,
-    protocol: str | None,
-    reading: Mapping[str, Any],
-) -> Path | Items:
-    """The recordings to compare with: a folder or file, or items of a manifest."""
+def _evaluated(
+    folders: dict[str, Path], recordings: Path | Items, options: Mapping[str, Any]
+) -> Evaluation:
+    """Run the evaluation with the options of the command line."""
+    from gesturekit.evaluation import FeatureModel, PatchOptions, evaluate
+    from gesturekit.progress import Progress
+
+    features = options["features"]
+    try:
+        return evaluate(
+            folders,
+            recordings,
+            audio=options["audio"],
+            semantic=options["semantic"],
+            protocol=options["protocol"] or "",
+            patches=PatchOptions(options["variant"], options["threshold"]),
+            features=None if features is None else FeatureModel.load(features),
+            seed=options["seed"],
+            progress=lambda pairs, label: Progress(pairs, desc=label, unit="clip"),
+        )
+    except KeyboardInterrupt:
+        click.echo("Stopped, and nothing was written. The same command measures anew.", err=True)
+        raise
+
+
+def _recordings(reference: Path | None, options: Mapping[str, Any]) -> Path | Items:
+    """Return the recordings to compare with: a folder or file, or the items of a manifest."""
     from gesturekit.evaluation import Items
 
+    reading = read_from({name: options[name] for name in RECORDING_OPTIONS})
+    corpus, split = options["corpus"], options["split"]
     if corpus is None:
         if split is not None:
             raise click.UsageError("--split chooses items of --corpus: give it as well")
         if reference is None:
             raise click.UsageError("name the recordings: a folder (REFERENCE), or --corpus")
         return Items.of_folder(reference, reading) if reading else reference
-    if audio is not None or reading:
+    if options["audio"] is not None or reading:
         raise click.UsageError("--corpus says where the sound is and how motion is read")
-    if protocol is not None:
+    if options["protocol"] is not None:
         raise click.UsageError("--protocol goes with a folder of recordings, not with --corpus")
     return Items.of_manifest(corpus, split or "test")
 
 
 def _notes(found: Evaluation) -> Iterator[str]:
-    """Return the notes on the figures; metrics left out for one reason share a line."""
+    """Yield notes on the metrics; metrics left out for the same reason share a line."""
     for model in found.models:
         yield from (f"Note: {model.label}: {note}" for note in model.notes)
-        measures: dict[str, tuple[list[str], list[str]]] = {}
+        metrics: dict[str, tuple[list[str], list[str]]] = {}
         for item in model.excluded:
             if item.what == "clip":
                 yield f"Left out: {model.label}: {item.name}: clip: {item.reason}"
                 continue
-            names, whats = measures.setdefault(item.reason, ([], []))
+            names, left_out = metrics.setdefault(item.reason, ([], []))
             names.append(item.name)
-            whats.append(item.what)
-        for reason, (names, whats) in measures.items():
-            what, of = ", ".join(dict.fromkeys(whats)), listed(list(dict.fromkeys(names)), 3)
+            left_out.append(item.what)
+        for reason, (names, left_out) in metrics.items():
+            what, of = ", ".join(dict.fromkeys(left_out)), listed(list(dict.fromkeys(names)), 3)
             yield f"Left out: {model.label}: {of}: {what}: {reason}"
 
 
 def _trained_on(model: ModelResult, name: str) -> str:
-    """Return a warning where a model was trained on recordings that it is measured on.
+    """Return a warning if a model was trained on recordings that it is measured on, or "".
 
     Args:
-        model: what was measured.
-        name: as it was named on the command line: a folder of motion, or a model.
+        model: its results.
+        name: a folder of motion or a model, as given on the command line.
     """
     from gesturekit.evaluation.pairs import Stretch
     from gesturekit.systems import model_folder
@@ -270,7 +247,7 @@ def _trained_on(model: ModelResult, name: str) -> str:
 
 
 def _made_by(rendered: Path) -> Path | None:
-    """The model folder that the record beside rendered motion names, if it does."""
+    """Return the model folder that the record of rendered motion names, or None."""
     import json
 
     from gesturekit.rendering.record import RECORD
@@ -283,39 +260,36 @@ def _made_by(rendered: Path) -> Path | None:
 
 
 def _summary(found: Evaluation, report: Path | None) -> str:
-    """The last line: how much was measured, and where the rest can be read."""
+    """Return the last line: how many clips were measured, and where all results are."""
     clips = sum(len(model.clips) for model in found.models)
     left_out = sum(item.what == "clip" for model in found.models for item in model.excluded)
     where = f"; all of it in {report}" if report else "; --out report.html shows each"
     return f"{counted(clips, 'clip')} measured, {left_out} left out{where}"
 
 
-def _require_writable(path: Path) -> None:
-    """Refuse a place that cannot be written before hours of measuring, not after."""
+def _to_write(path: Path | None, existing: str) -> Path | None:
+    """Return a file if it is to be written, else None.
+
+    Raises:
+        UsageError: it cannot be written; raised before hours of measuring.
+    """
     import tempfile
 
+    if path is None or is_left([path], existing):
+        return None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path.parent):
-            pass
+            return path
     except OSError as error:
         raise click.UsageError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def _folders(
-    names: Sequence[str],
-    reference: Path,
-    audio: Path | None,
-    protocol: str | None,
-    samples: int | None,
-    samples_dir: Path,
-    weights: Path | None,
-    seed: int,
-    existing: str,
+    names: Sequence[str], reference: Path | None, options: Mapping[str, Any]
 ) -> dict[str, Path]:
-    """Label to folder of motion; models are sampled."""
-    from gesturekit.progress import Progress
-    from gesturekit.systems import bundled_models, load
+    """Return {label: folder of motion}; sample model folders first (not with --corpus)."""
+    from gesturekit.systems import bundled_models
 
     folders: dict[str, Path] = {}
     places = [Path(name).resolve() for name in names]
@@ -332,40 +306,49 @@ def _folders(
         if path.exists() and not (path / "config.yaml").is_file():
             continue
         if not path.exists() and name not in bundled_models():
-            continue  # told by whoever looks for motion in it
-        if protocol is None:
+            continue  # `evaluate` reports that there is no such folder
+        if options["protocol"] is None:
             raise click.UsageError(
                 f"{name} is a model: render it first (gesturekit render), or say by --protocol "
                 "how it is to be sampled"
             )
-        from gesturekit.rendering import sampling
-
-        count = {} if samples is None else {"samples": samples}
-        folders[label] = samples_dir / label.replace("/", "_")
-        skip = existing == "skip"
-        if not skip and folders[label].is_dir() and any(folders[label].iterdir()):
-            raise click.UsageError(
-                f"{folders[label]} holds samples of an earlier run, which would be measured too: "
-                "name another --samples-dir, measure that folder in place of the model, or go on "
-                "with the sampling by --existing skip"
-            )
-        model = load(name, weights=weights)
-        if protocol == "lda":
-            if audio is None:
-                raise click.UsageError("--protocol lda samples models on speech: give --audio")
-            files = sampling.sample_lda(model, audio, folders[label], seed=seed, skip=skip, **count)
-        else:
-            files = sampling.sample_multires(
-                model, reference, folders[label], audio=audio, seed=seed, skip=skip, **count
-            )
-        with resumable(lambda: "With --existing skip the same command goes on."):
-            for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
-                pass
+        folders[label] = options["samples_dir"] / label.replace("/", "_")
+        _sample(name, label, folders[label], reference, options)
     return folders
 
 
+def _sample(
+    name: str, label: str, folder: Path, reference: Path | None, options: Mapping[str, Any]
+) -> None:
+    """Sample a model by the protocol into a folder."""
+    from gesturekit.progress import Progress
+    from gesturekit.rendering import sampling
+    from gesturekit.systems import load
+
+    skip, audio = options["existing"] == "skip", options["audio"]
+    if not skip and folder.is_dir() and any(folder.iterdir()):
+        raise click.UsageError(
+            f"{folder} holds samples of an earlier run, which would be measured too: "
+            "name another --samples-dir, measure that folder in place of the model, or go on "
+            "with the sampling by --existing skip"
+        )
+    model = load(name, weights=options["weights"])
+    settings = {"seed": options["seed"], "skip": skip}
+    if options["samples"] is not None:
+        settings["samples"] = options["samples"]
+    if options["protocol"] == "lda":
+        if audio is None:
+            raise click.UsageError("--protocol lda samples models on speech: give --audio")
+        files = sampling.sample_lda(model, audio, folder, **settings)
+    else:
+        files = sampling.sample_multires(model, reference, folder, audio=audio, **settings)
+    with resumable(lambda: "With --existing skip the same command goes on."):
+        for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
+            pass
+
+
 def _table(found: Evaluation) -> list[str]:
-    """One line a measure: each model's mean and interval, and the recordings' own."""
+    """Return the lines of the table: mean and interval of each model, and the recordings' value."""
     from tqdm.utils import disp_len
 
     from gesturekit.evaluation.report.tables import number

@@ -46,7 +46,7 @@ def command(
     failed = 0
     for number, path in enumerate(paths):
         try:
-            sheet = inspect(
+            summary = inspect(
                 path,
                 parts=named,
                 read=read_from(reading),
@@ -65,7 +65,7 @@ def command(
             click.echo(f"Failed: {error.filename or path}: {error.strerror or error}", err=True)
             continue
         if as_json:
-            click.echo(json.dumps(sheet.to_json(), ensure_ascii=False))
+            click.echo(json.dumps(summary.to_json(), ensure_ascii=False))
         else:
-            click.echo("\n".join([*([""] if number else []), *sheet.lines(width)]))
+            click.echo("\n".join([*([""] if number else []), *summary.lines(width)]))
     ctx.exit(1 if failed else 0)

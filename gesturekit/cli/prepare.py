@@ -1,4 +1,4 @@
-"""`gesturekit prepare`: from folders of recordings to a manifest."""
+"""gesturekit prepare: make a manifest of folders of recordings."""
 
 from __future__ import annotations
 
@@ -43,21 +43,27 @@ from gesturekit.cli.options import (
     type=click.FloatRange(0, 1, max_open=True),
     default=0.1,
     show_default=True,
-    help="Fraction of the recordings that training never sees. Of several pairs at least one, "
-    "test and valid in turn; of a single pair, its last 20 %. 0 for none.",
+    help="Fraction of the recordings to hold out from training, as test and valid in turn; of "
+    "several pairs at least one, of a single pair its last 20 %. 0 for none.",
 )
 @click.option(
     "--hold-out-seconds",
     metavar="START-END,...",
-    help="Hold these seconds of each pair out instead, as test. Without END, to its end.",
+    help="Hold out these seconds of each pair instead, as test. Without END, to its end.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Chooses what is held out.")
-@click.option("--speaker", metavar="NAME", help="Who speaks in all recordings of FOLDER.")
+@click.option(
+    "--seed",
+    type=int,
+    default=0,
+    show_default=True,
+    help="Seed of the held-out choice.",
+)
+@click.option("--speaker", metavar="NAME", help="Speaker of all recordings of FOLDER.")
 @click.option("--style", metavar="NAME", help="The style of all recordings.")
 @click.option(
     "--style-pattern",
     metavar="REGEX",
-    help="Takes style (and speaker) from each path within its folder by named groups, "
+    help="Take style (and speaker) from each path within its folder by named groups, "
     "as in '(?P<style>calm|lively)_.*'.",
 )
 @click.option(
@@ -65,7 +71,7 @@ from gesturekit.cli.options import (
     type=click.FloatRange(0),
     default=1.0,
     show_default=True,
-    help="Seconds by which sound and motion may differ in length; they are cut to the shorter.",
+    help="Largest difference in length of sound and motion, seconds; the longer one is trimmed.",
 )
 @channel_option
 @recording_options
@@ -81,15 +87,14 @@ def command(
 ) -> int:
     """Pair speech (wav, flac, mp3, ogg, opus, aiff) with motion (bvh, npz) and write a manifest.
 
-    Files go together by path within FOLDER without extension, then by unique name. Tables beside
-    a recording go with it: STEM.events.csv (time,name[,duration]: what happens when) and
-    STEM.path.csv (time,x,z[,heading]: where the body goes). Every recording is checked; each
-    problem is told with its file and never stops the others.
+    Files are paired by path within FOLDER without extension, then by unique name. Tables beside a
+    recording belong to it: STEM.events.csv (time,name[,duration]: events) and STEM.path.csv
+    (time,x,z[,heading]: path of the root). Every recording is checked; each problem is reported
+    with its file and never stops the others.
 
     Exit codes: 0 everything is used; 1 some files are left out; 2 nothing is usable.
     """
     from gesturekit.corpus import prepare
-    from gesturekit.corpus.splits import parse_intervals
     from gesturekit.motion.parts import parse_parts
     from gesturekit.progress import Progress
 
@@ -100,7 +105,7 @@ def command(
     report = prepare(
         folders,
         out,
-        hold_out_seconds=parse_intervals(hold_out_seconds) if hold_out_seconds else (),
+        hold_out_seconds=hold_out_seconds or (),
         parts=parse_parts(parts),
         read=read_from({name: options.pop(name) for name in RECORDING_OPTIONS}),
         progress=lambda tasks: Progress(tasks, unit="file", desc="checking"),

@@ -1,8 +1,10 @@
-"""gesturekit view: motion in the browser, with its sound."""
+"""gesturekit view: play motion with sound in the browser."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,10 +16,13 @@ from gesturekit.cli.options import (
     reading_options,
 )
 
+if TYPE_CHECKING:
+    from gesturekit.motion import Motion
+
 _MOST = 8
-"""Motions that a page shows of a folder."""
+"""Largest number of motions of a folder on a page."""
 _TOLERANCE = 1.0
-"""Seconds by which sound and motion may differ in length without a word."""
+"""Largest difference in length of sound and motion without a warning, seconds."""
 
 
 @click.command(
@@ -33,7 +38,7 @@ _TOLERANCE = 1.0
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="HTML",
-    help="Write the page here, and open nothing.",
+    help="Write the page to this file and do not open it.",
 )
 @existing_option("replace")
 @reading_options
@@ -48,59 +53,26 @@ def command(
     parts: tuple[str, ...],
     **reading: object,
 ) -> None:
-    """Play MOTION (bvh, npz, EasyMocap, or a folder of them) in the browser; several stand side
-    by side.
+    """Play MOTION (bvh, npz, EasyMocap, or a folder of them) in the browser; several are shown
+    side by side.
 
     The page is one file that needs no network: send it by mail, put it on a server.
     """
     import tempfile
-    import warnings
 
     from audio_features import Wave
-    from gesturekit.errors import ConfigError, GestureKitError
-    from gesturekit.formats.conversion import load
-    from gesturekit.formats.plausibility import plausibility_warnings
-    from gesturekit.formats.sources import motions_of
-    from gesturekit.motion.parts import parse_parts
+    from gesturekit.errors import ConfigError
     from gesturekit.viewer import write_html
 
     if out is not None and is_left([out], existing):
         return
-    options, named = read_from(reading), parse_parts(parts)
-    found = [motion for clip in clips for motion in motions_of(clip)]
-    if len(found) > (most := max(len(clips), _MOST)):
-        click.echo(
-            f"Warning: {len(found)} motions; the page shows the first {most}, or those you name",
-            err=True,
-        )
-        found = found[:most]
-    named_clips, clips = set(clips), tuple(found)
-    # Clips of one name come from different folders.
-    same = len({clip.stem for clip in clips}) < len(clips)
-    motions, failed = {}, 0
-    for clip in clips:
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("always", UserWarning)
-            try:
-                motion = load(clip, options, named)
-            except GestureKitError as error:
-                if clip in named_clips:
-                    raise
-                click.echo(f"Failed: {error}", err=True)
-                failed += 1
-                continue
-        lines = [str(warning.message) for warning in said]
-        for line in [
-            *lines,
-            *(f"{clip}: {doubt}" for doubt in plausibility_warnings(motion, options)),
-        ]:
-            click.echo(f"Warning: {line}", err=True)
-        motions[str(clip) if same else clip.stem] = motion
+    options = read_from(reading)
+    found = _found(clips)
+    motions, n_failed = _loaded(found, clips, options, parts)
     if not motions:
         raise ConfigError("no motion to show")
     if out is None:
-        page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{clips[0].stem or 'motion'}.html"
+        page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{found[0].stem or 'motion'}.html"
     elif out.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"{out}: the page is HTML; give a name ending in .html")
     else:
@@ -117,11 +89,61 @@ def command(
     click.echo(click.format_filename(page))
     if out is None and not _opened(page):
         click.echo("No browser found here: open this file in one.", err=True)
-    ctx.exit(1 if failed else 0)
+    ctx.exit(1 if n_failed else 0)
+
+
+def _found(clips: tuple[Path, ...]) -> list[Path]:
+    """Return the motions to show, those of folders included."""
+    from gesturekit.formats.sources import motions_of
+
+    found = [motion for clip in clips for motion in motions_of(clip)]
+    if len(found) > (most := max(len(clips), _MOST)):
+        click.echo(
+            f"Warning: {len(found)} motions; the page shows the first {most}, or those you name",
+            err=True,
+        )
+    return found[:most]
+
+
+def _loaded(
+    found: list[Path], clips: tuple[Path, ...], options: Mapping[str, Any], parts: tuple[str, ...]
+) -> tuple[dict[str, Motion], int]:
+    """Load motions; return {label: motion} and how many files not named in `clips` failed."""
+    import warnings
+
+    from gesturekit.errors import GestureKitError
+    from gesturekit.formats.conversion import load
+    from gesturekit.formats.plausibility import plausibility_warnings
+    from gesturekit.motion.parts import parse_parts
+
+    named = parse_parts(parts)
+    # Files of the same name come from different folders.
+    repeated = len({clip.stem for clip in found}) < len(found)
+    motions, n_failed = {}, 0
+    for clip in found:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", UserWarning)
+            try:
+                motion = load(clip, options, named)
+            except GestureKitError as error:
+                if clip in clips:
+                    raise
+                click.echo(f"Failed: {error}", err=True)
+                n_failed += 1
+                continue
+        lines = [str(warning.message) for warning in caught]
+        for line in [
+            *lines,
+            *(f"{clip}: {doubt}" for doubt in plausibility_warnings(motion, options)),
+        ]:
+            click.echo(f"Warning: {line}", err=True)
+        motions[str(clip) if repeated else clip.stem] = motion
+    return motions, n_failed
 
 
 def _opened(page: Path) -> bool:
-    """Show a page in a browser with windows; a text browser would take the terminal over."""
+    """Open a page in a graphical browser; a text browser would take over the terminal."""
     import os
     import sys
     import webbrowser

@@ -1,4 +1,4 @@
-"""Recordings to learn from: the manifest, how it comes about, and what is read through it."""
+"""Corpora: the manifest, its preparation, and the loading of its items."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 # No module may be called like a public function: importing it would hide the function.
 _HOMES = {
-    "Item": "manifest",
+    "Item": "item",
     "Manifest": "manifest",
     "Problem": "problem",
     "Report": "report",

@@ -1,7 +1,7 @@
-"""What can be wrong with a recording that reads well: T-poses, rigs that differ, what is too much.
+"""Checks of readable recordings: T-poses, differing rigs, thresholds for warnings.
 
-What goes wrong in the motion itself is `gesturekit.motion.defects`; `recording` turns all of it
-into problems.
+Defects of the motion itself are in `gesturekit.motion.defects`; `recording` turns all of them into
+problems.
 """
 
 from __future__ import annotations
@@ -18,29 +18,28 @@ from gesturekit.motion.parts import find_parts
 from gesturekit.motion.rotations import IDENTITY, rotation_angles
 
 MAX_JUMP_SHARE = 0.05
-"""The warning says what to check when more than this share of a recording's frames are jumps."""
+"""Above this fraction of jumping frames, the warning suggests to check frame rate and unit."""
 
 MAX_JITTER_SHARE = 0.1
-"""A recording is warned about when more than this share of its frames tremble."""
+"""Above this fraction of jittering frames, a recording gets a warning."""
 
-# How far a held T-pose may stray: an actor's is never exact, and he sways.
+# Tolerances of a T-pose held by an actor, who sways.
 _ARM_ANGLE = np.deg2rad(25.0)
 _SWAY = 0.10  # metres on the reference body
 _REST_ANGLE = np.deg2rad(0.5)
 
 
 def reference_pose(motion: Motion) -> tuple[int, int]:
-    """Frames of T-pose or rest pose at the start and at the end of a motion.
+    """Count the frames of T-pose or rest pose at the start and at the end of a motion.
 
-    Exporters put the rest pose before a take, and actors hold a T-pose for calibration; neither
-    is gesture. A frame counts as long as all frames between it and the end of the motion have
-    every joint (but the root) within half a degree of the rest pose, or have both arms
-    straight out to the sides within 25° and every joint within 10 cm (on the reference body) of
-    where the outermost frame has it. A skeleton whose arms are not found is compared with its rest
-    pose alone.
+    Exporters put the rest pose before a take, and actors hold a T-pose for calibration; neither is
+    gesture. A frame is in rest pose if every joint except the root is within half a degree of it.
+    It is in T-pose if both arms are straight out to the sides within 25° and every joint is within
+    10 cm (on the reference body) of its position in the outermost frame. All frames between it and
+    that end of the motion must qualify too. Without identified arms, only the rest pose counts.
 
     Returns:
-        (frames at the start, frames at the end); both are all frames where all are such.
+        (frames at the start, frames at the end); both are all frames if all qualify.
     """
     positions = motion.positions()
     resting = _in_rest_pose(motion)
@@ -53,9 +52,9 @@ def reference_pose(motion: Motion) -> tuple[int, int]:
 
 
 def first_difference(skeleton: Skeleton, usual: Skeleton) -> str | None:
-    """Where the joints or parents of a skeleton first differ from the usual one, or None.
+    """Describe the first difference in joints or parents from the usual skeleton, or return None.
 
-    Offsets may differ: performers are of different size.
+    Offsets may differ, as performers differ in size.
     """
     for i, (name, other) in enumerate(zip(skeleton.names, usual.names, strict=False)):
         if name != other:
@@ -75,13 +74,13 @@ def first_difference(skeleton: Skeleton, usual: Skeleton) -> str | None:
 
 
 def usual_skeleton(skeletons: Sequence[Skeleton]) -> Skeleton:
-    """The skeleton whose joints and parents most recordings have; the first of equals."""
+    """Return the skeleton with the most common joints and parents; the first one of a tie."""
     counts = Counter((skeleton.names, skeleton.parents) for skeleton in skeletons)
     return max(skeletons, key=lambda skeleton: counts[skeleton.names, skeleton.parents])
 
 
 def _in_rest_pose(motion: Motion) -> np.ndarray:
-    """(T,) True where every joint but the root has its rest rotation, to half a degree."""
+    """Return (T,) bool: every joint but the root is within half a degree of its rest rotation."""
     others = [j for j, parent in enumerate(motion.skeleton.parents) if parent >= 0]
     if not others:
         return np.zeros(motion.n_frames, dtype=bool)
@@ -89,7 +88,10 @@ def _in_rest_pose(motion: Motion) -> np.ndarray:
 
 
 def _arms_out(skeleton: Skeleton, positions: np.ndarray) -> np.ndarray:
-    """(T,) True where both arms are straight, level, and point away from each other."""
+    """Return (T,) bool: both arms are straight, level, and point away from each other.
+
+    Positions are (T, J, 3).
+    """
     try:
         arms = find_parts(skeleton).arms
     except MotionError:
@@ -108,9 +110,9 @@ def _arms_out(skeleton: Skeleton, positions: np.ndarray) -> np.ndarray:
 
 
 def _leading(positions: np.ndarray, resting: np.ndarray, arms_out: np.ndarray) -> int:
-    """Return how many reference poses there are from the first frame on.
+    """Count the reference poses from the first frame on.
 
-    Positions are in metres of the reference body.
+    Positions (T, J, 3) are in metres of the reference body; `resting` and `arms_out` are (T,) bool.
     """
     if not (resting[0] or arms_out[0]):
         return 0

@@ -1,198 +1,27 @@
-"""The manifest: which sound goes with which motion, as a JSONL file.
+"""The manifest: recordings of a corpus and their splits, as a JSONL file.
 
 The first line is the header ``{"schema": 1}``; every further line is one item with exactly
-the fields of `Item`. Paths in the file are relative to the manifest and may lead out of its
-folder (``../``): recordings usually lie elsewhere, and they are only ever read.
+the fields of `Item`. Paths in the file are relative to the manifest and may point outside its
+folder (``../``): the recordings usually lie elsewhere and are only ever read.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gesturekit.atomic import atomic_write
+from gesturekit.corpus.item import SPLITS, Item
 from gesturekit.errors import CorpusError
 
-if TYPE_CHECKING:
-    from audio_features import Wave
-    from gesturekit.formats.tables.events import Event
-    from gesturekit.motion import Motion
-    from gesturekit.motion.root_path import RootPath
-
 SCHEMA = 1
-SPLITS = ("train", "valid", "test")
-CONDITIONS = ("events", "path")
-"""What conditions a model can be told, beside what it hears and its style."""
-READING: dict[str, type | tuple[type, ...]] = {
-    **dict.fromkeys(("unit", "up", "forward"), str),
-    **dict.fromkeys(("fps", "height"), (int, float)),
-    "parts": Mapping,
-}
-"""Options for reading an item's motion file, by name, with their types."""
-
-# A line holds a handful of names and numbers; far more than that is not a manifest.
+# A line holds a handful of names and numbers; a file with longer lines is not a manifest.
 _MAX_LINE_BYTES = 1 << 20
-
-
-@dataclass(frozen=True, kw_only=True)
-class Item:
-    """A stretch of one recording: speech with motion, speech alone, or motion alone.
-
-    Attributes:
-        id: unique name in the manifest; looks like a relative path without extension.
-        audio: the sound file, absolute; None for motion alone.
-        motion: the motion file (BVH or npz), absolute; None for unpaired speech.
-        audio_start: where the item begins in the sound file, seconds.
-        channel: which channel of the sound file is heard, counted from 1; None for their mean.
-        motion_start: where the item begins in the motion file, seconds.
-        duration: length of the item, seconds.
-        speaker: who speaks or moves, or None where not named.
-        style: the label of the item, or None where not labelled.
-        split: "train", "valid" or "test".
-        text: what is said, or None.
-        mirror: True where the motion is to be used mirrored, left for right.
-        conditions: further files that go with the whole recording, {name: absolute path}:
-            `events`, a table of what happens (`formats.tables.events`), and `path`, where
-            the root goes (`formats.tables.root_path`; else it goes where the motion does).
-        reading: how the motion file is read where that was not left to detection: `unit`, `up`,
-            `forward` of its axes, its true `fps`, the `height` in metres to which its body is
-            scaled, and the `parts` named by hand that its height depends on.
-
-    Raises:
-        CorpusError: a field holds something it cannot hold.
-    """
-
-    id: str
-    audio: Path | None
-    motion: Path | None
-    audio_start: float = 0.0
-    motion_start: float = 0.0
-    duration: float
-    speaker: str | None = None
-    style: str | None = None
-    split: str = "train"
-    text: str | None = None
-    mirror: bool = False
-    conditions: Mapping[str, Path] = field(default_factory=dict)
-    channel: int | None = None
-    reading: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        _check_id(self.id)
-        if self.audio is None and self.motion is None:
-            raise CorpusError(f"item {self.id!r} has neither audio nor motion")
-        for name in ("audio_start", "motion_start", "duration"):
-            seconds = getattr(self, name)
-            if not math.isfinite(seconds) or seconds < 0 or (name == "duration" and seconds == 0):
-                raise CorpusError(f"item {self.id!r}: {name} is {seconds}, not a length in seconds")
-        if self.channel is not None and self.channel < 1:
-            raise CorpusError(f"item {self.id!r}: channel is {self.channel}; they count from 1")
-        for name, value in self.reading.items():
-            if name not in READING:
-                raise CorpusError(
-                    f"item {self.id!r}: reading has {name!r}; it holds {', '.join(READING)}"
-                )
-            if not isinstance(value, READING[name]) or isinstance(value, bool):
-                raise CorpusError(f"item {self.id!r}: reading.{name} is {value!r}")
-        if self.split not in SPLITS:
-            raise CorpusError(
-                f"item {self.id!r}: split is {self.split!r}; it must be one of {', '.join(SPLITS)}"
-            )
-
-    @property
-    def is_paired(self) -> bool:
-        """True where the item has both speech and motion."""
-        return self.audio is not None and self.motion is not None
-
-    def load_wave(self) -> Wave:
-        """The item's stretch of its sound file.
-
-        Raises:
-            CorpusError: the item is motion alone.
-            audio_features.AudioError: the file cannot be read.
-        """
-        if self.audio is None:
-            raise CorpusError(f"item {self.id!r} has no audio: it is motion alone")
-        from audio_features import Wave
-
-        return Wave.load(
-            self.audio, start=self.audio_start, duration=self.duration, channel=self.channel
-        )
-
-    def load_motion(self, parts: Mapping[str, str] | None = None) -> Motion:
-        """The item's stretch of its motion file, mirrored where the item says so.
-
-        `parts` are named by hand, see `Skeleton.parts`: they may tell left from right.
-
-        Begins at the frame nearest to `motion_start` and holds floor(duration·fps + ½)
-        frames; one frame fewer is accepted at the very end of a file.
-
-        Raises:
-            CorpusError: the item is speech alone, or reaches past the end of its file.
-            FormatError: the file cannot be read.
-            MotionError: `parts` names a joint that is not there, or left and right cannot be told.
-        """
-        if self.motion is None:
-            raise CorpusError(f"item {self.id!r} has no motion: it is speech alone")
-        from gesturekit.formats.conversion import load
-
-        named = {**self.reading.get("parts", {}), **(parts or {})}
-        motion = load(self.motion, self.reading, named)
-        start = math.floor(self.motion_start * motion.fps + 0.5)
-        stop = start + math.floor(self.duration * motion.fps + 0.5)
-        if stop > motion.n_frames + 1 or start >= min(stop, motion.n_frames):
-            raise CorpusError(
-                f"item {self.id!r} is frames {start} to {stop} of {self.motion}, which has "
-                f"{motion.n_frames} frames at {motion.fps:g} fps; prepare the corpus again"
-            )
-        if start > 0 or stop < motion.n_frames:
-            motion = motion.slice(start, min(stop, motion.n_frames))
-        return motion.mirror() if self.mirror else motion
-
-    def load_events(self) -> tuple[Event, ...]:
-        """What happens within the item, in seconds from its beginning; nothing where no file tells.
-
-        Raises:
-            FormatError: the file cannot be read.
-        """
-        if "events" not in self.conditions:
-            return ()
-        from gesturekit.formats.tables.events import Event, load_events
-
-        begins = self.audio_start if self.motion is None else self.motion_start
-        heard = []
-        for event in load_events(self.conditions["events"]):
-            start, stop = event.time - begins, event.time + event.duration - begins
-            if stop >= 0 and start < self.duration:
-                # What began before the item goes on within it.
-                heard.append(Event(max(start, 0.0), event.name, stop - max(start, 0.0)))
-        return tuple(heard)
-
-    def load_path(self, fps: float, n_frames: int, scale: float = 1.0) -> RootPath | None:
-        """The item's stretch of its path, mirrored where the item says so; None without a file.
-
-        Args:
-            fps: frames per second of the result.
-            n_frames: how many; past its end a path stands still.
-            scale: `body_scale` of who follows it.
-
-        Raises:
-            FormatError: the file cannot be read.
-        """
-        if "path" not in self.conditions:
-            return None
-        from gesturekit.formats.tables.root_path import load_root_path
-
-        begins = self.audio_start if self.motion is None else self.motion_start
-        path = load_root_path(self.conditions["path"], scale)
-        path = path.resample(fps, n_frames, start=begins)
-        return path.mirror() if self.mirror else path
 
 
 class Manifest:
@@ -215,16 +44,16 @@ class Manifest:
         return iter(self.items)
 
     def in_split(self, split: str, where: str = "the manifest") -> tuple[Item, ...]:
-        """Items of one split, of which there is at least one.
+        """Return the items of one split, at least one.
 
         Args:
             split: train, valid or test.
-            where: name of the manifest in messages.
+            where: name of the manifest, for errors.
 
         Raises:
             CorpusError: no item is in that split.
         """
-        items = self._of(split)
+        items = self._select(split)
         if not items:
             counts = Counter(item.split for item in self.items)
             found = ", ".join(f"{n} in {name}" for name, n in sorted(counts.items()))
@@ -235,18 +64,18 @@ class Manifest:
         return items
 
     def paired(self, split: str | None = None) -> tuple[Item, ...]:
-        """Items with both speech and motion, of one split or of all."""
-        return tuple(item for item in self._of(split) if item.is_paired)
+        """Return the items with speech and motion, of one split or of all."""
+        return tuple(item for item in self._select(split) if item.is_paired)
 
     def unpaired(self, split: str | None = None) -> tuple[Item, ...]:
-        """Items of speech alone, of one split or of all."""
-        return tuple(item for item in self._of(split) if item.motion is None)
+        """Return the items of speech alone, of one split or of all."""
+        return tuple(item for item in self._select(split) if item.motion is None)
 
     def motion_alone(self, split: str | None = None) -> tuple[Item, ...]:
-        """Items of motion alone, of one split or of all."""
-        return tuple(item for item in self._of(split) if item.audio is None)
+        """Return the items of motion alone, of one split or of all."""
+        return tuple(item for item in self._select(split) if item.audio is None)
 
-    def _of(self, split: str | None) -> tuple[Item, ...]:
+    def _select(self, split: str | None) -> tuple[Item, ...]:
         if split is None:
             return self.items
         if split not in SPLITS:
@@ -258,8 +87,8 @@ class Manifest:
         """Read a manifest.
 
         Raises:
-            CorpusError: the file is missing, of a newer schema, or a line of it does not hold
-                exactly one item; the message names file and line.
+            CorpusError: the file is missing or has a newer schema, or a line is not exactly one
+                item; the message gives file and line.
         """
         path = Path(path)
         items: list[Item] = []
@@ -293,22 +122,12 @@ class Manifest:
 
 
 def absolute(path: Path) -> Path:
-    """The absolute path without ``..``; a link inside a corpus stays a link, so it can move."""
+    """Return the absolute path without ``..``; keep links, so that a corpus can be moved."""
     return Path(os.path.abspath(path))  # noqa: PTH100 (resolve() would follow links)
 
 
-def _check_id(name: str) -> None:
-    """Ids name output files, so they must be fit to be a relative path."""
-    parts = name.split("/") if isinstance(name, str) else []
-    if not parts or any(part in ("", ".", "..") for part in parts) or not name.isprintable():
-        raise CorpusError(
-            f"id {name!r} cannot be used: an id is a name, or names joined by '/', "
-            "without '..' and control characters"
-        )
-
-
 def _records(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The JSON objects of the file with their line numbers; blank lines are passed over."""
+    """Yield (line number, JSON object) of each line; skip blank lines."""
     try:
         file = path.open("rb")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Which sound file goes with which motion file: by relative path, then by unique stem."""
+"""Pairing of sound and motion files: by relative path, then by unique stem."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Found:
 
 @dataclass
 class Pairing:
-    """What belongs together, what stands alone, and what could not be told apart."""
+    """Pairs of sound and motion, unpaired files, and ambiguous names as problems."""
 
     pairs: list[tuple[Found, Found]] = field(default_factory=list)
     speech: list[Found] = field(default_factory=list)
@@ -50,11 +50,10 @@ class Pairing:
 
 
 def scan(folder: str | os.PathLike[str]) -> tuple[list[Found], list[Problem]]:
-    """All speech (`SPEECH_SUFFIXES`) and motion (bvh, npz) files below a folder, sorted.
+    """Find all speech (`SPEECH_SUFFIXES`) and motion (bvh, npz) files below a folder, sorted.
 
-    Hidden files and folders are passed over, and so are npz files of features, which may lie
-    beside the speech that they came from, and of body models. Of a motion that lies there as
-    STEM.bvh and STEM.npz, one is found. Links to folders are followed once.
+    Hidden files and folders, and npz files of features and body models are skipped. If a motion
+    exists as STEM.bvh and STEM.npz, one of them is found. Links to folders are followed once.
 
     Raises:
         CorpusError: there is no such folder.
@@ -101,12 +100,11 @@ def unread(folder: str | os.PathLike[str]) -> list[Path]:
 
 
 def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
-    """Pair the files of one or more folders (one scan a folder).
+    """Pair the files of one or more folders (one scan per folder).
 
-    First by relative path without extension within a folder, then by the same across folders
-    (`wav/a/x.wav` with `bvh/a/x.bvh` for the folders `wav` and `bvh`), then by stem. A name
-    that fits more than one speech or motion file is a problem that lists them all; none of
-    them is paired.
+    Files are paired by relative path without extension within a folder, then across folders
+    (`wav/a/x.wav` with `bvh/a/x.bvh` for the folders `wav` and `bvh`), then by stem. A name of more
+    than one speech or motion file is a problem that lists them all; none of them is paired.
     """
     result = Pairing()
     left: list[Found] = []
@@ -121,7 +119,7 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
 
 
 def recording_ids(found: Sequence[Found]) -> list[str]:
-    """A unique id for each file: its key, with the folder's name before it where keys repeat."""
+    """Return a unique id for each file: its key, prefixed by the folder's name if keys repeat."""
     ids = [item.key for item in found]
     repeated = {key for key, n in Counter(ids).items() if n > 1}
     ids = [
@@ -139,7 +137,7 @@ def recording_ids(found: Sequence[Found]) -> list[str]:
 
 
 def _match(files: list[Found], name_of: Callable[[Found], str], result: Pairing) -> list[Found]:
-    """Move pairs and ambiguities of equal names into `result`; return what is left over."""
+    """Move pairs and ambiguities of equal names into `result`; return the other files."""
     groups: dict[str, list[Found]] = defaultdict(list)
     for found in files:
         groups[name_of(found)].append(found)

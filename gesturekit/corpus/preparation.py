@@ -1,4 +1,4 @@
-"""From folders of recordings to a manifest: pair, check, trim, split."""
+"""Prepare a corpus: pair, check, trim and split recordings, and write the manifest."""
 
 from __future__ import annotations
 
@@ -8,128 +8,180 @@ import re
 import statistics
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from gesturekit.corpus import checks, splits
-from gesturekit.corpus.manifest import READING, Item, Manifest, absolute
+from gesturekit.corpus.item import READING
+from gesturekit.corpus.manifest import Manifest, absolute
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.problem import Problem
-from gesturekit.corpus.recording import MIN_DURATION, Recording, examine
+from gesturekit.corpus.recording import Recording, examine
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
+from gesturekit.field_docs import build_options
 from gesturekit.formats.conversion import applicable_read_options, refuse_unused_read_options
 from gesturekit.formats.sources import MOTION_SUFFIXES, OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, listed
 
 MAX_SIZE_RATIO = 1.5
-"""Bodies of one corpus that differ in height by more are warned about."""
+"""Largest ratio of body heights in a corpus without a warning."""
 
 Folders = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """A folder, or several."""
+
+Labeller = Callable[[Recording, str | None], tuple[Recording, list[Problem]]]
+"""Adds style and speaker to a recording; takes the default speaker."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrepareOptions:
+    """Options of `prepare`.
+
+    Raises:
+        CorpusError: a value out of range, or an entry of `read` that a manifest cannot store.
+    """
+
+    unpaired: Folders = ()
+    """Folders of speech to use alone. Files that are part of a pair stay in it."""
+    unpaired_motion: Folders = ()
+    """Folders of motion to use alone."""
+    holdout: float = 0.1
+    """Fraction of recordings held out from training, 0 to below 1. At least one paired recording
+    is held out; with a single one, its last 20 %."""
+    hold_out_seconds: str | Sequence[splits.Interval] = ()
+    """Intervals of each paired recording to hold out as "test" instead: `"10-15,50-"` or
+    `[(10, 15), (50, math.inf)]`."""
+    seed: int = 0
+    """Seed of the choice of recordings to hold out."""
+    speaker: str | None = None
+    """Name of the speaker of all recordings of `folders`."""
+    style: str | None = None
+    """Style label of all recordings."""
+    style_pattern: str | None = None
+    """Regular expression to search for in each id (the path within its folder, without
+    extension); its groups named `style` and `speaker` give the labels."""
+    tolerance: float = 1.0
+    """Largest difference in length between the sound and the motion of a pair, seconds. The longer
+    one is trimmed; a larger difference is an error."""
+    channel: int | None = None
+    """Channel of every sound file to use, counted from 1; None for their mean."""
+    parts: Mapping[str, str] | None = None
+    """Body parts assigned by hand, such as {"left_elbow": "Joint12"}, for rigs on which they cannot
+    be identified; see `gesturekit.motion.parts.find_parts`."""
+    read: Mapping[str, Any] | None = None
+    """Options for reading motion files that replace detection, see
+    `gesturekit.formats.conversion.load`; the manifest stores them."""
+    progress: Callable[[list[Any]], Iterable[Any]] = iter
+    """Wraps the list of recordings while they are checked, as tqdm does."""
+
+    def __post_init__(self) -> None:
+        splits.as_intervals(self.hold_out_seconds)
+        if not 0 <= self.holdout < 1:
+            raise CorpusError(f"holdout is {self.holdout}; it must be a fraction from 0 to below 1")
+        if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
+            raise CorpusError(f"tolerance is {self.tolerance}; it must be 0 or more seconds")
+        if unknown := sorted(set(self.read or {}) - set(READING)):
+            raise CorpusError(
+                f"{unknown[0]!r} is nothing a manifest keeps; read has {list(READING)}"
+            )
+
+
+class PrepareArguments(TypedDict, total=False):
+    """Keywords of `prepare`, for type checkers: the fields of `PrepareOptions`."""
+
+    unpaired: Folders
+    unpaired_motion: Folders
+    holdout: float
+    hold_out_seconds: str | Sequence[splits.Interval]
+    seed: int
+    speaker: str | None
+    style: str | None
+    style_pattern: str | None
+    tolerance: float
+    channel: int | None
+    parts: Mapping[str, str] | None
+    read: Mapping[str, Any] | None
+    progress: Callable[[list[Any]], Iterable[Any]]
 
 
 @gesturekit_errors()
 def prepare(
     folders: Folders,
     out: str | os.PathLike[str] | None = None,
-    *,
-    unpaired: Folders = (),
-    unpaired_motion: Folders = (),
-    holdout: float = 0.1,
-    hold_out_seconds: str | Sequence[splits.Interval] = (),
-    seed: int = 0,
-    speaker: str | None = None,
-    style: str | None = None,
-    style_pattern: str | None = None,
-    tolerance: float = 1.0,
-    channel: int | None = None,
-    parts: Mapping[str, str] | None = None,
-    read: Mapping[str, Any] | None = None,
-    progress: Callable[[list[Any]], Iterable[Any]] = iter,
+    **options: Unpack[PrepareArguments],
 ) -> Report:
-    """Find, check and split recordings, and write the manifest where any are usable.
+    """Find, check and split recordings, and write the manifest if any are usable.
 
-    Sound and motion of a pair are taken to begin together. Tables beside a recording become its
-    conditions: STEM.events.csv (`gesturekit.formats.tables.events`) and STEM.path.csv
+    The sound and the motion of a pair are assumed to begin together. Tables beside a recording
+    become its conditions: STEM.events.csv (`gesturekit.formats.tables.events`) and STEM.path.csv
     (`formats.tables.root_path`). A problem of one recording never stops the others: it is
-    reported with its file, and errors leave that recording out.
+    reported with its file, and a recording with an error is left out.
 
     Args:
         folders: folders with speech and motion of equal names, see `pairing.pair`.
-        out: where to write the manifest; None writes nothing.
-        unpaired: folders of speech to be used alone. Files that are part of a pair stay there.
-        unpaired_motion: folders of motion to be used alone.
-        holdout: fraction of recordings that training never sees, 0 to below 1. Of paired
-            recordings at least one is held out; of a single one, its last 20 %.
-        hold_out_seconds: intervals to hold out of each paired recording as "test" instead:
-            `"10-15,50-"` or `[(10, 15), (50, math.inf)]`.
-        seed: chooses the recordings held out.
-        speaker: name of the speaker of all recordings of `folders`.
-        style: label of all recordings.
-        style_pattern: regular expression searched for in each id (the path within its folder,
-            without extension); its groups named `style` and `speaker` give the labels.
-        tolerance: seconds by which sound and motion of a pair may differ in length. Less is
-            trimmed to the shorter, more is an error.
-        channel: which channel of every sound file to hear, counted from 1; None for their mean.
-        parts: parts of the body named by hand, such as {"left_elbow": "Joint12"}, for rigs whose
-            names and shape do not tell them; see `gesturekit.motion.parts.find_parts`.
-        read: how motion files are read where that is not left to detection, see
-            `gesturekit.formats.conversion.load`; the manifest keeps it.
-        progress: wraps the list of recordings while they are checked, as tqdm does.
+        out: path of the manifest; None writes nothing.
+        options: the fields of `PrepareOptions`, such as `unpaired` and `holdout`.
 
     Raises:
-        CorpusError: a folder does not exist, or an argument is out of range.
-        ConfigError: an option of `read` that no motion found here has a use for.
+        CorpusError: a folder does not exist, or an option is out of range.
+        ConfigError: an option of `read` that applies to none of the motion files.
+        UnknownOptionError: a keyword that is not an option.
     """
-    folders, unpaired, unpaired_motion = map(_several, (folders, unpaired, unpaired_motion))
-    intervals = splits.as_intervals(hold_out_seconds)
-    if not 0 <= holdout < 1:
-        raise CorpusError(f"holdout is {holdout}; it must be a fraction from 0 to below 1")
-    if not (math.isfinite(tolerance) and tolerance >= 0):
-        raise CorpusError(f"tolerance is {tolerance}; it must be 0 or more seconds")
-    label = _labeller(style, style_pattern)
-
-    tasks, left_over, problems = _find(folders, unpaired, unpaired_motion)
-    if unknown := sorted(set(read or {}) - set(READING)):
-        raise CorpusError(f"{unknown[0]!r} is nothing a manifest keeps; read has {list(READING)}")
-    refuse_unused_read_options(
-        read or {}, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
-    )
-    recordings: list[Recording] = []
-    unmatched = 0
-    for recording, is_alone in progress(tasks):
-        recording = replace(recording, channel=channel)
-        if recording.motion is not None:
-            reading = applicable_read_options(recording.motion, read or {})
-            if parts and "height" in reading:  # which depends on them
-                reading["parts"] = dict(parts)
-            recording = replace(recording, reading=reading)
-        checked, found = examine(recording, tolerance, parts)
-        if checked is not None:
-            checked, unlabelled = label(checked, None if is_alone else speaker)
-            recordings.append(checked)
-            found += unlabelled
-            unmatched += len(unlabelled)
-        problems += found
-    if style_pattern and recordings and unmatched == len(recordings):
-        text = (
-            f"style pattern {style_pattern} matches none of "
-            f"{counted(len(recordings), 'recording')}, such as {recordings[0].id}"
-        )
-        problems.append(Problem("warning", None, text))
+    chosen = build_options(PrepareOptions, options, "prepare")
+    label = _labeller(chosen.style, chosen.style_pattern)
+    unpaired, unpaired_motion = _several(chosen.unpaired), _several(chosen.unpaired_motion)
+    tasks, left_over, problems = _find(_several(folders), unpaired, unpaired_motion)
+    recordings, found = _examined(tasks, chosen, label)
     recordings, odd = _of_one_skeleton(recordings)
     left_out = {problem.file for problem in odd}
-    problems = [one for one in problems if one.file not in left_out or one.severity == "error"]
-    problems += odd + _notes(recordings)
-
-    items, cut = _items(recordings, holdout, intervals, seed)
+    problems = [
+        one for one in problems + found if one.file not in left_out or one.severity == "error"
+    ]
+    problems += odd + _corpus_notes(recordings)
+    items, cut = splits.split_items(
+        recordings, chosen.holdout, splits.as_intervals(chosen.hold_out_seconds), chosen.seed
+    )
     report = Report(Manifest(items), tuple(recordings), tuple(problems + cut), tuple(left_over))
     if out is not None and items:
         report.manifest.save(out)
     return report
+
+
+def _examined(
+    tasks: list[tuple[Recording, bool]], options: PrepareOptions, label: Labeller
+) -> tuple[list[Recording], list[Problem]]:
+    """Load, check and label the recordings; return the usable ones and all problems."""
+    read = options.read or {}
+    refuse_unused_read_options(
+        read, {task.motion.suffix.lower() for task, _ in tasks if task.motion}
+    )
+    recordings: list[Recording] = []
+    problems: list[Problem] = []
+    unmatched = 0
+    for recording, is_alone in options.progress(tasks):
+        recording = replace(recording, channel=options.channel)
+        if recording.motion is not None:
+            reading = applicable_read_options(recording.motion, read)
+            if options.parts and "height" in reading:  # the height depends on the parts
+                reading["parts"] = dict(options.parts)
+            recording = replace(recording, reading=reading)
+        checked, found = examine(recording, options.tolerance, options.parts)
+        if checked is not None:
+            checked, unlabelled = label(checked, None if is_alone else options.speaker)
+            recordings.append(checked)
+            found += unlabelled
+            unmatched += len(unlabelled)
+        problems += found
+    if options.style_pattern and recordings and unmatched == len(recordings):
+        text = (
+            f"style pattern {options.style_pattern} matches none of "
+            f"{counted(len(recordings), 'recording')}, such as {recordings[0].id}"
+        )
+        problems.append(Problem("warning", None, text))
+    return recordings, problems
 
 
 def _several(folders: Folders) -> list[str | os.PathLike[str]]:
@@ -139,7 +191,7 @@ def _several(folders: Folders) -> list[str | os.PathLike[str]]:
 def _find(
     folders: list[Any], unpaired: list[Any], unpaired_motion: list[Any]
 ) -> tuple[list[tuple[Recording, bool]], list[Path], list[Problem]]:
-    """Recordings to check (with whether each is alone), files left over, problems."""
+    """Return (recording, is it unpaired) for each one to check, files left over, problems."""
     problems: list[Problem] = []
     seen: set[Path] = set()
 
@@ -157,7 +209,7 @@ def _find(
 
     pairing = pair([new_files(folder) for folder in folders])
     problems += pairing.problems
-    # A folder may be given both ways: what it has left after pairing is then used alone.
+    # A folder may be given both ways: its files left after pairing are then used alone.
     seen -= {absolute(file.path) for file in [*pairing.speech, *pairing.motion]}
     speech = [file for folder in unpaired for file in new_files(folder)]
     seen -= {absolute(file.path) for file in speech if not file.is_speech}
@@ -190,10 +242,8 @@ def _find(
     return tasks, left_over, problems
 
 
-def _labeller(
-    style: str | None, pattern: str | None
-) -> Callable[[Recording, str | None], tuple[Recording, list[Problem]]]:
-    """What gives a recording its labels, from the pattern where it fits, else as they are."""
+def _labeller(style: str | None, pattern: str | None) -> Labeller:
+    """Return a function that labels recordings by the pattern where it matches."""
     if pattern is None:
         return lambda recording, speaker: (replace(recording, speaker=speaker, style=style), [])
     try:
@@ -226,7 +276,7 @@ def _labeller(
 def _of_one_skeleton(
     recordings: list[Recording],
 ) -> tuple[list[Recording], list[Problem]]:
-    """Drop recordings whose joints are not those of most others."""
+    """Drop recordings whose joints differ from those of most others."""
     skeletons = [recording.skeleton for recording in recordings if recording.skeleton is not None]
     if not skeletons:
         return recordings, []
@@ -242,8 +292,8 @@ def _of_one_skeleton(
     return kept, problems
 
 
-def _notes(recordings: list[Recording]) -> list[Problem]:
-    """What is true of the corpus as a whole."""
+def _corpus_notes(recordings: list[Recording]) -> list[Problem]:
+    """Return problems of the corpus as a whole."""
     notes = _missing_parts(recordings) + _differing_sizes(recordings)
     by_fps: dict[str, int] = defaultdict(int)
     for recording in recordings:
@@ -257,23 +307,22 @@ def _notes(recordings: list[Recording]) -> list[Problem]:
 
 
 def _missing_parts(recordings: list[Recording]) -> list[Problem]:
-    """Say once what a rig whose parts cannot be identified is trained without."""
+    """Note once that body parts cannot be identified, and the consequences for training."""
     first = next((one for one in recordings if one.skeleton is not None), None)
     if first is None:
         return []
     try:
         find_parts(first.skeleton)
     except MotionError as error:
-        heard = any(one.audio and one.motion for one in recordings)
         what = "training leaves out what needs these parts"
-        if heard:
+        if any(one.audio and one.motion for one in recordings):
             what += "; multires by speech needs them, or network.modulate=all"
         return [Problem("note", first.motion, f"{error}. Without them {what}")]
     return []
 
 
 def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
-    """Warn once of bodies so different in size that a file was probably read in a wrong unit."""
+    """Warn if bodies differ so much in height that the unit of a file is probably wrong."""
     heights = {one.motion: one.height for one in recordings if one.height is not None}
     if not heights or max(heights.values()) <= MAX_SIZE_RATIO * min(heights.values()):
         return []
@@ -296,77 +345,3 @@ def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
 
 def _number(entry: tuple[str, int]) -> float:
     return float(entry[0])
-
-
-def _items(
-    recordings: list[Recording],
-    holdout: float,
-    intervals: Sequence[splits.Interval],
-    seed: int,
-) -> tuple[list[Item], list[Problem]]:
-    """Recordings as items, split; and the problems met in cutting them."""
-    paired = [recording for recording in recordings if recording.audio and recording.motion]
-    alone = [recording for recording in recordings if not (recording.audio and recording.motion)]
-    if holdout > 0 and not intervals and len(paired) == 1:
-        only = paired[0]
-        intervals = [(only.stop - splits.TAIL * (only.stop - only.start), math.inf)]
-    items: list[Item] = []
-    problems: list[Problem] = []
-    if intervals:
-        for recording in paired:
-            parts = _parts(recording, intervals)
-            if not any(split == "test" for split, _ in parts):
-                text = f"nothing of it lies in the seconds held out ({recording.stop:.1f} s long)"
-                problems.append(Problem("warning", recording.motion, text))
-            for split, (start, stop) in parts:
-                if stop - start < MIN_DURATION:
-                    text = f"{start:.2f} to {stop:.2f} s left out: too short a piece"
-                    problems.append(Problem("note", recording.motion, text))
-                    continue
-                part = replace(recording, start=start, stop=stop)
-                if len(parts) > 1:
-                    part = replace(part, id=f"{recording.id}@{start:.2f}-{stop:.2f}")
-                items.append(_item(part, split))
-    else:
-        chosen = splits.held_out((r.id for r in paired), holdout, seed, at_least=1)
-        items += [_item(recording, chosen[recording.id]) for recording in paired]
-    for group in (
-        [recording for recording in alone if recording.audio],
-        [recording for recording in alone if recording.motion],
-    ):
-        chosen = splits.held_out((r.id for r in group), holdout, seed)
-        items += [_item(recording, chosen[recording.id]) for recording in group]
-    return items, problems
-
-
-def _parts(
-    recording: Recording, intervals: Sequence[splits.Interval]
-) -> list[tuple[str, splits.Interval]]:
-    """The recording cut at motion frames, so that sound and motion of a part begin together."""
-
-    def on_frame(seconds: float) -> float:
-        if math.isinf(seconds):
-            return seconds
-        return math.floor(seconds * recording.fps + 0.5) / recording.fps
-
-    snapped = [(on_frame(start), on_frame(stop)) for start, stop in intervals]
-    return splits.cut(recording.start, recording.stop, snapped)
-
-
-def _item(recording: Recording, split: str) -> Item:
-    start = round(recording.start, 6)
-    return Item(
-        id=recording.id,
-        audio=recording.audio and absolute(recording.audio),
-        motion=recording.motion and absolute(recording.motion),
-        audio_start=start if recording.audio else 0.0,
-        motion_start=start if recording.motion else 0.0,
-        # Rounded down: an item never reaches past the end of its files.
-        duration=math.floor((recording.stop - start) * 1e6 + 1e-3) / 1e6,
-        speaker=recording.speaker,
-        style=recording.style,
-        split=split,
-        channel=recording.channel if recording.audio else None,
-        conditions={name: absolute(file) for name, file in recording.conditions.items()},
-        reading=recording.reading,
-    )

@@ -1,4 +1,4 @@
-"""What is wrong with a recording: one finding, with the file it was found in."""
+"""Problems of recordings: a message, its severity, and the file."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ SEVERITIES = ("error", "warning", "note")
 
 @dataclass(frozen=True)
 class Problem:
-    """One finding about one file, or about the corpus as a whole (`file` is None).
+    """A problem of one file, or of the whole corpus (`file` is None).
 
-    An ``"error"`` leaves the recording out, a ``"warning"`` keeps it (and says what was done
-    about it), a ``"note"`` is something to know.
+    An ``"error"`` leaves the recording out; a ``"warning"`` keeps it and says what was done about
+    it; a ``"note"`` is information only.
     """
 
     severity: str
@@ -27,17 +27,17 @@ class Problem:
 
     @property
     def text(self) -> str:
-        """The message with its file in front, unless the message already names the file."""
+        """The message, preceded by its file unless it already names the file."""
         if self.file is None:
             return self.message
-        # As a whole: a folder "e" is not named by each word with an e in it.
+        # Match whole words: a folder "e" is not named by every word that contains an e.
         if re.search(rf"(?<!\w){re.escape(str(self.file))}(?!\w)", self.message):
             return self.message
         return f"{self.file}: {self.message}"
 
 
 def printed(problems: Iterable[Problem], *, files_shown: int = 3) -> list[str]:
-    """Lines for people: errors first; equal notes or warnings on several files share a line."""
+    """Format problems as lines: errors first; equal notes or warnings on files share a line."""
     groups: dict[tuple[object, ...], list[Problem]] = {}
     for problem in sorted(problems, key=lambda problem: SEVERITIES.index(problem.severity)):
         together = problem.file if problem.severity == "error" else None

@@ -1,4 +1,4 @@
-"""A recording on its way into the corpus: what of it can be used, and what is wrong with it."""
+"""Examination of a recording: its usable interval and its problems."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import checks
-from gesturekit.corpus.manifest import CONDITIONS
+from gesturekit.corpus.item import CONDITIONS
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conversion import load
@@ -25,17 +25,17 @@ from gesturekit.motion.body_size import body_height
 from gesturekit.wording import counted
 
 MIN_DURATION = 0.5
-"""Seconds; anything shorter is too little to learn from."""
+"""Least length of a recording, seconds."""
 
 _TIMES_SHOWN = 5
 
 
 @dataclass(frozen=True)
 class Recording:
-    """The files of a recording, what of them is used, and what is in them.
+    """The files of a recording, their used interval, and their properties.
 
-    `start` and `stop` are seconds in both files, which begin together; where there is motion,
-    `start` lies on a motion frame. All but the files is known once it has been examined.
+    `start` and `stop` are seconds in both files, which begin together; with motion, `start` is the
+    time of a frame. `examine` fills in all fields except the files.
     """
 
     id: str
@@ -54,12 +54,12 @@ class Recording:
 
     @property
     def file(self) -> Path:
-        """The file that problems of this recording are told of."""
+        """The file to report problems with."""
         return self.motion or self.audio
 
     @cached_property
     def height(self) -> float | None:
-        """Height of its body, sole to crown, metres; None without motion, or without any bone."""
+        """Height of the body from sole to crown, metres; None without motion or bones."""
         try:
             return None if self.skeleton is None else body_height(self.skeleton)
         except MotionError:
@@ -69,16 +69,16 @@ class Recording:
 def examine(
     recording: Recording, tolerance: float, parts: Mapping[str, str] | None = None
 ) -> tuple[Recording | None, list[Problem]]:
-    """Load a recording and look for everything that may be wrong with it.
+    """Load a recording and check it.
 
     Args:
-        recording: where its files are.
-        tolerance: seconds by which sound and motion may differ in length.
-        parts: parts of the body named by hand, where the rig does not tell them.
+        recording: the recording with its files.
+        tolerance: largest difference in length of sound and motion, seconds.
+        parts: body parts assigned by hand, where they cannot be identified.
 
     Returns:
-        The recording with what is used of it, or None where an error leaves it out; and the
-        problems found.
+        the recording with its used interval and properties, or None after an error; and the
+        problems.
     """
     problems: list[Problem] = []
     wave, motion = _loaded(recording, parts or {}, problems)
@@ -138,7 +138,7 @@ def _loaded(
 
 
 def _conditions(recording: Recording, problems: list[Problem]) -> dict[str, Path]:
-    """Tables beside the recording: STEM.events.csv and STEM.path.csv."""
+    """Return the tables beside the recording: STEM.events.csv and STEM.path.csv."""
     found = {}
     for name in CONDITIONS:
         for file in filter(None, (recording.motion, recording.audio)):
@@ -174,7 +174,7 @@ def _check_lengths(
 
 
 def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[int, int]:
-    """Frames [first, stop) to use; what is wrong within them is added to `problems`."""
+    """Return the frames [first, stop) to use; add their defects to `problems`."""
     lead, trail = checks.reference_pose(motion)
     if lead == motion.n_frames:
         text = "holds its T-pose or rest pose throughout, so that nothing is trimmed"
@@ -227,7 +227,7 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
 
 
 def _times(frames: Sequence[int], at: Callable[[int], str]) -> str:
-    """The first few of some frames, as times."""
+    """Format the times of the first few frames."""
     more = len(frames) - _TIMES_SHOWN
     shown = ", ".join(at(frame) for frame in frames[:_TIMES_SHOWN])
     return f"{shown} and {more} more" if more > 0 else shown

@@ -1,4 +1,4 @@
-"""What `prepare` found, for programs and for people."""
+"""The result of `prepare`, and its text form."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gesturekit.corpus.manifest import SPLITS, Item, Manifest
+from gesturekit.corpus.item import SPLITS, Item
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.problem import Problem, printed
 from gesturekit.formats.sources import SPEECH_SUFFIXES, unreadable_media
 from gesturekit.wording import counted, listed
@@ -19,14 +20,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """What was found.
+    """The result of `prepare`.
 
     Attributes:
         manifest: the usable items.
-        recordings: the recordings that they are of, with frame rate, skeleton, sample rate.
-        problems: everything found wrong, errors being recordings left out.
-        left_over: speech without motion, motion without speech, and files that look like either
-            and are not read; not used.
+        recordings: their recordings, with frame rate, skeleton, sample rate.
+        problems: all problems; recordings with errors are left out.
+        left_over: unused files: speech without motion, motion without speech, and files of
+            unsupported formats.
     """
 
     manifest: Manifest
@@ -36,18 +37,18 @@ class Report:
 
     @property
     def is_complete(self) -> bool:
-        """True where nothing was left out."""
+        """True if nothing was left out."""
         return not self.left_over and all(p.severity != "error" for p in self.problems)
 
     def __str__(self) -> str:
         return "\n".join([*self.table(), *self.problem_lines()])
 
     def table(self) -> list[str]:
-        """What the corpus holds, one fact a line."""
+        """Return the contents of the corpus, one fact per line."""
         return [f"{name:<13} {value}" for name, value in self.rows()]
 
     def rows(self) -> list[tuple[str, str]]:
-        """What the corpus holds: (label, text) of each fact."""
+        """Return the contents of the corpus as (label, text) pairs."""
         manifest = self.manifest
         rows = [
             ("paired", _by_split(manifest.paired())),
@@ -64,14 +65,14 @@ class Report:
         return [(name, value) for name, value in rows if value]
 
     def _left_out(self) -> str:
-        """Return how much is not used, and why; "" where all is."""
+        """Return the numbers of recordings with errors and of unused files, or ""."""
         errors = {p.file or p.message for p in self.problems if p.severity == "error"}
         broken = [f"{counted(len(errors), 'recording')} with errors"] if errors else []
         alone = [f"{counted(len(self.left_over), 'file')} not used"] if self.left_over else []
         return ", ".join(broken + alone)
 
     def problem_lines(self) -> list[str]:
-        """Every problem with its file, then the files left over by folder."""
+        """Return all problems with their files, then the unused files by folder."""
         folders: dict[tuple[Path, str], list[Path]] = defaultdict(list)
         for path in self.left_over:
             is_speech = path.suffix.lower() in SPEECH_SUFFIXES
@@ -100,7 +101,7 @@ class Report:
 
 
 def amount(items: Collection[Item]) -> str:
-    """Return "3 recordings", or "1 recording in 2 parts" where items share one."""
+    """Return "3 recordings", or "1 recording in 2 parts" if items share one."""
     n_recordings = len({(item.audio, item.motion) for item in items})
     parts = f" in {len(items)} parts" if len(items) != n_recordings else ""
     return counted(n_recordings, "recording") + parts

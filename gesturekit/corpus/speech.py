@@ -1,4 +1,4 @@
-"""From a wave to what a model hears: features on motion frames, normalised for any speaker."""
+"""Speech features: extracted from sound, put on motion frames, normalised for any speaker."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ LIMIT = 6.0
 """Normalised features are kept within this many standard deviations."""
 
 _PRIOR_SECONDS = 1.0
-"""How much active speech the training mean is worth when a clip's own mean is taken."""
+"""Weight of the training mean when a clip's own mean is estimated, in seconds of speech."""
 
 Normalisation = Literal["clip", "corpus", "none"]
-"""Speech at one level and features centred clip by clip; features at zero mean and unit variance
-over all training frames (Alexanderson et al. 2023, A.1); or level and features as they are."""
+"""clip: level the speech and centre features clip by clip. corpus: zero mean and unit variance over
+all training frames (Alexanderson et al. 2023, A.1). none: leave level and features as they are."""
 
 Speech = str | Path | af.Wave | ArrayLike
 """A sound file, a `Wave`, or samples as `Wave.from_array` takes them."""
 
-Heard = tuple[np.ndarray, np.ndarray]
-"""What `extract` gives: features (T, S), not normalised, and where speech is active (T,)."""
+RawFeatures = tuple[np.ndarray, np.ndarray]
+"""Result of `extract`: features (T, S), not normalised, and speech activity (T,), bool."""
 
 _ACTIVITY_HOP = 0.01
-"""Seconds between two frames of speech activity."""
+"""Seconds between frames of the speech activity."""
 
 _LONGEST_SECONDS = 86_400.0
-"""Of motion without speech: a slip of the keyboard shall not ask for all memory."""
+"""Limit for motion without speech, so that a typing error cannot ask for all memory."""
 
 _FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in memory once
 
@@ -47,19 +47,19 @@ _FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in mem
 class SpeechConditioner:
     """Extracts features, puts them on motion frames by true time, and normalises them.
 
-    By default each clip is centred on the mean of its own active speech, which takes a stranger's
-    voice, microphone and room to where the training voices were, and scaled by the spread seen in
-    training, which leaves monotonous speech monotonous and silence silent. Where a clip holds
-    little or no speech, the training mean takes the place of its own; so it always does in
-    columns whose mean says something of the speech (`centred` of the extractor).
+    By default each clip is centred on the mean of its own active speech. This maps a new voice,
+    microphone and room to the mean of the training voices. The scale is the standard deviation in
+    training, so that monotonous speech stays monotonous and silence stays silent. The training
+    mean replaces the clip's own where the clip holds little or no speech, and always in columns
+    whose mean carries information (those that the extractor's `centred` leaves out).
 
     Attributes:
         extractor: an extractor of `audio_features`.
         fps: frames per second of the motion.
-        align: how features reach the motion frames, see `FeatureTrack.to_rate`.
+        align: interpolation to the motion frames, see `FeatureTrack.to_rate`.
         centre: (S,) mean of active speech in training.
         scale: (S,) standard deviation of centred active speech in training.
-        normalisation: which of `Normalisation`.
+        normalisation: one of `Normalisation`.
     """
 
     extractor: Any
@@ -72,7 +72,7 @@ class SpeechConditioner:
     @classmethod
     def fit(
         cls,
-        heard: Iterable[Heard],
+        clips: Iterable[RawFeatures],
         extractor: Any,
         fps: float,
         align: str,
@@ -81,22 +81,22 @@ class SpeechConditioner:
         """Learn centre and scale from training speech, paired and unpaired alike.
 
         Args:
-            heard: what `extract` gives for each clip.
-            extractor: what it was extracted by.
+            clips: the result of `extract` for each clip.
+            extractor: the extractor that made them.
             fps: frames per second of the motion.
             align: see `FeatureTrack.to_rate`.
-            normalisation: which of `Normalisation`.
+            normalisation: one of `Normalisation`.
         """
         about = (extractor, fps, align)
         if normalisation == "none":
             nothing = np.zeros(extractor.dim), np.ones(extractor.dim)
             return cls(*about, *nothing, normalisation)
         if normalisation == "corpus":
-            values = np.concatenate([values for values, _ in heard]).astype(np.float64)
+            values = np.concatenate([values for values, _ in clips]).astype(np.float64)
             spread = np.maximum(values.std(axis=0), 1e-3)
             return cls(*about, values.mean(axis=0), spread, normalisation)
         centres, spreads, frames = [], [], []
-        for values, active in heard:
+        for values, active in clips:
             if active.any():
                 spoken = values[active].astype(np.float64)
                 centres.append(spoken.mean(axis=0))
@@ -116,14 +116,14 @@ class SpeechConditioner:
         return self.extractor.dim
 
     def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
-        """(T, S) float32 normalised features; T follows from the wave's length unless given."""
+        """Return (T, S) float32 normalised features; T from the wave's length by default."""
         level = self.normalisation == "clip"
         return self.normalise(
             *extract(wave, self.extractor, self.fps, self.align, n_frames, level=level)
         )
 
     def normalise(self, values: np.ndarray, active: np.ndarray) -> np.ndarray:
-        """(T, S) float32 from what `extract` gives for a clip."""
+        """Normalise the result of `extract`: values (T, S), active (T,); return (T, S) float32."""
         if self.normalisation != "clip":
             return ((values - self.centre) / self.scale).astype(np.float32)
         prior = _PRIOR_SECONDS * self.fps
@@ -137,7 +137,7 @@ class SpeechConditioner:
         return normalised
 
     def silence(self, n_frames: int) -> np.ndarray:
-        """(T, S) float32: what the model hears when nobody speaks."""
+        """Return the normalised features of silence, (T, S) float32."""
         rate = 16000
         seconds = max(1.0, n_frames / self.fps)
         nothing = af.Wave(np.zeros(int(np.ceil(seconds * rate)), np.float32), rate, None)
@@ -152,10 +152,10 @@ def extract(
     n_frames: int | None = None,
     *,
     level: bool = True,
-) -> Heard:
-    """Features (T, S) float32 of a wave on motion frames, and where speech is active (T,).
+) -> RawFeatures:
+    """Return features (T, S) float32 on motion frames and speech activity (T,), bool.
 
-    The wave is brought to one level first (`Wave.at_level`), unless `level` is False.
+    Normalises the loudness first (`Wave.at_level`) unless `level` is False.
     """
     n_frames = wave.n_frames(fps) if n_frames is None else n_frames
     track = af.cache_from_environment().extract(extractor, wave.at_level() if level else wave)
@@ -166,15 +166,15 @@ def extract(
 
 
 def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af.Wave | None:
-    """The speech that a model is given, an array of samples as a `Wave`; files are not read.
+    """Return the speech given to a model, with an array of samples as a `Wave`; reads no file.
 
     Args:
-        speech: None for none.
-        sample_rate: Hz, of an array alone.
+        speech: a file, a `Wave`, samples (N,) or (N, channels), or None.
+        sample_rate: Hz; only with an array.
 
     Raises:
-        ModelError: a rate beside what has one of its own.
-        AudioError: an array without rate, or one that is no sound.
+        ModelError: a rate with speech that has its own, or without speech.
+        AudioError: an array without rate, or one that is not sound.
     """
     if speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave)):
         return af.Wave.from_array(speech, sample_rate, "speech")
@@ -184,10 +184,13 @@ def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af
     return speech
 
 
-def at_rate(motion: Motion, fps: float, wave: af.Wave | None, seconds: float | None) -> Motion:
-    """Resample what was generated for a sound, for so many seconds, or for neither.
+def to_output_rate(
+    motion: Motion, fps: float, wave: af.Wave | None, seconds: float | None
+) -> Motion:
+    """Resample generated motion to `fps`, with the frame count of its request.
 
-    It gets as many frames as the sound, the seconds or the motion last at this rate, rounded.
+    The count is the duration of the sound, `seconds` or, without both, of the motion, times `fps`,
+    rounded.
     """
     if fps == motion.fps:
         return motion
@@ -196,23 +199,23 @@ def at_rate(motion: Motion, fps: float, wave: af.Wave | None, seconds: float | N
     return motion.resample(fps, None if wave is None else max(1, wave.n_frames(fps)))
 
 
-def hear(
+def speech_features(
     conditioner: SpeechConditioner | None,
     speech: str | Path | af.Wave | None,
     seconds: float | None,
     fps: float,
 ) -> np.ndarray:
-    """(T, S) what a model hears of what it is asked; S is 0 for a model that does not hear.
+    """Return the speech features (T, S) float32 of a request; S is 0 without speech input.
 
     Args:
-        conditioner: the model's; None for one that does not hear.
-        speech: an audio file or a `Wave`; None for silence of so many `seconds`.
+        conditioner: the model's; None for a model without speech input.
+        speech: an audio file or a `Wave`; None for silence lasting `seconds`.
         seconds: length without speech.
         fps: frames per second of the motion.
 
     Raises:
-        ModelError: speech for a model that does not hear, neither speech nor seconds or both, less
-            than a frame of them, or more than a day.
+        ModelError: speech for a model without speech input, neither speech nor seconds or both,
+            less than a frame, or more than a day without speech.
         AudioError: the speech cannot be read.
     """
     if speech is not None:

@@ -1,8 +1,8 @@
-"""Which recordings, or which parts of one, training never sees.
+"""Splits: the recordings, or parts of one, that are held out from training.
 
 With several paired recordings whole recordings are held out: a fraction of them, at least
 one, alternately for "test" and "valid". With a single one its last fifth becomes "test". Or
-the user names intervals, which are cut out of every recording long enough to hold them.
+the user gives intervals, which are cut out of every recording that is long enough.
 """
 
 from __future__ import annotations
@@ -11,11 +11,16 @@ import hashlib
 import math
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
+from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import absolute
+from gesturekit.corpus.problem import Problem
+from gesturekit.corpus.recording import MIN_DURATION, Recording
 from gesturekit.errors import CorpusError
 
 TAIL = 0.2
-"""The share of a single recording that is held out, at its end."""
+"""Fraction of a single recording that is held out, at its end."""
 
 Interval = tuple[float, float]
 """Start and end in seconds; the end may be infinite."""
@@ -24,12 +29,12 @@ Interval = tuple[float, float]
 def held_out(
     ids: Iterable[str], fraction: float, seed: int, *, at_least: int = 0
 ) -> dict[str, str]:
-    """The split of each recording.
+    """Choose the split of each recording, {id: split}.
 
-    round(fraction · n) recordings are held out, no fewer than `at_least` and never all of them:
-    the first for "test", the next for "valid", and so on in turn; the rest is "train". They are
-    those with the lowest SHA-256 of seed and id, so the choice depends neither on the order of
-    the files nor on the machine, and hardly changes when recordings are added.
+    round(fraction · n) recordings are held out, at least `at_least` and never all of them, "test"
+    and "valid" in turn; the rest is "train". The recordings with the lowest SHA-256 of seed and id
+    are held out, so that the choice depends neither on the order of the files nor on the machine,
+    and hardly changes when recordings are added.
     """
     ids = list(ids)
     count = 0
@@ -43,7 +48,7 @@ def held_out(
 
 
 def as_intervals(wanted: str | Sequence[Interval]) -> list[Interval]:
-    """Return intervals in seconds, of a text (`parse_intervals`) or a sequence of (start, end).
+    """Return intervals in seconds from text (`parse_intervals`) or (start, end) pairs.
 
     Raises:
         CorpusError: neither, or an interval that ends before it begins.
@@ -66,7 +71,7 @@ def as_intervals(wanted: str | Sequence[Interval]) -> list[Interval]:
 
 
 def parse_intervals(text: str) -> list[Interval]:
-    """``"10-20,55-"`` as intervals in seconds; without an end, to the end of the recording.
+    """Parse ``"10-20,55-"`` as intervals in seconds; without an end, to the end of the recording.
 
     Raises:
         CorpusError: not such a list, or an interval that ends before it begins.
@@ -90,8 +95,8 @@ def cut(start: float, stop: float, intervals: Sequence[Interval]) -> list[tuple[
     """Cut intervals out of a recording that lasts from `start` to `stop`.
 
     Returns:
-        (split, interval) in order of time: "test" for what was cut out, "train" for the rest.
-        Intervals that overlap are joined; what lies outside the recording is ignored.
+        (split, interval) in order of time: "test" for the parts cut out, "train" for the rest.
+        Overlapping intervals are joined; parts outside the recording are ignored.
     """
     parts: list[tuple[str, Interval]] = []
     at = start
@@ -108,3 +113,85 @@ def cut(start: float, stop: float, intervals: Sequence[Interval]) -> list[tuple[
     if at < stop:
         parts.append(("train", (at, stop)))
     return parts
+
+
+def split_items(
+    recordings: list[Recording],
+    holdout: float,
+    intervals: Sequence[Interval],
+    seed: int,
+) -> tuple[list[Item], list[Problem]]:
+    """Assign recordings to splits and turn them into items.
+
+    Args:
+        recordings: examined recordings, paired and unpaired.
+        holdout: fraction to hold out.
+        intervals: seconds to hold out of each paired recording instead.
+        seed: seed of the choice.
+
+    Returns:
+        the items, and problems of pieces that are too short or missing.
+    """
+    paired = [recording for recording in recordings if recording.audio and recording.motion]
+    alone = [recording for recording in recordings if not (recording.audio and recording.motion)]
+    if holdout > 0 and not intervals and len(paired) == 1:
+        only = paired[0]
+        intervals = [(only.stop - TAIL * (only.stop - only.start), math.inf)]
+    items: list[Item] = []
+    problems: list[Problem] = []
+    if intervals:
+        for recording in paired:
+            parts = _parts(recording, intervals)
+            if not any(split == "test" for split, _ in parts):
+                text = f"nothing of it lies in the seconds held out ({recording.stop:.1f} s long)"
+                problems.append(Problem("warning", recording.motion, text))
+            for split, (start, stop) in parts:
+                if stop - start < MIN_DURATION:
+                    text = f"{start:.2f} to {stop:.2f} s left out: too short a piece"
+                    problems.append(Problem("note", recording.motion, text))
+                    continue
+                part = replace(recording, start=start, stop=stop)
+                if len(parts) > 1:
+                    part = replace(part, id=f"{recording.id}@{start:.2f}-{stop:.2f}")
+                items.append(_item(part, split))
+    else:
+        chosen = held_out((r.id for r in paired), holdout, seed, at_least=1)
+        items += [_item(recording, chosen[recording.id]) for recording in paired]
+    for group in (
+        [recording for recording in alone if recording.audio],
+        [recording for recording in alone if recording.motion],
+    ):
+        chosen = held_out((r.id for r in group), holdout, seed)
+        items += [_item(recording, chosen[recording.id]) for recording in group]
+    return items, problems
+
+
+def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[tuple[str, Interval]]:
+    """Cut a recording at motion frames, so that sound and motion of a part begin together."""
+
+    def on_frame(seconds: float) -> float:
+        if math.isinf(seconds):
+            return seconds
+        return math.floor(seconds * recording.fps + 0.5) / recording.fps
+
+    snapped = [(on_frame(start), on_frame(stop)) for start, stop in intervals]
+    return cut(recording.start, recording.stop, snapped)
+
+
+def _item(recording: Recording, split: str) -> Item:
+    start = round(recording.start, 6)
+    return Item(
+        id=recording.id,
+        audio=recording.audio and absolute(recording.audio),
+        motion=recording.motion and absolute(recording.motion),
+        audio_start=start if recording.audio else 0.0,
+        motion_start=start if recording.motion else 0.0,
+        # Rounded down: an item never reaches past the end of its files.
+        duration=math.floor((recording.stop - start) * 1e6 + 1e-3) / 1e6,
+        speaker=recording.speaker,
+        style=recording.style,
+        split=split,
+        channel=recording.channel if recording.audio else None,
+        conditions={name: absolute(file) for name, file in recording.conditions.items()},
+        reading=recording.reading,
+    )

@@ -1,6 +1,6 @@
-"""Styles over time: which of them holds when.
+"""Styles over time.
 
-A style is one-hot over the names that a corpus has. It may change over time, with blends.
+A style is one-hot over the style names of a corpus. It may change over time, with blends.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 from gesturekit.errors import ModelError
 
 BLEND_SECONDS = 1.0
-"""How long one style takes to become the next, half of it on either side of the border."""
+"""Length of the transition from one style to the next, centred on the border."""
 
 _SPAN = re.compile(r"(?P<name>.+)@(?P<start>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?)")
 
 
 def style_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> np.ndarray:
-    """(T, K) float32 weights of the styles over time, which add up to 1.
+    """Return (T, K) float32 weights of the styles over time; each row adds up to 1.
 
     Args:
-        names: the K styles there are.
-        wanted: one of them, or spans of seconds: `old@0-10,angry@10-20`. Before the first span,
-            after the last and between two, the nearest span holds; where spans overlap they share.
+        names: the K styles.
+        wanted: one of them, or spans of seconds: `old@0-10,angry@10-20`. Outside all spans the
+            nearest one applies; overlapping spans have equal weights.
         n_frames: T.
         fps: frames per second.
 
@@ -51,17 +51,17 @@ def style_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) ->
     for number, now in zip(numbers, holds, strict=True):
         track[:, number] += now
     track /= track.sum(axis=1, keepdims=True)
-    # The mean over a blend's length turns every border into a ramp of that length.
+    # A running mean of this length turns every border into a linear ramp.
     reach = math.floor(BLEND_SECONDS * fps / 2)
     around = np.pad(track, ((reach, reach), (0, 0)), mode="reflect")
     return np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1, axis=0).mean(axis=-1)
 
 
 def style_number(names: Sequence[str], name: str) -> int:
-    """Which of the styles that is.
+    """Return the index of a style.
 
     Raises:
-        ModelError: none of them.
+        ModelError: an unknown style.
     """
     if name not in names:
         raise ModelError(f"style {name!r}: the model knows {', '.join(names) or 'none'}")

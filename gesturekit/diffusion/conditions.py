@@ -1,8 +1,7 @@
-"""What a diffusion model is told about each frame: speech, a path, events, a style.
+"""Conditions of a diffusion model, frame by frame: speech features, a path, events and a style.
 
-A condition is one row of numbers a frame, `[speech | path 3 | events E | styles K]`, whatever a
-model was trained with: parts that it does not know have no columns. A part that is not given is
-zeros in its columns; models trained with condition dropout know that as "anything".
+A condition has the columns `[speech S | path 3 | events E | styles K]`; parts that a model was not
+trained with have no columns. A part that is not given is zero, as with condition dropout.
 """
 
 from __future__ import annotations
@@ -35,15 +34,15 @@ Array = TypeVar("Array", np.ndarray, Tensor)
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """The parts of the condition that a model knows.
+    """The layout of a model's condition, and its encoding.
 
     Attributes:
-        conditioner: turns waves (speech or music) into features; None for a model that is deaf.
-        path: whether the root's way over the ground is given to the model, not made by it.
-        events: names of the binary flags.
+        conditioner: turns waves (speech or music) into features; None for no sound input.
+        path: whether the root follows a given path.
+        events: names of the binary event flags.
         styles: names of the styles.
-        path_mean: (3,) of turn, forward and lateral per frame, in training; lengths in metres of
-            the reference body, see `ModelJoints.scale`.
+        path_mean: (3,) mean of turn, forward and lateral per frame over the training data, in
+            radians and metres of the reference body (`ModelJoints.scale`).
         path_scale: (3,) their standard deviation.
     """
 
@@ -56,7 +55,7 @@ class Conditions:
 
     @property
     def columns(self) -> dict[str, slice]:
-        """Where each part of `PARTS` stands in a row; an empty slice for one that is not known."""
+        """Columns of each part of `PARTS`; an empty slice for a part that the model lacks."""
         widths = (
             0 if self.conditioner is None else self.conditioner.dim,
             3 if self.path else 0,
@@ -71,7 +70,7 @@ class Conditions:
 
     @property
     def width(self) -> int:
-        """C, numbers a frame."""
+        """C, the number of columns."""
         return self.columns["styles"].stop
 
     def encode(
@@ -84,21 +83,21 @@ class Conditions:
         events: Sequence[Event] | None = None,
         style: np.ndarray | None = None,
     ) -> np.ndarray:
-        """(T, C) float32: what a model is told about a clip.
+        """Return the condition (T, C) float32 of a clip.
 
         Args:
             n_frames: T.
             fps: frames per second of the motion.
-            speech: (T, S) of the conditioner.
-            path: see `smooth_path`; T frames at `fps`, in metres of the reference body.
-            events: names must be known; what lies after the last frame is left out.
-            style: (T, K) weights of the styles, see `gesturekit.corpus.styles.style_track`.
+            speech: (T, S) features of the conditioner.
+            path: T frames at `fps`, in metres of the reference body; see `smooth_path`.
+            events: with known names; events after the last frame are ignored.
+            style: (T, K) style weights, see `gesturekit.corpus.styles.style_track`.
 
         Raises:
-            ModelError: a part that this model does not know, of another shape than it expects, or
-                an event of an unknown name.
+            ModelError: a part that this model lacks, a part of the wrong shape, or an event of an
+                unknown name.
         """
-        rows = np.zeros((n_frames, self.width), np.float32)
+        condition = np.zeros((n_frames, self.width), np.float32)
         given = {
             "speech": speech,
             "path": None if path is None else self._standardised(path),
@@ -111,14 +110,14 @@ class Conditions:
                 continue
             wanted = (n_frames, columns.stop - columns.start)
             if values.shape != wanted and values.size:
-                told = "the model knows no such part" if not wanted[1] else f"expected {wanted}"
-                raise ModelError(f"condition: {name} of shape {values.shape}; {told}")
+                why = "the model knows no such part" if not wanted[1] else f"expected {wanted}"
+                raise ModelError(f"condition: {name} of shape {values.shape}; {why}")
             if values.size:
-                rows[:, columns] = values
-        return rows
+                condition[:, columns] = values
+        return condition
 
     def without(self, condition: Array, *parts: str) -> Array:
-        """A copy of a condition (..., C) with some parts dropped; all of them if none is named."""
+        """Return a copy of a condition (..., C) with the named parts, or all, set to zero."""
         dropped = condition.clone() if isinstance(condition, Tensor) else condition.copy()
         for name in parts or PARTS:
             dropped[..., self.columns[name]] = 0
@@ -128,7 +127,7 @@ class Conditions:
         return (path.deltas() - self.path_mean) / self.path_scale
 
     def _flags(self, events: Sequence[Event], n_frames: int, fps: float) -> np.ndarray:
-        """(T, E): 1 from the frame nearest to an event's beginning, for one frame at least."""
+        """Return flags (T, E): 1 from the frame nearest to an event's start, at least one frame."""
         flags = np.zeros((n_frames, len(self.events)), np.float32)
         for event in events:
             check_event(event, self.events)
@@ -138,7 +137,7 @@ class Conditions:
         return flags
 
     def to_values(self) -> dict[str, Any]:
-        """All but numbers learnt in training, as plain values for `config.yaml`."""
+        """Return the layout as plain values for `config.yaml`."""
         return {
             "features": None if self.conditioner is None else conditioner_values(self.conditioner),
             "path": self.path,
@@ -147,7 +146,7 @@ class Conditions:
         }
 
     def to_tensors(self) -> dict[str, Tensor]:
-        """Numbers learnt in training, for `model.safetensors`."""
+        """Return means and scales for `model.safetensors`."""
         tensors = conditioner_tensors(self.conditioner)
         if self.path:
             tensors["path.mean"] = torch.from_numpy(self.path_mean)
@@ -163,18 +162,18 @@ class Conditions:
         weights: str | Path | None = None,
         device: str = "cpu",
     ) -> Conditions:
-        """Inverse of `to_values` and `to_tensors`.
+        """Rebuild conditions from `to_values` and `to_tensors`.
 
         Args:
-            values: as `to_values` gives them.
-            tensors: that hold, among others, what `to_tensors` gives.
+            values: of `to_values`.
+            tensors: of `to_tensors`; others are ignored.
             fps: frames per second of the motion.
-            weights: the WavLM weights, where features ask for them.
+            weights: the WavLM weights of training, for WavLM features.
             device: where WavLM computes.
 
         Raises:
-            KeyError, TypeError, ValueError: values that `to_values` does not give.
-            WeightsError: WavLM weights are asked for, or are not those of training.
+            KeyError, TypeError, ValueError: damaged values.
+            WeightsError: WavLM weights are needed, or are not those of training.
         """
         features, conditioner = values["features"], None
         if features is not None:
@@ -195,7 +194,7 @@ class Conditions:
 
 
 def check_event(event: Event, known: Sequence[str]) -> None:
-    """Raises ModelError for an event of an unknown name."""
+    """Raise ModelError for an event of an unknown name."""
     if event.name not in known:
         near = difflib.get_close_matches(event.name, known, n=1)
         hint = f"did you mean {near[0]}? " if near else ""
@@ -205,11 +204,11 @@ def check_event(event: Event, known: Sequence[str]) -> None:
 
 
 def smooth_path(path: RootPath, fps: float, n_frames: int | None = None) -> RootPath:
-    """A path as models are given it: at their frame rate, and smoothed (section 4.1).
+    """Resample a path to the model's frame rate and smooth it (section 4.1).
 
     Args:
         path: at any frame rate.
         fps: frames per second of the motion.
-        n_frames: how many; by default as many as the path holds.
+        n_frames: number of frames; by default those of the whole path.
     """
     return path.resample(fps, n_frames).smoothed()

@@ -1,4 +1,4 @@
-"""What a diffusion run can be told; the defaults are the gesture models of the paper."""
+"""Settings of a diffusion run; the defaults are those of the paper's gesture models."""
 
 from __future__ import annotations
 
@@ -21,25 +21,28 @@ class NetworkConfig:
     layers: int = 4
     """Conformer layers in each block; `diffwave` has one convolution instead."""
     channels: int = 256
+    """Width of the residual blocks and Conformer layers."""
     heads: int = 8
+    """Attention heads in each layer."""
     feedforward: int = 1024
     """Hidden channels of the convolutional part of a Conformer layer."""
     embedding: int = 512
     """Width of the embedding of the diffusion step."""
     dilations: tuple[int, ...] = (0, 1, 2)
-    """In frames, in turn over the blocks; 0 is a plain feed-forward part instead of convolutions
-    of three frames."""
+    """Dilation of the convolutions in frames, cycling over the blocks. 0 replaces the convolutions
+    of three frames by a plain feed-forward part."""
     kernels: int = 21
-    """Sigmoids in the position bias of each head."""
+    """Number of sigmoids in the position bias of each head."""
     nearest_view: int = 5
-    """Frames that the nearest-sighted head sees: 1e-8 of the weight is left at half of them ..."""
+    """Receptive field in frames of the head with the narrowest view. At half of it, the position
+    bias has fallen to a weight of 1e-8."""
     farthest_view: int = 75
-    """... and that the farthest-sighted head sees."""
+    """Receptive field in frames of the head with the widest view."""
     dropout: float = 0.1
-    """On attention weights, in the feed-forward part and on what a layer adds."""
+    """Dropout of attention weights, of the feed-forward part and of each residual branch."""
     architecture: Literal["conformer", "diffwave"] = "conformer"
-    """`diffwave` is the paper's ablation LDA-DW: one dilated convolution in place of the stack.
-    It has no dilation 0; the paper's cycle is 1, 2, 4 ... 512."""
+    """`diffwave` is the paper's ablation LDA-DW: one dilated convolution instead of the Conformer
+    stack. It has no dilation 0; the paper's cycle is 1, 2, 4 ... 512."""
 
     def __post_init__(self) -> None:
         check_positive(
@@ -71,18 +74,18 @@ class NetworkConfig:
 
 @dataclass(frozen=True)
 class NoiseConfig:
-    """How noise is added, step by step, and what the network tells about it."""
+    """The noise schedule and the prediction target."""
 
     steps: int = 100
-    """N; dance, locomotion and fighting: 150."""
+    """Number of diffusion steps N; the paper has 150 for dance, locomotion and fighting."""
     first_beta: float = 0.0074
-    """beta_1, rising on a straight line ...; dance, locomotion and fighting: 0.01."""
+    """beta_1 of the linear schedule; the paper has 0.01 for dance, locomotion and fighting."""
     last_beta: float = 0.78
-    """... to beta_N; the others 0.7."""
+    """beta_N of the linear schedule; the paper has 0.7 for dance, locomotion and fighting."""
     predict: Literal["noise", "velocity", "clean"] = "noise"
-    """What the network predicts: the noise (the paper), the velocity of Salimans and Ho, or the
-    clean motion, which is smooth and of few dimensions where noise is neither: a small network
-    learns it in a fraction of the time."""
+    """Prediction target: the noise (as in the paper), the velocity of Salimans and Ho, or the clean
+    motion. Clean motion is smooth and low-dimensional, so a small network learns it in a fraction
+    of the time."""
 
     def __post_init__(self) -> None:
         check_positive(steps=self.steps)
@@ -98,39 +101,40 @@ class NoiseConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How long, how fast and on how much at a time (section 4.1 and appendix A.1)."""
+    """Optimisation (section 4.1 and appendix A.1)."""
 
     updates: int = 67_000
-    """ZeroEGGS' 135 minutes; the paper has 112,000 for 244 minutes of speech, 180,000 for 373 of
-    dance, 52,000 for 60 of fighting, 292,000 for 1125 of locomotion."""
+    """Number of updates. The default suits the 135 minutes of ZeroEGGS; the paper has 112,000 for
+    244 minutes of speech, 180,000 for 373 of dance, 52,000 for 60 of fighting, 292,000 for 1125 of
+    locomotion."""
     batch: int = 80
-    """Windows an update; over several processes, of all of them together."""
+    """Windows per update, in all processes together."""
     window: float = 5.0
-    """Seconds."""
+    """Length of a training window in seconds."""
     learning_rate: float = 6e-4
-    """Of Adam, after warming up."""
+    """Learning rate of Adam after warm-up."""
     warm_up: int = 3000
-    """Updates in which the learning rate rises to it on a straight line."""
+    """Number of updates of linear learning-rate warm-up."""
     decay: float = 0.99995
-    """Every ten updates the learning rate is multiplied by this. So the released code has it; the
-    paper has 1 - 0.5e-5. After 67,000 updates 0.72 and 0.97 are left."""
+    """Factor on the learning rate every ten updates, as in the released code; the paper has
+    1 - 0.5e-5. After 67,000 updates, the learning rate has fallen to 0.72 or 0.97 of its value."""
     clip: float = 25.0
-    """Largest norm of a gradient; 0 for any."""
+    """Maximum gradient norm; 0 for no clipping."""
     ema: float = 0.0
-    """The model is the exponential moving average of the weights, this much of it kept at every
-    update (less in the first ones); 0, as in the paper, takes the weights as they are."""
+    """Decay of the exponential moving average of the weights, which becomes the model; it is lower
+    in the first updates. 0, as in the paper, uses the weights themselves."""
     dropout_condition: float = 0.0
-    """Share of windows that are told nothing, so that one model serves guidance and as a prior."""
+    """Share of windows without any condition (condition dropout), for guidance and for products."""
     dropout_style: float = 0.0
-    """Share of the others that are not told their style."""
+    """Share of the other windows without their style (style dropout), for guidance."""
     min_snr: float | None = None
-    """Gamma of min-SNR loss weights; null, as in the paper, weighs all steps alike."""
+    """Gamma of min-SNR loss weights; null, as in the paper, gives all steps the same weight."""
     changes: float = 0.0
-    """Weight of the error in how the motion changes from frame to frame, in units of how much each
-    number changes in the recordings. For networks that predict the clean motion, whose own errors
-    are small and tremble; the paper has none."""
+    """Weight of the squared error of frame-to-frame changes, in units of their standard deviation
+    in the recordings. It reduces jitter of networks that predict clean motion; the paper has no
+    such loss."""
     precision: Literal["float32", "bfloat16"] = "float32"
-    """Of the network's products in training; weights and sums stay float32."""
+    """Precision of matrix products in training; weights and sums stay float32."""
 
     def __post_init__(self) -> None:
         check_positive(
@@ -156,14 +160,14 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class AugmentationConfig:
-    """What else the recordings could have been (appendix A.1)."""
+    """Data augmentation (appendix A.1)."""
 
     mirror: bool = True
-    """Learn from the mirrored recordings too, but for the styles that `styles.handed` names."""
+    """Train on mirrored recordings too, except for the styles in `styles.handed`."""
     stretch: float = 0.1
-    """Share of windows that are played faster or slower; dance and fighting: 0.2."""
+    """Share of time-stretched windows; the paper has 0.2 for dance and fighting."""
     stretch_range: float = 0.1
-    """By a factor between 1 minus this and 1 plus this."""
+    """Time stretching is by a factor between 1 minus this and 1 plus this."""
 
     def __post_init__(self) -> None:
         check_share(stretch=self.stretch)
@@ -173,21 +177,21 @@ class AugmentationConfig:
 
 @dataclass(frozen=True)
 class StyleConfig:
-    """The model is told the `style` that the manifest gives each recording."""
+    """Style condition: the `style` of each recording in the manifest."""
 
     handed: tuple[str, ...] = ()
-    """Styles that tell left from right; their recordings are not mirrored."""
+    """Styles that distinguish left from right; their recordings are not mirrored."""
 
 
 @dataclass(frozen=True)
 class UnpairedConfig:
-    """Motion without speech, learnt from as windows that are told nothing."""
+    """Unpaired motion: training windows without any condition."""
 
     corpus: Path | None = None
-    """A manifest of motion, of any rig with a body: another rig's is put onto the paired one.
-    Null for the motion alone that the run's own corpus has."""
+    """A manifest of motion of any human rig, which is retargeted to the rig of the corpus. Null
+    takes the unpaired motion of the run's own corpus."""
     share: float = 0.5
-    """Of the windows."""
+    """Share of windows from unpaired motion."""
 
     def __post_init__(self) -> None:
         check_share(share=self.share)
@@ -195,36 +199,38 @@ class UnpairedConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class DiffusionConfig(RunConfig):
-    """A diffusion training run: gestures, dance, a path or events to follow, or motion alone."""
+    """A diffusion training run, with any combination of speech, path, events and styles."""
 
     system: Literal["diffusion"]
     out: Path = field(default_factory=lambda: Path("runs/diffusion"))
     fps: float = 30.0
+    """Frames per second at which the network works."""
     features: FeatureConfig | None = field(default_factory=FeatureConfig)
-    """What is heard, speech or music; null for nothing."""
+    """Features of speech or music; null for a model without sound input."""
     path: bool = False
-    """The root follows a path that is given: each item's `path`, or the way it went itself."""
+    """Condition on the path of the root: each item's `path`, or that of its own motion."""
     events: bool = False
-    """Binary flags tell what happens: each item's `events`."""
+    """Condition on binary event flags: each item's `events`."""
     styles: StyleConfig | None = None
-    """How styles are learnt; null for none, as in the twin that guidance leads away from."""
+    """Style condition; null for none, as in an unconditional model for guidance."""
     unpaired: UnpairedConfig | None = None
-    """Motion that goes without speech; null for none."""
+    """Unpaired motion; null for none."""
     start_from: Path | None = None
-    """A model folder to go on from: its weights, rig, features and standardisation are kept."""
+    """A model folder to fine-tune: its weights, rig, features and standardisation are kept."""
     moves_like: Path | None = None
-    """A model folder whose rig, joints and standardisation are kept, with weights of its own: the
-    two can be multiplied, whatever each is told."""
+    """A model folder with the rig, joints and standardisation to use, but not the weights. The two
+    models can then be combined in a product of experts, whatever their conditions."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
     augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
     checkpoint_every: int = 1000
+    """Updates between checkpoints."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.moves_like is not None and self.start_from is not None:
-            raise ConfigError("moves_like: start_from keeps all of a model; leave out one of them")
+            raise ConfigError("moves_like: start_from implies it; leave out one of them")
         if self.training.changes and self.noise.predict != "clean":
             raise ConfigError(
                 f"training.changes: {self.training.changes} is for networks that predict the clean "
@@ -233,5 +239,5 @@ class DiffusionConfig(RunConfig):
 
     @property
     def window_frames(self) -> int:
-        """Frames of a training window."""
+        """Return the length of a training window in frames."""
         return max(2, round(self.training.window * self.fps))

@@ -10,7 +10,7 @@ def denoising_error(predicted: Tensor, target: Tensor) -> Tensor:
 
     Args:
         predicted: (B, T, X) noise, velocity or clean motion as the network predicts it.
-        target: (B, T, X), what it should have predicted.
+        target: (B, T, X), its target.
 
     Returns:
         (B,), the mean over frames and features of each clip.

@@ -1,18 +1,18 @@
-"""The motion vector of the diffusion model: exponential maps, height, steps of the root.
+"""The motion vector of the diffusion model: exponential maps, root height and root displacement.
 
-A frame is `[3 K | 1 | 3]`: the exponential map of each modelled joint (Grassia 1998), the height of
-the root, and the root's steps over the ground as it turns (radians), goes forward and goes to its
-left, each since the frame before (section 4.1 of Alexanderson et al. 2023, after Holden et al.
-2016). Lengths are metres of the reference body (`ModelJoints.scale`). Where the root follows a path
-that is given, the steps are left out.
+A frame is `[maps 3 K | height 1 | displacement 3]` (section 4.1 of Alexanderson et al. 2023, after
+Holden et al. 2016): the exponential map of each modelled joint (Grassia 1998), the height of the
+root, and its turn (radians), forward and leftward displacement since the frame before. Lengths are
+metres of the reference body (`ModelJoints.scale`). A model that follows a given path has no
+displacement columns.
 
 - Maps are relative to each joint's mean rotation over the training data. The published ones are
-  relative to a T-pose, which few rigs rest in; about the mean, angles are small and far from pi,
-  where a map is ambiguous. Where an angle passes pi all the same, the map goes on in the
-  neighbouring turn, so that it is continuous over time; any of them decodes to the rotation.
-- The root's own map is what is left of its rotation once the heading is taken off. The heading is
-  square to the hips' side axis and level; on a path it is the path's, and the hips' swing about it
-  stays in the map.
+  relative to a T-pose, but few rigs have one as rest pose. Relative to the mean, angles are small
+  and far from pi, where a map is ambiguous. If an angle does pass pi, the map continues beyond pi,
+  so that it is continuous over time; equivalent maps decode to the same rotation.
+- The map of the root excludes its heading. The heading is horizontal and perpendicular to the side
+  axis of the hips. With a path, it is the heading of the path, and the map holds the rotation of
+  the hips relative to it.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from gesturekit.motion.rotations import (
 from gesturekit.motion.selection.model_joints import ModelJoints
 from gesturekit.motion.skeleton import Skeleton
 
-_FRAMES_AT_ONCE = 1024  # decoded, so that what a rotation passes through on its way stays small
+_FRAMES_AT_ONCE = 1024  # bounds the size of temporary arrays while decoding
 
 
 @dataclass(frozen=True, eq=False)
 class DeltaRepresentation(ModelJoints):
-    """Encodes motions of one rig as vectors, and vectors as motions.
+    """Conversion between motions of one rig and motion vectors.
 
     Attributes (beside those of `ModelJoints`):
-        makes_root: whether the vector holds the root's steps; else a path gives them.
-        side: (3,) towards the body's left in the root joint's frame.
-        references: (K, 4) mean rotations that maps are relative to; of the root, without heading.
+        makes_root: whether the vector has displacement columns; otherwise a path moves the root.
+        side: (3,) direction of the body's left in the root joint's frame.
+        references: (K, 4) mean rotations that maps are relative to; the root's without heading.
     """
 
     makes_root: bool
@@ -58,12 +58,12 @@ class DeltaRepresentation(ModelJoints):
     def fit(
         cls, motions: Sequence[Motion], joints: str | Sequence[str] = "body", root: bool = True
     ) -> DeltaRepresentation:
-        """Learn from training motions which joints to model, and the means.
+        """Choose the modelled joints and compute their mean rotations from training motions.
 
         Args:
             motions: motions of one rig (same names and parents); see `reference_skeleton`.
             joints: "body" (no fingers, no end joints), "all", or names.
-            root: whether the model moves the root over the ground; False where a path does.
+            root: whether the model moves the root over the ground; False if a path does.
 
         Raises:
             MotionError: no motions, or a name that the rig does not have.
@@ -81,7 +81,7 @@ class DeltaRepresentation(ModelJoints):
         return cls(**chosen, makes_root=root, side=side, references=references)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the skeleton, as plain values."""
+        """Return everything except the skeleton as plain values."""
         return super().to_json() | {
             "makes_root": self.makes_root,
             "side": self.side.tolist(),
@@ -90,7 +90,7 @@ class DeltaRepresentation(ModelJoints):
 
     @classmethod
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> DeltaRepresentation:
-        """Inverse of `to_json`."""
+        """Rebuild a representation from `to_json`."""
         return cls(
             **cls.fields_from_json(skeleton, values),
             makes_root=bool(values["makes_root"]),
@@ -100,43 +100,49 @@ class DeltaRepresentation(ModelJoints):
 
     @property
     def n_features(self) -> int:
-        """Width of the vector: 3 K + 1, and 3 more where it holds the root's steps."""
+        """X, the width of the vector: 3 K + 1, plus 3 with displacement columns."""
         return 3 * len(self.joints) + 1 + 3 * self.makes_root
 
     @property
+    def map_columns(self) -> slice:
+        """Columns of the exponential maps, three for each joint."""
+        return slice(0, 3 * len(self.joints))
+
+    @property
     def height_column(self) -> int:
-        """Where the height of the root stands."""
+        """Column of the root's height."""
         return 3 * len(self.joints)
 
     @property
     def root_columns(self) -> slice:
-        """Where turn, forward and lateral stand; empty where a path gives them."""
+        """Columns of turn, forward and lateral displacement; empty with a path."""
         return slice(self.height_column + 1, self.n_features)
 
     def joint_columns(self, name: str) -> slice:
-        """Where the three numbers of one modelled joint stand."""
+        """Return the three columns of one modelled joint."""
         k = self.joints.index(name)
         return slice(3 * k, 3 * k + 3)
 
     def encode(self, motion: Motion, path: RootPath | None = None) -> np.ndarray:
-        """(T, n_features) float64 of a motion of this rig; a performer's own offsets may differ.
+        """Encode a motion of this rig as motion vectors (T, X) float64.
 
-        Where the motion begins and which way it faces then is not told. Frame 0 has the steps of
-        frame 1.
+        A performer's own joint offsets may differ from the rig's. The initial position and heading
+        are not encoded; frame 0 gets the displacement of frame 1.
 
         Args:
             motion: T frames.
-            path: T frames, what the root follows where `makes_root` is False; by default the
-                motion's own path, smoothed (`RootPath.smoothed`).
+            path: T frames; the root's path if `makes_root` is False. By default the motion's own
+                path, smoothed (`RootPath.smoothed`).
 
         Raises:
-            MotionError: joint names or parents differ from the rig's, or a path of other length.
+            MotionError: joint names or parents differ from the rig's, or the path has another
+                length.
         """
         self.check_rig(motion)
         if path is None:
             path = self._own_path(motion)
         elif self.makes_root:
-            raise MotionError("the vector holds the root's own steps, so no path can be given")
+            raise MotionError("the vector has displacement columns, so no path can be given")
         elif path.n_frames != motion.n_frames:
             raise MotionError(f"a path of {path.n_frames} frames for {motion.n_frames} of motion")
         rotations = motion.rotations[:, self.indices]
@@ -158,19 +164,19 @@ class DeltaRepresentation(ModelJoints):
         path: RootPath | None = None,
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> Motion:
-        """A motion from (T, n_features) values.
+        """Decode motion vectors to a motion.
 
         Args:
-            values: motion vectors.
+            values: (T, X) motion vectors.
             fps: frames per second.
-            skeleton: a performer's offsets to use in place of the reference ones; steps and the
-                height of the root grow with the length of the legs. A path stays as it is.
-            path: T frames at `fps`, which the root follows where `makes_root` is False.
-            start: x and z in metres and heading in radians of frame 0, where no path is followed.
+            skeleton: a performer's offsets to use instead of the reference ones. Displacement and
+                height of the root are scaled by leg length; a path is not.
+            path: T frames at `fps`; the root's path if `makes_root` is False.
+            start: x and z in metres and heading in radians of frame 0, without a path.
 
         Raises:
-            MotionError: a path where none belongs, none where one is needed, or one that does not
-                fit; see `RootPath.resample`.
+            MotionError: an unexpected or missing path, or one with another frame rate or length;
+                see `RootPath.resample`.
         """
         values = np.asarray(values, dtype=np.float64)
         if values.ndim != 2 or values.shape[1] != self.n_features:
@@ -184,7 +190,7 @@ class DeltaRepresentation(ModelJoints):
             deltas = values[:, self.root_columns] * [1.0, size, size]
             path = RootPath.from_deltas(deltas, fps, start)
         elif path is None:
-            raise MotionError("the model moves the root along a path, and none was given")
+            raise MotionError("the root follows a path, and none was given")
         elif (path.fps, path.n_frames) != (fps, n_frames):
             raise MotionError(
                 f"the path has {path.n_frames} frames at {path.fps:g} fps; the motion has "
@@ -193,7 +199,7 @@ class DeltaRepresentation(ModelJoints):
         rotations = self.fixed_pose(n_frames)
         index = self.indices
         for first in range(0, n_frames, _FRAMES_AT_ONCE):
-            part = values[first : first + _FRAMES_AT_ONCE, : 3 * len(index)]
+            part = values[first : first + _FRAMES_AT_ONCE, self.map_columns]
             away = quaternion_from_rotation_vector(part.reshape(len(part), len(index), 3))
             rotations[first : first + len(part), index] = multiply_quaternions(
                 self.references, away
@@ -206,50 +212,50 @@ class DeltaRepresentation(ModelJoints):
         return self.assemble(rotations, position, fps, skeleton)
 
     def path_of(self, motion: Motion) -> RootPath:
-        """The way of the root over the ground, as this rig's heading is told."""
+        """Return the root's path over the ground, with this rig's definition of heading."""
         self.check_rig(motion)
         return RootPath.of(motion, self.root, self.side)
 
     def _own_path(self, motion: Motion) -> RootPath:
-        """What the vectors of a motion are relative to unless a path is given."""
+        """Return the default path that a motion's vectors are relative to."""
         path = self.path_of(motion)
         return path if self.makes_root else path.smoothed()
 
     def _level_root(self, motion: Motion, path: RootPath) -> np.ndarray:
-        """(T, 4) the root's world rotation without the path's heading."""
+        """Return the root's world rotation (T, 4) without the path's heading."""
         turned = motion.global_rotations()[:, self.root]
         return multiply_quaternions(_about_y(-path.headings), turned)
 
 
 def continuous_maps(maps: np.ndarray) -> np.ndarray:
-    """Exponential maps (T, K, 3) of the same rotations, without jumps over time.
+    """Return equivalent exponential maps (T, K, 3) without jumps over time.
 
-    Adding whole turns to an angle leaves its rotation as it is. From the frame in which a joint's
-    angle is smallest, each frame takes the equivalent map that lies nearest to its neighbour's.
+    Adding a multiple of 2 pi to an angle does not change its rotation. Outwards from the frame with
+    a joint's smallest angle, each frame gets the equivalent map nearest to its neighbour's.
     """
     maps = np.array(maps, dtype=np.float64)
     jumps = np.linalg.norm(np.diff(maps, axis=0), axis=-1) > np.pi
     for k in np.flatnonzero(jumps.any(axis=0)):
         one = maps[:, k]
-        calmest = int(np.linalg.norm(one, axis=-1).argmin())
-        for t in range(calmest + 1, len(one)):
+        smallest = int(np.linalg.norm(one, axis=-1).argmin())
+        for t in range(smallest + 1, len(one)):
             one[t] = _nearest_map(one[t], one[t - 1])
-        for t in range(calmest - 1, -1, -1):
+        for t in range(smallest - 1, -1, -1):
             one[t] = _nearest_map(one[t], one[t + 1])
     return maps
 
 
 def _nearest_map(vector: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """(3,) of all maps that are the rotation of `vector`, the nearest to `near`."""
+    """Return the exponential map (3,) nearest to `near` among those equivalent to `vector`."""
     angle = float(np.linalg.norm(vector))
     if angle > 1e-9:
         axis = vector / angle
-    else:  # no turn at all has every axis
+    else:  # the axis of a zero rotation is arbitrary
         length = float(np.linalg.norm(near))
         axis = near / length if length else vector
     return vector + axis * (2 * np.pi * round((float(axis @ near) - angle) / (2 * np.pi)))
 
 
 def _about_y(angles: np.ndarray) -> np.ndarray:
-    """(T, 4) turns about the world's Y axis."""
+    """Return rotations (T, 4) about the world's Y axis by angles (T,)."""
     return quaternion_from_rotation_vector(angles[:, None] * np.array([0.0, 1.0, 0.0]))

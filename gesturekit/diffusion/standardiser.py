@@ -1,4 +1,4 @@
-"""Motion vectors at zero mean and a spread of one, number by number."""
+"""Standardisation of motion vectors to zero mean and unit variance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Standardiser:
-    """Takes every number of a motion vector to mean 0 and standard deviation 1 (appendix A.1).
+    """Mean and scale of each number of a motion vector (appendix A.1).
 
     Attributes:
         mean: (X,) float32.
@@ -24,12 +24,12 @@ class Standardiser:
 
     @classmethod
     def fit(cls, vectors: Sequence[np.ndarray], floor: np.ndarray | float = 1e-3) -> Standardiser:
-        """Mean and scale over all frames of the training motions.
+        """Compute mean and standard deviation over all frames of the training motions.
 
         Args:
             vectors: (T, X) each.
-            floor: a number that moves less than this is scaled as if it moved so much, or what
-                trembles in a joint that stands still would count as much as a gesture.
+            floor: least scale, a number or (X,). Without it, noise in a joint that hardly moves
+                would count as much as a gesture.
         """
         n_frames = sum(map(len, vectors))
         mean = sum(values.sum(axis=0, dtype=np.float64) for values in vectors) / n_frames
@@ -38,13 +38,13 @@ class Standardiser:
         return cls(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())
 
     def to(self, device: torch.device) -> Standardiser:
-        """The same on another device."""
+        """Return a copy on another device."""
         return Standardiser(self.mean.to(device), self.scale.to(device))
 
     def forward(self, values: Tensor) -> Tensor:
-        """(..., X) in their own units to standardised."""
+        """Standardise values (..., X)."""
         return (values - self.mean) / self.scale
 
     def inverse(self, values: Tensor) -> Tensor:
-        """(..., X) standardised to their own units."""
+        """Convert standardised values (..., X) back to their own units."""
         return values * self.scale + self.mean

@@ -1,4 +1,4 @@
-"""How good a motion is, in numbers. Knows motions and sounds, never models."""
+"""Evaluation of motion: metrics and the report. Independent of models."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 # No module may be called like a public function: importing it would hide the function.
 _HOMES = {
     "BeatResult": "metrics.rhythm",
-    "Evaluation": "report.results",
+    "Evaluation": "results",
     "FeatureModel": "metrics.frechet.feature_model",
     "FrechetResult": "metrics.frechet.frechet",
     "Items": "pairs",
@@ -23,11 +23,11 @@ _HOMES = {
     "arm_speed_ratio": "metrics.physical",
     "beat_alignment": "metrics.rhythm",
     "beat_consistency": "metrics.rhythm",
-    "cca": "metrics.likeness",
+    "cca": "metrics.similarity",
     "coverage": "metrics.patches",
     "div_g": "metrics.frechet.frechet",
     "div_k": "metrics.frechet.frechet",
-    "evaluate": "report.comparison",
+    "evaluate": "comparison",
     "fgd": "metrics.frechet.frechet",
     "fid_g": "metrics.frechet.frechet",
     "fid_k": "metrics.frechet.frechet",
@@ -45,7 +45,7 @@ _HOMES = {
     "joint_limit_share": "metrics.joint_limits",
     "joint_speed": "metrics.physical",
     "kinetic_features": "metrics.frechet.clip_features",
-    "l1_diversity": "metrics.likeness",
+    "l1_diversity": "metrics.similarity",
     "local_diversity": "metrics.patches",
     "max_speed": "metrics.physical",
     "motion_beats": "metrics.rhythm",
@@ -53,10 +53,10 @@ _HOMES = {
     "patch_features": "metrics.patches",
     "patch_scores": "metrics.patches",
     "raw_fgd": "metrics.frechet.frechet",
-    "root_relative": "metrics.likeness",
+    "root_relative": "metrics.similarity",
     "speech_envelope": "metrics.sync",
     "speech_onsets": "metrics.rhythm",
-    "srgr": "metrics.likeness",
+    "srgr": "metrics.similarity",
     "standing_heights": "metrics.feet",
     "sync": "metrics.sync",
     "wrist_speed": "metrics.physical",

@@ -1,4 +1,4 @@
-"""The figures of one clip: its own, those beside its recording, and those beside its sound."""
+"""Metrics of one clip: of its motion alone, and compared with its recording and its sound."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from audio_features import AudioFeaturesError, Wave
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.clips import Clip, load_recording, load_wave
 from gesturekit.evaluation.definitions import (
-    LIKENESS,
     MOVEMENT,
     PATCHES,
+    SIMILARITY,
     SPEECH,
     PatchOptions,
 )
-from gesturekit.evaluation.metrics import feet, likeness, physical, rhythm
+from gesturekit.evaluation.metrics import feet, physical, rhythm, similarity
 from gesturekit.evaluation.metrics.derivatives import CUTOFF
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.joint_limits import JointLimits, joint_limit_share
@@ -31,12 +31,18 @@ from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints
 
 PATCH_PAIRS = 250_000_000
-"""Frames of a clip times frames of its recording that a report compares at most: 2 GB a table."""
+"""Largest number of frames of a clip times frames of its recording that is compared: 2 GB."""
 
 
 @dataclass(frozen=True)
 class Sound:
-    """A recording's sound, with the beats that were found in it."""
+    """A recording's sound and its beats.
+
+    Attributes:
+        wave: the sound.
+        onsets: (B,) speech onsets, seconds.
+        pulse: (B,) beats of the beat tracker, seconds.
+    """
 
     wave: Wave
     onsets: np.ndarray
@@ -59,14 +65,14 @@ load_sound = functools.lru_cache(maxsize=16)(Sound.load)
 
 
 @dataclass
-class Known:
-    """What is learned from all recordings before clips are measured.
+class ReferenceStatistics:
+    """Statistics of all recordings that clips are compared with.
 
     Attributes:
-        recordings: key to motion, at the frame rate of the evaluation.
-        limits: the range of each joint; None where there is no joint that could have one.
-        mean_speed: joint name to m/s, the mean over the recordings.
-        excluded: recordings that cannot be read, or are of another rig than the first.
+        recordings: {key: motion} at the frame rate of the evaluation.
+        limits: the range of each joint; None without joints that can have one.
+        mean_speed: {joint name: mean speed over the recordings, m/s}.
+        excluded: recordings that cannot be read, or have another rig than the first.
     """
 
     recordings: dict[str, Motion] = field(default_factory=dict)
@@ -75,9 +81,9 @@ class Known:
     excluded: list[Excluded] = field(default_factory=list)
 
     @classmethod
-    def of(cls, recordings: Mapping[str, Path | Stretch], fps: float) -> Known:
-        """Read all recordings; nothing is learned from those of another rig than the first."""
-        known = cls()
+    def of(cls, recordings: Mapping[str, Path | Stretch], fps: float) -> ReferenceStatistics:
+        """Compute the statistics of recordings; leave out rigs that differ from the first one."""
+        statistics = cls()
         joints: tuple[str, ...] = ()
         sums: dict[str, tuple[float, int]] = {}
         for key, path in recordings.items():
@@ -88,140 +94,144 @@ class Known:
                     raise EvaluationError("another rig than the first recording's")
                 speed = rhythm.central_speed(motion, joints)
             except GestureKitError as error:
-                known.excluded.append(Excluded(key, str(error), "the set of recordings"))
+                statistics.excluded.append(Excluded(key, str(error), "the set of recordings"))
                 continue
-            known.recordings[key] = motion
+            statistics.recordings[key] = motion
             for name, column in zip(joints, speed.T, strict=True):
                 total, count = sums.get(name, (0.0, 0))
                 sums[name] = total + float(column.sum()), count + len(column)
-        known.mean_speed = {name: total / count for name, (total, count) in sums.items()}
-        kept = list(known.recordings.values())
+        statistics.mean_speed = {name: total / count for name, (total, count) in sums.items()}
+        kept = list(statistics.recordings.values())
         roots = _roots(kept)
         turning = [name for name in joints if name not in roots]
         if kept and turning:
-            known.limits = JointLimits.fit(kept, turning)
-        return known
+            statistics.limits = JointLimits.fit(kept, turning)
+        return statistics
 
 
 def _roots(motions: Iterable[Motion]) -> set[str]:
-    """The root, and joints that are moved: they turn with the whole body."""
+    """Return the root and all joints with a translation: they turn with the whole body."""
     roots: set[str] = set()
     for motion in motions:
         roots |= {motion.skeleton.names[0], *motion.joint_translations}
     return roots
 
 
-Figures = dict[str, float]
+Values = dict[str, float]
+"""{key of `definitions`: value}"""
 Problems = list[tuple[str, str]]
+"""(key, reason) of metrics that could not be computed."""
 
 
-class Measurer:
-    """Takes the figures of clips.
+class ClipMetrics:
+    """Computes the metrics of clips.
 
     Args:
-        known: from the recordings.
-        groups: of `definitions`, which to take.
-        patches: how patches are compared.
+        statistics: of the recordings.
+        groups: groups of `definitions` to compute.
+        patches: settings of the patch metrics.
     """
 
-    def __init__(self, known: Known, groups: Sequence[str], patches: PatchOptions) -> None:
-        self.known = known
+    def __init__(
+        self, statistics: ReferenceStatistics, groups: Sequence[str], patches: PatchOptions
+    ) -> None:
+        self.statistics = statistics
         self.groups = groups
         self.patches = patches
 
-    def figures(self, clip: Clip) -> tuple[Figures, Problems]:
-        """Every figure of the generated motion; those that cannot be had, with the reason."""
-        taken = _Taken()
-        self._own(taken, clip, clip.generated)
+    def generated(self, clip: Clip) -> tuple[Values, Problems]:
+        """Compute all metrics of the generated motion."""
+        out = _Collected()
+        self._motion_metrics(out, clip, clip.generated)
         if MOVEMENT in self.groups:
-            taken("hellinger", lambda: _speed_distance(clip))
-        if LIKENESS in self.groups:
-            taken("cca", lambda: likeness.cca(*self.both(clip)))
+            out("hellinger", lambda: _speed_distance(clip))
+        if SIMILARITY in self.groups:
+            out("cca", lambda: similarity.cca(*self.both(clip)))
         if SPEECH in self.groups and clip.semantic is not None:
-            taken("srgr", lambda: self._srgr(clip))
+            out("srgr", lambda: self._srgr(clip))
         if PATCHES in self.groups:
-            taken("coverage", lambda: self._patches(clip))
-        return taken.figures, taken.problems
+            out("coverage", lambda: self._patches(clip))
+        return out.figures, out.problems
 
-    def recording(self, clip: Clip) -> tuple[Figures, Problems]:
-        """The figures that the recording reaches itself: the goal, or the ceiling."""
-        taken = _Taken()
-        self._own(taken, clip, clip.recording)
-        return taken.figures, taken.problems
+    def recording(self, clip: Clip) -> tuple[Values, Problems]:
+        """Compute the metrics of the recording itself: the goal, or the upper bound."""
+        out = _Collected()
+        self._motion_metrics(out, clip, clip.recording)
+        return out.figures, out.problems
 
-    def mismatched(self, clip: Clip, sounds: Sequence[Sound]) -> Figures:
-        """Mean figures of the generated motion beside the sounds of other recordings."""
+    def mismatched_sound(self, clip: Clip, sounds: Sequence[Sound]) -> Values:
+        """Average the speech metrics of the generated motion over other recordings' sounds."""
         every: dict[str, list[float]] = {}
         for sound in sounds:
-            taken = _Taken()
-            self._heard(taken, clip, clip.generated, sound)
-            for key, value in taken.figures.items():
+            out = _Collected()
+            self._speech(out, clip, clip.generated, sound)
+            for key, value in out.figures.items():
                 every.setdefault(key, []).append(value)
         return {key: float(np.mean(values)) for key, values in every.items()}
 
-    def unlike(self, clip: Clip, other: Motion) -> Figures:
-        """CCA of the generated motion with another recording's."""
-        taken = _Taken()
-        if LIKENESS in self.groups and set(clip.joints) <= set(other.skeleton.names):
+    def mismatched_motion(self, clip: Clip, other: Motion) -> Values:
+        """Compute the CCA of the generated motion with another recording's."""
+        out = _Collected()
+        if SIMILARITY in self.groups and set(clip.joints) <= set(other.skeleton.names):
             n = min(clip.generated.n_frames, other.n_frames)
             ours, theirs = (
-                likeness.root_relative(m, clip.joints)[:n].reshape(n, -1)
+                similarity.root_relative(m, clip.joints)[:n].reshape(n, -1)
                 for m in (clip.generated, other)
             )
-            taken("cca", lambda: likeness.cca(ours, theirs))
-        return taken.figures
+            out("cca", lambda: similarity.cca(ours, theirs))
+        return out.figures
 
-    def _own(self, taken: _Taken, clip: Clip, motion: Motion) -> None:
+    def _motion_metrics(self, out: _Collected, clip: Clip, motion: Motion) -> None:
         if MOVEMENT in self.groups:
-            self._movement(taken, clip, motion)
+            self._movement(out, clip, motion)
         if SPEECH in self.groups and clip.pair.audio is not None:
             try:
                 sound = load_sound(clip.pair.audio, clip.pair.window)
             except AudioFeaturesError as error:
-                taken.problems.append(("speech", str(error)))
+                out.problems.append(("speech", str(error)))
             else:
-                self._heard(taken, clip, motion, sound)
+                self._speech(out, clip, motion, sound)
         if PATCHES in self.groups:
-            taken("intra_diversity", lambda: self._intra(clip, motion))
+            out("intra_diversity", lambda: self._intra(clip, motion))
 
-    def _movement(self, taken: _Taken, clip: Clip, motion: Motion) -> None:
+    def _movement(self, out: _Collected, clip: Clip, motion: Motion) -> None:
         joints = clip.joints
         heights = functools.cache(
             lambda: feet.standing_heights(clip.recording if clip.same_body else motion)
         )
-        taken("arm_speed", lambda: physical.arm_speed(motion).mean())
-        taken("wrist_speed", lambda: physical.wrist_speed(motion).mean())
-        taken("acceleration", lambda: physical.acceleration(motion, cutoff=CUTOFF, joints=joints))
-        taken("jerk", lambda: physical.jerk(motion, cutoff=CUTOFF, joints=joints))
-        taken("acceleration_genea", lambda: physical.acceleration(motion, joints=joints))
-        taken("jerk_genea", lambda: physical.jerk(motion, joints=joints))
-        taken("foot_skate", lambda: feet.foot_skate(motion, heights()))
-        taken("floor_penetration", lambda: 1000.0 * feet.floor_penetration(motion, heights()))
-        taken("l1_diversity", lambda: likeness.l1_diversity(motion, joints))
-        limits = self.known.limits
+        out("arm_speed", lambda: physical.arm_speed(motion).mean())
+        out("wrist_speed", lambda: physical.wrist_speed(motion).mean())
+        out("acceleration", lambda: physical.acceleration(motion, cutoff=CUTOFF, joints=joints))
+        out("jerk", lambda: physical.jerk(motion, cutoff=CUTOFF, joints=joints))
+        out("acceleration_genea", lambda: physical.acceleration(motion, joints=joints))
+        out("jerk_genea", lambda: physical.jerk(motion, joints=joints))
+        out("foot_skate", lambda: feet.foot_skate(motion, heights()))
+        out("floor_penetration", lambda: 1000.0 * feet.floor_penetration(motion, heights()))
+        out("l1_diversity", lambda: similarity.l1_diversity(motion, joints))
+        limits = self.statistics.limits
         if limits is not None:
-            taken("joint_limits", lambda: 100.0 * joint_limit_share(motion, limits))
+            out("joint_limits", lambda: 100.0 * joint_limit_share(motion, limits))
 
-    def _heard(self, taken: _Taken, clip: Clip, motion: Motion, sound: Sound) -> None:
-        heard = taken("sync", lambda: _sync(motion, clip, sound), lambda result: result.r)
-        aligned = taken(
+    def _speech(self, out: _Collected, clip: Clip, motion: Motion, sound: Sound) -> None:
+        synced = out("sync", lambda: _sync(motion, clip, sound), lambda result: result.r)
+        aligned = out(
             "bas",
             lambda: rhythm.beat_alignment(motion, sound.pulse, joints=clip.joints),
             _score,
         )
-        consistent = taken("bc", lambda: self._consistency(clip, motion, sound), _score)
-        for key, result in (("sync", heard), ("bas", aligned), ("bc", consistent)):
+        consistent = out("bc", lambda: self._consistency(clip, motion, sound), _score)
+        for key, result in (("sync", synced), ("bas", aligned), ("bc", consistent)):
             if result is None:
                 continue
-            taken.figures[f"{key}_chance"] = result.chance_mean
-            taken.figures[f"{key}_z"] = result.z
+            out.figures[f"{key}_chance"] = result.chance_mean
+            out.figures[f"{key}_z"] = result.z
             if result.note:
-                taken.problems.append((key, result.note))
+                out.problems.append((key, result.note))
 
     def _consistency(self, clip: Clip, motion: Motion, sound: Sound) -> rhythm.BeatResult:
         upper = set(rhythm.upper_body_joints(clip.recording))
         joints = [name for name in clip.joints if name in upper]
-        speeds = self.known.mean_speed
+        speeds = self.statistics.mean_speed
         usual = [speeds[name] for name in joints] if set(joints) <= set(speeds) else None
         return rhythm.beat_consistency(
             motion,
@@ -231,22 +241,22 @@ class Measurer:
         )
 
     def both(self, clip: Clip) -> tuple[np.ndarray, np.ndarray]:
-        """Poses of both (T, 3 (J - 1)) over the frames that both have."""
+        """Return the poses (T, 3 (J - 1)) of both motions over their common frames."""
         n = clip.n_frames
         both = (clip.generated, clip.recording)
-        return tuple(likeness.root_relative(m, clip.joints)[:n].reshape(n, -1) for m in both)
+        return tuple(similarity.root_relative(m, clip.joints)[:n].reshape(n, -1) for m in both)
 
     def _srgr(self, clip: Clip) -> float:
         n, fps = clip.n_frames, clip.generated.fps
         ours, theirs = (side.reshape(n, -1, 3) for side in self.both(clip))
         semantic = clip.semantic.to_rate(fps, n).values[:, 0]
-        near = likeness.SRGR_THRESHOLD * body_scale(clip.recording.skeleton)
-        return likeness.srgr(ours, theirs, semantic, threshold=near)
+        near = similarity.SRGR_THRESHOLD * body_scale(clip.recording.skeleton)
+        return similarity.srgr(ours, theirs, semantic, threshold=near)
 
     def _features(self, clip: Clip, motion: Motion) -> np.ndarray:
         return patch_features(motion, self.patches.variant, joints=clip.joints)
 
-    def _patches(self, clip: Clip) -> Figures:
+    def _patches(self, clip: Clip) -> Values:
         _check_size(clip.generated, clip.recording)
         scores = patch_scores(
             self._features(clip, clip.generated),
@@ -299,22 +309,22 @@ def _score(result: rhythm.BeatResult) -> float:
     return result.score
 
 
-class _Taken:
-    """Figures taken so far, and why others could not be."""
+class _Collected:
+    """Metrics computed so far, and the reasons for those that failed."""
 
     def __init__(self) -> None:
-        self.figures: Figures = {}
+        self.figures: Values = {}
         self.problems: Problems = []
 
     def __call__(
         self,
         key: str,
-        take: Callable[[], object],
+        compute: Callable[[], object],
         value: Callable[[object], float] | None = None,
     ) -> object | None:
-        """Take a figure, or a dictionary of figures; an error becomes a problem."""
+        """Compute a metric, or a dictionary of metrics; turn an error into a problem."""
         try:
-            result = take()
+            result = compute()
         except (GestureKitError, AudioFeaturesError) as error:
             self.problems.append((key, str(error)))
             return None

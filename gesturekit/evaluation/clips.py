@@ -1,4 +1,4 @@
-"""Clips in memory: a generated motion and its recording on one frame rate and one set of joints."""
+"""Clips in memory: a generated motion and its recording at one frame rate, with common joints."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.evaluation.frame_rate import at_rate
-from gesturekit.evaluation.metrics.semantic import read_semantic
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair, Stretch
+from gesturekit.evaluation.semantic_track import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.skeleton import Skeleton
 
 MATCHED = 0.5
-"""Rigs match where at least this share of the recording's body joints is found by name."""
+"""Rigs match if at least this fraction of the recording's body joints is found by name."""
 
-_CACHED = 8  # files of each kind kept in memory: samples of one recording come one after another
+_CACHED = 8  # files of each kind kept in memory; samples of one recording are consecutive
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,9 @@ class Clip:
         pair: names and files.
         generated: the motion, with the recording's joint names.
         recording: the recorded motion at the generated one's frame rate.
-        joints: names of the body joints that both have, in the recording's order.
+        joints: names of the common body joints, in the recording's order.
         semantic: the recording's semantic track, or None.
-        notes: what is odd about the pair without making it useless.
+        notes: remarks on the pair, such as resampling.
     """
 
     pair: Pair
@@ -46,12 +46,12 @@ class Clip:
 
     @property
     def n_frames(self) -> int:
-        """Frames that both have."""
+        """Number of common frames."""
         return min(self.generated.n_frames, self.recording.n_frames)
 
     @functools.cached_property
     def same_body(self) -> bool:
-        """Whether the bones of both bodies are equally long, to a hundredth."""
+        """True if the bone lengths of both bodies agree to 1 %."""
         bones = [
             np.linalg.norm(
                 [m.skeleton.offsets[m.skeleton.index(name)] for name in self.joints[1:]], axis=-1
@@ -67,7 +67,7 @@ def load_clip(pair: Pair, fps: float | None = None) -> Clip:
 
     Args:
         pair: from `find_pairs`.
-        fps: frame rate to bring both to; None keeps the generated motion's.
+        fps: frame rate of both motions; None keeps that of the generated motion.
 
     Raises:
         FormatError, MotionError: a file that cannot be read (numbers that are not finite, one
@@ -97,7 +97,7 @@ def load_clip(pair: Pair, fps: float | None = None) -> Clip:
 
 
 def load_recording(path: Path | Stretch, fps: float) -> Motion:
-    """Read a recording and bring it to a frame rate.
+    """Read a recording and resample it to `fps`.
 
     Raises:
         FormatError, MotionError: the file cannot be read.
@@ -115,12 +115,12 @@ def load_wave(source: Path | Stretch) -> Wave:
 
 
 def bare_name(name: str) -> str:
-    """A joint's name without name space and capitals: `mixamorig:LeftArm` is `leftarm`."""
+    """Return a joint name in lower case without name space: `leftarm` for `mixamorig:LeftArm`."""
     return name.rsplit(":", 1)[-1].lower()
 
 
 def _match(motion: Motion, rig: Skeleton, pair: Pair) -> tuple[tuple[str, ...], Motion]:
-    """The rig's body joints that the motion has too, and the motion with the rig's names."""
+    """Return the common body joints, and the motion with the joint names of the rig."""
     names = body_joints(rig)
     own = {bare_name(name): name for name in reversed(motion.skeleton.names)}
     renamed = {own[bare_name(name)]: name for name in names if bare_name(name) in own}
@@ -177,7 +177,7 @@ def _read(path: Path | Stretch) -> Motion:
     try:
         return Motion.load(path)
     except (FormatError, MotionError) as error:
-        # A motion that cannot be does not know its file.
+        # The error of an invalid motion does not name its file.
         text = str(error)
         raise type(error)(text if path.name in text else f"{path}: {text}") from error
 

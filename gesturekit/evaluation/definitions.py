@@ -1,7 +1,6 @@
-"""What every figure of a report is: name, unit, which way is better, variant, definition, source.
+"""Definitions of all metrics: name, unit, better direction, variant, definition, source.
 
-The table is `definitions.toml`; the report prints it, and the JSON holds it, so that a number can
-be had again.
+The table is `definitions.toml`. Report and JSON contain it, so that each value can be reproduced.
 """
 
 from __future__ import annotations
@@ -14,10 +13,10 @@ from typing import Any, Literal
 
 from gesturekit.evaluation.metrics.patches import THRESHOLD
 
-SPEECH, MOVEMENT, LIKENESS, PATCHES, FRECHET = GROUPS = (
+SPEECH, MOVEMENT, SIMILARITY, PATCHES, FRECHET = GROUPS = (
     "Speech",
     "Movement",
-    "Likeness",
+    "Similarity",
     "Patches",
     "Fréchet distances and diversity",
 )
@@ -25,20 +24,25 @@ SPEECH, MOVEMENT, LIKENESS, PATCHES, FRECHET = GROUPS = (
 
 @dataclass(frozen=True)
 class PatchOptions:
-    """How patches are compared; see `gesturekit.evaluation.metrics.patches`."""
+    """Settings of the patch metrics; see `gesturekit.evaluation.metrics.patches`.
+
+    Attributes:
+        variant: "ganimator" or "paper".
+        threshold: coverage threshold; None for the default of the variant.
+    """
 
     variant: str = "ganimator"
     threshold: float | None = None
 
     @property
     def has_coverage(self) -> bool:
-        """Whether coverage is defined: the variant "paper" asks for a threshold."""
+        """True if coverage is defined: the variant "paper" needs a threshold."""
         return self.variant != "paper" or self.threshold is not None
 
 
 @dataclass(frozen=True)
 class Definition:
-    """A measure; the fields are explained at the top of `definitions.toml`."""
+    """Definition of a metric; the fields are explained at the top of `definitions.toml`."""
 
     key: str
     name: str
@@ -52,7 +56,7 @@ class Definition:
     cheap: bool = False
 
     def at(self, fps: float, patches: PatchOptions) -> Definition:
-        """The same as it was measured: windows in seconds too, patches as they were compared.
+        """Return the definition with the settings filled in.
 
         `{30}` becomes "30 frames (1.20 s)", `{threshold}` the threshold of coverage.
         """
@@ -70,7 +74,7 @@ class Definition:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return asdict(self)
 
 

@@ -1,4 +1,4 @@
-"""How sure a mean is: bootstrap intervals over what was drawn independently."""
+"""Bootstrap confidence intervals over independent samples."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 LEVEL = 0.95
 RESAMPLES = 2000
 FEW = 5
-"""Below so many units an interval is rough, and says so."""
+"""Least number of units for an interval without a warning."""
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,10 @@ class Interval:
 
     Attributes:
         value: the mean over units.
-        low, high: 95 % interval; None where there is but one unit.
-        n: how many clips went in.
-        units: how many units were resampled.
-        over: what a unit is: "recordings" (the mean of a recording's samples), or "samples" of
+        low, high: 95 % interval; None for a single unit.
+        n: number of clips.
+        units: number of resampled units.
+        over: kind of unit: "recordings" (the mean of a recording's samples), or "samples" of
             the only recording.
     """
 
@@ -36,14 +36,14 @@ class Interval:
 
 
 def interval_of(values: Sequence[float], groups: Sequence[str], seed: int) -> Interval:
-    """Mean and interval of clip figures.
+    """Return mean and interval of a clip metric.
 
-    Samples of one recording are no independent draws: they are averaged, and recordings are
-    resampled. Of a single recording the samples are.
+    Samples of one recording are not independent: they are averaged, and recordings are resampled.
+    With a single recording, its samples are resampled.
 
     Args:
-        values: (n,) one figure a clip.
-        groups: (n,) the recording each clip belongs to.
+        values: (n,) value of each clip.
+        groups: (n,) recording of each clip.
         seed: the same seed gives the same interval.
     """
     values = np.asarray(values, dtype=np.float64)
@@ -64,17 +64,17 @@ def interval_of(values: Sequence[float], groups: Sequence[str], seed: int) -> In
 def interval_of_statistic(
     statistic: Callable[[np.ndarray], float], groups: Sequence[str], seed: int, resamples: int = 500
 ) -> Interval:
-    """A distance of a whole set, and its interval from drawing the set's clips again.
+    """Return a distance of a set of clips, and its interval by resampling the clips.
 
-    The interval is 1.96 bootstrap standard errors either way, from 0: distances of sets drawn
-    again all lie too high, so that their quantiles would leave the value itself out.
+    The interval is 1.96 bootstrap standard errors either way, at least 0. Distances of resampled
+    sets are biased upwards, so that their quantiles could exclude the value itself.
 
     Args:
-        statistic: from (m,) indices of clips to the figure.
-        groups: (n,) the recording each clip belongs to; whole recordings are drawn where there
+        statistic: maps (m,) indices of clips to the distance.
+        groups: (n,) recording of each clip; whole recordings are resampled if there
             are several.
         seed: the same seed gives the same interval.
-        resamples: how many sets are drawn.
+        resamples: number of resampled sets.
     """
     names = sorted(set(groups))
     everything = np.arange(len(groups))

@@ -1,7 +1,8 @@
-"""Which generated clip is measured against which recording, and with which sound.
+"""Match generated clips with recordings and their sound, by name.
 
-By path without extension below the folder, then by stem. `STEM_s2` (a sample, as `gesturekit
-render --samples` writes it) and `STEM_w003` (the fourth 10 s window of STEM) belong to STEM.
+Names are compared by path below the folder without extension, then by stem. `STEM_s2` (a sample,
+as `gesturekit render --samples` writes it) and `STEM_w003` (the fourth 10 s window of STEM) belong
+to STEM.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import difflib
 import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
     from gesturekit.motion import Motion
 
 MOTION_SUFFIXES = (".npz", ".bvh")
-"""Of a clip that is there as both, the first is read: it holds every digit."""
+"""Motion formats, the preferred one first: npz stores every digit."""
 SEMANTIC_SUFFIXES = (".npz", ".txt")
 WINDOW_SECONDS = 10.0
-"""Length of the windows that names ending in _w000, _w001 ... stand for."""
+"""Length of the windows that names ending in _w000, _w001 ... denote."""
 
 _SAMPLE = re.compile(r"_s\d+$")
 _CUT = re.compile(r"@\d+(\.\d+)?-\d+(\.\d+)?(_s\d+)?$")
@@ -37,7 +38,7 @@ _WINDOW = re.compile(r"_w(\d{3,})$")
 
 
 class ManifestItem(Protocol):
-    """An item of a manifest, `gesturekit.corpus.Item`: a stretch of a recording."""
+    """Interface of a manifest item, `gesturekit.corpus.Item`: an interval of a recording."""
 
     id: str
     audio: Path | None
@@ -47,15 +48,15 @@ class ManifestItem(Protocol):
     duration: float
 
     def load_motion(self) -> Motion:
-        """Read the stretch of motion."""
+        """Read the interval of motion."""
 
     def load_wave(self) -> Wave:
-        """Read the stretch of sound."""
+        """Read the interval of sound."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A stretch of a recording, in place of a file of its own."""
+    """An interval of a recording, given by a manifest item instead of a file."""
 
     item: ManifestItem
 
@@ -67,14 +68,14 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Items:
-    """Recordings that are not simply the files of a folder.
+    """Recordings given by a manifest, or by a folder with reading options.
 
     Attributes:
-        path: the manifest that names them, or a folder or file whose files are read by options.
-        split: the split of the manifest, all of whose items are to be measured; "" for a folder.
+        path: the manifest, or the folder or file.
+        split: the split of the manifest; all of its items are expected. "" for a folder.
         items: the recordings.
-        aside: further items of the manifest by id, whose clips are not measured, and why not:
-            "no motion", or "split train".
+        aside: reason not to measure clips of other items of the manifest, by id: "no motion", or
+            "split train".
     """
 
     path: Path
@@ -84,17 +85,21 @@ class Items:
 
     @classmethod
     def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
-        """Recordings of a folder or file, read by options of `gesturekit.formats.conversion.load`.
+        """Return the recordings of a folder or file.
+
+        Args:
+            path: the folder or file.
+            reading: options of `gesturekit.formats.conversion.load`.
 
         Raises:
-            CorpusError: there is none.
+            CorpusError: no recording was found.
         """
         files = motion_files(path).items()
         return cls(path, "", tuple(_File(key, file, reading) for key, file in files))
 
     @classmethod
     def of_manifest(cls, path: Path, split: str) -> Items:
-        """Items of one split of a manifest.
+        """Return the items of one split of a manifest.
 
         Raises:
             CorpusError: it cannot be read, or has no item of the split.
@@ -107,7 +112,7 @@ class Items:
 
     @cached_property
     def stretches(self) -> dict[str, Stretch]:
-        """Those that have motion, by id."""
+        """The items with motion, by id."""
         moving = (item for item in self.items if item.motion is not None)
         return {item.id: Stretch(item) for item in sorted(moving, key=lambda item: item.id)}
 
@@ -117,7 +122,7 @@ class Items:
 
 @dataclass(frozen=True)
 class _File:
-    """A motion file that is read by options."""
+    """A motion file with reading options."""
 
     id: str
     motion: Path
@@ -138,15 +143,15 @@ class _File:
 
 @dataclass(frozen=True, order=True)
 class Pair:
-    """A generated clip and what belongs to it.
+    """A generated clip, its recording, and the sound and semantic track of the recording.
 
     Attributes:
         name: the generated clip's key: its path within the folder, without extension.
         stem: the key of its recording.
-        window: which 10 s window of the recording it stands for; None for the whole.
+        window: index of the 10 s window of the recording; None for the whole.
         generated: its file.
-        reference: the recording's motion, a file or a stretch.
-        audio: the recording's sound, a file or a stretch, or None.
+        reference: the recording's motion, a file or an interval.
+        audio: the recording's sound, a file or an interval, or None.
         semantic: the recording's semantic track, or None.
     """
 
@@ -161,7 +166,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Excluded:
-    """A clip that is left out, and why; `what` names a measure where only that is left out."""
+    """A clip that is left out, and why; `what` is "clip" or the metric that is left out."""
 
     name: str
     reason: str
@@ -174,8 +179,8 @@ class Pairs:
 
     Attributes:
         pairs: in order of stem and name.
-        excluded: clips that have no recording, and why.
-        notes: clips that are not meant to be measured.
+        excluded: clips without a recording, and why.
+        notes: clips that are deliberately not measured.
     """
 
     pairs: list[Pair] = field(default_factory=list)
@@ -190,17 +195,17 @@ def find_pairs(
     audio: Path | None = None,
     semantic: Path | None = None,
 ) -> Pairs:
-    """Pair the clips of two folders (or files), and their sounds.
+    """Match generated clips with recordings and their sounds.
 
     Args:
         generated: folder or file of motion (npz, BVH).
-        reference: the recordings. A single file is the reference of every generated clip; of
-            `Items`, all are expected to have one.
-        audio: folder or file of the recordings' sound; `Items` have their own.
+        reference: the recordings. A single file is the reference of every clip; every item of a
+            manifest is expected to have one.
+        audio: folder or file of the recordings' sound; items of a manifest have their own.
         semantic: folder or file of semantic tracks: feature files (npz) or BEAT's (txt).
 
     Raises:
-        CorpusError: a folder that is missing or empty, or no clip that has a recording.
+        CorpusError: a missing or empty folder, or no clip that has a recording.
     """
     made = motion_files(generated)
     recorded = recordings(reference)
@@ -209,79 +214,92 @@ def find_pairs(
     else:
         sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
     tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
-    lookup = _Lookup(recorded)
-    place = reference if isinstance(reference, Path) else reference.path
-    expects_all = isinstance(reference, Items) and bool(reference.split)
-    is_one_file = place.is_file() and not expects_all
     found = Pairs()
-    aside: dict[str, list[str]] = defaultdict(list)
-    not_measured = _Lookup(reference.aside if isinstance(reference, Items) else {})
-    for name, path in made.items():
-        if is_one_file:
-            (stem,), window = recorded, None
-        else:
-            stem, window, reason = lookup(name)
-            other = None if stem is not None else not_measured(name)[0]
-            if other is not None:
-                aside[reference.aside[other]].append(name)
-                continue
-            if stem is None:
-                found.excluded.append(Excluded(name, reason))
-                continue
-        found.pairs.append(
-            Pair(
-                name,
-                stem,
-                window,
-                path,
-                recorded[stem],
-                _beside(stem, sounds, audio),
-                _beside(stem, tracks, semantic),
-            )
-        )
-    for reason, names in sorted(aside.items()):
-        what = "whose items have no motion" if reason == "no motion" else f"of {reason}"
-        found.notes.append(
-            f"{counted(len(names), 'clip')} {what} in {place}, not measured: {listed(names, 3)}"
-        )
+    for name, stem, window in _matched(made, recorded, reference, found):
+        sound, track = _of_stem(stem, sounds, audio), _of_stem(stem, tracks, semantic)
+        pair = Pair(name, stem, window, made[name], recorded[stem], sound, track)
+        found.pairs.append(pair)
     if not found.pairs:
-        if aside and not found.excluded:
-            raise CorpusError(f"{generated}: nothing to measure: {'; '.join(found.notes)}")
-        are_items = not expects_all and any(map(_CUT.search, made))
-        advice = "; names with @START-END are items of a manifest: --corpus" if are_items else ""
-        raise CorpusError(
-            f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
-            f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
-            f"_s1, _s2 ... for samples{advice}"
-        )
+        raise _no_pair(generated, made, reference, recorded, found)
     if sounds and not any(pair.audio for pair in found.pairs):
         raise CorpusError(
-            f"{audio}: none of its sounds ({_some(sounds)}) bears the name of a recording "
+            f"{audio}: none of its sounds ({_some(sounds)}) has the name of a recording "
             f"({_some(recorded)})"
         )
     found.pairs.sort(key=lambda pair: (pair.stem, pair.name))
-    if expects_all:
-        missing = sorted(set(recorded) - {pair.stem for pair in found.pairs})
+    stems = dict.fromkeys(pair.stem for pair in found.pairs)
+    if isinstance(reference, Items) and reference.split:
+        missing = sorted(set(recorded) - set(stems))
         found.excluded += [Excluded(key, f"{generated} has no clip of it") for key in missing]
         return found
-    for files, folder, what, kind in (
+    for files, folder, metric, kind in (
         (sounds, audio, "speech", "sound"),
         (tracks, semantic, "srgr", "semantic track"),
     ):
-        beside = {p.stem: p.audio if kind == "sound" else p.semantic for p in found.pairs}
         found.excluded += [
-            Excluded(stem, f"{folder} has no {kind}, or several, of its name", what)
-            for stem, path in beside.items()
-            if files and path is None
+            Excluded(stem, f"{folder} has no {kind}, or several, of its name", metric)
+            for stem in stems
+            if files and _of_stem(stem, files, folder) is None
         ]
     return found
 
 
+def _no_pair(
+    generated: Path,
+    made: Mapping[str, Path],
+    reference: Path | Items,
+    recorded: Mapping[str, Path | Stretch],
+    found: Pairs,
+) -> CorpusError:
+    """Return the error for clips of which none has a recording."""
+    if found.notes and not found.excluded:
+        return CorpusError(f"{generated}: nothing to measure: {'; '.join(found.notes)}")
+    from_manifest = isinstance(reference, Items) and bool(reference.split)
+    are_items = not from_manifest and any(map(_CUT.search, made))
+    advice = "; names with @START-END are items of a manifest: --corpus" if are_items else ""
+    return CorpusError(
+        f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
+        f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
+        f"_s1, _s2 ... for samples{advice}"
+    )
+
+
+def _matched(
+    made: Mapping[str, Path],
+    recorded: Mapping[str, Path | Stretch],
+    reference: Path | Items,
+    found: Pairs,
+) -> Iterator[tuple[str, str, int | None]]:
+    """Yield (clip, its recording, window) of each clip; add the other clips to `found`."""
+    lookup = _Lookup(recorded)
+    reasons = reference.aside if isinstance(reference, Items) else {}
+    path = reference if isinstance(reference, Path) else reference.path
+    is_one_file = path.is_file() and path.suffix.lower() in MOTION_SUFFIXES
+    not_measured = _Lookup(reasons)
+    aside: dict[str, list[str]] = defaultdict(list)
+    for name in made:
+        if is_one_file:
+            yield name, next(iter(recorded)), None
+            continue
+        stem, window, reason = lookup(name)
+        if stem is not None:
+            yield name, stem, window
+        elif (item := not_measured(name)[0]) is not None:
+            aside[reasons[item]].append(name)
+        else:
+            found.excluded.append(Excluded(name, reason))
+    for reason, names in sorted(aside.items()):
+        what = "whose items have no motion" if reason == "no motion" else f"of {reason}"
+        found.notes.append(
+            f"{counted(len(names), 'clip')} {what} in {path}, not measured: {listed(names, 3)}"
+        )
+
+
 def recordings(reference: Path | Items) -> dict[str, Path | Stretch]:
-    """Return the motion of all recordings by key, of a folder, a file or a manifest's items.
+    """Return {key: motion} of all recordings of a folder, a file or a manifest.
 
     Raises:
-        CorpusError: there is none.
+        CorpusError: no motion was found.
     """
     if isinstance(reference, Path):
         return motion_files(reference)
@@ -291,18 +309,18 @@ def recordings(reference: Path | Items) -> dict[str, Path | Stretch]:
 
 
 def motion_files(path: Path) -> dict[str, Path]:
-    """Key to file of all motion below a folder, or of one file.
+    """Return {key: file} of all motion below a folder, or of one file.
 
     Raises:
-        CorpusError: there is none.
+        CorpusError: no motion was found.
     """
     return files_by_key(path, MOTION_SUFFIXES, "motion")
 
 
 def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, Path]:
-    """Relative path without extension to file, sorted; earlier suffixes win over later ones.
+    """Return {relative path without extension: file}, sorted; earlier suffixes take precedence.
 
-    Hidden files and folders are passed over.
+    Hidden files and folders are skipped.
 
     Raises:
         CorpusError: no such folder or file, one of another kind, or none inside.
@@ -330,7 +348,7 @@ def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, 
 
 
 class _Lookup:
-    """From a generated clip's name to the recording it belongs to."""
+    """Finds the recording of a generated clip by its name."""
 
     def __init__(self, recorded: Mapping[str, object]) -> None:
         self.recorded = recorded
@@ -339,7 +357,7 @@ class _Lookup:
             self.by_stem[key.rsplit("/", 1)[-1]].append(key)
 
     def __call__(self, name: str) -> tuple[str | None, int | None, str]:
-        """(key of the recording or None, window, why there is none)."""
+        """Return (key of the recording or None, window, reason why none was found)."""
         sample = _SAMPLE.sub("", name)
         window = _WINDOW.search(sample)
         names = [(name, None), (sample, None)]
@@ -358,7 +376,7 @@ class _Lookup:
         return None, None, f"no recording of its name{hint}"
 
 
-def _beside(stem: str, files: Mapping[str, Path], given: Path | None) -> Path | None:
+def _of_stem(stem: str, files: Mapping[str, Path], given: Path | None) -> Path | None:
     if given is not None and given.is_file():
         return given
     if stem in files:

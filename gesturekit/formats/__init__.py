@@ -1,4 +1,4 @@
-"""Motion files in and out: BVH, npz of our own and of SMPL rigs, EasyMocap, meshes."""
+"""Readers and writers of motion files: BVH, our npz, npz of SMPL rigs, EasyMocap, meshes."""
 
 from gesturekit.formats.bvh.bvh import read_bvh, write_bvh
 from gesturekit.formats.npz import read_npz, write_npz

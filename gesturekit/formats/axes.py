@@ -1,10 +1,10 @@
-"""Which axes of a file point up and forward, and turning them to Y up, +Z forward.
+"""Up and forward axes of a file: detection, and conversion to Y up, +Z forward.
 
-The rest pose, with all rotations at zero, tells a rig's axes where it stands upright: up from its
-legs and spine, forward from its hips and toes; or where it stands on four legs: up from them,
-forward from the pelvis to the chest. Where a body walks or looks in the motion says
-nothing about its axes. Many rigs have a rest pose that is none (bones along their own x axes):
-then up is where the body stands in most frames, and forward the axis usual with that up.
+If the rest pose (all rotations zero) stands upright, it shows the axes: up from legs and spine,
+forward from hips and toes. If it stands on four legs, up comes from these and forward from pelvis
+to chest. The direction in which a body walks or looks says nothing about the axes. Many rigs have a
+rest pose that does not stand (bones along their own x axes): up is then the axis along which the
+body stands in most frames, and forward the usual axis for that up.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from gesturekit.motion.skeleton import Skeleton
 
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 USUAL_FORWARD = {"y": "z", "z": "-y", "x": "z", "-y": "-z", "-z": "y", "-x": "z"}
-"""The forward that goes with an up where nothing else is known: BVH's and glTF's with "y",
-Blender's with "z", a camera's with "-y"."""
+"""Default forward axis for each up axis: that of BVH and glTF for "y", of Blender for "z", of a
+camera for "-y"."""
 
 Z_TO_Y = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
-"""A quarter turn about x: (x, y, z) becomes (x, z, -y)."""
+"""(4,) quarter turn about x: (x, y, z) becomes (x, z, -y)."""
 
-_STEEP = 0.7  # share of its length by which the trunk of a quadruped rises at most
-_MOST_FRAMES = 500  # looked at, evenly spread, to find which way is up
+_STEEP = 0.7  # largest rise of a quadruped's trunk, as a share of its length
+_MOST_FRAMES = 500  # frames, evenly spaced, from which the up axis is found
 
 
 @dataclass(frozen=True)
 class FileAxes:
-    """The axes of a file.
+    """Axes of a file.
 
     Attributes:
         up: axis of the world that points up.
         forward: axis of the world that a body at rest faces.
-        rest: (up, forward) of the rest pose where they differ from the world's: a rig modelled
-            in one system that its root's rotation lays over into another.
-        guessed: those of "up" and "forward" for which there is no evidence.
+        rest: (up, forward) of the rest pose if they differ from the world's, because the root's
+            rotation converts between two systems.
+        guessed: those of "up" and "forward" without evidence.
     """
 
     up: str
@@ -57,10 +57,10 @@ class FileAxes:
 
 
 def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAxes:
-    """The axes of `motion`, as given or else as found in it.
+    """Return the axes of a motion, as given or, if "auto", as detected.
 
     Raises:
-        FormatError: no axis, or `forward` along `up`.
+        FormatError: an unknown axis, or `forward` along `up`.
     """
     for name, axis in (("up", up), ("forward", forward)):
         if axis != "auto" and axis not in AXES:
@@ -82,12 +82,12 @@ def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAx
 
 
 def standing_axis(motion: Motion) -> str | None:
-    """Return the axis that the body stands along in most frames; None where that is not clear."""
+    """Return the axis that the body stands along in most frames; None if that is not clear."""
     return _evidence(motion)[1]
 
 
 def rotation_to_y_up(up: str, forward: str) -> np.ndarray:
-    """(4,) the rotation from axes `up` and `forward` to Y up, +Z forward.
+    """(4,) rotation from axes `up` and `forward` to Y up, +Z forward.
 
     Raises:
         FormatError: `forward` lies along `up`.
@@ -99,13 +99,13 @@ def rotation_to_y_up(up: str, forward: str) -> np.ndarray:
 
 
 def turn_axes(motion: Motion, world: np.ndarray, rest: np.ndarray) -> Motion:
-    """The same motion in other axes.
+    """Return the motion in other axes.
 
     Args:
-        motion: whose axes to turn.
-        world: (4,) the turn of the world, in which the root moves.
-        rest: (4,) the turn of the joints' own frames, in which offsets stand; the same as
-            `world` unless the rig's rest pose has axes of its own.
+        motion: T frames.
+        world: (4,) rotation of the world, in which the root moves.
+        rest: (4,) rotation of the joints' frames, in which offsets are given; the same as `world`
+            unless the rest pose has other axes.
     """
     if np.allclose(world, IDENTITY) and np.allclose(rest, IDENTITY):
         return motion
@@ -133,29 +133,31 @@ def turn_axes(motion: Motion, world: np.ndarray, rest: np.ndarray) -> Motion:
 
 
 def with_y_up(motion: Motion, axes: FileAxes) -> Motion:
-    """`motion`, whose axes are `axes`, with Y up and +Z forward."""
+    """Return a motion that has these axes with Y up and +Z forward."""
     world = rotation_to_y_up(axes.up, axes.forward)
     return turn_axes(motion, world, rotation_to_y_up(*axes.rest) if axes.rest else world)
 
 
 def _vector(axis: str) -> np.ndarray:
+    """(3,) unit vector of an axis such as "-y"."""
     return np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
 
 
 def _along(vectors: np.ndarray) -> np.ndarray:
-    """(..., 6) whether (..., 3) vectors point along each of AXES, within some 25 degrees."""
+    """(..., 6) bool, true if vectors (..., 3) are within 25 degrees of each of `AXES`."""
     signed = np.concatenate([vectors, -vectors], axis=-1)
     across = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return signed > 0.9 * np.maximum(across, 1e-9)
 
 
 def _axis(vector: np.ndarray) -> str | None:
+    """Return the axis nearest to a vector (3,); None if none is near."""
     hits = np.flatnonzero(_along(vector))
     return AXES[hits[0]] if len(hits) else None
 
 
 def _evidence(motion: Motion) -> tuple[tuple[str, str] | None, str | None]:
-    """(up, forward) of the rest pose, and the axis that the body stands along in the motion."""
+    """Return (up, forward) of the rest pose, and the axis along which the body stands."""
     try:
         parts = find_parts(motion.skeleton)
     except MotionError:
@@ -165,7 +167,7 @@ def _evidence(motion: Motion) -> tuple[tuple[str, str] | None, str | None]:
 
 
 def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
-    """(up, forward) of the rest pose; None where it does not stand upright, or contradicts."""
+    """Return (up, forward) of the rest pose; None if it does not stand or is contradictory."""
     rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
     places = forward_kinematics(rest, np.zeros(3), skeleton)
 
@@ -177,7 +179,7 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     up = _axis(between(parts.pelvis, parts.head or parts.spine[-1]))
     down = [-between(leg.hip, leg.ankle) for leg in legs]
     left = _axis(between(legs[1].hip, legs[0].hip))
-    # Four limbs that point the same way, square to the trunk: it stands on all of them.
+    # If all four limbs point the same way, perpendicular to the trunk, it is a quadruped.
     trunk = between(parts.pelvis, parts.spine[-1])
     fore = [-between(arm.shoulder, arm.wrist or arm.elbow) for arm in arms]
     risen = _axis(sum(down))
@@ -199,10 +201,10 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
 
 
 def _standing(motion: Motion, parts: BodyParts, rest_up: str | None) -> str | None:
-    """The axis of the world that the body stands along in most frames.
+    """Return the axis of the world along which the body stands in most frames.
 
-    One that is not the rest pose's counts only with the feet on the floor at zero: a body that
-    lies down stands along some axis too.
+    An axis other than that of the rest pose counts only if the feet are on a floor at zero, because
+    the body may be lying down.
     """
     frames = np.unique(np.linspace(0, motion.n_frames - 1, _MOST_FRAMES).astype(int))
     skeleton = motion.skeleton

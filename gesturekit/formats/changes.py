@@ -1,4 +1,4 @@
-"""What a conversion changes in a motion, besides its format."""
+"""Changes that a conversion makes to a motion, besides its format."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Changes:
     """Changes to a motion, made in this order; by default none.
 
     Attributes:
-        trim: (start, end) seconds to keep, at the nearest frames; the end may be infinite.
+        trim: (start, end) seconds to keep, rounded to frames; the end may be infinite.
         mirror: exchange left and right.
-        rig: what to move instead of the motion's own rig.
+        rig: rig to retarget to.
         joints: "all", "body" (no fingers, face and end joints), or names to keep.
         fps: frames per second of the result.
-        antialias: filter out what a lower frame rate cannot hold.
+        antialias: filter out frequencies above half of a lower frame rate.
     """
 
     trim: tuple[float, float] | None = None
@@ -37,18 +37,18 @@ class Changes:
     antialias: bool = False
 
     def __call__(self, motion: Motion) -> tuple[Motion, list[str]]:
-        """The changed motion, and in words what was done.
+        """Return the changed motion, and a phrase for each change.
 
         Warns:
-            UserWarning: joints that are kept without the one that they hang on have to move.
+            UserWarning: a kept joint has to move, because a rotating joint above was removed.
 
         Raises:
-            MotionError: a joint that is not there, parts of the body that cannot be told, or
-                nothing left of the motion after trimming.
+            MotionError: an unknown joint, body parts that cannot be identified, or nothing left
+                after trimming.
         """
         done = []
         if self.trim is not None:
-            # Clips of a folder may be shorter than what is asked for.
+            # Some clips of a folder may be shorter than the range.
             start, end = self.trim
             if start >= motion.duration:
                 raise MotionError(
@@ -68,9 +68,11 @@ class Changes:
             motion = keep_joints(motion, self._joints(motion.skeleton))
             if motion is not before:
                 done.append(f"{motion.skeleton.n_joints} of {before.skeleton.n_joints} joints")
-            if uprooted := sorted(set(motion.joint_translations) - set(before.joint_translations)):
+            if now_moving := sorted(
+                set(motion.joint_translations) - set(before.joint_translations)
+            ):
                 warnings.warn(
-                    f"{', '.join(uprooted)}: a joint above was cut that turns, so they move by "
+                    f"{', '.join(now_moving)}: a joint above was cut that turns, so they move by "
                     "position channels, which some programs pass over",
                     stacklevel=2,
                 )
@@ -84,10 +86,10 @@ class Changes:
 
 
 def parse_trim(text: str) -> tuple[float, float]:
-    """``"2:10.5"`` as seconds; without a start from the beginning, without an end to the end.
+    """Parse ``"2:10.5"`` as (start, end) seconds; start and end may be left out.
 
     Raises:
-        ConfigError: not such an interval, or one that ends before it begins.
+        ConfigError: not an interval, or one that ends before it begins.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)?\s*:\s*(\d+(?:\.\d*)?|\.\d+)?\s*", text)
     if not match or not (match[1] or match[2]):

@@ -1,4 +1,4 @@
-"""What frame rate a rounded `Frame Time` stands for."""
+"""Frame rate from a rounded `Frame Time`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _NTSC = Decimal("1.001")
 
 
 def frame_rate(text: str) -> float:
-    """Frames per second of a `Frame Time` in seconds, which is often a rounded third or sixth.
+    """Return the frames per second of a `Frame Time` in seconds, which is often rounded.
 
     Raises:
-        ValueError: no number, or beyond 0.00001 to 100000 s.
+        ValueError: not a number, or outside 0.00001 to 100000 s.
     """
     try:
         seconds = Decimal(text)
@@ -23,14 +23,14 @@ def frame_rate(text: str) -> float:
         raise ValueError(f"Frame Time: {text[:40]!r} s; expected 0.00001 to 100000")
     whole = round(1 / seconds)
     common = min(COMMON_RATES, key=lambda rate: abs(1 / Decimal(rate) - seconds))
-    # The likeliest rate that what was written cannot be told from: less than its last digit away.
+    # The most likely rate whose frame time differs by less than the last digit written.
     digit = Decimal(1).scaleb(seconds.as_tuple().exponent)
     rates = ((whole, digit / 1000), (common, digit), (whole, digit), (whole / _NTSC, digit))
     for rate, tolerance in rates:
         if rate and abs(1 / Decimal(rate) - seconds) < tolerance:
             return float(rate)
-    # Written to all digits of a float64: several rates may have this quotient, so the likeliest of
-    # them, or else the one with the fewest digits.
+    # All digits of a float64: several rates may have this quotient, so take the most likely, or
+    # else the one with the fewest digits.
     shorter = (float(f"{1 / seconds:.{digits}g}") for digits in range(1, 17))
     for rate in (*(float(rate) for rate, _ in rates if rate), *shorter):
         if 1 / rate == float(seconds):

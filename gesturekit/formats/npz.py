@@ -1,11 +1,11 @@
-"""Motion as numpy archives: our own keys for any rig, and those of AMASS and BEAT2 for SMPL's.
+"""Motion as npz files: native keys for any rig, and keys of AMASS and BEAT2 for SMPL rigs.
 
 Native keys (format 1): `gk_version, names, parents, offsets, rotation_orders, end_site_joints,
-end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`, and where they
-are known `parts_by_hand, part_joints, body_betas, body_pelvis, body_up, gender, model,
-expressions`. On a rig of the SMPL family the keys of `smpl.amass` stand beside them.
+end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`, and if known
+`parts_by_hand, part_joints, body_betas, body_pelvis, body_up, gender, model, expressions`. Files of
+SMPL rigs also have the keys of `smpl.amass`.
 
-Who reads what: the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the tools around
+Compatibility: the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the tools around
 BEAT2 read what is written by default. The add-on's format AMASS wants `up="z"`. aitviewer
 (`SMPLSequence.from_amass`) and readers of AMASS want `rig="smplh", up="z"`: they look for the
 fingers where SMPL-H has them.
@@ -40,17 +40,17 @@ def read_npz(
     up: str = "auto",
     body_model: BodyModel | str | os.PathLike[str] | None = None,
 ) -> Motion:
-    """Read a motion npz: ours, or one with the keys `poses` and `trans` of AMASS and BEAT2.
+    """Read a motion npz: native, or with the keys `poses` and `trans` of AMASS and BEAT2.
 
-    Without a body model the joints of an SMPL rig lie as on an average adult. What the file tells
-    of the body is kept in `info` (`betas`, `gender`) and written again.
+    Without a body model, an SMPL rig has the proportions of an average adult. Data about the body
+    is kept in `info` (`betas`, `gender`) and written again.
 
     Args:
         path: the file.
-        up: axis that points up in an AMASS-like file, "y" or "z"; "auto" looks where the pelvis'
-            own up points in most frames. Ours are always Y up.
-        body_model: of the SMPL family, or its .npz file: bones become as long as the file's
-            `betas` say, and the feet get the six vertices of theirs.
+        up: axis that points up in an AMASS-like file, "y" or "z"; "auto" uses the direction of the
+            pelvis in most frames. Native files are always Y up.
+        body_model: model of the SMPL family, or its .npz file: bones get their lengths from the
+            file's `betas`, and feet get six vertices as end sites.
 
     Raises:
         FormatError: missing, damaged, of a newer format, or without the keys of a motion.
@@ -86,16 +86,16 @@ def write_npz(
     up: str = "y",
     fps: float | None = None,
 ) -> None:
-    """Write a motion npz; on a rig of the SMPL family with the keys of BEAT2 and AMASS.
+    """Write a motion npz; SMPL rigs also with the keys of BEAT2 and AMASS.
 
     Args:
-        motion: what to write.
-        path: the file; it appears whole or not at all.
-        rig: "smplx", "smplh" or "smpl": the motion is put on that rig first. By default it stays
-            on its own, and if that is of the SMPL family, its pose vectors are those of SMPL-X.
-        up: axis that points up in the SMPL keys: "y" as BEAT2 has it, "z" as AMASS has it. The
-            native keys are always Y up.
-        fps: resample to this rate; by default the motion's own is kept.
+        motion: the motion to write.
+        path: the file, written atomically.
+        rig: rig to retarget to: "smplx", "smplh" or "smpl". By default the motion keeps its own,
+            and the pose vectors of an SMPL rig are those of SMPL-X.
+        up: axis that points up in the SMPL keys: "y" as in BEAT2, "z" as in AMASS. Native keys are
+            always Y up.
+        fps: rate to resample to; by default the motion's own.
 
     Warns:
         UserWarning: the SMPL-X add-on of Blender would refuse or misplay the frame rate.
@@ -128,6 +128,7 @@ def write_npz(
 
 
 def _native(motion: Motion) -> dict[str, Any]:
+    """Return the native keys and their values."""
     skeleton = motion.skeleton
     ends = [(skeleton.index(k), site) for k, sites in skeleton.end_sites.items() for site in sites]
     moving = motion.joint_translations
@@ -158,6 +159,7 @@ def _native(motion: Motion) -> dict[str, Any]:
 
 
 def _from_native(archive: Archive) -> Motion:
+    """Return the motion in the native keys."""
     version = archive["gk_version"]
     if version.shape or version.dtype.kind not in "iu" or version != NPZ_FORMAT:
         said = version if not version.shape else f"an array of shape {version.shape}"
@@ -216,7 +218,7 @@ def _from_native(archive: Archive) -> Motion:
 
 
 def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
-    """The joints in the array called `key`, each at least `lowest` and below `stop`."""
+    """Return the joint indices in the array `key`, each at least `lowest` and below `stop`."""
     values = archive[key]
     if values.dtype.kind not in "iu" or values.ndim != 1 or len(values) > _MAX_JOINTS:
         raise FormatError(
@@ -231,7 +233,7 @@ def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
 def _by_joint(
     archive: Archive, joints_key: str, key: str, values: Any, names: tuple[str, ...]
 ) -> Iterator[tuple[str, Any]]:
-    """(joint, value) for the `values` of `key`, whose joints `joints_key` lists."""
+    """Yield (joint, value) for the `values` of `key`, whose joints are in `joints_key`."""
     joints = _indices(archive, joints_key, 0, len(names))
     n_values = len(values) if np.ndim(values) else None
     if n_values != len(joints):

@@ -20,13 +20,13 @@ def write_obj(
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     frame: int = 0,
 ) -> None:
-    """Write the skin of a body in one frame, metres, Y up.
+    """Write the body mesh of one frame, metres, Y up.
 
     Args:
         motion: on a rig of the SMPL family, or one that can be retargeted to it.
-        path: the file; it appears whole or not at all.
-        body_model: whose skin; a `BodyModel` or its .npz file.
-        frame: which; a negative one counts from the end.
+        path: the file, written atomically.
+        body_model: a `BodyModel` or its .npz file.
+        frame: frame index; a negative one counts from the end.
 
     Raises:
         FormatError: no body model, or no such frame.

@@ -1,4 +1,4 @@
-"""Doubts about a motion that reads well but can hardly be meant so: its rate, size and axes."""
+"""Plausibility of a motion that was read without error: its frame rate, size and axes."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from gesturekit.motion.body_size import body_height
 from gesturekit.motion.motion import Motion
 
 SLOWEST, FASTEST = 1.0, 1000.0
-"""Frames per second beyond which a file's rate is doubted."""
+"""Range of plausible frame rates, frames per second."""
 SMALLEST, TALLEST = 0.3, 5.0
-"""Metres beyond which a height that somebody asked for is doubted."""
+"""Range of plausible body heights, metres."""
 
 
 def plausibility_warnings(motion: Motion, reading: Mapping[str, Any]) -> list[str]:
-    """Return what is doubtful of a motion, one line each, with the option that settles it.
+    """Return a line for each implausible property, with the option that corrects it.
 
     Args:
-        motion: as it was read.
-        reading: the options that it was read with, see `gesturekit.formats.conversion.load`.
+        motion: the motion as read.
+        reading: options it was read with, see `gesturekit.formats.conversion.load`.
     """
     found = []
     if "fps" not in reading and not SLOWEST <= motion.fps <= FASTEST:
@@ -51,7 +51,7 @@ def _height(motion: Motion) -> float | None:
 
 
 def _rate(motion: Motion) -> str:
-    """Return the question of a frame rate that nobody records at."""
+    """Return a question about an implausible frame rate, with a likely one."""
     period = 1 / motion.fps
     if motion.fps > FASTEST:
         question, likely = "is Frame Time 1000 times too small", motion.fps / 1000

@@ -1,4 +1,4 @@
-"""A rig to put motions on: that of a file, or one of the SMPL family by its name."""
+"""Target rigs of retargeting: that of a file, or one of the SMPL family by name."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from gesturekit.motion.skeleton import Skeleton
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A rig to put motions on.
+    """Target rig.
 
     Attributes:
         name: a file, or smpl, smplh or smplx.
-        skeleton: its joints.
-        pose: (J, 4) local rotations in which it stands; None for a rig by its name.
+        skeleton: its J joints.
+        pose: (J, 4) local rotations in which it stands; None for a rig of the SMPL family.
     """
 
     name: str
@@ -31,16 +31,16 @@ class Rig:
 
     @classmethod
     def load(cls, name: str | os.PathLike[str], parts: Mapping[str, str] | None = None) -> Rig:
-        """The rig of a motion file, or one of the SMPL family by its name.
+        """Load the rig of a motion file, or one of the SMPL family by name.
 
         Args:
             name: the file, or smpl, smplh or smplx.
-            parts: joints of the file named by hand, see `Skeleton.parts`.
+            parts: joints of the file specified by hand, see `Skeleton.parts`.
 
         Raises:
             FormatError: there is no such file, or it cannot be read.
-            MotionError: the file's parts cannot be told, or it never stands; or parts of an SMPL
-                rig, which are known.
+            MotionError: the file's parts cannot be identified, it never stands, or `parts` are
+                given for an SMPL rig, whose parts are known.
         """
         name, parts = os.fspath(name), parts or {}
         if name in RIGS:
@@ -63,15 +63,14 @@ class Rig:
 
     @property
     def options(self) -> dict[str, dict[str, str]]:
-        """Suffix of a file to what its writer has to know: the pose vectors in an npz file are
-        those of the SMPL rig that was named, not of SMPL-X."""
+        """Options of writers by suffix: an npz file has the pose vectors of the chosen SMPL rig."""
         return {".npz": {"rig": self.name}} if self.pose is None else {}
 
     def put(self, motion: Motion) -> Motion:
-        """The motion on this rig; from one of the SMPL family to another's name joint by joint.
+        """Retarget a motion to this rig; within the SMPL family, copy joints by name.
 
         Raises:
-            MotionError: parts of the motion's rig that cannot be told, or it never stands.
+            MotionError: parts of the motion's rig cannot be identified, or it never stands.
         """
         if self.pose is None and is_smpl(motion.skeleton):
             return as_smpl(motion, self.skeleton.n_joints)

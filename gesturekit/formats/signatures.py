@@ -1,4 +1,4 @@
-"""What a file is by its first bytes, whatever its suffix says."""
+"""File signatures: the kind of a file from its first bytes, independent of its suffix."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _SHOWN = 6
 
 
 def kind_by_content(start: bytes) -> str | None:
-    """What a file that begins with these 16 bytes or more is; None where it is nothing known."""
+    """Return the kind of a file from its first 16 bytes or more; None if unknown."""
     kinds = (kind for mark, kind in _SIGNATURES.items() if start.startswith(mark))
     return next(kinds, None)
 
 
 def is_report(path: Path) -> bool:
-    """Return True where a JSON file holds the figures of an evaluation."""
+    """Return whether a JSON file holds the metrics of an evaluation."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -46,7 +46,7 @@ def is_report(path: Path) -> bool:
 
 
 def json_in_words(content: Any) -> str:
-    """Return what the content of a JSON file is."""
+    """Return a description of the content of a JSON file."""
     if not isinstance(content, dict):
         return f"a JSON {type(content).__name__}"
     if content.keys() >= _REPORT:

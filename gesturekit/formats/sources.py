@@ -1,4 +1,4 @@
-"""Which files a conversion reads, and which it writes: settled before the first is read."""
+"""Sources and targets of a conversion, determined and checked before the first file is read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.wording import listed
 
 MOTION_SUFFIXES = (".bvh", ".npz")
-"""What is looked for in folders, beside EasyMocap's sequences."""
+"""Motion files searched for in folders, besides EasyMocap sequences."""
 SPEECH_SUFFIXES = (
     *(".wav", ".flac", ".mp3", ".ogg", ".oga", ".opus"),
     *(".aiff", ".aif", ".aifc", ".au"),
@@ -23,12 +23,12 @@ OTHER_SPEECH_SUFFIXES = (
     *(".m4a", ".aac", ".wma", ".amr", ".ac3", ".mp2", ".caf", ".w64", ".ape", ".wv"),
     *(".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".3gp"),
 )
-"""Sound, and video with sound, that is not read; ffmpeg makes a wav of it."""
+"""Unsupported audio and video; ffmpeg converts them to wav."""
 OTHER_MOTION_SUFFIXES = (
     *(".fbx", ".c3d", ".glb", ".gltf", ".trc", ".mot", ".asf", ".amc", ".vrma", ".vmd"),
     *(".usd", ".usda", ".usdc", ".usdz", ".dae", ".blend"),
 )
-"""Motion that is not read; Blender and others export BVH of most of it."""
+"""Unsupported motion files; Blender and other programs convert most of them to BVH."""
 WRITABLE = ("bvh", "npz", "html", "png", "obj")
 EXISTING = ("refuse", "skip", "replace")
 _NO_MOTION = f"no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap folders"
@@ -41,9 +41,9 @@ class Job:
     """One motion to read and the files to write it to.
 
     Attributes:
-        source: a file, or the folder of a sequence that has one file a frame.
-        targets: what to write; without those that are to be skipped, as they exist.
-        error: why it cannot even begin.
+        source: a file, or the folder of a sequence with one file per frame.
+        targets: files to write, without existing ones to skip.
+        error: reason why the source cannot be read.
     """
 
     source: Path
@@ -54,20 +54,19 @@ class Job:
 def plan(
     sources: Sequence[Path], out: Path, formats: Sequence[str] = (), *, existing: str = "refuse"
 ) -> list[Job]:
-    """Which motion goes to which files.
+    """Return the jobs of a conversion.
 
-    `out` is a file where there is one source, no folder of motions, and `out` ends in the suffix
-    of a format. Otherwise it is a folder, filled with the `formats`; what is found in a folder
-    keeps its path within it. Of a motion that lies there as STEM.bvh and STEM.npz, one is read.
+    `out` is a file if there is a single motion and `out` has the suffix of a format. Otherwise it
+    is a folder for files of all `formats`; motions found in a folder keep their relative paths. If
+    a folder has a motion as both STEM.bvh and STEM.npz, only one is read.
 
     Warns:
-        UserWarning: which of the two that is, and why; motion in a folder of a kind that is not
-            read.
+        UserWarning: which of these two is read, and why; unsupported motion files in a folder.
 
     Raises:
         ConfigError: nothing to read, an unknown format, two sources for one target, a target that
-            is a source or leaves `out`, one that exists while `existing` is "refuse", or a folder
-            that nothing can be written to.
+            is a source or outside `out`, one that exists while `existing` is "refuse", or a folder
+            without write permission.
     """
     if existing not in EXISTING:
         raise ConfigError(f"existing is {existing!r}; expected {', '.join(EXISTING)}")
@@ -94,11 +93,10 @@ def plan(
 
 
 def motions_in(folder: Path, *, but: Path | None = None) -> Iterator[Path | OSError]:
-    """Motions below a folder, in order: files, and folders that are a sequence.
+    """Yield the motions below a folder, in order: files, and folders that are a sequence.
 
-    Hidden files and folders are passed over, and npz files of features and body models, and all
-    below `but`. Links to folders are followed once. A folder that cannot be opened gives its
-    OSError.
+    Hidden files and folders, npz files of features and body models, and everything below `but` are
+    skipped. Links to folders are followed once. A folder that cannot be opened yields its OSError.
     """
     trouble: list[OSError] = []
     for here, folders, files in visible_folders(folder, trouble.append):
@@ -115,7 +113,7 @@ def motions_in(folder: Path, *, but: Path | None = None) -> Iterator[Path | OSEr
 
 
 def motions_of(source: Path) -> list[Path]:
-    """Return the motions that a path stands for: itself, or all below a folder, copies left out.
+    """Return the motions of a path: itself, or all below a folder, without duplicates.
 
     Raises:
         ConfigError: a folder without motion.
@@ -132,10 +130,10 @@ def motions_of(source: Path) -> list[Path]:
 def visible_folders(
     folder: Path, unreadable: Callable[[OSError], None]
 ) -> Iterator[tuple[Path, list[str], list[Path]]]:
-    """A folder and all below it, in order: (folder, names of its folders, its files).
+    """Yield (folder, names of its folders, its files) for a folder and all below it, in order.
 
-    Hidden ones are passed over. Links to folders are followed once. Names taken out of a list of
-    folders are not entered. `unreadable` is told of each folder that cannot be opened.
+    Hidden ones are skipped. Links to folders are followed once. Names that the caller removes from
+    the list of folders are not entered. `unreadable` is called for folders that cannot be opened.
     """
     visited: set[tuple[int, int]] = set()
     for base, folders, files in os.walk(folder, onerror=unreadable, followlinks=True):
@@ -150,10 +148,9 @@ def visible_folders(
 
 
 def unreadable_media(path: Path) -> str | None:
-    """Return why a file that looks like sound or motion is not read, and what to do; None for all
-    other files.
+    """Return why an audio or motion file is not supported, and what to do; None for other files.
 
-    Equal for all files of one suffix, so that a listing can name the reason once.
+    The reason is the same for all files of one suffix, so that a listing can group them.
     """
     kind = path.suffix.lower()[1:]
     if path.suffix.lower() in OTHER_SPEECH_SUFFIXES:
@@ -164,12 +161,12 @@ def unreadable_media(path: Path) -> str | None:
 
 
 def is_sequence(path: Path) -> bool:
-    """Whether a folder is EasyMocap's: a file a frame with SMPL parameters, in it or in `smpl`."""
+    """Return whether a folder, or its subfolder `smpl`, is an EasyMocap sequence."""
     return any(_has_frames(folder) for folder in (path, *(path / name for name in SUBFOLDERS)))
 
 
 def is_motion(path: Path) -> bool:
-    """Whether a file is taken for motion by its suffix, and is no npz of something else."""
+    """Return whether a file is a motion, by its suffix and the keys of an npz."""
     suffix = path.suffix.lower()
     if suffix == ".npz":
         return not (is_feature_file(path) or is_body_model(path))
@@ -177,12 +174,12 @@ def is_motion(path: Path) -> bool:
 
 
 def is_feature_file(path: Path) -> bool:
-    """Whether a file is an npz of features of sound, which may lie beside motion."""
+    """Return whether a file is an npz of speech features."""
     return _has_keys(path, "values", "times", "spec")
 
 
 def is_body_model(path: Path) -> bool:
-    """Whether a file is an npz of a body's skin, no motion."""
+    """Return whether a file is the npz of a body model."""
     return _has_keys(path, "v_template", "kintree_table")
 
 
@@ -191,13 +188,13 @@ def _has_keys(path: Path, *keys: str) -> bool:
         with open_archive(path) as archive:
             return all(key in archive for key in keys)
     except FormatError:
-        return False  # whoever reads it says what is wrong with it
+        return False  # the reader reports the error
 
 
 def _has_frames(folder: Path) -> bool:
-    """Whether it holds 000000.json, ..., and the first of them has the keys of SMPL parameters.
+    """Return whether a folder has 000000.json, ..., and the first has keys of SMPL parameters.
 
-    Keypoints lie beside them, in files of the same names.
+    EasyMocap also writes keypoints to files of the same names.
     """
     try:
         frames = (path for path in folder.iterdir() if path.stem.isdecimal())
@@ -271,7 +268,7 @@ def _warn_of_unread(sources: Sequence[Path], jobs: Iterable[Job]) -> None:
 
 
 def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
-    """Motions of a source, each with its path below `out`, without suffix."""
+    """Yield the motions of a source, each with its path below `out`, without suffix."""
     if not source.is_dir():
         yield source, source.stem
         return
@@ -289,9 +286,9 @@ def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
 
 
 def one_of_two_formats(motions: Iterable[Path]) -> tuple[set[Path], list[str]]:
-    """Return which motions are copies, and lines that say so.
+    """Return the motions that are duplicates, and lines about them.
 
-    Of STEM.bvh and STEM.npz in one folder the one that holds more is read; the other is its copy.
+    Of STEM.bvh and STEM.npz in one folder, the one with more data is read.
     """
     groups: dict[Path, dict[str, Path]] = {}
     for path in motions:
@@ -321,7 +318,7 @@ def _without_copies(jobs: list[Job]) -> list[Job]:
     by_target: dict[tuple[Path, ...], list[Path]] = {}
     for job in jobs:
         by_target.setdefault(job.targets, []).append(job.source)
-    # Only those that would be written to the same place: each copy may be asked for by its name.
+    # Only those with the same target: each duplicate can still be converted by its name.
     rivals = [path for sources in by_target.values() if len(sources) > 1 for path in sources]
     copies, lines = one_of_two_formats(rivals)
     for line in lines:
@@ -345,10 +342,10 @@ def _refuse_clashes(jobs: Sequence[Job], sources: set[str]) -> None:
 
 
 def refuse_leaving(jobs: Sequence[Job], out: Path) -> None:
-    """Refuse to write out of a folder through a link inside it.
+    """Refuse targets that leave a folder through a link inside it.
 
     Raises:
-        ConfigError: a target whose folder is a link that leaves `out`.
+        ConfigError: a target whose folder is a link to outside `out`.
     """
     inside = Path(os.path.realpath(out))
     for job in jobs:
@@ -358,7 +355,7 @@ def refuse_leaving(jobs: Sequence[Job], out: Path) -> None:
 
 
 def _refuse_locked(jobs: Sequence[Job], out: Path) -> None:
-    """Known before hours of reading: the nearest folder that exists must be open for writing."""
+    """Raise ConfigError if the nearest existing folder is not writable, before hours of reading."""
     if not any(job.targets for job in jobs):
         return
     folder = next(path for path in (out, *out.absolute().parents) if path.is_dir())
@@ -367,14 +364,14 @@ def _refuse_locked(jobs: Sequence[Job], out: Path) -> None:
 
 
 def refuse_existing(there: Sequence[Path], reason: str = "") -> None:
-    """Refuse to write over files that are there already.
+    """Refuse to overwrite existing files.
 
     Args:
-        there: the files, one at least.
-        reason: further words, such as ", made with another seed".
+        there: the files, at least one.
+        reason: additional text, such as ", made with another seed".
 
     Raises:
-        ConfigError: always; it names the options that let it through.
+        ConfigError: always; it names the options that allow it.
     """
     more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
     verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")

@@ -1,6 +1,6 @@
-"""Telling what a motion, a sound, features, a model, a corpus or a run is, in one screen."""
+"""Summaries of motion, sound, features, models, corpora and runs, on one screen."""
 
 from gesturekit.inspection.recognition import inspect
-from gesturekit.inspection.sheet import Sheet
+from gesturekit.inspection.summary import Summary
 
-__all__ = ["Sheet", "inspect"]
+__all__ = ["Summary", "inspect"]

@@ -1,4 +1,4 @@
-"""What a sound file is: its format, its level, how much of it is speech, and what is wrong."""
+"""Summary of a sound file: format, level, amount of speech, problems."""
 
 from __future__ import annotations
 
@@ -11,21 +11,28 @@ import numpy as np
 import soundfile
 
 import audio_features as af
-from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.wording import counted
 
 _BLOCK = 1 << 20
 _FULL_SCALE = 0.999
-"""Of full scale: samples that reach it are taken as clipped."""
+"""Fraction of full scale from which a sample counts as clipped."""
 _CLIPPED_SHARE = 1e-5
-"""More clipped samples than this are heard."""
+"""Fraction of clipped samples above which clipping is reported as a problem."""
 _QUIET_DBFS = -45.0
 _OFFSET = 0.01
 
 
 @dataclass(frozen=True)
 class _Levels:
-    """Of each channel: frames read, peak, root mean square, mean, and samples at full scale."""
+    """Levels of the C channels of a sound file.
+
+    Attributes:
+        frames: number of frames read.
+        peak, rms, mean: (C,) fractions of full scale.
+        clipped: (C,) numbers of clipped samples.
+        differ: True if the channels are not all equal.
+    """
 
     frames: int
     peak: np.ndarray
@@ -35,8 +42,8 @@ class _Levels:
     differ: bool
 
 
-def inspect_audio(path: Path) -> Sheet:
-    """A sound file.
+def inspect_audio(path: Path) -> Summary:
+    """Summarise a sound file.
 
     Raises:
         AudioError: it cannot be read as sound at all.
@@ -69,7 +76,7 @@ def inspect_audio(path: Path) -> Sheet:
     }
     if wave is not None:
         facts |= _speech(wave)
-    return Sheet(
+    return Summary(
         kind="audio",
         title=f"{path}: sound, {form} {subtype}, {size(facts['bytes'])}",
         facts=facts,
@@ -116,7 +123,7 @@ def _rows(facts: dict[str, Any], levels: _Levels) -> list[tuple[str, str]]:
     channels = {1: "mono", 2: "stereo"}.get(facts["channels"], f"{facts['channels']} channels")
     if facts["channels"] > 1:
         channels += ", channels differ" if levels.differ else ", all channels equal"
-        channels += "; their mean is what models hear"
+        channels += "; models use their mean"
     rows = [
         (
             "time",
@@ -167,7 +174,7 @@ def _problems(facts: dict[str, Any], refused: str | None) -> list[str]:
 
 
 def _each(values: list[float]) -> str:
-    """One number where all channels agree."""
+    """Format the values of all channels; one value if they agree."""
     texts = [f"{value:.1f}" for value in values]
     return texts[0] if len(set(texts)) == 1 else " / ".join(texts)
 

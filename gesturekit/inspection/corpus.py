@@ -1,4 +1,4 @@
-"""What a corpus holds: a manifest, or a folder of recordings that has none yet."""
+"""Summary of a corpus: a manifest, or a folder of recordings without one."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gesturekit.corpus.manifest import SPLITS, Item, Manifest
+from gesturekit.corpus.item import SPLITS, Item
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.preparation import prepare
 from gesturekit.corpus.report import amount
 from gesturekit.errors import CorpusError, GestureKitError
 from gesturekit.formats.conversion import load
-from gesturekit.inspection.sheet import Sheet, span
+from gesturekit.inspection.summary import Summary, span
 from gesturekit.wording import counted, listed
 
 _SHOWN = 5
 
 
-def inspect_manifest(path: Path) -> Sheet:
-    """A manifest, by what it says and by whether its files are there; none but the first motion
-    is read.
+def inspect_manifest(path: Path) -> Summary:
+    """Summarise a manifest and check that its files exist; only the first motion is read.
 
     Raises:
         CorpusError: it cannot be read.
@@ -64,7 +64,7 @@ def inspect_manifest(path: Path) -> Sheet:
         rows.append(
             ("rig", f"{counted(rig['joints'], 'joint')}, {rig['fps']:.6g} fps (of {rig['of']})")
         )
-    return Sheet(
+    return Summary(
         kind="corpus",
         title=f"{path}: corpus, {amount(manifest.items)}, {span(facts['seconds'])}",
         facts=facts,
@@ -79,17 +79,17 @@ def inspect_recordings(
     parts: Mapping[str, str] | None = None,
     read: Mapping[str, Any] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
-) -> Sheet:
-    """A folder of recordings: what `gesturekit prepare` would find in it. All are read.
+) -> Summary:
+    """Summarise a folder of recordings as `gesturekit prepare` would find it; reads all of them.
 
     Args:
-        folder: where they are.
-        parts: joints named by hand, {"left_elbow": "Joint12"}.
-        read: how motion is read, see `gesturekit.corpus.prepare`.
+        folder: the folder.
+        parts: body parts assigned by hand, {"left_elbow": "Joint12"}.
+        read: options for reading motion, see `gesturekit.corpus.prepare`.
         progress: wraps the list of recordings while they are read, as tqdm does.
 
     Raises:
-        CorpusError: there is no recording in it.
+        CorpusError: the folder has no recordings.
     """
     report = prepare(
         [folder],
@@ -116,10 +116,10 @@ def inspect_recordings(
         "joints": _counts(r.skeleton and r.skeleton.n_joints for r in report.recordings),
         "sample_rates": _counts(r.sample_rate for r in report.recordings),
     }
-    # No split is made before `prepare` makes it, and labels are given there.
+    # Splits and labels are assigned by `prepare` only.
     rows = [(name, text.split(": train")[0]) for name, text in report.rows()]
     rows = [row for row in rows if row[0] not in ("speakers", "styles")]
-    return Sheet(
+    return Summary(
         kind="corpus",
         title=f"{folder}: {amount(manifest.items)}, {span(seconds)}",
         facts=facts,
@@ -154,7 +154,7 @@ def _counts(values: Iterable[Any]) -> dict[str, int]:
 
 
 def _rig(manifest: Manifest) -> tuple[dict[str, Any], list[str]]:
-    """The skeleton that the first motion has; and why that cannot be read."""
+    """Return the rig of the first motion, and the error if it cannot be read."""
     item = next((item for item in manifest if item.motion and item.motion.is_file()), None)
     if item is None:
         return {}, []
@@ -178,7 +178,7 @@ def _missing(manifest: Manifest) -> Iterator[str]:
 
 
 def _leaks(manifest: Manifest) -> Iterator[str]:
-    """Stretches of one file that stand in two splits: what is held out would be trained on."""
+    """Report overlapping intervals of a file in two splits: held-out data would be trained on."""
     stretches: dict[Path, list[tuple[float, float, str, str]]] = defaultdict(list)
     for item in manifest:
         for path, start in ((item.audio, item.audio_start), (item.motion, item.motion_start)):

@@ -1,4 +1,4 @@
-"""What a feature file holds."""
+"""Summary of a feature file."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 import audio_features as af
-from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.wording import counted, listed
 
 _SHOWN = 12
 
 
-def inspect_features(path: Path) -> Sheet:
-    """A feature file (npz of values, times and spec).
+def inspect_features(path: Path) -> Summary:
+    """Summarise a feature file (npz of values, times and spec).
 
     Raises:
         FeatureError: it cannot be read.
@@ -46,11 +46,11 @@ def inspect_features(path: Path) -> Sheet:
         ),
         ("columns", f"{n_columns}: {listed(track.names, _SHOWN)}"),
         ("values", f"{track.values.min():.4g} to {track.values.max():.4g}"),
-        ("made by", json.dumps(track.spec, ensure_ascii=False) if track.spec else "not told"),
+        ("made by", json.dumps(track.spec, ensure_ascii=False) if track.spec else "unknown"),
     ]
     still = [name for name, sd in zip(track.names, spread) if sd == 0]
     problems = (f"never change: {listed(still, _SHOWN)}",) if still and n_frames > 1 else ()
-    return Sheet(
+    return Summary(
         kind="features",
         title=f"{path}: features of a sound, {size(facts['bytes'])}",
         facts=facts,

@@ -1,4 +1,4 @@
-"""What a model is: read from its folder, without its networks and without WavLM."""
+"""Summary of a model folder, without loading its networks or WavLM."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from gesturekit.errors import ConfigError, GestureKitError, ModelError
-from gesturekit.inspection.sheet import Sheet, size
+from gesturekit.inspection.summary import Summary, size
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
 from gesturekit.training.model_folder import rates
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
-_TOLD = {"Kind", "Motion", "Hears", "Styles"}
+_TOLD = {"Kind", "Motion", "Hears", "Speech features", "Styles"}
 _OF_CONFORMERS = {
     "layers",
     "heads",
@@ -28,11 +28,11 @@ _OF_CONFORMERS = {
     "farthest_view",
     "dropout",
 }
-"""Settings of a diffusion network that its diffwave architecture has no use for."""
+"""Settings of a diffusion network that its diffwave architecture does not use."""
 
 
-def inspect_model(folder: Path) -> Sheet:
-    """A model folder.
+def inspect_model(folder: Path) -> Summary:
+    """Summarise a model folder.
 
     Raises:
         ModelError: a part of it is missing or damaged.
@@ -52,7 +52,7 @@ def inspect_model(folder: Path) -> Sheet:
         raise ModelError(f"{folder}: {error}") from None
     except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise ModelError(f"{folder}: the model is damaged ({error!r})") from None
-    if features is None:  # a model that does not hear
+    if features is None:  # a model without speech input
         features = {}
     if not isinstance(features, dict):
         raise ModelError(f"{folder / 'config.yaml'}: features is {features!r}, expected a mapping")
@@ -73,7 +73,7 @@ def inspect_model(folder: Path) -> Sheet:
         "speakers": sorted(rig.get("speakers", {})),
         "notes": _notes(folder / "README.md"),
     }
-    return Sheet(
+    return Summary(
         kind="model",
         title=f"{folder}: model, {facts['model_kind']}, format {facts['format']}, "
         f"{size(facts['bytes'])}",
@@ -104,7 +104,7 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
 
 
 def _hears(spec: Any) -> str:
-    """The features in words: "logmel (n_mels 24), prosody"."""
+    """Describe the speech features: "logmel (n_mels 24), prosody"."""
     if not isinstance(spec, dict):
         return "nothing" if spec is None else str(spec)
     if spec.get("kind") == "stack":
@@ -114,7 +114,7 @@ def _hears(spec: Any) -> str:
 
 
 def _used(network: Any) -> Any:
-    """A network's settings without those that do nothing in it."""
+    """Return the settings that the network's architecture uses."""
     if not isinstance(network, dict) or network.get("architecture") != "diffwave":
         return network
     return {key: value for key, value in network.items() if key not in _OF_CONFORMERS}
@@ -131,7 +131,7 @@ def _value(value: Any) -> str:
 
 
 def _tensors(path: Path) -> dict[str, list[int]]:
-    """Names and shapes, from the header alone."""
+    """Return {name: shape} of the tensors, from the header alone."""
     try:
         with safe_open(path, framework="numpy") as file:
             return {name: file.get_slice(name).get_shape() for name in file.keys()}  # noqa: SIM118
@@ -140,7 +140,7 @@ def _tensors(path: Path) -> dict[str, list[int]]:
 
 
 def _notes(readme: Path) -> dict[str, str]:
-    """What the README says of the training; nothing where there is none."""
+    """Return {label: text} of the README's notes on the training; empty without a README."""
     try:
         text = readme.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):

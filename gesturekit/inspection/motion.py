@@ -1,4 +1,4 @@
-"""What a motion is: its rig with the parts of the body marked, its axes, rate, and how it moves."""
+"""Summary of a motion: rig with body parts, axes, frame rate, movement, defects."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
 from gesturekit.formats.conversion import describe_axes, load
 from gesturekit.formats.plausibility import plausibility_warnings
-from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.inspection.tree import tree
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_points
@@ -34,22 +34,24 @@ from gesturekit.viewer.figure import Figure
 from gesturekit.wording import counted, listed
 
 _STILL = np.deg2rad(0.5)
-"""A joint that never turns further from where it is at first does not move."""
+"""Rotation from the first frame up to which a joint counts as not moving, radians."""
 _STANDS = 1e-4
-"""Metres on the reference body; a root that never goes further stays where it is."""
+"""Range up to which a root counts as not travelling, metres on the reference body."""
 
 
-def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **options: Any) -> Sheet:
-    """A motion file, or a folder with one file a frame.
+def inspect_motion(
+    path: Path, *, parts: Mapping[str, str] | None = None, **options: Any
+) -> Summary:
+    """Summarise a motion file, or a folder with one file per frame.
 
     Args:
-        path: what `Motion.load` reads.
-        parts: joints named by hand, {"left_elbow": "Joint12"}.
-        options: of the reader, such as `up`.
+        path: a motion that `Motion.load` reads.
+        parts: body parts assigned by hand, {"left_elbow": "Joint12"}.
+        options: options of the reader, such as `up`.
 
     Raises:
         FormatError: it cannot be read.
-        MotionError: `parts` names a joint that is not there.
+        MotionError: `parts` names a missing joint.
     """
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("ignore")
@@ -82,7 +84,7 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None = None, **opti
         *plausibility_warnings(motion, options),
     ]
     problems += [*([unknown] if unknown else []), *_defects(motion)]
-    return Sheet(
+    return Summary(
         kind="motion",
         title=f"{path}: motion, {facts['format']}, {size(facts['bytes'])}",
         facts=facts,
@@ -112,7 +114,7 @@ def _movement(motion: Motion, figure: Figure, labels: Mapping[str, str]) -> dict
 
 
 def _feet(motion: Motion, labels: Mapping[str, str]) -> dict[str, Any]:
-    """Share of the frames in which a foot of each side stands; nothing where feet are unknown."""
+    """Return the fraction of frames in which each foot is in contact; empty if feet are unknown."""
     points = foot_points(motion.skeleton)
     if not points:
         return {}
@@ -200,7 +202,7 @@ def _rows(
 
 
 def _axes(facts: Mapping[str, Any]) -> str:
-    """Of the file, and where the body faces once it is read."""
+    """Describe the axes of the file, and the heading of the body after reading."""
     words = describe_axes(facts, " (guessed)")
     turn = round(facts["facing_degrees"])
     side = ("+Z", "+X", "-Z", "-X")[round(turn / 90) % 4]

@@ -1,4 +1,4 @@
-"""Files that have no sheet of their own: name what they are and what to do with them."""
+"""Descriptions of other known files, and what to do with them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TABLES = {  # columns in the first line
 
 
 def what_it_is(path: Path) -> str | None:
-    """Return what a file is and what to do with it; None where it is nothing known.
+    """Describe a file and what to do with it; return None for an unknown file.
 
     Raises:
         OSError: it cannot be read.
@@ -52,7 +52,7 @@ def what_it_is(path: Path) -> str | None:
 
 
 def _part_of(path: Path) -> str | None:
-    """Return the folder of ours that a file is a part of, as an answer."""
+    """Describe a file that is part of a model, run or feature model; else return None."""
     folder, name = path.parent, path.name
     if name in _IN_FEATURE_MODEL:
         return f"part of a feature model of fit-features; give its folder, {folder}, to evaluate"

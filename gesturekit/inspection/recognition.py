@@ -1,4 +1,4 @@
-"""Telling what a path is, and having it inspected."""
+"""Recognition of the kind of a path, and dispatch to its summary."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gesturekit.formats.sources import (
     is_sequence,
 )
 from gesturekit.inspection.others import what_it_is
-from gesturekit.inspection.sheet import Sheet
+from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
 
@@ -34,13 +34,13 @@ def inspect(
     parts: Mapping[str, str] | None = None,
     read: Mapping[str, Any] | None = None,
     progress: Callable[[list[Any]], Iterable[Any]] = iter,
-) -> Sheet:
-    """What a file, a folder, or a bundled model is.
+) -> Summary:
+    """Summarise a file, a folder, or a bundled model.
 
     Args:
         path: motion, sound, features, model (folder or bundled name), corpus (manifest or folder
             of recordings), or run.
-        parts: for motion: joints named by hand, {"left_elbow": "Joint12"}.
+        parts: for motion: body parts assigned by hand, {"left_elbow": "Joint12"}.
         read: for motion: options of its reader, such as `up`.
         progress: wraps the list of a folder's recordings while they are read, as tqdm does.
 
@@ -59,7 +59,7 @@ def inspect(
         return inspect_recordings(Path(path), parts=parts, read=read, progress=progress)
     if kind == "other":
         text = _recognised(Path(path))
-        return Sheet("other", f"{path}: {text}", {"path": str(path), "what": text})
+        return Summary("other", f"{path}: {text}", {"path": str(path), "what": text})
     if parts or read:
         raise ConfigError(f"{path}: a {kind}; only motion has parts, axes, a unit and a height")
     if kind == "model":
@@ -84,7 +84,7 @@ def inspect(
 
 
 def kind_of(path: str | Path) -> str:
-    """motion, audio, features, model, corpus or run; "other" for what is known and has no sheet.
+    """Return motion, audio, features, model, corpus or run; "other" for other known files.
 
     Raises:
         FormatError: none of these.
@@ -121,7 +121,7 @@ def kind_of(path: str | Path) -> str:
 
 
 def _recognised(path: Path) -> str:
-    """Return what a path of kind "other" is."""
+    """Describe a path of kind "other"."""
     if path.is_dir():
         return "a feature model of fit-features; give it to evaluate"
     if path.suffix.lower() == ".npz":

@@ -1,4 +1,4 @@
-"""What has become of a training run."""
+"""Summary of a training run."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.inspection.sheet import Sheet, size, span
+from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.training.config import read_yaml
 from gesturekit.training.run.checkpoint import Checkpoints
 from gesturekit.wording import listed
 
 _ALIVE = 120.0
-"""Seconds: a run that has written later than that may still be at it."""
+"""A run that has written within this many seconds may still be running."""
 _SETTINGS = ("system", "corpus", "fps", "joints", "seed", "device", "precision")
 
 
-def inspect_run(folder: Path) -> Sheet:
-    """A run folder.
+def inspect_run(folder: Path) -> Summary:
+    """Summarise a run folder.
 
     Raises:
         ModelError: its configuration cannot be read.
@@ -48,7 +48,7 @@ def inspect_run(folder: Path) -> Sheet:
         "versions": _versions(folder / "versions.json"),
         "bytes": sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()),
     }
-    return Sheet(
+    return Summary(
         kind="run",
         title=f"{folder}: training run, {facts['state']}, {size(facts['bytes'])}",
         facts=facts,
@@ -57,7 +57,7 @@ def inspect_run(folder: Path) -> Sheet:
 
 
 def _rows(folder: Path, facts: dict[str, Any]) -> list[tuple[str, str]]:
-    ago = f"its last word came {span(facts['silent_seconds'])} ago"
+    ago = f"last written {span(facts['silent_seconds'])} ago"
     state = {
         "finished": f"finished; its model is {folder / 'model'}",
         "running": f"running, as it seems: {ago}",

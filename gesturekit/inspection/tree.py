@@ -1,4 +1,4 @@
-"""A skeleton drawn as a tree, a line for each limb, with the parts of the body marked."""
+"""Text drawing of a skeleton as a tree, one line per limb, with body parts."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ _BELOW = " > "
 
 
 def tree(skeleton: Skeleton, labels: Mapping[str, str], width: int = 100) -> list[str]:
-    """Lines of a tree: each joint hangs on the one before it, brackets hold what joints are.
+    """Return the lines of the tree: each joint follows its parent, parts are in brackets.
 
-    Joints that only mark where a bone stops come last on their line, and the fingers of a hand
-    share one.
+    End joints come last on their line, and the fingers of a hand share one line.
 
     Args:
         skeleton: the rig.
-        labels: joint name to part, as `gesturekit.motion.parts.part_labels` tells them; none for
-            a rig whose parts cannot be told.
+        labels: {joint name: part} of `gesturekit.motion.parts.part_labels`; empty if parts cannot
+            be identified.
         width: columns to use.
     """
     return list(_Drawing(skeleton, labels, width).lines())
@@ -48,7 +47,7 @@ class _Drawing:
                 waiting.append((child, rest + marks[0], rest + marks[1]))
 
     def _limb(self, joint: int) -> tuple[list[int], list[int], list[int]]:
-        """The chain that begins at a joint, the marks beside it, and what it forks into."""
+        """Return the chain from a joint, the end joints beside it, and the joints it forks into."""
         chain, ends = [joint], []
         while True:
             children = list(self.skeleton.children(chain[-1]))
@@ -66,7 +65,7 @@ class _Drawing:
         return is_end and self.skeleton.is_leaf(joint)
 
     def _is_hand(self, joint: int) -> bool:
-        """Whether all below a joint is fingers."""
+        """Return True if all descendants of a joint are fingers."""
         below = self.skeleton.descendants(joint)
         return all(self.labels.get(self.skeleton.names[j]) in ("finger", "end") for j in below)
 
@@ -76,7 +75,7 @@ class _Drawing:
         yield from self._wrapped(words.split(" "), " ", f"{rest}└─ ", f"{rest}      ")
 
     def _runs(self, chain: Sequence[int]) -> Iterator[str]:
-        """A chain as text, neighbours of one part together."""
+        """Yield a chain as text, neighbours of the same part together."""
         names: list[str] = []
         for place, joint in enumerate(chain):
             names.append(self.skeleton.names[joint])

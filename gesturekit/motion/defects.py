@@ -1,7 +1,6 @@
-"""Defects of captured and generated motion: jumps, pops, jitter and stretches frozen.
+"""Defects of captured and generated motion: jumps, pops, jitter and frozen runs.
 
-Lengths and speeds are those of the reference body: each is multiplied by `body_scale` of the rig,
-so that a doll and a giant are judged alike.
+Thresholds in metres and m/s are for the reference body and are multiplied by `body_scale`.
 """
 
 from __future__ import annotations
@@ -18,30 +17,30 @@ MAX_SPEED = 10.0
 """m/s; a joint that moves faster between two frames has jumped. A boxer's fist reaches 10."""
 
 MIN_FROZEN = 1.0
-"""Seconds without any movement that are worth a warning: living people never stand so still."""
+"""Shortest frozen run that is reported, seconds: a living person always moves a little."""
 
 POP_ACCELERATION = 630.0
-"""rad/s²; a joint that turns there and back with more has popped: 20 degrees for one frame at 30
-fps. A hand that is shaken at 5 Hz by 30 degrees reaches 520."""
+"""rad/s²; a joint that rotates there and back with more has popped: 20 degrees for one frame at 30
+fps. A hand shaken at 5 Hz by 30 degrees reaches 520."""
 POP_ANGLE = np.deg2rad(5.0)
-"""At high frame rates a pop is at least so large."""
+"""Least angle of a pop, at high frame rates."""
 POP_GRAVITIES = 10.0 * 9.81
-"""m/s²; the same for places (of the root, and of joints that a file moves)."""
+"""m/s²; acceleration of a pop of the translation or of a joint translation."""
 
 JITTER = 3e-3
-"""Metres by which a step differs from the one before, in turns to and fro: noise of 0.75 mm."""
+"""Least difference of successive steps in alternating directions, metres: noise of 0.75 mm."""
 JITTER_FPS = 15.0
-"""Jitter goes to and fro at half the frame rate. A hand can be shaken at up to 7 Hz, so that below
-this rate movement and jitter look alike."""
+"""Lowest frame rate at which jitter is measured. It alternates at half the frame rate, and a hand
+can be shaken at up to 7 Hz."""
 
-# The steps in which text files hold a pose: identical rows differ by nothing at all.
+# Rounding steps of poses in text files.
 _STILL_ANGLE = 1e-5  # radians
 _STILL_DISTANCE = 1e-6  # metres
 
 
 @dataclass(frozen=True)
 class Jumps:
-    """Frames at which some joint is further from its last place than a person can move."""
+    """Frames reached by some joint faster than a person can move."""
 
     frames: tuple[int, ...]
     joint: str
@@ -53,7 +52,7 @@ class Jumps:
 
 @dataclass(frozen=True)
 class Pops:
-    """Frames that one joint spends away from where it was before and is again after."""
+    """Frames in which a joint deviates from both its neighbouring frames."""
 
     frames: tuple[int, ...]
     joint: str
@@ -63,7 +62,7 @@ class Pops:
 
 
 def find_jumps(motion: Motion) -> Jumps | None:
-    """Frames reached faster than `MAX_SPEED` in world space, or None."""
+    """Return the frames reached faster than `MAX_SPEED` in world space, or None."""
     steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=-1) * motion.fps
     limit = MAX_SPEED * body_scale(motion.skeleton)
     frames = np.flatnonzero(steps.max(axis=1) > limit) + 1 if len(steps) else ()
@@ -74,25 +73,25 @@ def find_jumps(motion: Motion) -> Jumps | None:
 
 
 def speed_limit(limit: float) -> str:
-    """Return the words for a limit on speed that was scaled from `MAX_SPEED` to a body."""
+    """Return a text for a speed limit that was scaled from `MAX_SPEED` to a body."""
     here, usual = format_speed(limit), format_speed(MAX_SPEED)
     return f"over {here}" if here == usual else f"over {here}, {usual} on a body of 1.7 m"
 
 
 def format_speed(speed: float) -> str:
-    """Return a speed with two digits at least: "0.91 m/s", "24 m/s"."""
+    """Return a speed with at least two digits: "0.91 m/s", "24 m/s"."""
     return f"{speed:.0f} m/s" if speed >= 9.95 else f"{speed:.2g} m/s"
 
 
 def find_pops(motion: Motion, jumps: Jumps | None = None) -> Pops | None:
     """Return the frames in which a joint pops, or None.
 
-    It is off the middle of the frames before and after it by more than people can do, and by more
-    than those two differ.
+    A pop deviates from the mean of the frames before and after by more than a person can move, and
+    by more than these two differ.
 
     Args:
         motion: any rig.
-        jumps: those found in it by `find_jumps`; a pop next to one of them is not counted again.
+        jumps: result of `find_jumps`; pops next to a jump are not counted.
     """
     if motion.n_frames < 3:
         return None
@@ -133,7 +132,7 @@ def jitter_share(motion: Motion) -> float:
 
 
 def frozen_runs(motion: Motion) -> list[tuple[int, int]]:
-    """Runs of frames [first, stop) in which no joint moves at all, of `MIN_FROZEN` or longer."""
+    """Return runs of frames [first, stop) of at least `MIN_FROZEN` in which no joint moves."""
     angle = rotation_angles(motion.rotations[1:], motion.rotations[:-1]).max(axis=1)
     distance = np.abs(np.diff(motion.translation, axis=0)).max(axis=1)
     for values in motion.joint_translations.values():

@@ -1,6 +1,6 @@
 """Rotations as arrays: quaternions, matrices, Euler angles, rotation vectors and 6D.
 
-Quaternions are unit and stand as x, y, z, w (scipy's order); q and -q are one rotation. All
+Quaternions have unit length and the order x, y, z, w of scipy; q and -q are the same rotation. All
 functions work on the last axis and broadcast over the others.
 """
 
@@ -22,7 +22,7 @@ def normalize_quaternions(q: np.ndarray) -> np.ndarray:
 
 
 def multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(..., 4) Hamilton product: the rotation that turns by `b` first, then by `a`."""
+    """(..., 4) Hamilton product of quaternions (..., 4): rotation by `b`, then by `a`."""
     ax, ay, az, aw = np.moveaxis(np.asarray(a, dtype=np.float64), -1, 0)
     bx, by, bz, bw = np.moveaxis(np.asarray(b, dtype=np.float64), -1, 0)
     return np.stack(
@@ -37,12 +37,12 @@ def multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def invert_quaternions(q: np.ndarray) -> np.ndarray:
-    """(..., 4) the rotations that undo `q`."""
+    """(..., 4) inverse rotations of `q` (..., 4)."""
     return np.asarray(q, dtype=np.float64) * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def rotate_vectors(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(..., 3) vectors `v` turned by quaternions `q` (..., 4)."""
+    """(..., 3) vectors `v` (..., 3) rotated by quaternions `q` (..., 4)."""
     x, y, z, w = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
     a, b, c = np.moveaxis(np.asarray(v, dtype=np.float64), -1, 0)
     # v + w t + u x t with t = 2 u x v, u the vector part of q.
@@ -58,13 +58,13 @@ def rotate_vectors(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def shortest_arc(a: np.ndarray, b: np.ndarray, spare: np.ndarray | None = None) -> np.ndarray:
-    """(..., 4) the smallest turns that take unit vectors `a` (..., 3) to unit vectors `b`.
+    """(..., 4) smallest rotations from unit vectors `a` to unit vectors `b`.
 
     Args:
-        a: where from.
-        b: where to.
-        spare: (..., 3) about what to turn where they are opposite and any axis would do; by
-            default about the axis that lies least along `a`.
+        a: (..., 3) unit vectors.
+        b: (..., 3) unit vectors.
+        spare: (..., 3) axis of rotation if they are opposite; by default the coordinate axis with
+            the smallest component of `a`.
     """
     a, b = np.broadcast_arrays(np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64))
     if spare is None:
@@ -77,13 +77,16 @@ def shortest_arc(a: np.ndarray, b: np.ndarray, spare: np.ndarray | None = None) 
 
 
 def rotation_angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(...) radians in [0, pi], the angle of the turn from `a` to `b`, exact for small turns."""
+    """(...) angle of the rotation from `a` to `b` (..., 4), radians in [0, pi].
+
+    Small angles are exact.
+    """
     turn = multiply_quaternions(invert_quaternions(a), b)
     return 2 * np.arctan2(np.linalg.norm(turn[..., :3], axis=-1), np.abs(turn[..., 3]))
 
 
 def slerp(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(..., 4) the way from `a` (weight 0) to `b` (weight 1) along the shorter arc.
+    """(..., 4) spherical interpolation from `a` (weight 0) to `b` (weight 1), the shorter way.
 
     Args:
         a: (..., 4) unit quaternions.
@@ -151,9 +154,9 @@ def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
 
 
 def quaternion_from_euler(angles: np.ndarray, order: str) -> np.ndarray:
-    """(..., 4) from intrinsic Euler angles (..., 3) in degrees, columns in the order's order.
+    """(..., 4) quaternions from intrinsic Euler angles (..., 3), degrees, columns as in `order`.
 
-    "ZXY" turns about Z, then about the new X, then about the newest Y, as BVH does.
+    "ZXY" rotates about Z, then about the new X, then about the newest Y, as in BVH.
     """
     a, b, c = ("XYZ".index(axis) for axis in order)
     parity = 1.0 if (b - a) % 3 == 1 else -1.0  # of the permutation
@@ -169,9 +172,9 @@ def quaternion_from_euler(angles: np.ndarray, order: str) -> np.ndarray:
 
 
 def euler_from_quaternion(q: np.ndarray, order: str) -> np.ndarray:
-    """(..., 3) intrinsic Euler angles in degrees, columns in the order's order.
+    """(..., 3) intrinsic Euler angles of quaternions (..., 4), degrees, columns as in `order`.
 
-    In gimbal lock the third angle is set to 0; the rotation is right all the same.
+    In gimbal lock the third angle is set to 0; the rotation is still correct.
     """
     from scipy.spatial.transform import Rotation
 
@@ -183,7 +186,7 @@ def euler_from_quaternion(q: np.ndarray, order: str) -> np.ndarray:
 
 
 def quaternion_from_rotation_vector(vector: np.ndarray) -> np.ndarray:
-    """(..., 4) from axis times angle (..., 3), radians."""
+    """(..., 4) quaternions from rotation vectors (..., 3): axis times angle, radians."""
     vector = np.asarray(vector, dtype=np.float64)
     half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
     # numpy's sinc is sin(pi x) / (pi x), finite at zero.
@@ -191,7 +194,7 @@ def quaternion_from_rotation_vector(vector: np.ndarray) -> np.ndarray:
 
 
 def rotation_vector_from_quaternion(q: np.ndarray) -> np.ndarray:
-    """(..., 3) axis times angle, radians, the angle in [0, pi]."""
+    """(..., 3) rotation vectors of quaternions (..., 4), radians, the angle in [0, pi]."""
     q = np.asarray(q, dtype=np.float64)
     q = np.where(q[..., 3:] < 0, -q, q)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
@@ -200,15 +203,15 @@ def rotation_vector_from_quaternion(q: np.ndarray) -> np.ndarray:
 
 
 def sixd_from_quaternion(q: np.ndarray) -> np.ndarray:
-    """(..., 6) the first two columns of the matrix, one after the other (Zhou et al. 2019)."""
+    """(..., 6) first two matrix columns of quaternions (..., 4) (Zhou et al. 2019)."""
     matrix = matrix_from_quaternion(q)
     return np.concatenate([matrix[..., 0], matrix[..., 1]], axis=-1)
 
 
 def quaternion_from_sixd(sixd: np.ndarray) -> np.ndarray:
-    """(..., 4) from six numbers by Gram-Schmidt; any finite numbers give a rotation.
+    """(..., 4) quaternions from 6D (..., 6) by Gram-Schmidt; any finite values give a rotation.
 
-    Where the first column is zero or the second lies along it, an axis stands in for it.
+    A column that is zero, or a second one parallel to the first, is replaced by an axis.
     """
     sixd = np.asarray(sixd, dtype=np.float64)
     first, second = sixd[..., :3], sixd[..., 3:]

@@ -1,4 +1,4 @@
-"""The rig of a body: joints, who hangs on whom, and how far apart they lie at rest."""
+"""Skeleton: named joints, their tree, and their rest offsets."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from gesturekit.errors import MotionError
 SKELETON_FORMAT = 1
 ROTATION_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 FARTHEST = 1e9
-"""Metres; what lies further off is damage, and sums of it would overflow."""
+"""Largest plausible coordinate, metres; sums of larger ones could overflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """A tree of named joints with their rest offsets, metres, Y up.
+    """Tree of J named joints with their rest offsets, metres, Y up.
 
     Attributes:
         names: unique joint names; the root comes first and parents before their children.
         parents: index of each joint's parent, -1 for the root.
-        offsets: (J, 3) float64, place of each joint in its parent's frame at rest, metres. The
-            root's is where it stands at rest; a motion's translation replaces it.
-        end_sites: joint name to the (3,) offsets, metres, of the ends that hang on it (`End Site`
-            of BVH: no joint of its own, it only says where a bone stops).
-        rotation_orders: axes of each joint's Euler angles in a file, intrinsic, as "ZXY".
-        parts: parts of the body named by hand, such as {"left_elbow": "Joint12"}, where names and
-            shape of the rig do not tell them; see `gesturekit.motion.parts.find_parts`.
+        offsets: (J, 3) float64, rest position of each joint in its parent's frame, metres. That of
+            the root is replaced by a motion's translation.
+        end_sites: joint name to the (3,) offsets of its end sites, metres (`End Site` of BVH: not a
+            joint, it marks the end of a bone).
+        rotation_orders: axes of each joint's intrinsic Euler angles in a file, such as "ZXY".
+        parts: body parts specified by hand, such as {"left_elbow": "Joint12"}, if names and shape
+            of the rig do not identify them; see `gesturekit.motion.parts.find_parts`.
 
     Raises:
-        MotionError: several roots, a child before its parent, names that repeat, wrong shapes,
-            or numbers that are not finite.
+        MotionError: several roots, a child before its parent, repeated names, wrong shapes, or
+            values that are not finite.
     """
 
     names: tuple[str, ...]
@@ -102,10 +102,10 @@ class Skeleton:
         return {name: j for j, name in enumerate(self.names)}
 
     def index(self, name: str) -> int:
-        """Index of the joint called `name`.
+        """Return the index of the joint called `name`.
 
         Raises:
-            MotionError: there is none; the message names the nearest ones.
+            MotionError: there is none; the message suggests similar names.
         """
         try:
             return self._index[name]
@@ -123,30 +123,30 @@ class Skeleton:
         return tuple(tuple(below) for below in children)
 
     def children(self, joint: int) -> tuple[int, ...]:
-        """Indices of the joints that hang directly on `joint`."""
+        """Return the indices of the children of `joint`."""
         return self._children[joint]
 
     def is_leaf(self, joint: int) -> bool:
-        """Whether no joint hangs on `joint`."""
+        """Return whether `joint` has no children."""
         return not self._children[joint]
 
     @cached_property
     def depth(self) -> tuple[int, ...]:
-        """Number of joints between each joint and the root; 0 for the root itself."""
+        """Depth of each joint in the tree; 0 for the root."""
         depth: list[int] = []
         for parent in self.parents:
             depth.append(depth[parent] + 1 if parent >= 0 else 0)
         return tuple(depth)
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
-        """Joints above `joint`, the nearest first."""
+        """Return the joints above `joint`, the nearest first."""
         above = []
         while (joint := self.parents[joint]) >= 0:
             above.append(joint)
         return tuple(above)
 
     def descendants(self, joint: int) -> tuple[int, ...]:
-        """Joints below `joint`, in the skeleton's order."""
+        """Return all joints below `joint`, in the skeleton's order."""
         below = {joint}
         for j in range(joint + 1, self.n_joints):
             if self.parents[j] in below:
@@ -154,10 +154,10 @@ class Skeleton:
         return tuple(sorted(below - {joint}))
 
     def scaled(self, factor: float) -> Skeleton:
-        """The same rig with every offset and end site multiplied by `factor`.
+        """Return the rig with every offset and end site multiplied by `factor`.
 
         Raises:
-            MotionError: a factor that is not above 0 and finite.
+            MotionError: a factor that is not positive and finite.
         """
         if not 0 < factor < math.inf:
             raise MotionError(f"scaled: factor is {factor!r}; give a number above 0")
@@ -165,7 +165,7 @@ class Skeleton:
         return replace(self, offsets=self.offsets * factor, end_sites=ends)
 
     def with_parts(self, parts: Mapping[str, str]) -> Skeleton:
-        """The same rig with parts named by hand, beside those that already are; see `parts`.
+        """Return the rig with more body parts specified by hand; see `parts`.
 
         Raises:
             MotionError: no such joint.
@@ -173,7 +173,7 @@ class Skeleton:
         return replace(self, parts={**self.parts, **parts})
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, for `skeleton.json` of a model folder."""
+        """Return JSON values, for `skeleton.json` of a model folder."""
         values = {
             "format": SKELETON_FORMAT,
             "names": list(self.names),
@@ -186,10 +186,10 @@ class Skeleton:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Skeleton:
-        """Inverse of `to_json`.
+        """Return the skeleton of the values from `to_json`.
 
         Raises:
-            MotionError: a newer format, a missing field, or a skeleton that cannot be.
+            MotionError: a newer format, a missing field, or an invalid skeleton.
         """
         if not isinstance(values, Mapping):
             raise MotionError(f"a skeleton is a mapping of fields, not {type(values).__name__}")
@@ -216,6 +216,7 @@ class Skeleton:
 
 
 def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
+    """Raise MotionError unless names and parents are those of one tree, parents first."""
     if not names:
         raise MotionError("a skeleton needs at least one joint")
     if len(names) != len(parents):

@@ -41,7 +41,7 @@ class ForwardKinematics(nn.Module):
     reach: Tensor
 
     def __init__(self, parents: Sequence[int], offsets: np.ndarray) -> None:
-        """Of a tree with parents before children.
+        """Precompute the levels of a tree.
 
         Args:
             parents: index of each joint's parent, -1 for the root, which comes first.
@@ -89,7 +89,7 @@ class ForwardKinematics(nn.Module):
         return self.from_inner(inner.movedim((0, 1), (-2, -1)), translation)
 
     def from_inner(self, rotations: Tensor, translation: Tensor) -> Tensor:
-        """The same by the rotations of `inner` alone, the joints that others hang on.
+        """Positions (..., J, 3) from the rotations of `inner` alone, the I joints with children.
 
         Args:
             rotations: (..., I, 3, 3) local rotation matrices, in the order of `inner`.

@@ -205,7 +205,7 @@ class MultiresConfig(RunConfig):
     training: TrainingConfig = field(default_factory=TrainingConfig)
     checkpoint_every: int = 250
     eval_every: int = 0
-    """Iterations between cheap evaluations (`quick_figures`) on the training speech, written to
+    """Iterations between cheap evaluations (`quick_metrics`) on the training speech, written to
     metrics.jsonl with `kind: evaluation`, each with a sample in samples/; 0 for none. The model of
     the last pair of levels that they find best is kept in best/. They change nothing in the
     training, and model/ is always what its last step left."""

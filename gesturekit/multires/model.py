@@ -10,7 +10,13 @@ from typing import Any, Literal
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.corpus.speech import Speech, SpeechConditioner, as_speech, at_rate, hear
+from gesturekit.corpus.speech import (
+    Speech,
+    SpeechConditioner,
+    as_speech,
+    speech_features,
+    to_output_rate,
+)
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.model import Inputs
 from gesturekit.motion.motion import Motion
@@ -205,7 +211,7 @@ class MultiresModel:
         )
         motions = Generation(self, request).motions()
         if not coarse:
-            motions = [at_rate(motion, rate, request.wave, seconds) for motion in motions]
+            motions = [to_output_rate(motion, rate, request.wave, seconds) for motion in motions]
         return motions[0] if samples == 1 else motions
 
     def check_controls(
@@ -259,7 +265,9 @@ class MultiresModel:
         if self.conditioner is not None and speech is None:
             raise ModelError(f"sequence {name!r}: the model hears; give the sequence's speech")
         seconds = sequence.frames / self.fps if speech is None else None
-        features = hear(self.conditioner, as_speech(speech, sample_rate), seconds, self.fps)
+        features = speech_features(
+            self.conditioner, as_speech(speech, sample_rate), seconds, self.fps
+        )
         features = features[: sequence.frames]
         lengths = af.level_lengths(sequence.frames, self.network_config.levels)
         if len(features) < sequence.frames:

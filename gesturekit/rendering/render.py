@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import audio_features as af
-from gesturekit.corpus.manifest import Item
+from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.rig import Rig

@@ -14,12 +14,12 @@ import numpy as np
 
 import audio_features as af
 from gesturekit.errors import ConfigError
+from gesturekit.evaluation.comparison import LDA_SAMPLES, MULTIRES_LENGTH, MULTIRES_SAMPLES
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     files_by_key,
     motion_files,
 )
-from gesturekit.evaluation.report.comparison import LDA_SAMPLES, MULTIRES_LENGTH, MULTIRES_SAMPLES
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import audio_features as af
-from gesturekit.corpus.manifest import Item
+from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.sources import (
     OTHER_SPEECH_SUFFIXES,

@@ -102,7 +102,9 @@ def load_config(
 
 
 def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, Any]:
-    values = with_new_keys(read_yaml(path), str(path))
+    values = read_yaml(path)
+    if schema is not None:
+        values = with_new_keys(values, str(path))
     base = values.pop("base", None)
     values = _resolve_paths(values, schema, path.resolve().parent)
     if base is None:

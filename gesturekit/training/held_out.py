@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 import audio_features as af
-from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.evaluation.metrics.patches import coverage, patch_features

@@ -23,12 +23,13 @@ RENAMED_KEYS = {
 log = logging.getLogger(__name__)
 
 
-def with_new_keys(values: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return a configuration with the new name of each renamed setting, and log them.
+def with_new_keys(values: dict[str, Any], where: str, *, quiet: bool = False) -> dict[str, Any]:
+    """Return a configuration with the new name of each renamed setting.
 
     Args:
         values: nested mappings, as read.
         where: the file or the command line, for messages.
+        quiet: do not log the new names.
 
     Raises:
         ConfigError: both the old and the new name of a setting are given.
@@ -57,7 +58,7 @@ def with_new_keys(values: dict[str, Any], where: str) -> dict[str, Any]:
                     f"{where}: {old_name} is the old name of {new_name}: give one of them"
                 )
             target_values[new_leaf] = setting
-            moved.append(f"{old_name} is now {new_name}")
-    if moved:
+        moved.append(f"{old} is now {new}")
+    if moved and not quiet:
         log.info("%s: renamed settings: %s", where, ", ".join(moved))
     return values

@@ -60,7 +60,7 @@ class RunConfig:
     """Steps between checkpoints."""
     log_every: int = 10
     eval_every: int = 0
-    """Steps between cheap evaluations (`quick_figures`) on the training recordings, written to
+    """Steps between cheap evaluations (`quick_metrics`) on the training recordings, written to
     metrics.jsonl with `kind: evaluation`; 0 for none. They change nothing in the training.
     Whatever is set here, the model is measured on held-out recordings at the end and every few
     minutes (`kind: held_out`)."""

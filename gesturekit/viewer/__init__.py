@@ -1,4 +1,4 @@
-"""Seeing a motion: an HTML player with sound, and pictures."""
+"""Visualisation of motion: an HTML player with sound, and pictures."""
 
 from __future__ import annotations
 

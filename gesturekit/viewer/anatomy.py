@@ -1,4 +1,4 @@
-"""Anatomy: how thick each limb of a body is drawn, and on which side it is."""
+"""Anatomy: thickness and body side of each drawn limb."""
 
 from __future__ import annotations
 
@@ -17,8 +17,13 @@ SIDES = {"left": LEFT, "right": RIGHT}
 
 @dataclass(frozen=True)
 class Shape:
-    """How a limb looks, in units of the body's height: radii at its ends, and how many times
-    wider than deep it is."""
+    """Shape of a limb in units of the body's height.
+
+    Attributes:
+        start, end: radii at its ends.
+        width: ratio of width to depth.
+        side: MIDDLE, LEFT or RIGHT.
+    """
 
     start: float
     end: float
@@ -26,7 +31,7 @@ class Shape:
     side: int = MIDDLE
 
     def on(self, side: int) -> Shape:
-        """The same on another side."""
+        """Return the shape on another side."""
         return replace(self, side=side)
 
 

@@ -18,7 +18,7 @@ _INK, _SOFT, _LINE = "#26303b", "#6b7785", "#c8643a"
 _DPI = 110
 _INCHES_PER_SECOND, _WIDEST = 0.7, 40.0
 _ONE_SCALE = ("mel", "chroma")
-"""Columns of one unit and like size; what others hold is shown against their own spread."""
+"""Features whose columns share a scale; others are normalised column by column."""
 _UNITS = {
     "f0": "semitones from the median",
     "energy": "dB of active speech",
@@ -68,7 +68,7 @@ def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave)
 
 
 def _groups(names: tuple[str, ...]) -> dict[str, list[int]]:
-    """Columns whose names differ in their last number alone, under what they share."""
+    """Group columns whose names differ only in their last number: {common part: columns}."""
     groups: dict[str, list[int]] = {}
     for column, name in enumerate(names):
         groups.setdefault(re.sub(r"_\d+$", "", name), []).append(column)

@@ -1,4 +1,4 @@
-"""Figure: the points and limbs to draw for a motion, the same in the page and in pictures."""
+"""Figure: the points and limbs to draw for a motion, in the page and in pictures."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Head:
 
 @dataclass(frozen=True)
 class Figure:
-    """What to draw for one motion.
+    """The points, limbs and curves to draw for one motion.
 
     Attributes:
         points: (T, P, 3) world positions in metres: the joints in the skeleton's order, then end
@@ -68,7 +68,7 @@ class Figure:
         head: None where the skeleton has no head that could be recognised.
         hand_speed: (T,) m/s, both hands summed, relative to the root (the mean over all joints
             where there are no hands), smoothed by a Gaussian of SPEED_SMOOTHING.
-        speed_of: what that is, in words: "hand speed" or "mean speed of all joints".
+        speed_of: label of `hand_speed`: "hand speed" or "mean speed of all joints".
         height: of the body, metres.
         floor: height of the ground, metres.
         front: the yaw the body faces on average, radians, 0 towards +Z and positive towards +X.
@@ -95,10 +95,10 @@ class Figure:
 
     @classmethod
     def of(cls, motion: Motion) -> Figure:
-        """Work out the figure of a motion, on any skeleton.
+        """Compute the figure of a motion, on any skeleton.
 
-        End sites that no limb can have are not drawn.
-        A skeleton whose parts cannot be told from its names and shape is drawn as plain limbs.
+        Implausible end sites are not drawn. A skeleton whose parts cannot be identified is drawn
+        with plain limbs.
         """
         try:
             parts = find_parts(motion.skeleton)

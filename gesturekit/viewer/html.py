@@ -89,7 +89,7 @@ def player_data(
     audio: str | os.PathLike[str] | Wave | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
 ) -> str:
-    """What goes into the place `{{motion}}` of `player_shell`; arguments as for `write_html`.
+    """Return the JSON for `{{motion}}` of `player_shell`; arguments as for `write_html`.
 
     Raises AudioError where `audio` is no sound, FormatError where `body_model` is none.
     """
@@ -115,7 +115,7 @@ def _player() -> str:
 
 
 def _fill(text: str, values: Mapping[str, str]) -> str:
-    """Put values into their places in one pass, so that none is searched for places itself."""
+    """Replace placeholders in one pass, so that inserted values are not searched."""
     return re.sub(r"\{\{(\w+)\}\}", lambda place: values.get(place[1], place[0]), text)
 
 
@@ -190,7 +190,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
 
 
 def _skin(motion: Motion, body: BodyModel) -> dict[str, Any]:
-    """The body at rest, and how its joints are turned in every frame."""
+    """Return the body at rest, and the joint rotations of every frame."""
     betas = motion.info.get("betas")
     turns = np.rint(steady_turns(motion) * 32_767).astype(np.int64)
     return {
@@ -214,7 +214,7 @@ def _short(length: float) -> float:
 
 
 def _levels(values: np.ndarray) -> str:
-    """Base64 of values from 0 to 1 as bytes."""
+    """Encode values (N,) from 0 to 1 as bytes in base64."""
     return _base64(np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).tobytes())
 
 

@@ -1,4 +1,4 @@
-"""Pictures: one PNG that tells at a glance whether a motion moves and follows speech."""
+"""Pictures: one PNG of a motion, its hand speed and its speech."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def write_picture(
     path: str | os.PathLike[str],
     audio: str | os.PathLike[str] | Wave | None = None,
 ) -> None:
-    """Write the picture that says most: `speech_and_motion` with sound, `contact_sheet` without.
+    """Write a picture: `speech_and_motion` with sound, `contact_sheet` without.
 
     Raises AudioError where `audio` is no sound.
     """

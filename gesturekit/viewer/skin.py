@@ -1,7 +1,7 @@
-"""A body's skin for the player: sent once, at rest, and moved there by the joints.
+"""Skin of a body for the player: the mesh at rest, animated by linear blend skinning.
 
-The player blends linearly, on the graphics card, the four joints that matter most to each vertex;
-the body model's small corrections of a bent elbow are left out. `BodyModel.vertices` has it all.
+The player blends the four joints with the greatest weights of each vertex on the graphics card;
+pose-dependent corrections of the body model are left out (`BodyModel.vertices` has them).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Skin:
 
     Attributes:
         faces: (F, 3) uint32.
-        joints: (V, 4) uint8, which joints move a vertex.
-        weights: (V, 4) uint8, how much, in parts of 255.
+        joints: (V, 4) uint8, indices of the joints that move a vertex.
+        weights: (V, 4) uint8, their weights, in units of 1/255.
     """
 
     faces: np.ndarray
@@ -36,7 +36,7 @@ class Skin:
 
     @classmethod
     def of(cls, body: BodyModel) -> Skin:
-        """The mesh with the four greatest weights of each vertex, scaled to a sum of one."""
+        """Return the mesh with the four greatest weights of each vertex, scaled to a sum of one."""
         n_joints = min(INFLUENCES, body.n_joints)
         joints = np.argsort(-body.weights, axis=1, kind="stable")[:, :n_joints]
         weights = np.take_along_axis(body.weights, joints, axis=1).astype(np.float64)
@@ -51,9 +51,9 @@ class Skin:
 
 
 def steady_turns(motion: Motion) -> np.ndarray:
-    """(T, J, 4) quaternions from the joints' frames to the world, none far from the one before.
+    """Return (T, J, 4) world rotations with continuous signs.
 
-    q and -q are one rotation; with the nearer one in each frame they can be interpolated.
+    q and -q are the same rotation; the nearer one in each frame can be interpolated.
     """
     turns = motion.global_rotations()
     along = (turns[1:] * turns[:-1]).sum(axis=-1)

@@ -36,9 +36,9 @@ Playable = str | os.PathLike[str] | Wave | tuple[np.ndarray, int]
 
 
 def as_sound(audio: Playable) -> str | os.PathLike[str] | Wave:
-    """Return (samples, rate) as a `Wave`, and anything else as it is.
+    """Return (samples (N,), rate) as a `Wave`, and anything else as it is.
 
-    Raises AudioError where that is no sound, or an array has no rate.
+    Raises AudioError if `audio` is not sound, or an array has no rate.
     """
     if isinstance(audio, tuple) and len(audio) == 2:
         return Wave.from_array(*audio, "audio")

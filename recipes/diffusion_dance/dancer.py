@@ -1,7 +1,7 @@
-"""A dancer who arrives on the beat: every pose stands on a beat, every movement lies between two.
+"""Synthetic dance: every pose is on a beat, every movement between two beats.
 
-Each bar has a move, drawn with its poses' sizes; hips and head go up and down with every second
-beat, over feet that stand still. Nothing is known to the dancer but when the beats are.
+Each bar has a random move and random pose sizes. Hips and head go up and down with every second
+beat; the feet stand still. The dance depends on the beat times only.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from rig import STANDING_HEIGHT, Arm, pose  # noqa: E402
 
 FPS = 60.0
 _HOLD = 0.06
-"""Of a beat: a pose is held for so long before and after its moment."""
+"""Share of a beat for which a pose is held before and after it."""
 
-# Where a left wrist goes, in the chest's frame: metres.
+# Positions of the left wrist in the chest's frame, in metres.
 _WRISTS = {
     "low": (0.25, -0.30, 0.15),
     "home": (0.20, -0.16, 0.28),
@@ -48,8 +48,8 @@ _DIP, _SWAY = 0.075, 0.05  # metres, of the hips
 
 
 def dance(beats: np.ndarray, seconds: float, rng: np.random.Generator) -> Motion:
-    """A dance to beats at these times (seconds), as long as the track."""
-    # From the bar before the track to the one after it: it begins and ends amid the dance.
+    """Return a dance of `seconds` to beats at these times (B,) in seconds."""
+    # Extend the beats by a bar on both sides, so that the track begins and ends within the dance.
     gaps = np.diff(beats)
     times = np.concatenate(
         [beats[0] - gaps[0] * np.arange(4, 0, -1), beats, beats[-1] + gaps[-1] * np.arange(1, 5)]
@@ -71,7 +71,7 @@ def dance(beats: np.ndarray, seconds: float, rng: np.random.Generator) -> Motion
 
 
 def _bar(rng: np.random.Generator) -> list[np.ndarray]:
-    """Four poses: both wrists (the right one mirrored), twist, dip, sway, nod."""
+    """Draw four poses (10,): both wrists (the right one mirrored), twist, dip, sway, nod."""
     move = _MOVES[rng.integers(len(_MOVES))]
     flipped = rng.random() < 0.5
     size = rng.uniform(0.85, 1.1)
@@ -90,8 +90,7 @@ def _bar(rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def _between(time: np.ndarray, beats: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(T, D) from row to row (B, D) by minimum-jerk movements (Flash & Hogan 1985), at rest on
-    each beat."""
+    """Interpolate poses (B, D) to (T, D) by minimum-jerk movements (Flash & Hogan 1985)."""
     k = np.clip(np.searchsorted(beats, time, side="right") - 1, 0, len(beats) - 2)
     share = (time - beats[k]) / (beats[k + 1] - beats[k])
     x = np.clip((share - _HOLD) / (1 - 2 * _HOLD), 0.0, 1.0)[:, None]

@@ -1,11 +1,11 @@
-"""Does a model dance to the beats of tracks that it has never heard?
+"""Measure how well a model dances to the beats of new tracks.
 
     python recipes/diffusion_dance/measure.py runs/dances/model [--tracks 10] [--out folder]
 
-Makes tracks as `prepare.py` does, of another seed, each with its own tempo; the model dances
-to them. A row a track: beat alignment (BAS) of the dance with the track's own beats, its mean and
-standard deviation over 200 circular shifts of the beats, the same for a dance by rule (`dancer.py`)
-to that track, hand speed as a ratio to that dance's, and foot skate.
+The tracks are made like those of `prepare.py`, with another seed and a different tempo each. For
+each track, one line gives the beat alignment (BAS) of the generated dance, its mean and standard
+deviation over 200 circular shifts of the beats, the same for a rule-based dance (`dancer.py`), the
+ratio of hand speed to that dance's, and foot skate.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gesturekit.evaluation.metrics.feet import foot_skate
 from gesturekit.viewer.pictures import speech_and_motion
 
 SECONDS = 22.1
-"""Of a track: as long as `beat_alignment` has 200 shifts."""
+"""Length of a track, enough for 200 shifts in `beat_alignment`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

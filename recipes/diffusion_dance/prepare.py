@@ -1,8 +1,8 @@
-"""Make a corpus of dances to clicks and chords: a toy that stands in for recordings of dance.
+"""Make a synthetic corpus of dances to clicks and chords, instead of recorded dance.
 
     python recipes/diffusion_dance/prepare.py --out dances [--clips 20] [--seconds 30] [--seed 0]
 
-Writes, the same bytes for the same seed:
+Writes these files, with the same bytes for the same seed:
 
     dances/dance_NN.wav     a track of 80 to 150 beats per minute, some with offbeats
     dances/dance_NN.bvh     a dance to it, 60 frames per second

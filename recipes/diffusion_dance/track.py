@@ -1,7 +1,7 @@
-"""Clicks and chords: a track whose tempo drifts as a band's does, and whose beats are known.
+"""Synthetic music: a track of clicks and chords with known beats and a drifting tempo.
 
-A tempo that never changes would let a dance fit its track as well one beat later: no circular
-shift of the sound could tell a dancer who hears it from one who does not.
+With a constant tempo, a dance would fit its track just as well one beat later, and circular shifts
+of the beats could not show whether a model uses the sound.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ TEMPOS = (80.0, 150.0)
 """Beats per minute of the slowest and the fastest track."""
 BEATS_PER_BAR = 4
 DRIFT = 0.12
-"""Of the tempo: by so much it is faster or slower as the track goes on."""
+"""Largest relative deviation of the tempo over the track."""
 _KEYS = (0, 5, 7, 9)  # semitones of the four chords over the key
 _TRIADS = ((0, 4, 7), (0, 4, 7), (0, 4, 7), (0, 3, 7))
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Sound, and when its beats are.
+    """A sound with its beats.
 
     Attributes:
         samples: (N,) in [-1, 1] at `RATE`.
-        beats: (B,) seconds of all beats in it; the first is the first of a bar.
-        tempo: beats per minute, in the mean.
-        has_offbeat: whether lighter clicks fall halfway between the beats.
+        beats: (B,) times of all beats in seconds; the first one begins a bar.
+        tempo: mean beats per minute.
+        has_offbeat: whether there are softer clicks halfway between the beats.
     """
 
     samples: np.ndarray
@@ -40,7 +40,7 @@ class Track:
 
 
 def play(seconds: float, tempo: float, has_offbeat: bool, rng: np.random.Generator) -> Track:
-    """A track: a click on each beat, the louder on the first of a bar, and a chord for each bar."""
+    """Make a track: a click on each beat, louder on the first of a bar, and a chord per bar."""
     fine = np.arange(0.0, seconds + 10.0, 0.01)
     drift = DRIFT * np.sin(2 * np.pi * (fine / rng.uniform(12.0, 25.0) + rng.random()))
     counted = np.cumsum(tempo / 60 * (1 + drift)) * 0.01 - rng.random() - 0.1
@@ -70,7 +70,7 @@ def _add(samples: np.ndarray, time: float, sound: np.ndarray) -> None:
 
 
 def _click(level: float, decay: float, rng: np.random.Generator) -> np.ndarray:
-    """A burst of noise that dies away within `decay` seconds, and a low thud below it."""
+    """Return a burst of noise and a low thud, which decay within about `decay` seconds."""
     time = np.arange(round(0.25 * RATE)) / RATE
     noise = lfilter([1.0, -0.9], [1.0], rng.standard_normal(len(time))) * np.exp(-time / decay)
     thud = np.sin(2 * np.pi * 70 * time) * np.exp(-time / (3 * decay))
@@ -78,7 +78,7 @@ def _click(level: float, decay: float, rng: np.random.Generator) -> np.ndarray:
 
 
 def _chord(pitches: np.ndarray, seconds: float) -> np.ndarray:
-    """Soft tones with three overtones each, struck and dying away."""
+    """Return decaying tones with three overtones each."""
     time = np.arange(round(seconds * RATE)) / RATE
     tones = sum(
         np.sin(2 * np.pi * n * pitch * time) / n**2 for pitch in pitches for n in range(1, 5)

@@ -1,7 +1,7 @@
-"""A fighter on guard who punches and ducks when told to, and at no other time.
+"""Synthetic fighting: a fighter on guard who punches and ducks at given times only.
 
-He sways as he likes. A punch of the right fist goes out before its moment, is farthest at it and
-comes back; a duck is lowest at its moment. Feet stand still.
+The body sways at random. A punch of the right fist is farthest out at the time of its event; a duck
+is lowest at its time. The feet stand still.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from rig import STANDING_HEIGHT, Arm, pose  # noqa: E402
 FPS = 60.0
 MOVES = ("punch", "duck")
 OUT, BACK = 0.22, 0.34
-"""Seconds of the way there and of the way back."""
+"""Duration of the movement before and after its event, in seconds."""
 _GUARD = np.array([0.11, 0.04, 0.27])  # of a left wrist, in the chest's frame
 _HIT = np.array([0.03, 0.10, 0.50])
 _TWIST, _DUCK = 0.45, 0.10  # radians of the spine in a punch, metres of the hips in a duck
 
 
 def draw_events(seconds: float, rng: np.random.Generator) -> tuple[Event, ...]:
-    """Moves in any order, 0.5 to 2 s apart."""
+    """Draw random moves, 0.5 to 2 s apart."""
     events, time = [], rng.uniform(0.3, 1.5)
     while time < seconds - BACK:
         events.append(Event(round(time, 3), MOVES[rng.integers(len(MOVES))], 0.0))
@@ -37,7 +37,7 @@ def draw_events(seconds: float, rng: np.random.Generator) -> tuple[Event, ...]:
 
 
 def fight(events: tuple[Event, ...], seconds: float, rng: np.random.Generator) -> Motion:
-    """A motion in which these moves happen when they are said to."""
+    """Return a motion with these moves."""
     time = np.arange(round(seconds * FPS)) / FPS
     punch, duck = (_moves(time, [e.time for e in events if e.name == name]) for name in MOVES)
     sway, bob = (_wander(time, rng) for _ in range(2))
@@ -57,7 +57,7 @@ def fight(events: tuple[Event, ...], seconds: float, rng: np.random.Generator) -
 
 
 def _moves(time: np.ndarray, moments: list[float]) -> np.ndarray:
-    """(T,) 1 at each moment, 0 but for `OUT` before and `BACK` after it (minimum jerk)."""
+    """Return weights (T,): 1 at each moment, falling to 0 at `OUT` before and `BACK` after it."""
     share = np.zeros_like(time)
     for moment in moments:
         since = time - moment
@@ -67,6 +67,6 @@ def _moves(time: np.ndarray, moments: list[float]) -> np.ndarray:
 
 
 def _wander(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(T,) about 0, within ±1, to a slow rhythm of its own."""
+    """Return a slow random oscillation (T,) within ±1."""
     rates, phases = rng.uniform(0.4, 1.3, 3), rng.uniform(0, 2 * np.pi, 3)
     return np.sin(2 * np.pi * rates * time[:, None] + phases).mean(axis=1)

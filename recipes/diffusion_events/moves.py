@@ -1,4 +1,4 @@
-"""Whether a move is at its height when it should be."""
+"""Detection of punches and ducks in a motion."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import rotate_vectors
 
 NEAR = 0.15
-"""Seconds from a moment within which a move belongs to it."""
+"""Largest distance in seconds of a move from its event."""
 HALFWAY = {"punch": 0.385, "duck": -0.84}
-"""Metres of `extent`, between rest and the move at its height."""
+"""Threshold of `extent` in metres, halfway between rest and the full move."""
 
 
 def extent(motion: Motion, name: str) -> np.ndarray:
-    """(T,) metres: how far ahead of the chest the right fist is, or how deep the hips are."""
+    """Return (T,) in metres: the right fist's distance ahead of the chest, or the hips' depth."""
     places, joint = motion.positions(), motion.skeleton.index
     if name == "duck":
         return -places[:, joint("Hips"), 1]
@@ -25,7 +25,7 @@ def extent(motion: Motion, name: str) -> np.ndarray:
 
 
 def met(motion: Motion, name: str, moments: np.ndarray) -> float:
-    """Share of moments (S,) in seconds near which the move is at its height."""
+    """Return the share of moments (S,), in seconds, with a peak of the move within `NEAR`."""
     peaks = find_peaks(extent(motion, name), height=HALFWAY[name])[0] / motion.fps
     if not len(peaks):
         return 0.0

@@ -1,11 +1,11 @@
-"""Make a corpus of moves that flags tell: a toy that stands in for recordings of fighting.
+"""Make a synthetic corpus of moves with event flags, instead of recorded fighting.
 
     python recipes/diffusion_events/prepare.py --out fights [--clips 20] [--seconds 30] [--seed 0]
 
-Writes, the same bytes for the same seed:
+Writes these files, with the same bytes for the same seed:
 
     fights/fight_NN.bvh           a fighter on guard, 60 frames per second
-    fights/fight_NN.events.csv    when he punches and ducks: time, name
+    fights/fight_NN.events.csv    his punches and ducks: time, name
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gesturekit.atomic import atomic_write
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description="Make a corpus of moves that flags tell.")
+    parser = argparse.ArgumentParser(description="Make a corpus of moves with event flags.")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     parser.add_argument("--clips", type=int, default=20, help="(20)")
     parser.add_argument("--seconds", type=float, default=30.0, help="of each clip (30)")

@@ -1,12 +1,12 @@
-"""Does a model walk where a path says, without sliding, and step faster on faster paths?
+"""Measure path following, foot skate and stepping rate of a locomotion model.
 
     python recipes/diffusion_locomotion/measure.py runs/walks/model [--out folder]
 
-The paths are none of `prepare.py`'s: straight, round, faster and faster, and winding. A row a path:
-how far the root is from the given path, smoothed over 10 frames; foot skate of the motion with its
-feet locked and as it comes out of the network, each as a ratio to that of a walk by rule
-(`walker.py`) on the same path; steps per second and those by rule. Last, over all steps, how
-stepping rate goes with the path's speed.
+The paths are not those of `prepare.py`: straight, circular, accelerating, and winding. For each
+path, one line gives the largest distance of the root from the smoothed path; foot skate with and
+without foot locking, as a ratio to that of a rule-based walk (`walker.py`) on the same path; and
+steps per second of both walks. The last line is the correlation of stepping rate and path speed
+over all steps.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SECONDS = 12.0
 
 
 def laid(speed, turn) -> RootPath:
-    """A path of this speed (m/s) and turn (rad/s), both functions of time, from -MARGIN on."""
+    """Return a path of given speed (m/s) and turn (rad/s), functions of time from -MARGIN on."""
     time = np.arange(round((SECONDS + 2 * MARGIN) * FPS)) / FPS - MARGIN
     headings = np.cumsum(turn(time) + 0 * time) / FPS
     way = np.stack([np.sin(headings), np.cos(headings)], axis=-1)
@@ -41,7 +41,7 @@ def laid(speed, turn) -> RootPath:
 
 
 def paths() -> dict[str, RootPath]:
-    """By name, `SECONDS` and a margin at either end."""
+    """Return the test paths by name, each `SECONDS` long plus a margin at both ends."""
     found = {f"straight, {v} m/s": laid(lambda t, v=v: v, lambda t: 0) for v in (0.5, 1.0, 1.5)}
     for v, radius in ((0.8, 2.0), (1.3, 2.5)):
         found[f"circle, {v} m/s"] = laid(lambda t, v=v: v, lambda t, w=v / radius: w)
@@ -97,7 +97,7 @@ def _mean(rates: np.ndarray) -> float:
 
 
 def picture(motion: gk.Motion, path: RootPath, file: str, frames: int = 14) -> None:
-    """Seen from the side: a few strides from its middle on, and how high its toes are."""
+    """Draw some strides from the side, and the height of the toes over time."""
     figure, (side, feet) = plt.subplots(2, 1, figsize=(14, 7), height_ratios=(3, 1))
     places, names = motion.positions(), motion.skeleton.names
     chosen = motion.n_frames // 2 + 4 * np.arange(frames)
@@ -115,7 +115,7 @@ def picture(motion: gk.Motion, path: RootPath, file: str, frames: int = 14) -> N
                 side.plot(at[[parent, joint]], from_root[[parent, joint], 1], color=colour)
     side.axhline(0.0, color="0.7")
     side.set_aspect("equal")
-    side.set_title("every 4th frame, 2.5 times as far apart as it goes; left leg orange")
+    side.set_title("every 4th frame, distances stretched by 2.5; left leg orange")
     time = np.arange(motion.n_frames) / motion.fps
     for name, colour in (("LeftToeBase", "C1"), ("RightToeBase", "C0")):
         feet.plot(time, places[:, motion.skeleton.index(name), 1], color=colour, label=name)

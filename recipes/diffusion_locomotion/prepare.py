@@ -1,8 +1,8 @@
-"""Make a corpus of walks along paths: a toy that stands in for recordings of locomotion.
+"""Make a synthetic corpus of walks along paths, instead of recorded locomotion.
 
     python recipes/diffusion_locomotion/prepare.py --out walks [--clips 20] [--seconds 30]
 
-Writes, the same bytes for the same seed:
+Writes these files, with the same bytes for the same seed:
 
     walks/walk_NN.bvh          a walk of varying speed and turning, 60 frames per second
     walks/walk_NN.path.csv     the path it follows: time, x, z, heading
@@ -22,9 +22,9 @@ from gesturekit.motion.root_path import RootPath
 
 FPS = 60.0
 SPEEDS = (0.35, 1.8)
-"""m/s."""
+"""Range of speeds in m/s."""
 TURN, SIDEWAYS = 0.9, 1.0
-"""Turns reach so many rad/s, and pull sideways by so many m/s² at the most."""
+"""Largest turn in rad/s and largest lateral acceleration in m/s²."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -58,7 +58,7 @@ def make_clip(stem: Path, seconds: float, rng: np.random.Generator) -> None:
 
 
 def draw_path(seconds: float, rng: np.random.Generator) -> RootPath:
-    """A path that looks where it goes, from the origin after `MARGIN` seconds."""
+    """Draw a path that faces its direction and passes the origin after `MARGIN` seconds."""
     n_frames = round(seconds * FPS)
     speed = wander(n_frames, *SPEEDS, rng)
     turn = wander(n_frames, -TURN, TURN, rng)
@@ -71,7 +71,7 @@ def draw_path(seconds: float, rng: np.random.Generator) -> RootPath:
 
 
 def wander(n_frames: int, low: float, high: float, rng: np.random.Generator) -> np.ndarray:
-    """(T,) from one level to the next every few seconds, smoothly."""
+    """Draw a signal (T,) that changes smoothly between random levels every few seconds."""
     values, level = [], rng.uniform(low, high)
     while len(values) < n_frames:
         hold, change = rng.uniform(0.5, 3.0), rng.uniform(1.0, 2.5)
@@ -84,7 +84,7 @@ def wander(n_frames: int, low: float, high: float, rng: np.random.Generator) -> 
 
 
 def write_path(path: RootPath, file: Path) -> None:
-    """As `gesturekit.formats.tables.root_path.load_root_path` reads it."""
+    """Write a path in the format of `gesturekit.formats.tables.root_path.load_root_path`."""
     table = np.column_stack(
         [np.arange(path.n_frames) / path.fps, path.positions, np.degrees(path.headings)]
     )

@@ -1,4 +1,4 @@
-"""When a walker makes a step: the feet pass one another."""
+"""Detection of steps: the times when the feet pass each other."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from gesturekit.motion.parts import find_parts
 from gesturekit.motion.root_path import RootPath
 
 HIGHEST = 5.0
-"""Hz; strides are slower, and what is left of noise above it is no step."""
+"""Cut-off frequency in Hz, above that of strides; higher frequencies are noise."""
 SHARE = 0.5
-"""Of the typical distance between the feet: nearer to each other than this they are passing."""
+"""Share of the typical distance of the feet, below which they are passing each other."""
 
 
 def step_times(motion: Motion, path: RootPath) -> np.ndarray:
-    """(S,) seconds at which one foot passes the other on its way forward.
+    """Return the times (S,) in seconds at which one foot passes the other.
 
-    Ankles are seen along the heading, the one relative to the other, so that neither where the
-    body is nor its speed matters. A pass counts once the feet were well apart on both sides of it.
+    The distance between the ankles is projected on the heading, so that position and speed of the
+    body do not matter. A step counts if the feet are well apart before and after it.
 
     Args:
         motion: T frames.
@@ -42,7 +42,7 @@ def step_times(motion: Motion, path: RootPath) -> np.ndarray:
 
 
 def stepping_rates(motion: Motion, path: RootPath) -> tuple[np.ndarray, np.ndarray]:
-    """(S-1,) steps per second from each step to the next, and the path's mean speed there (m/s)."""
+    """Return steps per second between steps (S-1,), and the path's mean speed there (m/s)."""
     times = step_times(motion, path)
     way = np.concatenate([[0.0], np.cumsum(path.speeds[:-1])]) / path.fps
     gone = np.interp(times, np.arange(path.n_frames) / path.fps, way)

@@ -1,8 +1,8 @@
-"""A walk along a path: steps that do not slide, more of them the faster it goes.
+"""Synthetic walk along a path, without foot skate, with more steps at higher speed.
 
-The gait is a phase that counts steps. A foot that lands stays where it is, rolls over its toes and
-swings to where it lands two steps later; the hips lie on the path, as high as both legs reach.
-Two-bone inverse kinematics turns that into hips and knees. Pelvis, spine and arms swing with the
+The phase of the gait counts steps. A foot that lands stays in place, rolls over its toes and swings
+to its next position two steps later. The hips follow the path, as high as both legs reach. Two-bone
+inverse kinematics gives the rotations of hips and knees. Pelvis, spine and arms swing with the
 phase.
 """
 
@@ -26,20 +26,20 @@ from rig import bend, mirrored, skeleton  # noqa: E402
 MARGIN = 3.0
 """Seconds of the path before and after a walk, in which its first and last steps begin and end."""
 
-_DOUBLE_SUPPORT = 0.2  # of a step: for so long both feet stand
+_DOUBLE_SUPPORT = 0.2  # share of a step with both feet on the floor
 _WIDTH = 0.085  # metres from the path to an ankle
 _ANKLE_HEIGHT = 0.08
-_TOE = np.array([0.0, -0.06, 0.13])  # from the ankle, what the foot rolls over
+_TOE = np.array([0.0, -0.06, 0.13])  # relative to the ankle; the foot rolls over it
 _HEEL = np.array([0.0, -_ANKLE_HEIGHT, -0.02])
 _TOES_OUT = np.radians(7.0)
 _HIP = np.array([0.09, -0.04, 0.0])
-_REACH = 0.97 * (0.42 + 0.40)  # of a leg that is still a little bent
+_REACH = 0.97 * (0.42 + 0.40)  # of a leg that is slightly bent
 _TALLEST = 0.92  # metres, hips over the floor
 
 
 @dataclass(frozen=True)
 class Gait:
-    """What differs from walker to walker: factors of 1 on average."""
+    """Individual variation between walkers: factors with mean 1."""
 
     cadence: float = 1.0
     arms: float = 1.0
@@ -47,14 +47,14 @@ class Gait:
 
 
 def step_rate(speed: np.ndarray) -> np.ndarray:
-    """Steps per second at a speed in m/s: people take longer *and* more steps to go faster."""
+    """Return steps per second at a speed in m/s; at higher speed, steps are longer and more."""
     return 1.85 * np.sqrt(np.maximum(speed, 0.05))
 
 
 def walk(path: RootPath, gait: Gait) -> Motion:
-    """The motion of walking along a path, without the `MARGIN` at its either end.
+    """Return a walk along a path, without the `MARGIN` at both ends.
 
-    The path should look where it goes, at 0.2 to 2 m/s, and turn gently.
+    The path should face its direction, at 0.2 to 2 m/s, and turn gently.
     """
     n, fps = path.n_frames, path.fps
     speed = gaussian_filter1d(path.speeds, 0.2 * fps)
@@ -105,11 +105,11 @@ def walk(path: RootPath, gait: Gait) -> Motion:
 def _foot(
     path: RootPath, phase: np.ndarray, pace: np.ndarray, side: int, gait: Gait
 ) -> tuple[np.ndarray, Rotation, Rotation]:
-    """(T, 3) place of an ankle, how the foot turns, and the toes on it; side 0 is left."""
+    """Return ankle positions (T, 3) and rotations of foot and toes; side 0 is left."""
     frames = np.arange(path.n_frames)
     steps = np.arange(int(phase[0]) - 2, int(phase[-1]) + 3)
     steps = steps[steps % 2 == side]
-    # Where each step lands: beside the body halfway through its stand.
+    # Each step lands beside the position of the body halfway through its stance.
     at = np.interp(steps + 0.5 + _DOUBLE_SUPPORT / 2, phase, frames)
     x, z, heading = (np.interp(at, frames, v) for v in (*path.positions.T, path.headings))
     sign = 1.0 if side == 0 else -1.0
@@ -142,7 +142,7 @@ def _foot(
 
 
 def _hips(path: RootPath, pelvis: Rotation, ankles: tuple[np.ndarray, ...]) -> np.ndarray:
-    """(T, 3) on the path, as high as both legs reach."""
+    """Return hip positions (T, 3) on the path, as high as both legs reach."""
     hips = np.stack([path.positions[:, 0], np.zeros(path.n_frames), path.positions[:, 1]], axis=-1)
     highest = np.full(path.n_frames, _TALLEST)
     for sign, ankle in zip((1.0, -1.0), ankles, strict=True):
@@ -157,7 +157,7 @@ def _hips(path: RootPath, pelvis: Rotation, ankles: tuple[np.ndarray, ...]) -> n
 
 
 def _reach(motion: Motion, side: str, ankle: np.ndarray, foot: Rotation, path: RootPath) -> None:
-    """Turn one leg of a motion so that its foot is where it shall be, in place."""
+    """Turn one leg of a motion in place so that its foot reaches its target."""
     rig = motion.skeleton
     joints = [rig.index(side + name) for name in ("UpLeg", "Leg", "Foot")]
     forward = np.stack([np.sin(path.headings), 0 * path.headings, np.cos(path.headings)], axis=-1)
@@ -171,11 +171,11 @@ def _reach(motion: Motion, side: str, ankle: np.ndarray, foot: Rotation, path: R
 
 
 def _smooth(x: np.ndarray) -> np.ndarray:
-    """0 to 1 as x goes from 0 to 1, at rest at both ends."""
+    """Smoothstep from 0 to 1 for x from 0 to 1."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3 - 2 * x)
 
 
 def _angles(pitch: np.ndarray, yaw: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """(T, 3) as `rig.bend` takes them."""
+    """Stack angles (T,) to (T, 3), as `rig.bend` expects them."""
     return np.stack([pitch, yaw, roll], axis=-1)

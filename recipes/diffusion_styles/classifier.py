@@ -1,4 +1,4 @@
-"""Which style is this? A ridge regression onto styles of how the body is held and how it moves."""
+"""Style classifier: ridge regression from statistics of pose and movement to styles."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from gesturekit.corpus.manifest import Manifest
 WINDOW_SECONDS = 1.5
 RIDGE = 30.0
 LEAST = 0.01
-"""Metres. What differs by less than this between recordings counts as if it differed by so much:
-their feet stand still to a tenth of a millimetre, and a foot that moves by one is no style."""
+"""Least scale of a feature in metres. In some recordings, feet stand still to a tenth of a
+millimetre, and small movements of a foot should not decide the style."""
 
 
 def windows(motion: gk.Motion) -> np.ndarray:
-    """(W, F): means and spreads of places about the root, half a window apart."""
+    """Return statistics (W, F) of root-relative joint positions in half-overlapping windows."""
     places = motion.positions()
     places = (places - places[:, :1]).reshape(len(places), -1)
     size = round(WINDOW_SECONDS * motion.fps)
@@ -51,7 +51,7 @@ class Classifier:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a model was trained on: a motion as the model would write it, and its style's number."""
+    """A training recording, encoded and decoded by the model's representation, and its style."""
 
     motion: gk.Motion
     style: int
@@ -60,8 +60,7 @@ class Recording:
 def styled_recordings(
     model, manifest: Manifest, encode: Callable[[gk.Motion], np.ndarray]
 ) -> list[Recording]:
-    """The manifest's motions of the model's styles: the same joints move, and it faces the same
-    way, as `encode` has it."""
+    """Return the manifest's motions with styles of the model, encoded and decoded."""
     found = []
     for item in manifest:
         if item.motion is not None and item.style in model.styles:
@@ -72,8 +71,12 @@ def styled_recordings(
 
 
 def fit_classifier(known: Sequence[Recording], count: int) -> tuple[Classifier, float, int]:
-    """A classifier of all of `count` styles, what one without each recording's last quarter gets
-    right of it, and how many windows that quarter has."""
+    """Fit a classifier of `count` styles.
+
+    Returns:
+        The classifier, the accuracy on each recording's last quarter of one trained without it, and
+        the number of windows in these quarters.
+    """
     found = [windows(recording.motion) for recording in known]
     features = np.concatenate(found)
     labels = [np.full(len(part), r.style) for part, r in zip(found, known, strict=True)]

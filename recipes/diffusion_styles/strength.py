@@ -1,14 +1,14 @@
-"""How strong is a style? Guided interpolation and guidance, as motion, numbers and a plot.
+"""Measure the strength of styles under guided interpolation and classifier-free guidance.
 
     python recipes/diffusion_styles/strength.py runs/styles/model styles.jsonl out/ \
         --still normal --lively active --steps 20
 
 Interpolation (eq. 7 of Alexanderson et al. 2023, their Fig. 9): weights 1 - gamma of a still style
-and gamma of a lively one, gamma from -0.25 to 1.25; the median of wrist speed. Guidance (eq. 6):
-gamma from 0 to 2 of one style at a time; how often a classifier hears that style in it.
+and gamma of a lively one, gamma from -0.25 to 1.25; the metric is median wrist speed. Guidance
+(eq. 6): one style at a time, gamma from 0 to 2; the metric is the accuracy of a style classifier.
 
-Medians of the styles' recordings are printed first. A still style whose people do not stand all the
-time leaves room for less at gamma = -0.25; below one that stands there is nothing.
+The medians of the styles' recordings are printed first. If the still style has some movement, it
+can decrease at gamma = -0.25; if it has none, it cannot.
 
 Motions go to out/interpolation/ and out/guidance/, a folder for each gamma, under the name of a
 recording of the lively style, so that the report of
@@ -40,11 +40,11 @@ INTERPOLATION = np.arange(-0.25, 1.26, 0.25)
 GUIDANCE = np.arange(0.0, 2.01, 0.5)
 
 Make = Callable[..., list[gk.Motion]]
-"""make(folder, style=..., ...): motions, which are in that folder then."""
+"""make(folder, style=..., ...): generate motions and save them in that folder."""
 
 
 def medians(manifest: Manifest) -> dict[str, float]:
-    """Median wrist speed of each style's recordings, m/s, the stillest first."""
+    """Return the median wrist speed of each style's recordings in m/s, slowest first."""
     speeds: dict[str, list[np.ndarray]] = {}
     for item in manifest:
         if item.motion is not None and item.style is not None:
@@ -54,7 +54,7 @@ def medians(manifest: Manifest) -> dict[str, float]:
 
 
 def interpolation(make: Make, still: str, lively: str, out: Path) -> None:
-    """Print median and mean of wrist speed on the way from one style to the other."""
+    """Print median and mean wrist speed of interpolations between two styles."""
     print(f"\nfrom {still} to {lively}\ngamma | median wrist speed, m/s | mean")
     for gamma in INTERPOLATION:
         style = f"{still}:{1 - gamma:g},{lively}:{gamma:g}"
@@ -64,37 +64,39 @@ def interpolation(make: Make, still: str, lively: str, out: Path) -> None:
 
 
 def guidance(make: Make, model, manifest: Manifest, out: Path) -> None:
-    """Print and draw how often each style is heard, the more it is asked for."""
+    """Print and plot the share of windows recognised as their style at each guidance."""
     known = styled_recordings(model, manifest, model.representation.encode)
     classifier, right, _ = fit_classifier(known, len(model.styles))
     chance = 1 / len(model.styles)
     print(f"\nclassifier: {right:.2f} of held-out windows right, chance {chance:.2f}")
-    print("gamma | share of windows heard as their style")
-    heard = np.zeros((len(GUIDANCE), len(model.styles)))
-    for row, gamma in zip(heard, GUIDANCE, strict=True):
+    print("gamma | share of windows recognised as their style")
+    recognised = np.zeros((len(GUIDANCE), len(model.styles)))
+    for row, gamma in zip(recognised, GUIDANCE, strict=True):
         for number, style in enumerate(model.styles):
             folder = out / f"gamma_{gamma:.2f}" / style
             motions = make(folder, style=style, guidance=float(gamma))
             styles = np.concatenate([classifier(windows(motion)) for motion in motions])
             row[number] = (styles == number).mean()
         print(f"{gamma:.2f} | {row.mean():.2f}", flush=True)
-    plot(heard, model.styles, right, out.with_suffix(".svg"))
+    plot(recognised, model.styles, right, out.with_suffix(".svg"))
 
 
-def plot(heard: np.ndarray, styles: Sequence[str], right: float, file: Path) -> None:
-    """Draw the shares (guidance, styles) that are heard, beside those of the recordings."""
+def plot(recognised: np.ndarray, styles: Sequence[str], right: float, file: Path) -> None:
+    """Plot the shares (guidance, styles) of recognised windows, and that of the recordings."""
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     place = -1.0
-    for number in np.argsort(heard[-1], kind="stable"):
-        ink = plt.get_cmap("tab20")(number)
-        axes.plot(GUIDANCE, heard[:, number], color=ink, lw=1)
-        place = max(heard[-1, number], place + 0.045)  # names do not lie on one another
-        axes.text(GUIDANCE[-1] + 0.03, place, styles[number], color=ink, fontsize=8, va="center")
-    axes.plot(GUIDANCE, heard.mean(axis=1), "o-", color="0.15", lw=2.5, label="mean of the styles")
+    for number in np.argsort(recognised[-1], kind="stable"):
+        colour = plt.get_cmap("tab20")(number)
+        axes.plot(GUIDANCE, recognised[:, number], color=colour, lw=1)
+        place = max(recognised[-1, number], place + 0.045)  # names do not lie on one another
+        axes.text(GUIDANCE[-1] + 0.03, place, styles[number], color=colour, fontsize=8, va="center")
+    axes.plot(
+        GUIDANCE, recognised.mean(axis=1), "o-", color="0.15", lw=2.5, label="mean of the styles"
+    )
     axes.axhline(right, color="0.4", ls="--", label="held-out windows of the recordings")
     axes.axhline(1 / len(styles), color="0.7", ls=":", label="chance")
     axes.set_xlabel("guidance, gamma")
-    axes.set_ylabel("share of windows heard as their style")
+    axes.set_ylabel("share of windows recognised as their style")
     axes.set_ylim(0, 1.04)
     axes.set_xticks(GUIDANCE)
     axes.spines[["top", "right"]].set_visible(False)
@@ -117,18 +119,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
     model = gk.load(asked.model)
     manifest = Manifest.load(asked.corpus)
-    told = ", ".join(f"{style} {speed:.3f}" for style, speed in medians(manifest).items())
-    print(f"recordings, median wrist speed, m/s: {told}")
+    speeds = ", ".join(f"{style} {speed:.3f}" for style, speed in medians(manifest).items())
+    print(f"recordings, median wrist speed, m/s: {speeds}")
     stem = next(item.motion.stem for item in manifest if item.motion and item.style == asked.lively)
 
-    def make(folder: Path, **told) -> list[gk.Motion]:
+    def make(folder: Path, **controls) -> list[gk.Motion]:
         motions = model.generate(
             seconds=asked.seconds,
             samples=asked.samples,
             batch=5,
             steps=asked.steps,
             fps=model.fps,
-            **told,
+            **controls,
         )
         motions = motions if isinstance(motions, list) else [motions]
         folder.mkdir(parents=True, exist_ok=True)

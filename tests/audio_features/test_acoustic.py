@@ -5,9 +5,9 @@ import pytest
 import soundfile
 
 from audio_features import MFCC, FeatureError, Liveliness, LogMel, Onset, Prosody, Stack, Wave
-from audio_features import spectrum as spectrum_module
-from audio_features.pitch import track_pitch
-from audio_features.spectrum import FLOOR_DB
+from audio_features.acoustic import spectrum as spectrum_module
+from audio_features.acoustic.pitch import track_pitch
+from audio_features.acoustic.spectrum import FLOOR_DB
 
 EVERYTHING = Stack([LogMel(), MFCC(), Prosody()])
 
@@ -122,7 +122,7 @@ def test_band_powers_add_up_to_the_level():
 
 def test_long_sound_does_not_depend_on_blocks(speech, monkeypatch):
     whole = EVERYTHING.extract(speech).values
-    monkeypatch.setattr(spectrum_module, "_BLOCK_FRAMES", 77)
+    monkeypatch.setattr("audio_features.acoustic.frames._BLOCK_FRAMES", 77)
     np.testing.assert_allclose(EVERYTHING.extract(speech).values, whole, atol=2e-3)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from audio_features import FeatureError, Music, Prosody, Stack, Wave
-from audio_features import music as music_module
-from audio_features.music import local_pulse
+from audio_features.acoustic import music as music_module
+from audio_features.acoustic.music import local_pulse
 
 CHORDS = ((220.0, 277.18, 329.63), (261.63, 329.63, 392.0))  # A major, C major
 

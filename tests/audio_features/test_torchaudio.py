@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from audio_features import torchaudio_backend
+from audio_features.acoustic import torchaudio_backend
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from audio_features import FeatureError, FeatureTrack, Wave
-from audio_features.spectrum import ShortTimeSpectrum
+from audio_features.acoustic.spectrum import ShortTimeSpectrum
 
 
 @pytest.fixture

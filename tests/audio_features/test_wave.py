@@ -81,7 +81,7 @@ def test_bad_files_are_named_with_what_is_wrong(tmp_path):
     soundfile.write(tmp_path / "good.wav", noise(16_000), 16_000)
     refused("good.wav", "start is 2.0 s", start=2.0)
     refused("good.wav", "duration is 0", duration=0.0)
-    refused("good.wav", "at most 0 s", max_seconds=0.5)
+    refused("good.wav", "limit of 0 s", max_seconds=0.5)
 
 
 @pytest.mark.parametrize("kind", ["WAV", "RF64", "FLAC", "OGG", "MP3", "AIFF", "AU", "NIST"])
@@ -213,7 +213,7 @@ def test_any_usual_array_of_samples_makes_the_same_wave():
 @pytest.mark.parametrize(
     ("samples", "rate", "says"),
     [
-        (np.ones(800), None, "give its sample_rate"),
+        (np.ones(800), None, "give sample_rate"),
         (np.full(800, np.nan), 16_000, "sample 0 .* is nan"),
         (np.zeros(0), 16_000, r"shape \(0,\)"),
         (np.zeros((2, 0)), 16_000, r"shape \(2, 0\)"),

@@ -227,6 +227,7 @@ def test_layers_side_by_side_and_averaged(network):
         ({"preset": "dsg++"}, "dsg"),
         ({"preset": "dsg", "layer": 1}, "leave them out"),
         ({"device": "abacus"}, "device='abacus'"),
+        ({"layers": 2}, "unknown setting .layers."),
     ],
     ids=str,
 )

@@ -234,7 +234,7 @@ def test_an_interrupted_evaluation_says_that_nothing_was_written(
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gesturekit.evaluation.report.comparison.load_clip", interrupted)
+    monkeypatch.setattr("gesturekit.evaluation.comparison.load_clip", interrupted)
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
     assert done.status == 130 and "nothing was written" in done.err
 

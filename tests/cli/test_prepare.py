@@ -81,7 +81,7 @@ def test_the_height_asked_for_is_kept_in_the_manifest(recordings, tmp_path):
     done = run(recordings, "--out", tmp_path / "corpus.jsonl", "--height", "1.2", "--in-up", "y")
     assert (done.returncode, done.stderr) == (0, "")
     assert '"reading": {"up": "y", "height": 1.2}' in (tmp_path / "corpus.jsonl").read_text()
-    sheet = inspect(tmp_path / "corpus.jsonl")
-    assert dict(sheet.rows)["reading"] == "up y, height 1.2 (3)"
+    summary = inspect(tmp_path / "corpus.jsonl")
+    assert dict(summary.rows)["reading"] == "up y, height 1.2 (3)"
     run(recordings, "--out", tmp_path / "corpus.jsonl")
     assert "reading" not in (tmp_path / "corpus.jsonl").read_text()

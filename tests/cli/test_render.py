@@ -23,7 +23,7 @@ from gesturekit import Motion
 from gesturekit.cli.render import GROUPS
 from gesturekit.cli.render import command as render
 from gesturekit.corpus import Manifest
-from gesturekit.corpus.manifest import SPLITS
+from gesturekit.corpus.item import SPLITS
 
 FPS = 30
 

@@ -544,8 +544,8 @@ def test_of_a_bvh_and_an_npz_of_one_name_one_is_used(tmp_path, write_pair, gestu
         path.unlink()
     alone = prepare([], unpaired_motion=[tmp_path], holdout=0.5)
     assert [item.motion.name for item in alone.manifest] == ["a.npz", "b.npz"]
-    sheet = inspect_recordings(tmp_path)
-    assert sheet.facts["items"] == 2 and len(sheet.problems) == 1
+    summary = inspect_recordings(tmp_path)
+    assert summary.facts["items"] == 2 and len(summary.problems) == 1
 
 
 def test_a_file_that_is_left_out_gets_no_warnings_of_its_motion(

@@ -75,7 +75,6 @@ def untrained(gesture) -> Callable[..., DiffusionModel]:
             representation=representation,
             conditions=conditions,
             standardiser=Standardiser.fit([representation.encode(m) for m in motions]),
-            network_config=TINY,
             noise_config=NoiseConfig(predict="velocity"),
             network=network,
             speakers={},

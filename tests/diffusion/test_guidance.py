@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from gesturekit.diffusion.composition.experts import FARTHEST, Expert, Mixture, bounded
+from gesturekit.diffusion.composition.experts import (
+    MAX_DEVIATION,
+    Expert,
+    ProductOfExperts,
+    clip_denoised,
+)
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
@@ -43,7 +48,7 @@ def test_two_experts_give_the_weighted_sum_of_what_they_predict(weights):
         w * e.network(noise(), e.condition, torch.tensor([30]))
         for w, e in zip(weights, (one, other), strict=True)
     )
-    found = Mixture([one, other], weights).predict(noise(), 30)
+    found = ProductOfExperts([one, other], weights).predict(noise(), 30)
     np.testing.assert_allclose(found.numpy(), expected.detach().numpy(), atol=1e-5)
 
 
@@ -52,17 +57,17 @@ def test_three_experts_that_are_told_different_things():
     narrow = Expert(network(3, n_condition=1), SCHEDULE, noise("narrow", width=1))
     experts, weights = [expert(1), expert(2, told=1), narrow], [-0.25, 1.0, 0.25]
     expected = sum(w * e.predict(noise(), 7) for w, e in zip(weights, experts, strict=True))
-    torch.testing.assert_close(Mixture(experts, weights).predict(noise(), 7), expected)
+    torch.testing.assert_close(ProductOfExperts(experts, weights).predict(noise(), 7), expected)
 
 
 def test_experts_that_are_alike_are_the_single_model_to_the_last_bit():
     alone = expert(1)
     alike = [expert(1), expert(1), alone]  # other objects, the same weights and conditions
     for weights in [(1 / 3, 1 / 3, 1 / 3), (-4.0, 7.0, -2.0)]:
-        mixed = Mixture(alike, weights)
+        mixed = ProductOfExperts(alike, weights)
         assert torch.equal(mixed.predict(noise(), 12), alone.predict(noise(), 12))
     varying = np.linspace(-1, 2, FRAMES)
-    mixed = Mixture(alike[:2], [varying, 1 - varying])
+    mixed = ProductOfExperts(alike[:2], [varying, 1 - varying])
     assert torch.equal(mixed.predict(noise(), 12), alone.predict(noise(), 12))
 
 
@@ -70,7 +75,7 @@ def test_equal_experts_that_are_not_merged_give_the_single_model():
     """As far as float32 goes: what one is told differs in the last digit."""
     alone = expert(1)
     nearly = Expert(alone.network, SCHEDULE, alone.condition * (1 + 1e-7))
-    mixed = Mixture([alone, nearly], [-0.25, 1.25])
+    mixed = ProductOfExperts([alone, nearly], [-0.25, 1.25])
     assert len(mixed.experts) == 2
     apart = (mixed.predict(noise(), 12) - alone.predict(noise(), 12)).abs().max()
     assert apart <= 1e-6 * alone.predict(noise(), 12).abs().max()
@@ -78,22 +83,22 @@ def test_equal_experts_that_are_not_merged_give_the_single_model():
 
 def test_an_expert_without_weight_is_not_run():
     class Broken(Denoiser):
-        def listening(self, *args):
+        def for_condition(self, *args):
             raise AssertionError("it was run")
 
     broken = Expert(Broken(MOTION, CONDITION, CONFIG).eval(), SCHEDULE, expert(1).condition)
-    predicted = Mixture([expert(1), broken], [1, 0]).predict(noise(), 5)
+    predicted = ProductOfExperts([expert(1), broken], [1, 0]).predict(noise(), 5)
     assert torch.equal(predicted, expert(1).predict(noise(), 5))
     late = np.repeat([0.0, 0.5], FRAMES // 2)
-    first = Mixture([expert(1), broken], [1 - late, late]).part(0, FRAMES // 2)
+    first = ProductOfExperts([expert(1), broken], [1 - late, late]).part(0, FRAMES // 2)
     first.predict(noise()[:, : FRAMES // 2], 5)
 
 
 def test_weights_over_time_are_static_ones_where_they_are_constant():
     experts = [expert(1), expert(2)]
     gamma = np.where(np.arange(FRAMES) < 20, 0.3, np.linspace(0.3, 1.4, FRAMES))
-    varying = Mixture(experts, [1 - gamma, gamma]).predict(noise(), 9)
-    static = Mixture(experts, [0.7, 0.3]).predict(noise(), 9)
+    varying = ProductOfExperts(experts, [1 - gamma, gamma]).predict(noise(), 9)
+    static = ProductOfExperts(experts, [0.7, 0.3]).predict(noise(), 9)
     torch.testing.assert_close(varying[:, :20], static[:, :20], atol=1e-6, rtol=0)
     assert (varying[:, 21:] - static[:, 21:]).abs().max() > 1e-2
 
@@ -116,7 +121,7 @@ def test_noise_and_velocity_networks_mix_as_noise():
     signal, spread = SCHEDULE.scales(10, noise())
     second = experts[1].network(noise(), experts[1].condition, torch.tensor([10])).detach()
     expected = 0.5 * experts[0].predict(noise(), 10) + 0.5 * (spread * noise() + signal * second)
-    torch.testing.assert_close(Mixture(experts, [0.5, 0.5]).predict(noise(), 10), expected)
+    torch.testing.assert_close(ProductOfExperts(experts, [0.5, 0.5]).predict(noise(), 10), expected)
 
 
 def test_what_a_network_has_not_learnt_does_not_blow_up():
@@ -125,35 +130,35 @@ def test_what_a_network_has_not_learnt_does_not_blow_up():
     def tell(noisy: torch.Tensor, step: int) -> torch.Tensor:
         return noisy * torch.tensor([0.9, 0.9, 0.9, 0.9, 0.0])
 
-    made = sample(bounded(tell, SCHEDULE), noise, SCHEDULE)
-    assert made.abs().max() <= FARTHEST + 1e-3
+    made = sample(clip_denoised(tell, SCHEDULE), noise, SCHEDULE)
+    assert made.abs().max() <= MAX_DEVIATION + 1e-3
     assert sample(tell, noise, SCHEDULE).abs().max() > 1e6
     # What is within bounds stays as it is.
-    right = bounded(lambda noisy, step: noisy, SCHEDULE)(noise(), 3)
+    right = clip_denoised(lambda noisy, step: noisy, SCHEDULE)(noise(), 3)
     torch.testing.assert_close(right, noise())
 
 
 def test_what_cannot_be_mixed_is_refused():
     one, two = expert(1), expert(2)
     with pytest.raises(ModelError, match=r"weights 0\.5, 0\.25 add up to 0\.75"):
-        Mixture([one, two], [0.5, 0.25])
+        ProductOfExperts([one, two], [0.5, 0.25])
     with pytest.raises(ModelError, match="add up to nan"):
-        Mixture([one, two], [0.5, float("nan")])
+        ProductOfExperts([one, two], [0.5, float("nan")])
     with pytest.raises(ModelError, match=r"add up to 1\.5"):
-        Mixture([one, two], [0.5, np.linspace(0.5, 1.0, FRAMES)])
+        ProductOfExperts([one, two], [0.5, np.linspace(0.5, 1.0, FRAMES)])
     with pytest.raises(ModelError, match="shape"):
-        Mixture([one, two], [0.5, np.full(FRAMES - 1, 0.5)])
+        ProductOfExperts([one, two], [0.5, np.full(FRAMES - 1, 0.5)])
     with pytest.raises(ModelError, match="2 experts and 1 weights"):
-        Mixture([one, two], [1.0])
+        ProductOfExperts([one, two], [1.0])
     dance = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
     with pytest.raises(ModelError, match="noise schedules differ.*100 steps.*150 steps"):
-        Mixture([one, expert(2, schedule=dance)], [0.5, 0.5])
+        ProductOfExperts([one, expert(2, schedule=dance)], [0.5, 0.5])
     wide = Expert(network(2, n_motion=MOTION + 1), SCHEDULE, one.condition)
-    with pytest.raises(ModelError, match="5 numbers a frame, another by 6"):
-        Mixture([one, wide], [0.5, 0.5])
+    with pytest.raises(ModelError, match="5 numbers a frame, another 6"):
+        ProductOfExperts([one, wide], [0.5, 0.5])
     short = Expert(two.network, SCHEDULE, two.condition[:, :-1])
-    with pytest.raises(ModelError, match="40 frames, another about 39"):
-        Mixture([one, short], [0.5, 0.5])
+    with pytest.raises(ModelError, match="40 frames, another of 39"):
+        ProductOfExperts([one, short], [0.5, 0.5])
     wrong = Expert(one.network, SCHEDULE, noise("wrong", width=CONDITION + 1))
     with pytest.raises(ModelError, match="4 numbers a frame.*3"):
-        Mixture([wrong], [1]).predict(noise(), 0)
+        ProductOfExperts([wrong], [1]).predict(noise(), 0)

@@ -55,10 +55,10 @@ def test_dilated_convolution_is_a_convolution(sizes):
 
 @pytest.mark.parametrize("config", ["conformer", "diffwave"])
 @pytest.mark.parametrize("n_frames", [30, 420])
-def test_listening_is_the_forward_pass(shaken, config, n_frames):
+def test_prediction_for_a_condition_is_the_forward_pass(shaken, config, n_frames):
     network = shaken(DIFFWAVE) if config == "diffwave" else shaken()
     noisy, condition = inputs(n_frames)
-    predict = network.listening(condition, steps=range(20))
+    predict = network.for_condition(condition, steps=range(20))
     for step in (0, 13):
         exact = network(noisy, condition, torch.tensor([step, step])).detach()
         assert exact.std() > 0.1
@@ -70,8 +70,8 @@ def test_listening_is_the_forward_pass(shaken, config, n_frames):
 def test_one_condition_serves_many_motions(shaken):
     network = shaken()
     noisy, condition = inputs(40)
-    together = network.listening(condition[:1], steps=[4])(noisy, 4)
-    alone = network.listening(condition[:1], steps=[4])(noisy[1:], 4)
+    together = network.for_condition(condition[:1], steps=[4])(noisy, 4)
+    alone = network.for_condition(condition[:1], steps=[4])(noisy[1:], 4)
     torch.testing.assert_close(together[1:], alone, atol=1e-5, rtol=1e-4)
 
 
@@ -79,9 +79,9 @@ def test_banded_attention_is_full_attention_over_a_whole_network(shaken, monkeyp
     config = NetworkConfig(blocks=6, layers=3, channels=64, feedforward=64, embedding=24)
     network = shaken(config)
     noisy, condition = inputs(450, batch=1)
-    banded = network.listening(condition, [30])(noisy, 30)
-    monkeypatch.setattr(attention, "LEAST_QUERIES", 450)
-    full = network.listening(condition, [30])(noisy, 30)
+    banded = network.for_condition(condition, [30])(noisy, 30)
+    monkeypatch.setattr(attention, "MIN_QUERIES", 450)
+    full = network.for_condition(condition, [30])(noisy, 30)
     assert full.std() > 0.1
     assert not torch.equal(banded, full)
     torch.testing.assert_close(banded, full, atol=1e-4, rtol=0)
@@ -95,7 +95,7 @@ def test_frames_far_away_change_nothing_and_near_ones_do(shaken):
     noisy, condition = inputs(500, batch=1)
     moved = noisy.clone()
     moved[:, 250] += 5
-    predict = network.listening(condition, [10])
+    predict = network.for_condition(condition, [10])
     changed = (predict(moved, 10) - predict(noisy, 10)).abs().amax((0, 2))
     assert changed[250] > 0.1
     assert changed[:150].max() < 1e-6
@@ -138,7 +138,7 @@ def test_memory_grows_with_the_length_and_not_with_its_square(shaken, gradients)
             if gradients:
                 network(noisy, condition, torch.tensor([3])).sum().backward()
             else:
-                network.listening(condition, [3])(noisy, 3)
+                network.for_condition(condition, [3])(noisy, 3)
         sizes.append(largest.numbers)
     assert sizes[1] <= 2.1 * sizes[0]
     assert sizes[1] < 1000 * 1000
@@ -147,8 +147,8 @@ def test_memory_grows_with_the_length_and_not_with_its_square(shaken, gradients)
 def test_bfloat16_takes_and_gives_motions_in_their_own_precision(shaken):
     network = shaken()
     noisy, condition = inputs(300)
-    exact = network.listening(condition, [9])(noisy, 9)
-    short = copy.deepcopy(network).to(torch.bfloat16).listening(condition, [9])(noisy, 9)
+    exact = network.for_condition(condition, [9])(noisy, 9)
+    short = copy.deepcopy(network).to(torch.bfloat16).for_condition(condition, [9])(noisy, 9)
     assert short.dtype == torch.float32
     assert 0 < (short - exact).norm() / exact.norm() < 0.05
 
@@ -177,12 +177,12 @@ def test_prediction_depends_on_step_and_condition(shaken):
 def test_no_condition_at_all(shaken):
     network = shaken(n_condition=0)
     noisy, _ = inputs(30)
-    assert network.listening(noisy[..., :0], [2])(noisy, 2).shape == noisy.shape
+    assert network.for_condition(noisy[..., :0], [2])(noisy, 2).shape == noisy.shape
 
 
 def test_faults_are_told():
     with pytest.raises(ModelError, match="6 numbers a frame, but the network was made for 5"):
-        Denoiser(7, 5, DIFFWAVE).listening(torch.zeros(1, 4, 6), [0])
+        Denoiser(7, 5, DIFFWAVE).for_condition(torch.zeros(1, 4, 6), [0])
     with pytest.raises(ConfigError, match="dilations: .* at least 1 for architecture diffwave"):
         NetworkConfig(architecture="diffwave")
     with pytest.raises(ConfigError, match="heads: 7 must divide channels, which is 256"):

@@ -128,7 +128,7 @@ def test_a_path_gives_the_length(render, folders, tmp_path):
         ("styled", ["--expert", "{plain}:0.5@4"], "weights over time look like 0.2@0-10"),
         ("styled", ["--expert", "{plain}:0.5@4-2"], "'0.5@4-2': the span ends before it begins"),
         ("styled", ["--expert", "nowhere"], "nowhere: neither a model folder"),
-        ("plain", ["--guidance", "2"], "told nothing that it could follow"),
+        ("plain", ["--guidance", "2"], "no conditions to guide on"),
         ("styled", ["--events", "kcik@1"], "did you mean kick"),
         ("demo", ["--steps", "5"], "steps: a multires model knows no steps"),
         ("demo", ["--dtype", "bf16"], "a multires model, which is fp32 only"),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from gesturekit.diffusion.composition.experts import Expert, Mixture
-from gesturekit.diffusion.sampling.tiling import OVERLAP, windowed, windows_of
+from gesturekit.diffusion.composition.experts import Expert, ProductOfExperts
+from gesturekit.diffusion.sampling.tiling import OVERLAP, tiled, tiles_of
 from gesturekit.errors import ModelError
 from gesturekit.training.seeds import rng_for
 
@@ -15,18 +15,18 @@ from gesturekit.training.seeds import rng_for
 @pytest.mark.parametrize("size", [4, 100, 240, 9000])
 @pytest.mark.parametrize("n_frames", [1, 99, 101, 241, 1000, 20011])
 def test_windows_cover_every_frame_once_in_sum(n_frames, size):
-    windows = windows_of(n_frames, size)
+    tiles = tiles_of(n_frames, size)
     total = np.zeros(n_frames)
-    for window in windows:
-        assert 0 <= window.first < window.last <= n_frames
-        assert len(window.weights) == window.last - window.first <= size
-        assert window.weights.min() >= 0
-        total[window.first : window.last] += window.weights
+    for tile in tiles:
+        assert 0 <= tile.first < tile.last <= n_frames
+        assert len(tile.weights) == tile.last - tile.first <= size
+        assert tile.weights.min() >= 0
+        total[tile.first : tile.last] += tile.weights
     np.testing.assert_allclose(total, 1, atol=1e-6)
     overlap = min(OVERLAP, size // 4)
-    assert len(windows) <= max(1, -(-n_frames // (size - overlap)))
+    assert len(tiles) <= max(1, -(-n_frames // (size - overlap)))
     with pytest.raises(ModelError, match="at least 4"):
-        windows_of(n_frames, 3)
+        tiles_of(n_frames, 3)
 
 
 def test_a_windowed_prediction_is_that_of_the_whole(untrained):
@@ -35,10 +35,10 @@ def test_a_windowed_prediction_is_that_of_the_whole(untrained):
     rng = rng_for("windows")
     condition = torch.randn(1, 700, 1, generator=rng)
     noisy = torch.randn(1, 700, model.network.n_motion, generator=rng)
-    mixture = Mixture([Expert(model.network, model.schedule, condition)], [1.0])
-    whole = mixture.predict(noisy, 40)
-    torch.testing.assert_close(windowed(mixture, 240)(noisy, 40), whole, atol=2e-5, rtol=0)
-    cut = torch.cat([mixture.part(k, k + 140).predict(noisy[:, k : k + 140], 40)
+    product = ProductOfExperts([Expert(model.network, model.schedule, condition)], [1.0])
+    whole = product.predict(noisy, 40)
+    torch.testing.assert_close(tiled(product, 240)(noisy, 40), whole, atol=2e-5, rtol=0)
+    cut = torch.cat([product.part(k, k + 140).predict(noisy[:, k : k + 140], 40)
                      for k in range(0, 700, 140)], 1)  # fmt: skip
     assert (cut - whole).abs().max() > 2e-3
 
@@ -48,13 +48,13 @@ def test_a_long_motion_has_no_seams_and_its_windows_stay_short(untrained, monkey
     asked = {"seconds": 25.0, "style": "old@0-12,angry@12-25", "steps": 6, "foot_lock": False}
     whole = model.generate(**asked)
     seen = []
-    listening = type(model.network).listening
+    for_condition = type(model.network).for_condition
 
     def watched(network, condition, steps):
         seen.append(condition.shape[1])
-        return listening(network, condition, steps)
+        return for_condition(network, condition, steps)
 
-    monkeypatch.setattr(type(model.network), "listening", watched)
+    monkeypatch.setattr(type(model.network), "for_condition", watched)
     model.window = 240
     long = model.generate(**asked)
     assert max(seen) <= 240 < len(long.rotations) == 750
@@ -62,5 +62,5 @@ def test_a_long_motion_has_no_seams_and_its_windows_stay_short(untrained, monkey
     np.testing.assert_allclose(long.rotations, whole.rotations, atol=1e-3)
     np.testing.assert_allclose(long.translation, whole.translation, atol=1e-3)
     # Each style runs where it has a say: fewer windows than twice as many.
-    n_windows = len(windows_of(750, 240))
-    assert n_windows * 6 < len(seen) < 2 * n_windows * 6
+    n_tiles = len(tiles_of(750, 240))
+    assert n_tiles * 6 < len(seen) < 2 * n_tiles * 6

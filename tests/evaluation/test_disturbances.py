@@ -12,7 +12,7 @@ import soundfile
 from audio_features import Wave
 from gesturekit.evaluation import acceleration, arm_speed, foot_skate, jerk, joint_speed, sync
 from gesturekit.evaluation import wrist_speed as wrist_speeds
-from gesturekit.evaluation.clip_metrics import Known, Measurer
+from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
 from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import GROUPS, PatchOptions
 from gesturekit.evaluation.metrics.rhythm import (
@@ -21,8 +21,8 @@ from gesturekit.evaluation.metrics.rhythm import (
     music_beats,
     speech_onsets,
 )
-from gesturekit.evaluation.metrics.semantic import read_semantic
 from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.semantic_track import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
@@ -117,14 +117,14 @@ def measured(pair_of_files, tmp_path_factory):
     recording.save(folder / "speech.npz")
     table = folder / "speech.txt"
     table.write_text("gesture\t5.0\t20.0\t15.0\t0.5\t\n")
-    known = Known.of({"speech": folder / "speech.npz"}, recording.fps)
-    measurer = Measurer(known, GROUPS, PatchOptions())
+    statistics = ReferenceStatistics.of({"speech": folder / "speech.npz"}, recording.fps)
+    metrics = ClipMetrics(statistics, GROUPS, PatchOptions())
     pair = Pair("speech", "speech", None, folder / "g.npz", folder / "speech.npz", sound)
     joints = body_joints(recording.skeleton)
 
     def measure(motion: Motion) -> dict[str, float]:
         clip = Clip(pair, motion, recording, joints, read_semantic(table), ())
-        return measurer.figures(clip)[0]
+        return metrics.generated(clip)[0]
 
     return measure
 

@@ -78,7 +78,7 @@ def test_wrong_folders_are_errors_that_name_what_was_found(touch, tmp_path):
     made, recordings = touch("made", "a.npz"), touch("recordings", "b.bvh")
     with pytest.raises(CorpusError, match=r"of 1 clip \(a\) none has a recording .*\(b\)"):
         find_pairs(made, recordings)
-    with pytest.raises(CorpusError, match=r"none of its sounds \(z\) bears the name"):
+    with pytest.raises(CorpusError, match=r"none of its sounds \(z\) has the name"):
         find_pairs(touch("again", "b.npz"), recordings, audio=touch("wav", "z.wav"))
     with pytest.raises(CorpusError, match=r"no motion files \(\.npz, \.bvh\)"):
         find_pairs(touch("sounds", "a.wav"), recordings)

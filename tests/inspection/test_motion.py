@@ -13,26 +13,26 @@ import pytest
 from gesturekit.corpus import prepare
 from gesturekit.errors import GestureKitError
 from gesturekit.formats.conversion import convert
-from gesturekit.inspection import Sheet, inspect
+from gesturekit.inspection import Summary, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.selection.joint_selection import keep_joints
 
 
-def row(sheet: Sheet, label: str) -> str:
-    return dict(sheet.rows)[label]
+def row(summary: Summary, label: str) -> str:
+    return dict(summary.rows)[label]
 
 
 def test_a_gesture(gesture, tmp_path):
     gesture(4.0, t_pose=15).save(tmp_path / "take.bvh")
-    sheet = inspect(tmp_path / "take.bvh")
-    assert sheet.kind == "motion"
-    assert row(sheet, "time").startswith("4.00 s: 120 frames at 30 fps")
-    assert row(sheet, "axes").startswith("cm, Y up, Z forward, the body faces +Z")
-    assert "19 joints, 5 end sites" in row(sheet, "body")
-    assert "nothing changes place" in row(sheet, "moves")
-    assert any("T-pose: the first 15 frames" in problem for problem in sheet.problems)
-    facts = json.loads(json.dumps(sheet.to_json(), allow_nan=False))
+    summary = inspect(tmp_path / "take.bvh")
+    assert summary.kind == "motion"
+    assert row(summary, "time").startswith("4.00 s: 120 frames at 30 fps")
+    assert row(summary, "axes").startswith("cm, Y up, Z forward, the body faces +Z")
+    assert "19 joints, 5 end sites" in row(summary, "body")
+    assert "nothing changes place" in row(summary, "moves")
+    assert any("T-pose: the first 15 frames" in problem for problem in summary.problems)
+    facts = json.loads(json.dumps(summary.to_json(), allow_nan=False))
     assert facts["parts"]["LeftForeArm"] == "left elbow"
     assert 1.2 < facts["height"] < 2.2 and facts["contact_share"].keys() == {"left", "right"}
 
@@ -70,16 +70,16 @@ def test_a_rig_that_is_no_body_is_told_as_it_is(tmp_path, save_as_others):
     rope = Skeleton(names, (-1, 0, 1, 0), [[0, 0, 0], [0, 0.5, 0], [0, 0.5, 0], [0.1, 0, 0]])
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (5, 4, 1))
     save_as_others(Motion(rope, turned, np.zeros((5, 3)), 30.0), tmp_path / "rope.bvh")
-    sheet = inspect(tmp_path / "rope.bvh")
-    assert sheet.drawing(100) == ["rope", "├─ rope1 > rope2", "└─ tail"]
-    assert sheet.facts["parts"] == {} and sheet.problems
-    assert "guessed" in row(sheet, "axes") and "feet" not in dict(sheet.rows)
+    summary = inspect(tmp_path / "rope.bvh")
+    assert summary.drawing(100) == ["rope", "├─ rope1 > rope2", "└─ tail"]
+    assert summary.facts["parts"] == {} and summary.problems
+    assert "guessed" in row(summary, "axes") and "feet" not in dict(summary.rows)
 
 
 def test_one_frame_is_enough(gesture, tmp_path):
     gesture(1.0).slice(3, 4).save(tmp_path / "one.bvh")
-    sheet = inspect(tmp_path / "one.bvh")
-    assert "1 frame at 30 fps" in row(sheet, "time") and sheet.problems == ()
+    summary = inspect(tmp_path / "one.bvh")
+    assert "1 frame at 30 fps" in row(summary, "time") and summary.problems == ()
 
 
 def test_the_tree_names_every_joint_but_fingers_and_fits(shared_data):
@@ -88,11 +88,11 @@ def test_the_tree_names_every_joint_but_fingers_and_fits(shared_data):
         ("motion/bandai/dataset-1_bye_old_001.bvh", 12),
         ("smpl/glamr_running_smpl.npz", 15),
     ):
-        sheet = inspect(shared_data / file)
-        assert max(map(len, sheet.lines(100))) <= 100 and max(map(len, sheet.lines(72))) <= 72
-        assert len(sheet.drawing(100)) <= most, "one screen"
-        text, parts = "\n".join(sheet.drawing(100)), sheet.facts["parts"]
-        for name in sheet.facts["joints"]:
+        summary = inspect(shared_data / file)
+        assert max(map(len, summary.lines(100))) <= 100 and max(map(len, summary.lines(72))) <= 72
+        assert len(summary.drawing(100)) <= most, "one screen"
+        text, parts = "\n".join(summary.drawing(100)), summary.facts["parts"]
+        for name in summary.facts["joints"]:
             assert name in text or parts[name] in ("finger", "end"), name
         assert "[left elbow]" in text and "[right knee]" in text
 
@@ -118,16 +118,16 @@ def test_what_a_reader_warns_of_is_a_problem_told(tmp_path):
     for k in range(8):
         people = [person | {"id": 1}, person | {"id": 2}]
         (tmp_path / f"{k:06d}.json").write_text(json.dumps(people))
-    sheet = inspect(tmp_path, read={"person": 2})
-    assert sheet.facts["format"] == "EasyMocap" and sheet.facts["frames"] == 8
+    summary = inspect(tmp_path, read={"person": 2})
+    assert summary.facts["format"] == "EasyMocap" and summary.facts["frames"] == 8
     assert any("several people" in problem for problem in inspect(tmp_path).problems)
 
 
 def test_every_recording_is_told(shared_data):
     for path in sorted((shared_data / "motion").rglob("*.bvh"))[::6]:
-        sheet = inspect(path)
-        assert sheet.facts["frames"] == Motion.load(path).n_frames
-        assert np.isfinite(sheet.facts["height"]) and 1.2 < sheet.facts["height"] < 2.1
+        summary = inspect(path)
+        assert summary.facts["frames"] == Motion.load(path).n_frames
+        assert np.isfinite(summary.facts["height"]) and 1.2 < summary.facts["height"] < 2.1
 
 
 def with_frame_time(motion: Motion, path: Path, text: str) -> Path:
@@ -187,8 +187,8 @@ def test_a_body_is_as_tall_as_it_was_asked_to_be(gesture, tmp_path):
     sites = {names[j]: (np.array([0.0, -0.05, 0.15]),) for j in ends}
     rig = replace(usual, names=names, end_sites=sites)
     replace(motion, skeleton=rig).save(tmp_path / "a.npz")
-    sheet = inspect(tmp_path / "a.npz", read={"height": 1.0})
-    assert sheet.facts["height"] == pytest.approx(1.0)
+    summary = inspect(tmp_path / "a.npz", read={"height": 1.0})
+    assert summary.facts["height"] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("parts", [{}, {"right_elbow": "RightForeArm"}])
@@ -197,11 +197,11 @@ def test_a_rig_that_lacks_an_arm_shows_all_its_other_parts(gesture, tmp_path, pa
     kept = [name for name in motion.skeleton.names if not name.startswith(("LeftSh", "LeftArm"))]
     kept = [name for name in kept if name not in ("LeftForeArm", "LeftHand")]
     keep_joints(motion, kept).save(tmp_path / "a.npz")
-    sheet = inspect(tmp_path / "a.npz", parts=parts)
-    labels = sheet.facts["parts"]
+    summary = inspect(tmp_path / "a.npz", parts=parts)
+    labels = summary.facts["parts"]
     told = {name: labels[name] for name in ("Hips", "Chest", "Neck", "Head", "LeftFoot")}
     assert list(told.values()) == ["pelvis", "spine", "neck", "head", "left ankle"]
-    assert labels["RightForeArm"] == "right elbow" and "feet" in dict(sheet.rows)
-    (problem,) = sheet.problems
+    assert labels["RightForeArm"] == "right elbow" and "feet" in dict(summary.rows)
+    (problem,) = summary.problems
     assert problem.startswith("cannot identify the left arm: harmless") and len(problem) < 120
-    assert "speed" in dict(sheet.rows)  # that of both hands is not known
+    assert "speed" in dict(summary.rows)  # that of both hands is not known

@@ -16,26 +16,26 @@ import audio_features as af
 import gesturekit.viewer
 from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError, FormatError, GestureKitError, ModelError
-from gesturekit.inspection import Sheet, inspect
+from gesturekit.inspection import Summary, inspect
 from gesturekit.systems import model_folder
 
 
-def row(sheet: Sheet, label: str) -> str:
-    return dict(sheet.rows)[label]
+def row(summary: Summary, label: str) -> str:
+    return dict(summary.rows)[label]
 
 
-def plain(sheet: Sheet) -> dict:
-    return json.loads(json.dumps(sheet.to_json(), allow_nan=False))
+def plain(summary: Summary) -> dict:
+    return json.loads(json.dumps(summary.to_json(), allow_nan=False))
 
 
 # Sounds
 
 
 def test_speech(write_speech, tmp_path):
-    sheet = inspect(write_speech(tmp_path / "a.wav", 3.0, 22_050))
-    assert row(sheet, "time") == "3.00 s: 66150 samples at 22050 Hz, all of them decoded"
-    assert row(sheet, "channels") == "mono" and not sheet.problems
-    facts = plain(sheet)
+    summary = inspect(write_speech(tmp_path / "a.wav", 3.0, 22_050))
+    assert row(summary, "time") == "3.00 s: 66150 samples at 22050 Hz, all of them decoded"
+    assert row(summary, "channels") == "mono" and not summary.problems
+    facts = plain(summary)
     assert facts["sample_rate"] == 22_050
     # Noise in bursts of a fifth of a second.
     assert 0.4 < facts["active_share"] < 0.7 and 0.1 < facts["longest_pause"] < 0.25
@@ -54,17 +54,17 @@ def test_sounds_with_something_wrong(tmp_path):
     ):
         path = tmp_path / f"{name}.wav"
         soundfile.write(path, samples, 16_000, subtype="FLOAT")
-        sheet = inspect(path)
-        assert any(says in problem for problem in sheet.problems), (name, sheet.problems)
-        assert plain(sheet)["channels"] == 2 and "\n".join(sheet.lines())
+        summary = inspect(path)
+        assert any(says in problem for problem in summary.problems), (name, summary.problems)
+        assert plain(summary)["channels"] == 2 and "\n".join(summary.lines())
 
 
 def test_a_truncated_sound_is_told_with_what_is_left_of_it(write_speech, tmp_path):
     path = write_speech(tmp_path / "a.wav", 2.0)
     path.write_bytes(path.read_bytes()[:30_000])
-    sheet = inspect(path)
-    assert any("truncated" in problem for problem in sheet.problems)
-    assert sheet.facts["frames"] == 14_978
+    summary = inspect(path)
+    assert any("truncated" in problem for problem in summary.problems)
+    assert summary.facts["frames"] == 14_978
     path.write_text("Dear diary,\n")
     with pytest.raises(af.AudioError, match="cannot be read as sound"):
         inspect(path)
@@ -73,20 +73,20 @@ def test_a_truncated_sound_is_told_with_what_is_left_of_it(write_speech, tmp_pat
 def test_features(write_speech, tmp_path):
     wave = af.Wave.load(write_speech(tmp_path / "a.wav", 2.0))
     af.LogMel(n_mels=24).extract(wave).save(tmp_path / "a.npz")
-    sheet = inspect(tmp_path / "a.npz")
-    assert sheet.kind == "features" and row(sheet, "columns").startswith("24: mel_0, mel_1")
-    assert plain(sheet)["spec"] == {"kind": "logmel", "n_mels": 24}
+    summary = inspect(tmp_path / "a.npz")
+    assert summary.kind == "features" and row(summary, "columns").startswith("24: mel_0, mel_1")
+    assert plain(summary)["spec"] == {"kind": "logmel", "n_mels": 24}
 
 
 # Models
 
 
 def test_the_bundled_model_and_its_folder():
-    sheet = inspect("demo")
-    assert sheet.kind == "model" and row(sheet, "moves").startswith("22 of 22 joints at 30 fps")
-    assert "logmel (n_mels 24), prosody" in row(sheet, "hears")
-    assert row(sheet, "licence") == "Apache-2.0" and plain(sheet)["parameters"] > 100_000
-    assert inspect(model_folder("demo")).rows == sheet.rows
+    summary = inspect("demo")
+    assert summary.kind == "model" and row(summary, "moves").startswith("22 of 22 joints at 30 fps")
+    assert "logmel (n_mels 24), prosody" in row(summary, "hears")
+    assert row(summary, "licence") == "Apache-2.0" and plain(summary)["parameters"] > 100_000
+    assert inspect(model_folder("demo")).rows == summary.rows
 
 
 def test_a_damaged_model_names_what_is_wrong(tmp_path):
@@ -111,10 +111,10 @@ def test_a_damaged_model_names_what_is_wrong(tmp_path):
 
 
 def test_a_manifest(corpus):
-    sheet = inspect(corpus)
-    assert row(sheet, "paired").startswith("2 recordings, 8.50 s: train 2")
-    assert row(sheet, "speech alone").startswith("1 recording, 5.00 s")
-    assert row(sheet, "rig").startswith("19 joints, 30 fps") and not sheet.problems
+    summary = inspect(corpus)
+    assert row(summary, "paired").startswith("2 recordings, 8.50 s: train 2")
+    assert row(summary, "speech alone").startswith("1 recording, 5.00 s")
+    assert row(summary, "rig").startswith("19 joints, 30 fps") and not summary.problems
 
 
 def test_missing_files_and_leaks_between_splits_are_told(write_pair, tmp_path):
@@ -150,12 +150,12 @@ def test_a_folder_of_recordings(write_pair, write_speech, gesture, tmp_path):
     write_speech(tmp_path / "more" / "b.wav", 3.0)
     gesture(2.0).save(tmp_path / "more" / "c.bvh")
     (tmp_path / "broken.bvh").write_text("Dear diary,\n")
-    sheet = inspect(tmp_path)
-    assert row(sheet, "paired") == "1 recording, 4.0 s"
-    assert row(sheet, "speech alone") == "1 recording, 3.0 s"
-    assert row(sheet, "motion alone") == "1 recording, 2.0 s"
-    assert any("broken.bvh:1" in problem for problem in sheet.problems)
-    assert plain(sheet)["paired"] == 1
+    summary = inspect(tmp_path)
+    assert row(summary, "paired") == "1 recording, 4.0 s"
+    assert row(summary, "speech alone") == "1 recording, 3.0 s"
+    assert row(summary, "motion alone") == "1 recording, 2.0 s"
+    assert any("broken.bvh:1" in problem for problem in summary.problems)
+    assert plain(summary)["paired"] == 1
 
 
 # Runs
@@ -175,9 +175,9 @@ def make_run(folder):
 
 def test_a_run_that_goes_on_and_one_that_is_done(tmp_path):
     run = make_run(tmp_path / "run")
-    sheet = inspect(run)
-    assert row(sheet, "state").startswith("running") and row(sheet, "step") == "20"
-    assert row(sheet, "metrics") == "rec 0.25" and row(sheet, "checkpoints") == "1: steps 20"
+    summary = inspect(run)
+    assert row(summary, "state").startswith("running") and row(summary, "step") == "20"
+    assert row(summary, "metrics") == "rec 0.25" and row(summary, "checkpoints") == "1: steps 20"
     for path in run.rglob("*"):
         os.utime(path, (1e9, 1e9))
     assert "--resume" in row(inspect(run), "state")
@@ -261,5 +261,5 @@ def test_every_kind_of_file_around_is_named_for_what_it_is(gesture, tmp_path):
         ("film.mp4", "mp4 is not read; make a wav"),
         (run / "checkpoints/step_00000020.pt", f"a checkpoint of a run; inspect its folder, {run}"),
     ):
-        sheet = inspect(tmp_path / path)
-        assert sheet.kind == "other" and re.search(says, sheet.title), path
+        summary = inspect(tmp_path / path)
+        assert summary.kind == "other" and re.search(says, summary.title), path

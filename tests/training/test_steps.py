@@ -16,6 +16,13 @@ def clock(monkeypatch):
     return now
 
 
+def test_lines_of_a_log_file_count_steps():
+    with Steps([(4, 1.0)], 0, quiet=False) as bar:
+        bar.step(1.0)
+        bar.step(1.0)
+        assert "2 of 4 steps, " in str(bar)
+
+
 def test_time_left_weighs_steps_by_their_cost_and_leaves_out_the_first(clock):
     progress = Steps([(10, 1.0), (10, 3.0)], 0, quiet=True)
     clock[0] = 60.0  # compiled

@@ -1,11 +1,11 @@
-"""Products of experts: several predictions of the noise, weighed into one.
+"""Products of experts: a weighted sum of several noise predictions.
 
     eps(x, n) = sum_m gamma_m eps_m(x, c_m, n),    sum_m gamma_m = 1
 
-(eq. 8 of Alexanderson et al. 2023). Experts may be several models, or one model that is told
-several things; weights may be negative or above 1, which extrapolates, and may change from frame
-to frame. Classifier-free guidance (eq. 6) is the case of two experts, one of which is not told the
-style: weights 1 - gamma and gamma. Guided interpolation between two styles (eq. 7) is another.
+(eq. 8 of Alexanderson et al. 2023). The experts are several models, or one model with several
+conditions. Weights may be negative or above 1, which extrapolates, and may change over time.
+Classifier-free guidance (eq. 6) has two experts, without and with the style, of weights 1 - gamma
+and gamma. Guided interpolation (eq. 7) has two experts with different styles.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from gesturekit.diffusion.sampling.solvers import Predict
 from gesturekit.errors import ModelError
 
 SUM_TOLERANCE = 1e-5
-"""How far from 1 the sum of the weights may be: rounding, and nothing that anybody typed."""
+"""Largest rounding error of the sum of the weights."""
 
-FARTHEST = 10.0
-"""Standard deviations from the mean beyond which no number of a motion lies."""
+MAX_DEVIATION = 10.0
+"""Bound of every number of a motion, in standard deviations from its mean."""
 
-SILENT = 1e-8
-"""Share of a motion's variance below which no network is asked. All the 21,000 numbers of 10 s then
-say 1e-4 nats together about the motion. 39 of the 100 steps of the published gesture schedule, 69
-of dance's 150."""
+NO_SIGNAL = 1e-8
+"""abar below which the network is not evaluated: all 21,000 numbers of 10 s then hold 1e-4 nats of
+information about the motion. These are 39 of the 100 steps of the published gesture schedule, and
+69 of the 150 for dance."""
 
 Weight = float | np.ndarray | Tensor
-"""gamma of one expert: a number, or (T,) of them, one for each frame."""
+"""gamma of one expert: a number, or (T,) with one number per frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expert:
-    """A network and what it is told.
+    """A network with its condition.
 
     Attributes:
         network: in eval mode.
-        schedule: by which it was trained.
-        condition: (1, T, C), or (B, T, C) for a batch of motions that are told different things.
-        shift: (X,) what is added to a clean motion to have it as this network knows it, for one
-            whose motions were standardised about another mean; None for nothing.
+        schedule: of its training.
+        condition: (1, T, C), or (B, T, C) for a batch of motions with different conditions.
+        shift: (X,) offset from the product's standardised motion to that of this network, for a
+            network trained with another mean; None for no offset.
     """
 
     network: Denoiser
@@ -56,8 +56,8 @@ class Expert:
     condition: Tensor
     shift: Tensor | None = None
 
-    def is_like(self, other: Expert) -> bool:
-        """Whether both predict the same, to the last bit: same weights, same condition."""
+    def equals(self, other: Expert) -> bool:
+        """Return whether both have the same weights and condition, hence the same predictions."""
         return (
             torch.equal(self.condition, other.condition)
             and (self.shift is None) == (other.shift is None)
@@ -67,34 +67,34 @@ class Expert:
         )
 
     @cached_property
-    def _listening(self) -> Predict:
-        return self.network.listening(self.condition, range(self.schedule.steps))
+    def _predict(self) -> Predict:
+        return self.network.for_condition(self.condition, range(self.schedule.steps))
 
     def predict(self, noisy: Tensor, step: int) -> Tensor:
-        """The noise in `noisy` (B, T, X), whatever the network itself predicts.
+        """Return the noise in `noisy` (B, T, X), converted from the network's own prediction.
 
-        A network that knows motions about another mean sees this one moved there: as far as its
-        clean part is left at this step. The noise in it is the same.
+        For a network trained with another mean, the clean part of `noisy` is shifted to it. The
+        noise stays the same.
         """
         if self.shift is not None:
             signal, _ = self.schedule.scales(step, noisy)
             noisy = noisy + signal * self.shift
-        return self.schedule.noise_of(self._listening(noisy, step), noisy, step)
+        return self.schedule.noise_of(self._predict(noisy, step), noisy, step)
 
 
-class Mixture:
-    """A product of experts.
+class ProductOfExperts:
+    """A weighted sum of the noise predictions of several experts (eq. 8).
 
-    Experts that are alike become one, with the sum of their weights, and those of weight 0 are not
-    run: a mixture of equal experts is the single model, to the last bit.
+    Equal experts are merged and their weights added; experts of weight 0 are not run. A product of
+    equal experts is therefore bitwise equal to the single model.
 
     Args:
-        experts: of one schedule, for motions of one kind and length.
-        weights: gamma of each; they add up to 1, at every frame.
+        experts: with one schedule, length, and width of the motion vector.
+        weights: gamma of each; they add up to 1 at every frame.
 
     Raises:
-        ModelError: weights that do not add up to 1 or do not fit the frames; experts with other
-            schedules, lengths, or widths of their motions.
+        ModelError: weights that do not add up to 1 or have the wrong number of frames; experts with
+            different schedules, lengths or widths.
     """
 
     def __init__(self, experts: Sequence[Expert], weights: Sequence[Weight]) -> None:
@@ -109,8 +109,8 @@ class Mixture:
         _check_sum(gammas)
         merged: list[tuple[Expert, np.ndarray]] = []
         for expert, gamma in zip(experts, gammas, strict=True):
-            like = (k for k, (known, _) in enumerate(merged) if expert.is_like(known))
-            k = next(like, None)
+            equal = (k for k, (known, _) in enumerate(merged) if expert.equals(known))
+            k = next(equal, None)
             if k is None:
                 merged.append((expert, gamma))
             else:
@@ -122,9 +122,9 @@ class Mixture:
         self.experts = tuple(expert for expert, _ in used)
         self.weights = tuple(gamma for _, gamma in used)
 
-    def part(self, first: int, last: int) -> Mixture:
-        """The mixture of frames first (included) to last (not included)."""
-        part = Mixture.__new__(Mixture)
+    def part(self, first: int, last: int) -> ProductOfExperts:
+        """Return the product for frames first (included) to last (excluded)."""
+        part = ProductOfExperts.__new__(ProductOfExperts)
         part.n_frames = last - first
         part._set(
             [
@@ -138,8 +138,8 @@ class Mixture:
         return part
 
     def predict(self, noisy: Tensor, step: int) -> Tensor:
-        """The noise in `noisy` (B, T, X) that the experts agree on."""
-        if len(self.experts) == 1:  # its weight is 1, but for rounding
+        """Return the weighted sum of the experts' noise predictions (B, T, X)."""
+        if len(self.experts) == 1:  # its weight is 1 up to rounding
             return self.experts[0].predict(noisy, step)
         total = torch.zeros_like(noisy)
         for expert, gamma in zip(self.experts, self.weights, strict=True):
@@ -148,24 +148,24 @@ class Mixture:
         return total
 
 
-def bounded(predict: Predict, schedule: NoiseSchedule) -> Predict:
-    """The same prediction of the noise, but for what would make the motion an impossible one.
+def clip_denoised(predict: Predict, schedule: NoiseSchedule) -> Predict:
+    """Clip noise predictions so that the clean motion stays within `MAX_DEVIATION`.
 
-    The clean motion that a prediction stands for is kept within `FARTHEST` (`clip_denoised` of Ho
-    et al. 2020). In steps that are all but noise this tells the noise better than any network:
-    what a network gets wrong there, a step multiplies by up to 2, and all of them by 1e12. In
-    `SILENT` steps, where both bounds are what is given to 1e-3, the network is not asked.
+    This is `clip_denoised` of Ho et al. (2020). At steps of almost pure noise, one step doubles the
+    network's error and all of them multiply it by 1e12, and the bounds are more accurate than the
+    network. Where abar is below `NO_SIGNAL`, both bounds equal the noisy motion to 1e-3, and the
+    network is not evaluated.
     """
 
-    def within(noisy: Tensor, step: int) -> Tensor:
+    def clipped(noisy: Tensor, step: int) -> Tensor:
         signal, spread = schedule.scales(step, noisy)
-        if schedule.alphas_bar[step] < SILENT:
+        if schedule.alphas_bar[step] < NO_SIGNAL:
             return noisy / spread
         noise = predict(noisy, step)
-        reach = signal * FARTHEST
+        reach = signal * MAX_DEVIATION
         return torch.clamp(noise, (noisy - reach) / spread, (noisy + reach) / spread)
 
-    return within
+    return clipped
 
 
 def _check_alike(experts: Sequence[Expert]) -> None:
@@ -173,7 +173,7 @@ def _check_alike(experts: Sequence[Expert]) -> None:
     for expert in experts[1:]:
         if expert.network.n_motion != first.network.n_motion:
             raise ModelError(
-                f"experts: one moves by {first.network.n_motion} numbers a frame, another by "
+                f"experts: one has {first.network.n_motion} numbers a frame, another "
                 f"{expert.network.n_motion}; experts of a product need one rig and representation"
             )
         own, theirs = first.schedule.betas, expert.schedule.betas
@@ -184,7 +184,7 @@ def _check_alike(experts: Sequence[Expert]) -> None:
             )
         if expert.condition.shape[1] != first.condition.shape[1]:
             raise ModelError(
-                f"experts: one is told about {first.condition.shape[1]} frames, another about "
+                f"experts: one has a condition of {first.condition.shape[1]} frames, another of "
                 f"{expert.condition.shape[1]}"
             )
 
@@ -194,10 +194,10 @@ def _described(schedule: NoiseSchedule) -> str:
 
 
 def checked_weight(weight: Weight, n_frames: int) -> np.ndarray:
-    """(1,) or (T,) float64 of a weight of one expert for T frames.
+    """Return the weight of one expert as float64 (1,) or (T,), for T frames.
 
     Raises:
-        ModelError: it has another shape.
+        ModelError: the weight has another shape.
     """
     values = np.atleast_1d(np.asarray(weight, dtype=np.float64))
     if values.shape not in ((1,), (n_frames,)):

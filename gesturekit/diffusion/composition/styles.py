@@ -1,4 +1,4 @@
-"""Styles that were asked for, as weights of experts over time."""
+"""Parsing of the style control into expert weights over time."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ _TERM = re.compile(
 
 
 def style_weights(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> np.ndarray:
-    """(T, K) float64 weights of the styles over time, which add up to 1.
+    """Return the weights (T, K) float64 of the styles over time, which add up to 1.
 
     Args:
-        names: the K styles there are.
-        wanted: one of them (`old`); several with weights (`old:0.25,angry:0.75`), which may be
-            below 0 and above 1 (`old:-0.25,angry:1.25`); spans of seconds (`old@0-10,angry@10-20`)
-            that become one another as `style_track` has it; or weights in spans
+        names: the model's K styles.
+        wanted: one style (`old`); several with weights (`old:0.25,angry:0.75`), which may be below
+            0 or above 1 (`old:-0.25,angry:1.25`); spans in seconds (`old@0-10,angry@10-20`), which
+            are cross-faded as in `style_track`; or weights in spans
             (`old:0.5@0-10,angry:0.5@0-10,angry@10-20`).
         n_frames: T.
         fps: frames per second.
 
     Raises:
-        ModelError: an unknown style, a text that cannot be read, or weights, of a span or of the
-            whole, that do not add up to 1.
+        ModelError: an unknown style, a text that cannot be read, or weights that do not add up to 1
+            in some span.
     """
     spans: dict[str, dict[int, float | None]] = {}
     for text in [wanted] if wanted in names else wanted.split(","):
@@ -56,7 +56,7 @@ def style_weights(names: Sequence[str], wanted: str, n_frames: int, fps: float) 
 
 
 def _read(names: Sequence[str], text: str) -> tuple[str, float | None, str]:
-    """Name, weight and span of one style; names may hold colons themselves."""
+    """Return name, weight and span of one style; names may contain colons."""
     match = _TERM.fullmatch(text)
     if text in names or match is None:
         return text, None, ""
@@ -67,7 +67,7 @@ def _read(names: Sequence[str], text: str) -> tuple[str, float | None, str]:
 
 
 def _complete(wanted: str, weights: list[float | None]) -> list[float]:
-    """Weights of one span: where none is given, all are alike."""
+    """Return the weights of one span; without any, all styles share equally."""
     given = [weight for weight in weights if weight is not None]
     if not given:
         return [1 / len(weights)] * len(weights)

@@ -1,4 +1,4 @@
-"""Weights of experts over time: numbers, one for each frame, or spans of seconds."""
+"""Expert weights over time: a number, one number per frame, or spans in seconds."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.composition.experts import Weight, checked_weight
 from gesturekit.errors import ModelError
 
-Share = Weight | str | None
-"""What an expert's weight may be given as; see `weights_over_time`."""
+ExpertWeight = Weight | str | None
+"""The forms of an expert's weight; see `weights_over_time`."""
 
 _SPAN = re.compile(
     r"(?P<weight>[-+]?(\d+(\.\d*)?|\.\d+))@(?P<start>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?)"
@@ -20,10 +20,10 @@ _SPAN = re.compile(
 
 
 def weight_track(text: str, n_frames: int, fps: float) -> np.ndarray:
-    """(T,) float64 of weights in spans of seconds: `0.2@0-10,0.8@10-20`.
+    """Return weights (T,) float64 given as spans in seconds: `0.2@0-10,0.8@10-20`.
 
-    Weights become one another, and come and go, as styles do (`style_track`); where spans overlap,
-    it is their mean. Outside of all spans the weight is 0: there an expert takes no part.
+    Neighbouring spans are cross-faded like styles (`style_track`), and overlapping spans averaged.
+    Outside of all spans the weight is 0.
 
     Raises:
         ModelError: a text that cannot be read, or a span that ends before it begins.
@@ -53,20 +53,20 @@ def weight_track(text: str, n_frames: int, fps: float) -> np.ndarray:
     return style_track(names, asked, n_frames, fps).astype(np.float64) @ np.array(values)
 
 
-def weights_over_time(given: Sequence[Share], n_frames: int, fps: float) -> list[np.ndarray]:
-    """The weight of each expert: (1,) where it is always the same, else (T,).
+def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) -> list[np.ndarray]:
+    """Return the weight of each expert: (1,) if it is constant, else (T,).
 
     Args:
-        given: numbers, (T,) of them, texts as `weight_track` has them, or None for an equal share
-            of what all the others leave of 1.
+        given: numbers, arrays (T,), texts (see `weight_track`), or None for an equal share of what
+            the others leave of 1.
         n_frames: T.
         fps: frames per second.
 
     Raises:
         ModelError: a text that cannot be read, or weights that do not fit the frames.
     """
-    told = [weight_track(w, n_frames, fps) if isinstance(w, str) else w for w in given]
-    own = [None if weight is None else checked_weight(weight, n_frames) for weight in told]
+    read = [weight_track(w, n_frames, fps) if isinstance(w, str) else w for w in given]
+    own = [None if weight is None else checked_weight(weight, n_frames) for weight in read]
     rest = np.ones(1) - sum(weight for weight in own if weight is not None)
-    alike = sum(weight is None for weight in own)
-    return [rest / alike if weight is None else weight for weight in own]
+    shares = sum(weight is None for weight in own)
+    return [rest / shares if weight is None else weight for weight in own]

@@ -1,14 +1,14 @@
-"""Self-attention whose position bias depends on the distance between two frames alone.
+"""Translation-invariant self-attention: the bias depends only on the distance of two frames.
 
 The bias of head h for a query d frames after its key (Wennberg and Henter 2021, with slopes that
 the released code adds) is
 
     log(sum_k |a_hk| sigmoid(sign(a_hk) (d - o_hk) / s_hk) + |b_h| + 1e-8) - slope_h |d|
 
-so that a table over d holds all of it. The slopes are not learnt: the farthest-sighted head loses
-37 nats at `farthest_view` frames. Attention is therefore computed in blocks of frames, each with
-that many neighbours on both sides, and near-sighted heads with fewer: cost and memory grow with the
-length, not with its square.
+so a table over d is sufficient. The slopes are fixed and make attention local: the bias of the head
+with the widest view falls by 37 nats at `farthest_view` frames. Attention is therefore computed in
+blocks of frames with that many neighbours on both sides, fewer for heads with a narrower view. Cost
+and memory are linear in the length.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from torch import Tensor, nn
 
 from gesturekit.diffusion.config import NetworkConfig
 
-LEAST = 1e-8
-"""Inside the logarithm; also the weight that is left at half of a head's view."""
-LEAST_QUERIES = 48
-"""Frames of a block of attention; more for heads that see far, 4/3 of their reach."""
+EPSILON = 1e-8
+"""Added inside the logarithm; also the attention weight at half of a head's view."""
+MIN_QUERIES = 48
+"""Least number of frames in a block; blocks have 4/3 of the head's reach if that is more."""
 
 
 class PositionBias(nn.Module):
-    """The learnt part of the bias, and its slopes; one number a head for each distance."""
+    """The position bias of each head: learnt kernels and fixed slopes."""
 
     slopes: Tensor
 
@@ -45,24 +45,24 @@ class PositionBias(nn.Module):
             config.nearest_view * ratio ** (h / max(config.heads - 1, 1))
             for h in range(config.heads)
         ]
-        # 37 nats below its own frame a key weighs nothing, in single precision.
+        # A key 37 nats below the query's own frame has no weight in single precision.
         self.reaches = [math.ceil(view - 1e-9) for view in views]
-        slopes = torch.tensor([-2 * math.log(LEAST) / view for view in views])
+        slopes = torch.tensor([-2 * math.log(EPSILON) / view for view in views])
         self.register_buffer("slopes", slopes, persistent=False)
 
     def table(self, reach: int) -> Tensor:
-        """(H, 2 reach + 1): the bias for queries `reach` frames before the key up to after it."""
+        """Return the bias (H, 2 reach + 1) for distances from -reach to reach (query minus key)."""
         distance = torch.arange(-reach, reach + 1, device=self.slopes.device).float()
         amplitudes = self.amplitudes.float()
         apart = (distance[:, None, None] - self.offsets.float()) / self.widths.float()
         kernels = amplitudes.abs() * torch.sigmoid(amplitudes.sign() * apart)
-        score = torch.log(kernels.sum(-1) + self.floors.float().abs() + LEAST)
+        score = torch.log(kernels.sum(-1) + self.floors.float().abs() + EPSILON)
         return (score - distance.abs()[:, None] * self.slopes).T
 
 
 @dataclass(frozen=True)
 class Block:
-    """Queries `first:last` look at keys `first_key:last_key`."""
+    """Queries `first:last` attend to keys `first_key:last_key`."""
 
     first: int
     last: int
@@ -72,9 +72,13 @@ class Block:
 
 @dataclass(frozen=True)
 class Band:
-    """Heads `first:last` and the blocks in which they are computed, with a bias for each.
+    """Heads `first:last` with the blocks in which they are computed.
 
-    `biases` are (heads, queries, keys); blocks of one shape share one tensor.
+    Attributes:
+        first: first head.
+        last: last head, excluded.
+        blocks: that cover all frames.
+        biases: (heads, queries, keys) for each block; blocks of equal shape share one tensor.
     """
 
     first: int
@@ -84,7 +88,7 @@ class Band:
 
 
 def blocks_of(n_frames: int, reach: int, size: int) -> list[Block]:
-    """Blocks of `size` queries that see `reach` frames on either side; a short clip is one."""
+    """Split frames into blocks of `size` queries with `reach` more keys on either side."""
     if n_frames <= size + 2 * reach:
         return [Block(0, n_frames, 0, n_frames)]
     return [
@@ -99,13 +103,13 @@ def blocks_of(n_frames: int, reach: int, size: int) -> list[Block]:
 
 
 def bias_of_blocks(table: Tensor, blocks: list[Block]) -> list[Tensor]:
-    """The bias of each block, (H, queries, keys), from (H, 2 R + 1) of `PositionBias.table`.
+    """Return the bias (H, queries, keys) of each block from a table (H, 2 R + 1).
 
-    Rows of windows over the table: no index is gathered, so that gradients are sums in a fixed
-    order on every device.
+    The bias is made of sliding windows over the table (see `PositionBias.table`) without index
+    operations, so that gradients are deterministic on every device.
     """
     reach = table.shape[1] // 2
-    # By key minus query, so that a window is what one query sees; the last query comes first.
+    # Ordered by key minus query, so that one window is one query; the last query comes first.
     ahead = table.flip(1)
     made: dict[tuple[int, int, int], Tensor] = {}
     biases = []
@@ -116,24 +120,24 @@ def bias_of_blocks(table: Tensor, blocks: list[Block]) -> list[Tensor]:
         if shape not in made:
             start = reach - before - (queries - 1)
             span = ahead[:, start : start + queries + keys - 1]
-            # Laid out row by row: the fused kernel would do so anew at every call.
+            # Contiguous: the fused kernel would otherwise copy it at every call.
             made[shape] = span.unfold(1, keys, 1).flip(1).contiguous()
         biases.append(made[shape])
     return biases
 
 
 def bands(bias: PositionBias, n_frames: int) -> list[Band]:
-    """The bands of all heads over so many frames.
+    """Group all heads into bands for a clip of `n_frames`.
 
-    Heads are computed together where the farthest-sighted sees less than four times as far as the
-    others. At the published sizes, four heads see 16 frames and four see 75.
+    In a band, the widest reach is less than four times the narrowest. At the published sizes, four
+    heads reach up to 16 frames and four up to 75.
     """
     made: list[Band] = []
     last = len(bias.reaches)
     while last > 0:
         reach = bias.reaches[last - 1]
         first = next(h for h in range(last) if 4 * bias.reaches[h] > reach)
-        blocks = blocks_of(n_frames, reach, max(LEAST_QUERIES, 4 * reach // 3))
+        blocks = blocks_of(n_frames, reach, max(MIN_QUERIES, 4 * reach // 3))
         widest = max(max(b.last - b.first_key, b.last_key - b.first) for b in blocks)
         table = bias.table(widest)[first:last]
         made.append(Band(first, last, blocks, bias_of_blocks(table, blocks)))
@@ -144,12 +148,12 @@ def bands(bias: PositionBias, n_frames: int) -> list[Band]:
 def attend(
     queries: Tensor, keys: Tensor, values: Tensor, bands: list[Band], dropout: float
 ) -> Tensor:
-    """Attention of (B, H, T, D), band by band and block by block, to (B, H, T, D).
+    """Compute attention (B, H, T, D) band by band and block by block.
 
-    Without gradients by the fused kernel of torch; with them in its parts, whose gradients come
-    from matrix products and sums in a fixed order on every device.
+    Without gradients, this uses torch's fused kernel. With gradients, it uses plain matrix products
+    and sums, whose gradients are deterministic on every device.
     """
-    seen = []
+    heads_done = []
     for band in bands:
         heads = slice(band.first, band.last)
         parts = []
@@ -164,8 +168,8 @@ def attend(
             else:
                 mask = bias.to(q.dtype).expand(len(q), -1, -1, -1)
                 parts.append(F.scaled_dot_product_attention(q, k, v, mask, dropout))
-        seen.append(torch.cat(parts, 2) if len(parts) > 1 else parts[0])
-    return torch.cat(seen, 1) if len(seen) > 1 else seen[0]
+        heads_done.append(torch.cat(parts, 2) if len(parts) > 1 else parts[0])
+    return torch.cat(heads_done, 1) if len(heads_done) > 1 else heads_done[0]
 
 
 class Attention(nn.Module):
@@ -180,12 +184,12 @@ class Attention(nn.Module):
         self.write = nn.Linear(config.channels, 2 * config.channels)
 
     def forward(self, x: Tensor, bands: list[Band]) -> Tensor:
-        """(B, T, channels) to the same shape."""
+        """Map (B, T, channels) to the same shape."""
         batch, n_frames, channels = x.shape
         q, k, v = (
             self.read(x)
             .view(batch, n_frames, 3, self.heads, channels // self.heads)
             .permute(2, 0, 3, 1, 4)
         )
-        seen = attend(q, k, v, bands, self.dropout if self.training else 0.0)
-        return F.glu(self.write(seen.transpose(1, 2).reshape(batch, n_frames, channels)))
+        attended = attend(q, k, v, bands, self.dropout if self.training else 0.0)
+        return F.glu(self.write(attended.transpose(1, 2).reshape(batch, n_frames, channels)))

@@ -1,4 +1,4 @@
-"""The denoising network: DiffWave's gated residual blocks around stacks of Conformers."""
+"""The denoising network: gated residual blocks of DiffWave around stacks of Conformers."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from gesturekit.diffusion.network.attention import Attention, Band, bands
 from gesturekit.errors import ModelError
 
 FREQUENCIES = 64
-"""Sines, and as many cosines, of the diffusion step; from 1 to 1e4 radians a step."""
+"""Number of sines, and of cosines, of the step embedding, from 1 to 1e4 radians per step."""
 
 
 def neighbours(x: Tensor, dilation: int) -> Tensor:
-    """(B, T, C) to (B, T, 3 C): each frame between those `dilation` before and after it."""
+    """Concatenate each frame (B, T, C) with those `dilation` before and after to (B, T, 3 C)."""
     padded = F.pad(x, (0, 0, dilation, dilation))
     n_frames = x.shape[1]
     return torch.cat([padded[:, i * dilation : i * dilation + n_frames] for i in range(3)], -1)
 
 
 class DilatedConv(nn.Module):
-    """A convolution of three frames, `dilation` apart, over (B, T, C).
+    """A dilated convolution of kernel size 3 over (B, T, C), as one matrix product.
 
-    It is one matrix product. The narrower side is the one that is shifted in time: the input's
-    three frames are laid side by side, or the output's three parts are added.
+    The narrower side is shifted in time: either three input frames are concatenated, or three parts
+    of the output are added.
     """
 
     def __init__(self, n_in: int, n_out: int, dilation: int, bias: bool = False) -> None:
@@ -42,7 +42,7 @@ class DilatedConv(nn.Module):
         self.bias = nn.Parameter(torch.empty(n_out).uniform_(-bound, bound)) if bias else None
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, T, n_in) to (B, T, n_out)."""
+        """Map (B, T, n_in) to (B, T, n_out)."""
         if self.gathers:
             return F.linear(neighbours(x, self.dilation), self.weight, self.bias)
         before, here, after = F.linear(x, self.weight).chunk(3, -1)
@@ -53,7 +53,7 @@ class DilatedConv(nn.Module):
 
 
 class Conformer(nn.Module):
-    """Attention, then a feed-forward part over one or three frames; each added and normalised."""
+    """Attention and a feed-forward part over one or three frames, both residual and normalised."""
 
     def __init__(self, config: NetworkConfig, dilation: int) -> None:
         super().__init__()
@@ -68,14 +68,14 @@ class Conformer(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(self, x: Tensor, bands: list[Band]) -> Tensor:
-        """(B, T, channels) to the same shape."""
+        """Map (B, T, channels) to the same shape."""
         x = self.norm_attention(x + self.dropout(self.attention(x, bands)))
         hidden = self.dropout(self.widen(x).relu_())
         return self.norm(x + self.dropout(self.narrow(hidden)))
 
 
 class ConformerStack(nn.Module):
-    """What a residual block computes before its gate: (B, T, C) to (B, T, 2 C)."""
+    """Conformer layers of one residual block, before its gate."""
 
     def __init__(self, config: NetworkConfig, dilation: int) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ class ConformerStack(nn.Module):
         self.leave = nn.Linear(config.channels, 2 * config.channels)
 
     def forward(self, x: Tensor, bands: list[list[Band]]) -> Tensor:
-        """(B, T, C), with the bands of each layer, to (B, T, 2 C)."""
+        """Map (B, T, C), with the attention bands of each layer, to (B, T, 2 C)."""
         x = self.enter(x)
         for layer, band in zip(self.layers, bands, strict=True):
             x = layer(x, band)
@@ -92,21 +92,21 @@ class ConformerStack(nn.Module):
 
 
 def kaiming(n_in: int, n_out: int) -> nn.Linear:
-    """A convolution over single frames, initialised as in DiffWave."""
+    """Return a linear layer, initialised like the 1x1 convolutions of DiffWave."""
     layer = nn.Linear(n_in, n_out)
     nn.init.kaiming_normal_(layer.weight)
     return layer
 
 
 class Denoiser(nn.Module):
-    """Tells the noise (or the velocity) of a noisy motion, given what it should look like.
+    """Prediction of the noise, velocity or clean motion from a noisy motion and its condition.
 
-    `to(torch.bfloat16)` makes a network that takes half the memory and, on CPUs that multiply such
-    numbers, half the time; motions go in and come out in their own precision.
+    `to(torch.bfloat16)` halves memory and, on CPUs with bfloat16 arithmetic, time; inputs and
+    outputs keep their own precision.
 
     Args:
-        n_motion: X, numbers a frame.
-        n_condition: C, numbers a frame of the condition; 0 for none.
+        n_motion: X, width of the motion vector.
+        n_condition: C, width of the condition; 0 for an unconditional model.
         config: sizes.
     """
 
@@ -121,7 +121,7 @@ class Denoiser(nn.Module):
             nn.Linear(config.embedding, config.embedding),
             nn.SiLU(),
         )
-        # What each block adds to its input, side by side.
+        # The step and condition inputs of all blocks, concatenated.
         self.project_step = nn.Linear(config.embedding, config.blocks * width)
         self.project_condition = (
             nn.Linear(n_condition, config.blocks * width) if n_condition else None
@@ -140,43 +140,45 @@ class Denoiser(nn.Module):
         nn.init.zeros_(self.leave.bias)
 
     def forward(self, noisy: Tensor, condition: Tensor, step: Tensor) -> Tensor:
-        """The prediction for a batch of noisy motions.
+        """Predict noise, velocity or clean motion for a batch of noisy motions.
 
         Args:
             noisy: (B, T, X).
             condition: (B, T, C).
-            step: (B,) steps of the diffusion, whole or between two.
+            step: (B,) steps of the diffusion; fractional ones are allowed.
 
         Returns:
             (B, T, X).
         """
         self._check(condition)
-        told = self._told(condition)
-        steps = self._steps(step)
-        return self._run(noisy, steps[:, :, None], told, self._bands(noisy.shape[1]))
+        conditions, steps = self._conditions(condition), self._steps(step)
+        return self._run(noisy, steps[:, :, None], conditions, self._bands(noisy.shape[1]))
 
     @torch.no_grad()
-    def listening(self, condition: Tensor, steps: Iterable[int]) -> Callable[[Tensor, int], Tensor]:
-        """The network for one condition, with all that does not depend on the motion kept.
+    def for_condition(
+        self, condition: Tensor, steps: Iterable[int]
+    ) -> Callable[[Tensor, int], Tensor]:
+        """Precompute everything that does not depend on the motion.
 
-        Call it in eval mode; weights that change afterwards are noticed in part only.
+        Call it in eval mode, and again after a change of the weights.
 
         Args:
             condition: (B, T, C), or (1, T, C) for any number of motions.
-            steps: those that will be asked for.
+            steps: all steps for which `predict` will be called.
 
         Returns:
             `predict(noisy (B, T, X), step) -> (B, T, X)`.
         """
         self._check(condition)
         steps = list(steps)
-        told = self._told(condition).contiguous()
-        rows = dict(zip(steps, self._steps(torch.tensor(steps, device=condition.device)).unbind(1)))
+        conditions = self._conditions(condition).contiguous()
+        embedded = self._steps(torch.tensor(steps, device=condition.device)).unbind(1)
+        of_step = dict(zip(steps, embedded, strict=True))
         bands = self._bands(condition.shape[1])
 
         @torch.no_grad()
         def predict(noisy: Tensor, step: int) -> Tensor:
-            return self._run(noisy, rows[step][:, None, None], told, bands)
+            return self._run(noisy, of_step[step][:, None, None], conditions, bands)
 
         return predict
 
@@ -184,27 +186,27 @@ class Denoiser(nn.Module):
         if condition.shape[-1] != self.n_condition:
             raise ModelError(
                 f"condition: {condition.shape[-1]} numbers a frame, but the network was made for "
-                f"{self.n_condition}; give it what it was trained with"
+                f"{self.n_condition}; give the conditions that it was trained with"
             )
 
-    def _told(self, condition: Tensor) -> Tensor:
-        """(blocks, B, T, channels) of a condition."""
+    def _conditions(self, condition: Tensor) -> Tensor:
+        """Project a condition (B, T, C) to the input (blocks, B, T, channels) of each block."""
         if self.project_condition is None:
             return self.enter.weight.new_zeros(self.config.blocks, 1, 1, 1)
-        told = self.project_condition(condition.to(self.enter.weight.dtype))
-        return told.unflatten(-1, (self.config.blocks, -1)).movedim(-2, 0)
+        projected = self.project_condition(condition.to(self.enter.weight.dtype))
+        return projected.unflatten(-1, (self.config.blocks, -1)).movedim(-2, 0)
 
     def _steps(self, step: Tensor) -> Tensor:
-        """(blocks, B, channels) of (B,) steps."""
-        # In double precision: 100 steps at 1e4 radians each are more than float32 can tell apart.
+        """Embed steps (B,) as the input (blocks, B, channels) of each block."""
+        # In double precision: angles reach 1e6 radians, too large for float32.
         turn = 10 ** torch.linspace(0, 4, FREQUENCIES, dtype=torch.float64, device=step.device)
         angle = step.double()[:, None] * turn
         waves = torch.cat([angle.sin(), angle.cos()], -1).to(self.enter.weight.dtype)
-        rows = self.project_step(self.embed_step(waves))
-        return rows.unflatten(-1, (self.config.blocks, -1)).movedim(-2, 0)
+        projected = self.project_step(self.embed_step(waves))
+        return projected.unflatten(-1, (self.config.blocks, -1)).movedim(-2, 0)
 
     def _bands(self, n_frames: int) -> list[list[list[Band]]]:
-        """How each layer of each block sees so many frames; nothing where there is no attention."""
+        """Return the attention bands of each layer of each block; empty without attention."""
         if self.config.architecture == "diffwave":
             return []
         return [
@@ -213,12 +215,12 @@ class Denoiser(nn.Module):
         ]
 
     def _run(
-        self, noisy: Tensor, steps: Tensor, told: Tensor, bands: list[list[list[Band]]]
+        self, noisy: Tensor, steps: Tensor, conditions: Tensor, bands: list[list[list[Band]]]
     ) -> Tensor:
         x = self.enter(noisy.to(self.enter.weight.dtype)).relu_()
         total = 0
         for i, (stack, split) in enumerate(zip(self.stacks, self.split, strict=True)):
-            y = x + (steps[i] + told[i])
+            y = x + (steps[i] + conditions[i])
             y = stack(y, bands[i]) if bands else stack(y)
             gate, signal = y.chunk(2, -1)
             kept, skipped = split(gate.sigmoid() * signal.tanh()).chunk(2, -1)

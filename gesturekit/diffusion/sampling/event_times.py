@@ -1,4 +1,4 @@
-"""Events that were asked for: when they happen, by the clock or on the beats of a sound."""
+"""Parsing of the events control: times in seconds, or on the beats of a sound."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TERM = re.compile(rf"(?P<name>.+)@(?P<time>beats|{_SECONDS})(:(?P<duration>{_SE
 
 
 def wants_beats(events: str | Path | None) -> bool:
-    """Whether the events depend on a sound's beats."""
+    """Return whether the events depend on the beats of a sound."""
     return isinstance(events, str) and any(
         match is not None and match["time"] == "beats"
         for match in (_TERM.fullmatch(text.strip()) for text in events.split(","))
@@ -23,16 +23,16 @@ def wants_beats(events: str | Path | None) -> bool:
 
 
 def asked_events(events: str | Path, wave: af.Wave | None) -> tuple[Event, ...]:
-    """Events in order of time.
+    """Return the requested events in order of time.
 
     Args:
-        events: a table (`.csv`, see `load_events`), or `kick@1.0,punch@2.5`: names, and seconds
-            from the beginning. `kick@beats` is on every beat of the sound, as a beat tracker finds
-            them. `kick@1.0:0.5` lasts half a second; without it an event is a single frame.
-        wave: the sound whose beats are meant.
+        events: a table (`.csv`, see `load_events`), or names and seconds from the beginning
+            (`kick@1.0,punch@2.5`). `kick@beats` is on every detected beat of the sound.
+            `kick@1.0:0.5` lasts half a second; without a duration, an event is one frame long.
+        wave: the sound that `@beats` refers to.
 
     Raises:
-        ModelError: a text that cannot be read, or beats without a sound that has any.
+        ModelError: a text that cannot be read, or beats without a sound that has beats.
         FormatError: a table that cannot be read.
     """
     if isinstance(events, Path) or events.lower().endswith(".csv"):
@@ -53,7 +53,7 @@ def asked_events(events: str | Path, wave: af.Wave | None) -> tuple[Event, ...]:
 
 def _beats(text: str, wave: af.Wave | None) -> list[float]:
     if wave is None:
-        raise ModelError(f"event {text.strip()!r}: there is no sound whose beats it could be on")
+        raise ModelError(f"event {text.strip()!r}: there is no sound to find beats in")
     beats = music_beats(wave).tolist()
     if not beats:
         raise ModelError(

@@ -1,8 +1,8 @@
-"""How much of a motion and how much noise there is at each step of the diffusion.
+"""The noise schedule: shares of signal and noise at each step of the diffusion.
 
-Steps count from 0, where hardly any noise has been added, to N - 1; the paper's n is one more.
-At step n a noisy motion is sqrt(abar_n) clean + sqrt(1 - abar_n) noise. Everything is kept in
-double precision: the published schedule ends at abar = 6e-26.
+Steps count from 0 (least noise) to N - 1; the paper's n is one more. At step n, a noisy motion is
+sqrt(abar_n) clean + sqrt(1 - abar_n) noise. All values are in double precision: the published
+schedule ends at abar = 6e-26.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.errors import ModelError
 
 Step = int | Tensor
-"""A step of the diffusion, or (B,) of them, one for each clip of a batch."""
+"""A step of the diffusion, or steps (B,), one for each clip of a batch."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class NoiseSchedule:
     """A variance-preserving schedule.
 
     Attributes:
-        betas: (N,) float64, the variance of the noise that each step adds.
-        alphas_bar: (N,) float64, the share of the clean motion's variance that is left.
-        predicts: what networks on this schedule predict: "noise", "velocity" or "clean".
+        betas: (N,) float64 variance of the noise that each step adds.
+        alphas_bar: (N,) float64 remaining share of the clean motion's variance.
+        predicts: prediction target of the network: "noise", "velocity" or "clean".
     """
 
     betas: Tensor
@@ -35,7 +35,7 @@ class NoiseSchedule:
 
     @classmethod
     def of(cls, config: NoiseConfig) -> NoiseSchedule:
-        """The linear schedule of the paper."""
+        """Return the linear schedule of the paper."""
         betas = torch.linspace(
             config.first_beta, config.last_beta, config.steps, dtype=torch.float64
         )
@@ -43,15 +43,15 @@ class NoiseSchedule:
 
     @property
     def steps(self) -> int:
-        """N."""
+        """N, the number of steps."""
         return len(self.betas)
 
     def log_snr(self) -> Tensor:
-        """(N,) float64: log of abar / (1 - abar), falling."""
+        """Return the log signal-to-noise ratio log(abar / (1 - abar)), (N,) float64, decreasing."""
         return torch.log(self.alphas_bar) - torch.log1p(-self.alphas_bar)
 
     def scales(self, step: Step, like: Tensor) -> tuple[Tensor, Tensor]:
-        """(signal, noise): the factors of clean motion and noise, to multiply (B, T, X) by.
+        """Return the factors (signal, noise) of clean motion and noise, which broadcast to `like`.
 
         Raises:
             ModelError: the schedule has no such step.
@@ -70,23 +70,23 @@ class NoiseSchedule:
         return signal.to(device, like.dtype), noise.to(device, like.dtype)
 
     def add_noise(self, clean: Tensor, noise: Tensor, step: Step) -> Tensor:
-        """What q(x_n | x_0) makes of a clean motion and standard normal noise, both (B, T, X)."""
+        """Sample q(x_n | x_0), (B, T, X), from clean motion and standard normal noise."""
         signal, spread = self.scales(step, clean)
         return signal * clean + spread * noise
 
     def velocity(self, clean: Tensor, noise: Tensor, step: Step) -> Tensor:
-        """signal * noise - spread * clean: what a velocity network learns (Salimans and Ho)."""
+        """Return the velocity, signal * noise - spread * clean (Salimans and Ho 2022)."""
         signal, spread = self.scales(step, clean)
         return signal * noise - spread * clean
 
     def target(self, clean: Tensor, noise: Tensor, step: Step) -> Tensor:
-        """What a network on this schedule should predict for `add_noise(clean, noise, step)`."""
+        """Return the prediction target (B, T, X) for `add_noise(clean, noise, step)`."""
         if self.predicts == "velocity":
             return self.velocity(clean, noise, step)
         return noise if self.predicts == "noise" else clean
 
     def noise_of(self, prediction: Tensor, noisy: Tensor, step: Step) -> Tensor:
-        """The noise, from what a network on this schedule predicts."""
+        """Convert a network's prediction (B, T, X) to noise."""
         if self.predicts == "noise":
             return prediction
         signal, spread = self.scales(step, noisy)
@@ -94,21 +94,12 @@ class NoiseSchedule:
             return spread * noisy + signal * prediction
         return (noisy - signal * prediction) / spread
 
-    def clean_of(self, noise: Tensor, noisy: Tensor, step: Step) -> Tensor:
-        """The clean motion, from a noisy one and its noise.
-
-        Where next to nothing of the motion is left, rounding errors of the noise are blown up by
-        1 / signal; samplers do not ask for it there.
-        """
-        signal, spread = self.scales(step, noisy)
-        return (noisy - spread * noise) / signal
-
     def loss_weight(self, step: Tensor, gamma: float | None) -> Tensor:
-        """Min-SNR weights (Hang et al. 2023) of the squared error of each clip's prediction.
+        """Return the min-SNR weight (Hang et al. 2023) of each clip's squared error.
 
-        With s = abar / (1 - abar): min(s, gamma) / s for noise, min(s, gamma) / (s + 1) for
-        velocity, min(s, gamma) for the clean motion; all weigh the error of the clean motion by
-        min(s, gamma). `gamma=None` weighs all steps alike, as the paper does.
+        With s = abar / (1 - abar), the weight is min(s, gamma) / s for noise, min(s, gamma) /
+        (s + 1) for velocity, and min(s, gamma) for clean motion. Each is equivalent to a weight of
+        min(s, gamma) on the error of the clean motion. `gamma=None` gives 1, as in the paper.
 
         Returns:
             (B,) float32 on the device of `step`.

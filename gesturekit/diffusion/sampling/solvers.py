@@ -1,46 +1,44 @@
-"""From noise to motion, in many steps as published or in few.
+"""Solvers of the reverse diffusion, with all steps as published or with few.
 
-Every solver asks `predict(noisy, step)` for the noise in a noisy motion and takes all random
-numbers from `noise_at(k)`. It does not matter what either is: one network, a mixture of experts,
-windows of an hour.
+Every solver gets noise predictions from `predict(noisy, step)` and all random numbers from
+`noise_at(k)`. `predict` may be one network, a product of experts, or a tiled prediction.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal
 
 import torch
 from torch import Tensor
 
+from gesturekit.diffusion.controls import Solver
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.errors import ModelError
 
 Predict = Callable[[Tensor, int], Tensor]
-Solver = Literal["ancestral", "ddim", "dpm"]
 SOLVERS: tuple[Solver, ...] = ("ancestral", "ddim", "dpm")
 
 PURE_NOISE = 1e-5
-"""Share of the clean motion's variance below which solvers with few steps do not begin."""
+"""abar below which solvers with few steps do not start."""
 
 
-def last_audible(schedule: NoiseSchedule) -> int:
-    """The last step that has any of the motion in it."""
+def last_step_with_signal(schedule: NoiseSchedule) -> int:
+    """Return the last step with abar above `PURE_NOISE`."""
     return int((schedule.alphas_bar > PURE_NOISE).sum()) - 1
 
 
 def chosen_steps(schedule: NoiseSchedule, count: int | None, start: int | None = None) -> list[int]:
-    """The steps that a solver visits, most noisy first.
+    """Return the steps that a solver visits, noisiest first.
 
     Args:
         schedule: of the network.
-        count: how many; None for all.
-        start: the first of them; None for the last of the schedule, or, where `count` leaves
-            steps out, for the last that has any motion in it.
+        count: number of steps; None for all.
+        start: the first step. By default the last one of the schedule or, if `count` skips steps,
+            `last_step_with_signal`.
 
     Raises:
-        ModelError: fewer than one step, more than there are, or a start outside the schedule.
+        ModelError: fewer than one step, more than the schedule has, or a start outside of it.
     """
     if start is not None and not 0 <= start < schedule.steps:
         raise ModelError(
@@ -53,8 +51,8 @@ def chosen_steps(schedule: NoiseSchedule, count: int | None, start: int | None =
     if not 1 <= count <= last:
         raise ModelError(f"steps: {count} must be between 1 and {last + 1}")
     if start is None:
-        last = max(last_audible(schedule), count - 1)
-    # Evenly in log signal-to-noise, but never twice at one step.
+        last = max(last_step_with_signal(schedule), count - 1)
+    # Evenly in log signal-to-noise ratio, without repeated steps.
     level = schedule.log_snr()[: last + 1]
     wanted = torch.linspace(float(level[-1]), float(level[0]), count, dtype=torch.float64)
     steps = []
@@ -74,20 +72,21 @@ def sample(
     steps: int | None = None,
     start: tuple[Tensor, int] | None = None,
 ) -> Tensor:
-    """A motion from noise.
+    """Sample a motion from noise.
 
     Args:
-        predict: the noise in (noisy, step); see `NoiseSchedule.noise_of` for velocity networks.
-        noise_at: standard normal noise of the motion's shape; 0 is what it begins with, 1, 2 ...
-            are what ancestral steps add.
+        predict: returns the noise in (noisy, step); see `NoiseSchedule.noise_of`.
+        noise_at: returns standard normal noise (B, T, X): 0 is the initial noise, 1, 2 ... are
+            added by ancestral steps.
         schedule: of the network.
-        solver: "ancestral" as published (Ho et al. 2020); "ddim" without noise (Song et al. 2021);
-            "dpm", second order without noise (DPM-Solver++ 2M of Lu et al. 2022).
-        steps: how many of the schedule's steps to take; None for all.
-        start: (clean, step): begin with this motion, noised to that step, instead of with noise.
+        solver: "ancestral" as published (Ho et al. 2020); "ddim", deterministic (Song et al. 2021);
+            "dpm", deterministic of second order (DPM-Solver++ 2M, Lu et al. 2022).
+        steps: number of steps; None for all of the schedule.
+        start: (clean, step): start from this motion (B, T, X) or (T, X), noised to that step,
+            instead of from pure noise.
 
     Returns:
-        As `noise_at` gives it.
+        (B, T, X).
 
     Raises:
         ModelError: an unknown solver, or steps that the schedule does not have.
@@ -110,7 +109,7 @@ def _ancestral(
     visited: list[int],
     x: Tensor,
 ) -> Tensor:
-    """Steps of the reverse chain; beta is that of all the schedule's steps between two visits."""
+    """Sample the reverse Markov chain; beta covers all steps between two visited ones."""
     kept = [*schedule.alphas_bar[visited].tolist(), 1.0]
     for k, step in enumerate(visited):
         alpha = kept[k] / kept[k + 1]
@@ -124,7 +123,7 @@ def _ancestral(
 def _without_noise(
     predict: Predict, schedule: NoiseSchedule, visited: list[int], x: Tensor, order: int
 ) -> Tensor:
-    """The probability flow, in exponential steps over the clean motion that is predicted."""
+    """Integrate the probability flow ODE by exponential steps in the predicted clean motion."""
     signal = [*schedule.alphas_bar[visited].sqrt().tolist(), 1.0]
     spread = [*(1 - schedule.alphas_bar[visited]).sqrt().tolist(), 0.0]
     level = (schedule.log_snr()[visited] / 2).tolist()
@@ -132,7 +131,7 @@ def _without_noise(
     for k, step in enumerate(visited):
         clean = (x - spread[k] * predict(x, step)) / signal[k]
         ahead = clean
-        # The last step has no length in signal-to-noise, and ends at the clean motion itself.
+        # The last step ends at the clean motion, where the log signal-to-noise ratio is infinite.
         if order == 2 and before is not None and k + 1 < len(visited):
             ratio = (level[k] - level[k - 1]) / (level[k + 1] - level[k])
             ahead = clean + (clean - before) / (2 * ratio)

@@ -1,9 +1,8 @@
-"""Motions of any length: windows that overlap, and agree on the noise at every step.
+"""Tiled inference: noise predictions of long motions from overlapping tiles.
 
-The network's cost and memory grow in proportion to the length, so that minutes are made as a
-whole. Hours are predicted window by window. Where two windows overlap, what they predict is
-cross-faded before the motion takes its step: both then go on from the same noisy motion, and there
-is no seam to be hidden afterwards.
+The network's cost and memory are linear in the length. Minutes are predicted at once, hours tile by
+tile. Where two tiles overlap, their predictions are cross-faded at every denoising step: both tiles
+continue from the same noisy motion, so there are no seams.
 """
 
 from __future__ import annotations
@@ -14,38 +13,35 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.diffusion.composition.experts import Mixture
+from gesturekit.diffusion.composition.experts import ProductOfExperts
 from gesturekit.diffusion.sampling.solvers import Predict
 from gesturekit.errors import ModelError
 
-LONGEST = 9000
-"""Frames that are predicted as a whole: five minutes at 30 fps. At gesture size each thousand take
-about 35 MB, an hour 4 GB; time a frame is the same for long and short."""
 OVERLAP = 150
-"""Frames that neighbouring windows share at least, or a quarter of a window if that is less. The
-outer thirds of them are too near the border of one window, and the other's alone; over the third
-between them one window's prediction becomes the next one's."""
+"""Least overlap of neighbouring tiles in frames, or a quarter of a tile if that is less. Tiles are
+cross-faded over the middle third of the overlap; each outer third belongs to the tile whose border
+is farther away."""
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
-    """Frames first (included) to last (not included), with weights (last - first,) float32."""
+class Tile:
+    """Frames first (included) to last (excluded), with weights (last - first,) float32."""
 
     first: int
     last: int
     weights: np.ndarray
 
 
-def windows_of(n_frames: int, size: int) -> list[Window]:
-    """Windows of at most `size` frames, evenly over all, whose weights add up to 1 at each frame.
+def tiles_of(n_frames: int, size: int) -> list[Tile]:
+    """Return evenly spaced tiles of at most `size` frames; weights add up to 1 at each frame.
 
     Raises:
-        ModelError: windows of less than four frames.
+        ModelError: tiles of less than four frames.
     """
     if size < 4:
         raise ModelError(f"window: {size} frames; give at least 4")
     if n_frames <= size:
-        return [Window(0, n_frames, np.ones(n_frames, np.float32))]
+        return [Tile(0, n_frames, np.ones(n_frames, np.float32))]
     overlap = min(OVERLAP, size // 4)
     count = -(-(n_frames - overlap) // (size - overlap))
     size = -(-(n_frames + (count - 1) * overlap) // count)
@@ -55,32 +51,32 @@ def windows_of(n_frames: int, size: int) -> list[Window]:
         shared = before + size - start
         third = shared / 3
         rising.append(np.clip((np.arange(size) + 0.5 - third) / third, 0.0, 1.0))
-    windows = []
+    tiles = []
     for k, start in enumerate(starts):
         weights = rising[k].copy()
         if k + 1 < count:
             own = starts[k + 1] - start
             weights[own:] -= rising[k + 1][: size - own]
-        windows.append(Window(start, start + size, weights.astype(np.float32)))
-    return windows
+        tiles.append(Tile(start, start + size, weights.astype(np.float32)))
+    return tiles
 
 
-def windowed(mixture: Mixture, size: int) -> Predict:
-    """`mixture.predict`, in windows of `size` frames where the motion is longer.
+def tiled(product: ProductOfExperts, size: int) -> Predict:
+    """Return `product.predict`, in tiles of `size` frames if the motion is longer.
 
-    In each window only the experts run that have a say there. What is kept between two calls does
-    not grow with the length.
+    In each tile, only experts with a weight there are run. No state that grows with the length is
+    kept between two calls.
     """
-    windows = windows_of(mixture.n_frames, size)
-    if len(windows) == 1:
-        return mixture.predict
+    tiles = tiles_of(product.n_frames, size)
+    if len(tiles) == 1:
+        return product.predict
 
     def predict(noisy: Tensor, step: int) -> Tensor:
         total = torch.zeros_like(noisy)
-        for window in windows:
-            frames = slice(window.first, window.last)
-            weights = torch.from_numpy(window.weights).to(noisy.device, noisy.dtype)
-            own = mixture.part(window.first, window.last).predict(noisy[:, frames], step)
+        for tile in tiles:
+            frames = slice(tile.first, tile.last)
+            weights = torch.from_numpy(tile.weights).to(noisy.device, noisy.dtype)
+            own = product.part(tile.first, tile.last).predict(noisy[:, frames], step)
             total[:, frames] += weights[:, None] * own
         return total
 

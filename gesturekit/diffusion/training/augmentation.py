@@ -1,12 +1,11 @@
-"""More motion from the same recordings: mirrored, stretched in time, and every frame of them.
+"""Data augmentation: mirroring, time stretching, and all phases of fast recordings.
 
-As section 4.1 and appendix A.1 of the paper have it: mirroring left for right, except for styles
-that tell the two apart; time stretching of a share of the training windows; and, where a recording
-has a multiple of the model's frame rate, each of the sequences that it can be thinned out to.
+As in section 4.1 and appendix A.1 of the paper: left-right mirroring, except for styles that
+distinguish the sides; time stretching of a share of the training windows; and all n phases of a
+recording at n times the model's frame rate.
 
-All of it works in the units of the data (or on standardised conditions, whose means are told), so
-that steps of the root over the ground are scaled as steps: a walk that is stretched covers the
-same distance in more frames.
+Motion is augmented in its own units, so that a stretched walk covers the same distance in more
+frames. Standardised conditions are augmented with an offset for their mean.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ _OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """One of the sequences that a recording is thinned out to.
+    """A recording, decimated to the model's frame rate from one of its first frames.
 
     Attributes:
         motion: at the model's frame rate.
-        start: seconds into the recording of its first frame.
+        start: time of its first frame in the recording, in seconds.
     """
 
     motion: Motion
@@ -40,10 +39,10 @@ class Phase:
 
 
 def phases(motion: Motion, fps: float) -> tuple[Phase, ...]:
-    """A motion at `fps`; where its own rate is n times that, all n ways to take every n-th frame.
+    """Resample a motion to `fps`; at n times that rate, return all n decimations of it.
 
-    The first is `motion.resample(fps)`. What goes with the motion begins later for the others, by
-    `Phase.start`.
+    The first is `motion.resample(fps)`. The others start later by `Phase.start`, and so must their
+    speech, path and events.
     """
     ratio = motion.fps / fps
     n = round(ratio) if abs(ratio - round(ratio)) < 1e-6 * ratio else 1
@@ -57,7 +56,7 @@ def phases(motion: Motion, fps: float) -> tuple[Phase, ...]:
 
 
 def other_side(name: str) -> str:
-    """A name with its words left and right (l and r, too) exchanged: "kickLeft" to "kickRight"."""
+    """Swap the words left and right (and l and r) in a name: "kickLeft" to "kickRight"."""
 
     def swap(match: re.Match[str]) -> str:
         word = match[0]
@@ -77,12 +76,12 @@ def mirror_condition(
     events: slice = slice(0, 0),
     event_names: Sequence[str] = (),
 ) -> np.ndarray:
-    """What a mirrored motion is told: turn and lateral change sign, left and right events swap.
+    """Mirror a condition: negate turn and lateral displacement, and swap left and right events.
 
     Args:
-        condition: (T, C) rows, of which everything else stays as it is.
-        path: columns of turn, forward and lateral.
-        path_offset: (3,) mean over scale of these columns, where they are standardised.
+        condition: (T, C); other columns are kept.
+        path: columns of turn, forward and lateral displacement.
+        path_offset: (3,) mean over scale of these columns, if they are standardised.
         events: columns of the events.
         event_names: their names; see `other_side`.
 
@@ -90,7 +89,7 @@ def mirror_condition(
         (T, C), a copy.
 
     Raises:
-        ConfigError: an event of the left without one of the right, or the other way round.
+        ConfigError: an event of one side without one of the other side.
     """
     mirrored = condition.copy()
     if path.stop > path.start:
@@ -111,16 +110,16 @@ def mirror_condition(
 
 
 def stretch_factor(rng: torch.Generator, share: float, spread: float = 0.1) -> float:
-    """How much longer a training window is made: 1 + U[-spread, spread] for a share of all, else 1.
+    """Draw a time-stretching factor: 1 + U[-spread, spread] for a share of windows, else 1.
 
-    Two numbers are drawn whatever comes out.
+    Two numbers are drawn in either case.
     """
     chance, place = torch.rand(2, generator=rng, dtype=torch.float64).tolist()
     return 1.0 + spread * (2 * place - 1) if chance < share else 1.0
 
 
 def source_frames(n_frames: int, factor: float) -> int:
-    """How many frames a recording needs for `n_frames` stretched by `factor`."""
+    """Return the number of source frames for `n_frames` stretched by `factor`."""
     return math.ceil(round((n_frames - 1) / factor, 9)) + 1
 
 
@@ -135,28 +134,27 @@ def stretch(
     steps_offset: np.ndarray | float = 0.0,
     flags: slice = slice(0, 0),
 ) -> np.ndarray:
-    """A window of motion vectors or conditions, `factor` times as long as it was.
+    """Cut out a window of motion vectors or conditions, slowed down by `factor`.
 
-    Frame k is the recording at frame `start + k / factor`, between two frames a straight line.
+    Frame k is the recording at frame `start + k / factor`, linearly interpolated.
 
     Args:
-        values: (T, D) rows of a recording.
-        start: frame at which the window begins; it may lie between two frames.
-        n_frames: N, of the result; see `source_frames` for what it takes.
+        values: (T, D) of a recording.
+        start: first frame of the window, possibly fractional.
+        n_frames: N, of the result; see `source_frames`.
         factor: above 1 is slower.
-        maps: columns of exponential maps, three a joint. Between two that are farther apart than a
-            half turn nobody knows the way: the nearer one is taken.
-        steps: columns that count per frame (turn, forward, lateral): what they sum up to over a
-            stretch of the recording stays the same.
-        steps_offset: mean over scale of these columns, where they are standardised.
-        flags: columns that are on or off: each frame takes its nearest, and what is on for a
-            shorter time than a frame is kept.
+        maps: columns of exponential maps, three per joint. Neighbouring maps more than pi apart are
+            not interpolated: the nearer one is taken.
+        steps: columns of displacement per frame (turn, forward, lateral). Their sum over a part of
+            the recording is preserved.
+        steps_offset: mean over scale of these columns, if they are standardised.
+        flags: binary columns, taken from the nearest frame. Flags of single frames are never lost.
 
     Returns:
         (N, D) of the same type.
 
     Raises:
-        ValueError: the window leaves the recording.
+        ValueError: the window exceeds the recording.
     """
     at = start + np.arange(n_frames) / factor
     last = len(values) - 1
@@ -183,11 +181,11 @@ def stretch(
 
 
 def _scaled_steps(steps: np.ndarray, at: np.ndarray, rate: float, offset: np.ndarray) -> np.ndarray:
-    """(N, S) what steps sum up to between times that lie `rate` frames apart."""
+    """Return displacements (N, S) between times `at`, which are `rate` frames apart."""
     first = max(int(np.floor(at[0])) - math.ceil(rate), 0)
     stop = min(int(np.ceil(at[-1])) + 1, len(steps))
     counted = steps[first:stop].astype(np.float64) + offset
-    # Row k leads from frame k - 1 to frame k; before the first, the body goes on as it began.
+    # Row k is from frame k - 1 to frame k; before the first frame, extrapolate.
     before = np.tile(counted[:1], (math.ceil(rate) + 1, 1))
     way = np.concatenate([before, counted]).cumsum(axis=0)
     frames = np.arange(len(way)) + first - len(before)
@@ -197,10 +195,10 @@ def _scaled_steps(steps: np.ndarray, at: np.ndarray, rate: float, offset: np.nda
 
 
 def _kept_flags(flags: np.ndarray, at: np.ndarray, rate: float) -> np.ndarray:
-    """(N, E) flags at the nearest frames; one that is on in a frame that falls out is moved."""
+    """Return flags (N, E) at the nearest frames; flags of skipped frames move to kept ones."""
     last = len(flags) - 1
     kept = flags[np.minimum(np.floor(at + 0.5).astype(np.int64), last)].copy()
-    if rate <= 1:  # every frame of the recording is the nearest of some frame
+    if rate <= 1:  # no frame of the recording is skipped
         return kept
     first, stop = int(np.ceil(at[0])), int(np.floor(at[-1])) + 1
     for frame, column in np.argwhere(flags[first:stop] > 0):

@@ -1,7 +1,7 @@
-"""Batches: which windows an update sees, what they are told, and the noise they are given.
+"""Batches: random windows of the recordings with their conditions and noise.
 
-Every row of a batch has random numbers of its own, keyed by the update and the row. They depend
-neither on what was drawn before nor on how rows are shared out between processes.
+Every row of a batch has its own random numbers, keyed by update and row. They depend neither on
+earlier draws nor on the distribution of rows over processes.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from gesturekit.diffusion.training.data import Recording, TrainingData
 from gesturekit.training.seeds import rng_for
 
 _STEP = 0.8
-"""Windows of recordings that are shorter than a window are this power of it long."""
+"""Recordings shorter than a window get windows shortened repeatedly by this factor."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What an update learns from.
+    """The training batch of one update.
 
     Attributes:
         clean: (B, T, X) standardised motion.
         noise: (B, T, X) standard normal.
-        condition: (B, T, C), zeros where it was dropped.
+        condition: (B, T, C), zero after condition dropout.
         step: (B,) steps of the diffusion, long.
     """
 
@@ -37,12 +37,12 @@ class Batch:
     step: Tensor
 
     def to(self, device: torch.device) -> Batch:
-        """The same on another device."""
+        """Return a copy on another device."""
         return Batch(*(part.to(device) for part in vars(self).values()))
 
 
 class Batches:
-    """Draws windows of the recordings, each frame as likely as any other of its kind."""
+    """Sampler of training windows, uniform over frames of paired and of unpaired recordings."""
 
     def __init__(self, data: TrainingData, config: DiffusionConfig) -> None:
         self.data = data
@@ -52,7 +52,7 @@ class Batches:
             kind: sum(r.n_frames for r in data.recordings if r.is_paired == kind)
             for kind in (True, False)
         }
-        # Recordings by the length of their windows: all of a batch are equally long.
+        # Recordings by length of their windows: all windows of a batch have the same length.
         self._groups: dict[int, list[Recording]] = {}
         weights: dict[int, list[float]] = {}
         for recording in data.recordings:
@@ -69,7 +69,7 @@ class Batches:
         }
 
     def draw(self, update: int, rows: slice) -> Batch:
-        """Some rows of the batch of an update."""
+        """Draw some rows of the batch of an update."""
         rng = rng_for(self.config.seed, "update", update)
         length = self._lengths[int(torch.multinomial(self._of_length, 1, generator=rng))]
         drawn = [
@@ -79,15 +79,15 @@ class Batches:
         return Batch(*(torch.stack(parts) for parts in zip(*drawn, strict=True)))
 
     def _row(self, length: int, rng: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Clean motion, noise, condition and step of one row."""
+        """Draw clean motion (T, X), noise (T, X), condition (T, C) and step of one row."""
         training = self.config.training
         which = int(torch.multinomial(self._of_recording[length], 1, generator=rng))
         recording = self._groups[length][which]
         motion, condition = self._window(recording, length, rng)
-        anything, any_style = torch.rand(2, generator=rng, dtype=torch.float64).tolist()
-        if anything < training.dropout_condition:
+        drop_all, drop_style = torch.rand(2, generator=rng, dtype=torch.float64).tolist()
+        if drop_all < training.dropout_condition:
             condition = torch.zeros_like(condition)
-        elif any_style < training.dropout_style:
+        elif drop_style < training.dropout_style:
             condition = self.data.conditions.without(condition, "styles")
         step = torch.randint(self.config.noise.steps, (), generator=rng)
         noise = torch.randn(motion.shape, generator=rng)
@@ -96,21 +96,21 @@ class Batches:
     def _window(
         self, recording: Recording, length: int, rng: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """(T, X) motion in its own units and (T, C) condition, stretched for some windows."""
+        """Draw motion (T, X) in its own units and condition (T, C), time-stretched at random."""
         settings = self.config.augmentation
         factor = stretch_factor(rng, settings.stretch, settings.stretch_range)
         frames = source_frames(length, factor)
         if frames > recording.n_frames:
-            # Too short to be sped up.
+            # The recording is too short to be sped up.
             factor, frames = 1.0, length
         start = int(torch.randint(recording.n_frames - frames + 1, (), generator=rng))
-        representation, told = self.data.representation, self.data.conditions
+        representation, conditions = self.data.representation, self.data.conditions
         motion = stretch(
             recording.motion,
             start,
             length,
             factor,
-            maps=slice(0, representation.height_column),
+            maps=representation.map_columns,
             steps=representation.root_columns,
         )
         condition = stretch(
@@ -118,15 +118,15 @@ class Batches:
             start,
             length,
             factor,
-            steps=told.columns["path"],
-            steps_offset=told.path_mean / told.path_scale,
-            flags=told.columns["events"],
+            steps=conditions.columns["path"],
+            steps_offset=conditions.path_mean / conditions.path_scale,
+            flags=conditions.columns["events"],
         )
         return torch.from_numpy(motion), torch.from_numpy(condition)
 
 
 def _window_length(n_frames: int, window: int) -> int:
-    """As many frames as a window of such a recording has: a few lengths for all recordings."""
+    """Return the window length of a recording, one of a few lengths for all recordings."""
     length = window
     while length > max(n_frames, 1):
         length = int(length * _STEP)

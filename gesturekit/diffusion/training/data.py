@@ -1,4 +1,4 @@
-"""What a diffusion run trains on: motion and what is told about it, in memory."""
+"""Training data in memory: motion vectors and conditions."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Recording:
     """One recording, or a variant of it.
 
     Attributes:
-        name: of the item, and which variant it is.
-        motion: (T, X) float32 in their own units.
-        condition: (T, C) float32; zeros where nothing is told.
-        is_paired: False for motion that goes without speech.
+        name: of the item and variant.
+        motion: (T, X) float32 motion vectors, not standardised.
+        condition: (T, C) float32.
+        is_paired: False for unpaired motion.
     """
 
     name: str
@@ -45,17 +45,17 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """Everything a run needs, on the CPU.
+    """All training data of a run, on the CPU.
 
     Attributes:
-        recordings: with their variants.
-        seconds: of the recordings themselves, variants not counted; paired and unpaired.
-        representation: of the rig.
-        conditions: what the model is told.
-        standardiser: of motion vectors.
+        recordings: and their variants.
+        seconds: total length of paired and unpaired recordings, without variants.
+        representation: the motion vector of the rig.
+        conditions: the layout of conditions.
+        standardiser: mean and scale of motion vectors.
         speakers: a reference skeleton for each named speaker.
         sources: the recordings with speech, or all for a model without speech input.
-        recorded_fps: the commonest frame rate of the recordings; None where older runs lack it.
+        recorded_fps: the most common frame rate of the recordings; None in older runs.
     """
 
     recordings: tuple[Recording, ...]
@@ -68,18 +68,18 @@ class TrainingData:
     recorded_fps: float | None = None
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
-        """A motion from (T, X) values in their own units and the (T, C) it was told."""
+        """Decode a motion from values (T, X), not standardised, and its condition (T, C)."""
         path = None
         if not self.representation.makes_root:
-            told = condition[:, self.conditions.columns["path"]].astype(np.float64)
-            deltas = told * self.conditions.path_scale + self.conditions.path_mean
+            scaled = condition[:, self.conditions.columns["path"]].astype(np.float64)
+            deltas = scaled * self.conditions.path_scale + self.conditions.path_mean
             path = RootPath.from_deltas(deltas, fps).scaled(self.representation.scale)
         return self.representation.decode(values, fps, path=path)
 
     def changes(self) -> Tensor:
-        """(X,) root mean square of how standardised motion changes from frame to frame.
+        """Return the root mean square (X,) of frame-to-frame changes of standardised motion.
 
-        What hardly ever changes counts as if it did a tenth as much as the median.
+        Values are at least a tenth of the median.
         """
         steps = [
             self.standardiser.forward(torch.from_numpy(recording.motion)).diff(dim=0)
@@ -89,7 +89,7 @@ class TrainingData:
         return spread.clamp(min=max(0.1 * float(spread.median()), 1e-6))
 
     def save(self, folder: Path) -> None:
-        """Write all of it into a folder, for a run that is resumed."""
+        """Write the data to a folder, for resuming the run."""
         tensors = {
             "motion.mean": self.standardiser.mean,
             "motion.scale": self.standardiser.scale,
@@ -117,7 +117,7 @@ class TrainingData:
 
         Raises:
             ConfigError: the folder's data is missing or damaged.
-            WeightsError: the WavLM weights are not those that the run began with.
+            WeightsError: the WavLM weights are not those of the start of the run.
         """
         weights = None if config.features is None else config.features.weights
 

@@ -1,4 +1,4 @@
-"""What a training run looks at now and then: cheap measures of what it would generate."""
+"""Training monitor: cheap metrics of generated motion, computed at intervals."""
 
 from __future__ import annotations
 
@@ -6,27 +6,28 @@ from collections.abc import Iterator
 
 import torch
 
+from gesturekit.diffusion.composition.experts import Expert
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.sampling.solvers import chosen_steps, sample
+from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.quick import quick_figures
+from gesturekit.evaluation.quick_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.training.seeds import rng_for
 
 MOST_CLIPS = 4
 MOST_SECONDS = 20.0
-"""Of the training recordings so many are danced or spoken again, and so much of each ..."""
+"""Number of training recordings whose conditions are used, and length of each."""
 STEPS = 10
-"""... in so few steps."""
+"""Number of denoising steps."""
 
 
 class Monitor:
-    """Measures motion for what the training recordings are told, beside the recordings.
+    """Metrics of motion generated from the training recordings' conditions.
 
-    Random numbers are its own, so that a run with it and one without come to the same weights.
+    It has its own random numbers, so that a run gives the same weights with and without it.
     """
 
     def __init__(self, data: TrainingData, config: DiffusionConfig) -> None:
@@ -42,12 +43,12 @@ class Monitor:
         self.recordings = [data.decode(*clip, config.fps) for clip in self.clips]
 
     def figures(self, network: Denoiser) -> dict[str, float]:
-        """Cheap measures (`quick_figures`) of what a network generates, each time of one noise.
+        """Return cheap metrics (`quick_metrics`) of motion generated from the same noise each time.
 
-        There are none of a network that does not give motion yet.
+        Return nothing while the network does not generate valid motion.
         """
         try:
-            return quick_figures(list(self._generated(network)), self.recordings)
+            return quick_metrics(list(self._generated(network)), self.recordings)
         except MotionError:
             return {}
 
@@ -56,15 +57,11 @@ class Monitor:
         device = next(network.parameters()).device
         count = min(STEPS, self.schedule.steps)
         for number, (motion, condition) in enumerate(self.clips):
-            predict = network.listening(
-                torch.from_numpy(condition)[None].to(device), chosen_steps(self.schedule, count)
-            )
-
-            def noise_of(noisy: torch.Tensor, step: int, predict=predict) -> torch.Tensor:
-                return self.schedule.noise_of(predict(noisy, step), noisy, step)
-
+            expert = Expert(network, self.schedule, torch.from_numpy(condition)[None].to(device))
             rng = rng_for(self.config.seed, "monitor", number)
             noise = torch.randn((1, *motion.shape), generator=rng).to(device)
-            made = sample(noise_of, lambda k, n=noise: n, self.schedule, solver="dpm", steps=count)
+            made = sample(
+                expert.predict, lambda k, n=noise: n, self.schedule, solver="dpm", steps=count
+            )
             values = self.data.standardiser.inverse(made[0].cpu()).double().numpy()
             yield self.data.decode(values, condition, self.config.fps)

@@ -1,4 +1,4 @@
-"""Training: a denoiser learns to tell the noise from the motion."""
+"""Training of the denoiser."""
 
 from __future__ import annotations
 
@@ -43,28 +43,28 @@ def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
     """Train a diffusion model and write it.
 
     Args:
-        config: what to train on, and how.
-        resume: go on from the last checkpoint in `config.out`.
+        config: settings of the run.
+        resume: continue from the last checkpoint in `config.out`.
 
     Returns:
-        the model folder, `config.out / "model"`.
+        The model folder, `config.out / "model"`.
 
     Raises:
         ConfigError: `config.out` holds a run already (or none to resume), or no such device.
         CorpusError: the corpus cannot be trained on.
-        ModelError: training left the realm of numbers.
+        ModelError: the loss or the weights became NaN or infinite.
     """
     with session(config, resume=resume) as (run, device, processes):
         return _Trainer(config, run, device, processes, resume=resume).run()
 
 
 def plan(config: DiffusionConfig) -> None:
-    """Log what `train` would do and how long it would take; see `training.run.session`."""
+    """Log the plan of `train` and its estimated duration; see `training.run.session`."""
     session_plan(config, _Trainer)
 
 
 def learning_rate(training: TrainingConfig, update: int) -> float:
-    """The learning rate of an update, counted from 0 (appendix A.1)."""
+    """Return the learning rate of an update, counted from 0 (appendix A.1)."""
     warm = min(1.0, (update + 1) / max(training.warm_up, 1))
     return training.learning_rate * warm * training.decay ** (update // 10)
 
@@ -101,18 +101,18 @@ class _Trainer:
                 self._mode(),
                 counted(config.training.updates, "update"),
             )
-            log.info("Training on %s.", ", ".join(self._what()))
-            self._say_what_is_missing()
+            log.info("Training on %s.", ", ".join(self._description()))
+            self._log_missing_parts()
             log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
         self.network = self._network(resume=resume).to(device)
-        # The weights that the model will have.
+        # The weights of the final model.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
         self.optimiser = torch.optim.Adam(self.network.parameters())
         watched = config.eval_every and processes.is_first
         self.monitor = Monitor(self.data, config) if watched else None
 
-    def _say_what_is_missing(self) -> None:
-        """Log in one line what a rig whose parts cannot be identified is trained without."""
+    def _log_missing_parts(self) -> None:
+        """Log in one line the features that training lacks if body parts cannot be identified."""
         skeleton = self.data.representation.skeleton
         follows = []
         if self.config.augmentation.mirror and not can_be_mirrored(skeleton):
@@ -124,7 +124,7 @@ class _Trainer:
             log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
 
     def _data(self, *, resume: bool) -> TrainingData:
-        """What the first process reads of the corpus, and all read of the first."""
+        """Load the training data: the first process reads the corpus, the others its copy."""
         folder = self.folder.folder / "data"
         if not resume:
             if self.processes.is_first:
@@ -149,8 +149,8 @@ class _Trainer:
             network.load_state_dict(start.network.state_dict())
         return network
 
-    def _what(self) -> list[str]:
-        """What there is to train on, for people."""
+    def _description(self) -> list[str]:
+        """Return a description of the training data for the log."""
         data, conditions = self.data, self.data.conditions
         parts = [described(data.sources, data.seconds[0], self.config.fps)]
         if data.seconds[1]:
@@ -180,11 +180,8 @@ class _Trainer:
         return f"from {' and '.join(names)}" if names else "no condition"
 
     def seconds_needed(self) -> float:
-        """Estimate how long the training takes, from a few updates.
-
-        They change the network: for a run that is not kept.
-        """
-        self._update(0)  # compiles
+        """Estimate the duration of training from a few updates, which change the network."""
+        self._update(0)  # warm-up
         began = time.monotonic()
         for update in (1, 2, 3):
             self._update(update)
@@ -235,14 +232,14 @@ class _Trainer:
         return self.folder.folder / "model"
 
     def _update(self, update: int) -> Tensor:
-        """One step of Adam on this process's share of the batch; its loss."""
+        """Make one update on this process's share of the batch and return its loss."""
         training = self.config.training
         rows = self.processes.share(training.batch)
         share = (rows.stop - rows.start) / training.batch
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(training, update)
         self.network.train()
-        # Dropout draws from torch's own state, on whatever device.
+        # Dropout uses torch's global generator of the device.
         torch.manual_seed(
             rng_for(self.config.seed, "dropout", update, self.processes.rank).initial_seed()
         )
@@ -259,7 +256,7 @@ class _Trainer:
         return loss.detach()
 
     def _loss(self, batch: Batch) -> Tensor:
-        """Squared error of the prediction (eq. 4), each clip weighed by its step."""
+        """Return the squared error of the prediction (eq. 4), weighted by each clip's step."""
         noisy = self.schedule.add_noise(batch.clean, batch.noise, batch.step)
         target = self.schedule.target(batch.clean, batch.noise, batch.step)
         half = self.config.training.precision == "bfloat16"
@@ -275,7 +272,7 @@ class _Trainer:
 
     @torch.no_grad()
     def _average(self, update: int) -> None:
-        # The first updates would weigh for ever in an average that began with them.
+        # A lower decay at first, so that the initial weights are forgotten soon.
         kept = min(self.config.training.ema, (1 + update) / (10 + update))
         own = self.network.state_dict()
         for name, value in self.average.state_dict().items():
@@ -287,7 +284,7 @@ class _Trainer:
         kept = self.folder.checkpoints.steps()
         after = f"the last checkpoint is of step {kept[-1]}" if kept else "there is no checkpoint"
         raise ModelError(
-            f"step {step}: {name} is {value}; training has come apart, and {after}. Try a smaller "
+            f"step {step}: {name} is {value}; training diverged, and {after}. Try a smaller "
             "training.learning_rate"
         )
 
@@ -307,27 +304,26 @@ class _Trainer:
             self.average.load_state_dict(state["average"])
 
     def _measure(self, step: int) -> str:
-        """Log and return the figures on held-out recordings, generated in a few steps."""
+        """Log and return the metrics on held-out recordings, generated in a few steps."""
         steps = min(STEPS, self.schedule.steps)
         model = self._model(copy.deepcopy(self.average))
         return self.held_out.measure(step, model.generate, steps=steps)
 
     def _model(self, network: Denoiser) -> DiffusionModel:
-        """The model of a network."""
+        """Return the model with this network."""
         training = self.config.training
-        # Motion without speech is told nothing either.
-        told_nothing = training.dropout_condition or self.data.seconds[1]
-        droppable = {"all": told_nothing, "styles": training.dropout_style}
+        # Unpaired motion has no conditions, just like windows with condition dropout.
+        unconditional = training.dropout_condition or self.data.seconds[1]
+        droppable = {"all": unconditional, "styles": training.dropout_style}
         return DiffusionModel(
             fps=self.config.fps,
             representation=self.data.representation,
             conditions=self.data.conditions,
             standardiser=self.data.standardiser,
-            network_config=self.config.network,
             noise_config=self.config.noise,
             network=network,
             speakers=self.data.speakers,
-            droppable=[name for name, share in droppable.items() if share],
+            droppable=tuple(name for name, share in droppable.items() if share),
             smooth=self.config.smooth,
             recorded_fps=self.data.recorded_fps,
         )

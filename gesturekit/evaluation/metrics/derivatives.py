@@ -1,10 +1,9 @@
-"""Derivatives of joint paths: as published (differences of frames), and such that fps is no matter.
+"""Derivatives of joint paths, as frame differences or independent of the frame rate.
 
-The GENEA challenges take plain differences. On captured motion these measure noise, and grow with
-the frame rate: 30 and 60 fps of one recording differ several times over. To compare across frame
-rates, paths are low-passed first (4th-order Butterworth, forwards and backwards), and the
-derivative is that of the quintic spline through them, which for what is left below the cutoff does
-not depend on where the frames lie.
+The GENEA challenges take frame differences. On captured motion these measure noise and grow with
+the frame rate: 30 and 60 fps of one recording differ several times over. To compare frame rates,
+paths are low-passed first (4th-order Butterworth, forwards and backwards); the derivative is that
+of the quintic spline through them, which does not depend on the positions of the frames.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ from gesturekit.errors import MotionError
 from gesturekit.wording import counted
 
 CUTOFF = 6.0
-"""Hz; the -6 dB frequency of the low-pass that figures are compared after. Gestures live below."""
+"""Hz; the -6 dB frequency of the low-pass, above the frequencies of gestures."""
 
 _ORDER = 4
 _DEGREE = 5
 
 
 def derivative(paths: np.ndarray, fps: float, order: int, cutoff: float | None) -> np.ndarray:
-    """Time derivative of paths.
+    """Return the time derivative of paths.
 
     Args:
         paths: (T, ...) positions, metres.
@@ -34,7 +33,7 @@ def derivative(paths: np.ndarray, fps: float, order: int, cutoff: float | None) 
         (T - order, ...) differences, or (T, ...) of the smoothed paths; m/s^order.
 
     Raises:
-        MotionError: too few frames, or a cutoff that this frame rate cannot hold.
+        MotionError: too few frames, or a cutoff at or above half the frame rate.
     """
     least = _DEGREE + 1 if cutoff is not None else order + 1
     if len(paths) < least:
@@ -50,7 +49,7 @@ def derivative(paths: np.ndarray, fps: float, order: int, cutoff: float | None) 
 
 
 def low_passed(paths: np.ndarray, fps: float, cutoff: float = CUTOFF) -> np.ndarray:
-    """Paths (T, ...) without what is faster than `cutoff` Hz, without delay.
+    """Low-pass paths (T, ...) at `cutoff` Hz without delay.
 
     Raises:
         MotionError: the cutoff is at or above half the frame rate.
@@ -63,6 +62,6 @@ def low_passed(paths: np.ndarray, fps: float, cutoff: float = CUTOFF) -> np.ndar
             f"{fps / 2:g} Hz"
         )
     sos = butter(_ORDER, cutoff, fs=fps, output="sos")
-    # Half a second of mirror image at either end, whatever the frame rate.
+    # Half a second of reflection at either end, at any frame rate.
     pad = min(len(paths) - 1, round(0.5 * fps))
     return sosfiltfilt(sos, paths, axis=0, padlen=pad)

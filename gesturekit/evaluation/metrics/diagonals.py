@@ -1,8 +1,8 @@
 """Distances between all frames of two motions, and their sums along diagonals.
 
-A window of w frames of one motion laid over w frames of another is a piece of a diagonal of the
-matrix of frame distances. All sums are of what they are sums of, never differences of longer
-sums, so that equal windows are exactly 0 apart. Compiled by numba, O(L N) time and memory.
+The distance of two windows of w frames is a sum over w entries of a diagonal of the matrix of frame
+distances. Sums are never computed as differences of longer sums, so that equal windows have
+distance exactly 0. Compiled by numba, O(L N) time and memory.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import numpy as np
 
 from gesturekit.compiled import compiled
 
-# Squared distances below this share of the squared lengths are computed anew from the frames:
-# |a|² + |b|² - 2ab loses digits there. The rest keep a relative error below about 1e-9.
+# Squared distances below this fraction of the squared lengths are recomputed from the frames, as
+# |a|² + |b|² - 2ab loses digits there. All others have a relative error below about 1e-9.
 _NEAR = 1e-6
 
 
 def frame_distances(a: np.ndarray, b: np.ndarray, *, squared: bool = False) -> np.ndarray:
-    """(L, N) Euclidean distances of the rows of `a` (L, D) and `b` (N, D), float64.
+    """Return (L, N) Euclidean distances of the rows of `a` (L, D) and `b` (N, D), float64.
 
-    Relative error below 1e-8; equal rows are exactly 0 apart.
+    Relative error below 1e-8; equal rows have distance exactly 0.
     """
-    centre = b.mean(axis=0)  # distances do not change, the numbers that cancel get smaller
+    centre = b.mean(axis=0)  # smaller numbers cancel; distances stay the same
     left, right = a - centre, b - centre
     distances = left @ right.T
     _finish(
@@ -44,7 +44,14 @@ def _finish(
     b: np.ndarray,
     squared: bool,
 ) -> None:
-    """Turn inner products into distances, in place."""
+    """Turn inner products (L, N) into distances, in place.
+
+    Args:
+        products: (L, N) inner products of centred rows; the result.
+        left, right: (L,) and (N,) squared lengths of centred rows.
+        a, b: (L, D) and (N, D) rows.
+        squared: True for squared distances.
+    """
     n = products.shape[1]
     for i in range(products.shape[0]):
         near = 0
@@ -70,15 +77,15 @@ def _finish(
 def _sum_windows(
     start: int, distances: np.ndarray, ends: np.ndarray, begins: np.ndarray, sums: np.ndarray
 ) -> None:
-    """Fill sums[j] with distances[start + t, j + t] added up over t < w, one start after another.
+    """Set sums[j] to the sum of distances[start + t, j + t] over t < w, for consecutive starts.
 
     Rows are cut into blocks of w; a window is the end of one block and the beginning of the next.
 
     Args:
         start: 0 at the first call, then one more at each.
         distances: (L, N).
-        ends: (w, N) memory: sums from a row of the block down to the block's last row.
-        begins: (N + w) memory, by diagonal: sums from the next block's first row downwards.
+        ends: (w, N) state: sums from a row of the block down to the block's last row.
+        begins: (N + w) state, by diagonal: sums from the next block's first row downwards.
         sums: (N - w + 1) result.
     """
     width, n_columns = ends.shape
@@ -113,7 +120,12 @@ def _memory(n_columns: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 @compiled()
 def window_sums(distances: np.ndarray, width: int) -> np.ndarray:
-    """(L - w + 1, N - w + 1): entry (i, j) is the sum of distances[i + t, j + t] over t < w."""
+    """Return (L - w + 1, N - w + 1) sums of distances[i + t, j + t] over t < w.
+
+    Args:
+        distances: (L, N).
+        width: w.
+    """
     n_rows, n_columns = distances.shape
     ends, begins, _ = _memory(n_columns, width)
     sums = np.empty((n_rows - width + 1, n_columns - width + 1))
@@ -124,7 +136,7 @@ def window_sums(distances: np.ndarray, width: int) -> np.ndarray:
 
 @compiled()
 def least_window_sums(distances: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Minima of `window_sums` over its columns (L - w + 1) and over its rows (N - w + 1)."""
+    """Return the minima of `window_sums` over columns (L - w + 1,) and over rows (N - w + 1,)."""
     n_rows, n_columns = distances.shape
     ends, begins, sums = _memory(n_columns, width)
     of_rows = np.empty(n_rows - width + 1)
@@ -141,17 +153,17 @@ def least_window_sums(distances: np.ndarray, width: int) -> tuple[np.ndarray, np
 
 @compiled()
 def segmentation_cost(distances: np.ndarray, shortest: int) -> float:
-    """Least sum of distances over all ways to lay the rows, in segments, along diagonals.
+    """Return the least sum of distances (L, N) over all segmentations of the rows into diagonals.
 
-    Segments follow each other without gap, each at least `shortest` rows long and wholly inside
-    the matrix; where in the columns each one lies is free. Infinite where none fit.
+    Segments are consecutive, at least `shortest` rows long and inside the matrix; the first column
+    of each is free. Infinite if there is no such segmentation.
     """
     n_rows, n_columns = distances.shape
     ends, begins, sums = _memory(n_columns, shortest)
-    best = np.full(n_rows + 1, np.inf)  # of the first so many rows
+    best = np.full(n_rows + 1, np.inf)  # least cost of the first i rows
     best[0] = 0.0
-    # By diagonal: the least cost of the rows so far where the last segment runs along it and is
-    # long enough to stop.
+    # By diagonal: least cost of the rows so far if the last segment runs along this diagonal and
+    # is long enough to end.
     running = np.full(n_rows + n_columns, np.inf)
     for start in range(n_rows - shortest + 1):
         _sum_windows(start, distances, ends, begins, sums)

@@ -1,4 +1,4 @@
-"""Distributions of speed: the histogram distance of the GENEA challenges."""
+"""Speed histograms and their Hellinger distance, as in the GENEA challenges."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ from gesturekit.errors import MotionError
 BIN = 0.01
 """m/s on the reference body, 1 cm/s: the width of GENEA's histogram bins."""
 TOP = 0.49
-"""m/s on the reference body; GENEA's last bin ends at 49 cm/s, and what is faster is not
-counted."""
+"""m/s on the reference body; the end of GENEA's last bin. Faster values are not counted."""
 
 
 @dataclass
 class SpeedHistogram:
-    """Counts of joint speeds, added to clip by clip.
+    """Histogram of joint speeds, filled clip by clip.
 
     Attributes:
-        width: m/s of a bin.
-        top: m/s where the last bin ends.
+        width: width of a bin, m/s.
+        top: end of the last bin, m/s.
         counts: (top / width,) values in each bin.
-        beyond: how many values lay above `top`; they are not in the distribution.
+        beyond: number of values above `top`, which are not in the distribution.
     """
 
     width: float = BIN
@@ -51,7 +50,7 @@ class SpeedHistogram:
     def of(
         cls, speeds: Iterable[np.ndarray], *, width: float = BIN, top: float = TOP
     ) -> SpeedHistogram:
-        """The histogram of the speeds of several clips."""
+        """Return the histogram of the speeds (any shape) of several clips."""
         made = cls(width, top)
         for part in speeds:
             made.add(part)
@@ -59,12 +58,12 @@ class SpeedHistogram:
 
 
 def hellinger(one: SpeedHistogram, other: SpeedHistogram) -> float:
-    """Hellinger distance of two speed distributions: sqrt(1 - Σ sqrt(h₁ h₂)), 0 equal, 1 disjoint.
+    """Return the Hellinger distance sqrt(1 - Σ sqrt(h₁ h₂)): 0 for equal, 1 for disjoint ones.
 
     Speeds of all joints are pooled, as in genea_numerical_evaluations.
 
     Raises:
-        MotionError: different bins, or a histogram with nothing in it.
+        MotionError: different bins, or an empty histogram.
     """
     if (one.width, one.top) != (other.width, other.top):
         raise MotionError(

@@ -1,8 +1,8 @@
-"""Feet and floor: how much standing feet slide, and how far they sink.
+"""Foot skate and floor penetration.
 
-A foot point stands where it is near its own height above the ground. That height is taken from
-the frames in which the point is at rest, so that neither a file's floor nor the place of an ankle
-joint in a foot has to be known; a generated motion is measured against its recording's.
+A foot point touches the ground when it is near its standing height. That height is estimated from
+the frames in which the point is at rest, so that neither the floor of a file nor the position of
+the ankle joint in the foot has to be known; a generated motion uses the heights of its recording.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import contact_labels, foot_positions
 
 NEAR = 0.025
-"""Metres on the reference body above its standing height where a foot point is in the air: H of
-Zhang et al. 2018."""
+"""H of Zhang et al. 2018: height above standing from which a foot point is in the air, metres on
+the reference body."""
 
 
 def standing_heights(motion: Motion) -> np.ndarray:
-    """Height of each foot point while it stands: the median over frames in contact.
+    """Return the standing height of each foot point: the median over frames in contact.
 
-    A point that never stands gives the lowest tenth of its heights.
+    For a point without contact, the 10 % quantile of its heights.
 
     Returns:
         (F,) metres, in the order of `gesturekit.motion.contacts.foot_points`.
 
     Raises:
-        MotionError: legs that cannot be told.
+        MotionError: legs that cannot be identified.
     """
     heights = _feet(motion)[..., 1]
     resting = contact_labels(motion) > 0
@@ -41,18 +41,18 @@ def standing_heights(motion: Motion) -> np.ndarray:
 
 
 def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
-    """Mean horizontal speed of the foot points while they are near the ground, m/s.
+    """Return the mean horizontal speed of the foot points near the ground, m/s.
 
     v·(2 - 2^(h/H)), h the height above standing clipped to 0 ... H = 2.5 cm on the reference
     body, averaged over frames and foot points: the foot skate of Zhang et al. 2018 (MANN), as a
-    speed instead of a length per frame, so that the frame rate is no matter.
+    speed instead of a length per frame, so that it does not depend on the frame rate.
 
     Args:
         motion: at least 2 frames.
         heights: (F,) standing heights, metres; None takes the motion's own.
 
     Raises:
-        MotionError: fewer than 2 frames, or legs that cannot be told.
+        MotionError: fewer than 2 frames, or legs that cannot be identified.
     """
     if motion.n_frames < 2:
         raise MotionError(f"the motion has {motion.n_frames} frame; at least 2 are needed")
@@ -65,22 +65,22 @@ def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
 
 
 def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> float:
-    """Mean depth of the foot points below where they stand, metres; 0 above it.
+    """Return the mean depth of the foot points below their standing heights, metres.
 
     Args:
         motion: any number of frames.
-        heights: (F,) standing heights, metres; None takes the motion's own, which cannot show
-            that a whole body is sunk.
+        heights: (F,) standing heights, metres; None takes the motion's own, which cannot
+            detect that the whole body is too low.
 
     Raises:
-        MotionError: legs that cannot be told.
+        MotionError: legs that cannot be identified.
     """
     depth = _standing(motion, heights) - _feet(motion)[..., 1]
     return float(np.maximum(depth, 0.0).mean())
 
 
 def _feet(motion: Motion) -> np.ndarray:
-    """Return the (T, F, 3) foot points, of which there must be some."""
+    """Return the (T, F, 3) foot points; raise MotionError if there are none."""
     feet = foot_positions(motion)
     if not feet.shape[1]:
         raise MotionError("the rig has no two legs that can be identified")

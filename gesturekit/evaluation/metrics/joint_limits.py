@@ -1,8 +1,7 @@
-"""Joint limits: does a motion bend joints further than the recordings do?
+"""Joint limits, learned from recordings.
 
-Rigs differ in where their axes lie, so that anatomical tables of Euler angles fit none of them.
-The limits here are learned: each joint's rotation away from its mean, as a rotation vector, stays
-within a range on each axis.
+Rigs differ in their joint axes, so that anatomical tables of Euler angles do not apply. The limits
+are ranges of each axis of the rotation vector from a joint's mean rotation.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from gesturekit.motion.rotations import (
 )
 
 MARGIN = np.deg2rad(5.0)
-"""Radians by which a joint may leave the range that was recorded."""
+"""Radians by which a joint may exceed its recorded range."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """The range of each joint.
+    """The rotation range of each joint.
 
     Attributes:
         joints: names of J joints.
         mean: (J, 4) mean local rotations, quaternions.
-        low: (J, 3) least rotation vector away from the mean, radians, margin included.
-        high: (J, 3) the greatest.
+        low: (J, 3) lower limits of the rotation vector from the mean, radians, with margin.
+        high: (J, 3) upper limits.
     """
 
     joints: tuple[str, ...]
@@ -47,12 +46,12 @@ class JointLimits:
 
         Args:
             motions: recordings; iterated once.
-            joints: names of the joints to watch; leave out the root, which turns as it likes.
+            joints: names of the joints; leave out the root, which has no limits.
 
         Raises:
             MotionError: no motions, or a joint that one of them lacks.
         """
-        rotations = [_of(motion, joints) for motion in motions]
+        rotations = [_rotations(motion, joints) for motion in motions]
         if not rotations:
             raise MotionError("no recording to learn joint limits from")
         stacked = np.concatenate(rotations)
@@ -62,16 +61,16 @@ class JointLimits:
 
 
 def joint_limit_share(motion: Motion, limits: JointLimits) -> float:
-    """Share (0 to 1) of all joints in all frames that are beyond their limits on any axis.
+    """Return the fraction of joints and frames beyond the limits on any axis, 0 to 1.
 
     Raises:
-        MotionError: a joint of the limits that the motion lacks.
+        MotionError: the motion lacks a joint of the limits.
     """
-    away = _away(_of(motion, limits.joints), limits.mean)
+    away = _away(_rotations(motion, limits.joints), limits.mean)
     return float(((away < limits.low) | (away > limits.high)).any(axis=-1).mean())
 
 
-def _of(motion: Motion, joints: Sequence[str]) -> np.ndarray:
+def _rotations(motion: Motion, joints: Sequence[str]) -> np.ndarray:
     return motion.rotations[:, [motion.skeleton.index(name) for name in joints]]
 
 

@@ -1,18 +1,18 @@
-"""How much of a reference motion a generated one holds, and what it adds to it.
+"""Patch metrics: coverage of a reference motion, and diversity relative to it.
 
 Coverage, global and local diversity of Li et al. 2022 (GANimator), eqs. 17 to 20 of
 Moreno-Villamarin et al. 2024, and the inter- and intra-diversity of Raab et al. 2024 (SinMDM).
-All compare arrays (T, D), one row a frame; `patch_features` makes them from motions. Two variants:
+All compare arrays (T, D) of frames, which `patch_features` makes from motions. Two variants:
 
-- "ganimator", the published code: two frames are their unsquared L2 norm apart, two windows the
-  mean of that over their frames. Windows that are looked up start at 0 ... L - w - 1: the last one
-  is left out; they are looked for everywhere. Features are 6D rotations and contact labels.
-- "paper", the formulas of 2024: two windows are the unsquared Frobenius norm of their difference
-  apart, all L - w + 1 are looked up, and global diversity takes squared norms of frames.
-  Features are rotation matrices.
+- "ganimator", the published code: the distance of two frames is their L2 distance, that of two
+  windows its mean over the frames. Query windows start at 0 ... L - w - 1, without the last one;
+  all windows are searched. Features are 6D rotations and contact labels.
+- "paper", the formulas of 2024: the distance of two windows is the Frobenius norm of their
+  difference, all L - w + 1 windows are queries, and global diversity takes squared distances of
+  frames. Features are rotation matrices.
 
-Windows are counted in frames: compare motions of one frame rate, the model's. Published numbers
-are for 30 fps, means over 200 samples twice as long as the reference.
+Window lengths are in frames: compare motions at one frame rate, the model's. Published values are
+for 30 fps, means over 200 samples twice as long as the reference.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from gesturekit.wording import counted
 
 VARIANTS = ("ganimator", "paper")
 THRESHOLD = 2.0
-"""Distance below which the variant "ganimator" calls a window covered."""
+"""Coverage threshold of the variant "ganimator"."""
 CONTACT_SPEED = 0.54
-"""m/s on the reference body; GANimator's 0.018 a frame at 30 fps, on Mixamo rigs in metres."""
+"""Contact threshold, m/s on the reference body: GANimator's 0.018 m per frame at 30 fps."""
 _MOST_PAIRS = 10**9
-"""Pairs of frames that are compared at most: 8 GB."""
+"""Largest number of pairs of frames to compare: 8 GB."""
 
 
 @dataclass(frozen=True)
@@ -61,18 +61,18 @@ def coverage(
     *,
     variant: str = "ganimator",
 ) -> float:
-    """Share of the reference's windows that are found in the generated motion (eq. 17).
+    """Return the fraction of the reference's windows found in the generated motion (eq. 17).
 
     Args:
         generated: (L, D) frames.
         reference: (N, D) frames.
         window: frames of a window.
-        threshold: a window counts where its nearest one is less than this away. 2.0 in the
-            variant "ganimator"; "paper" has none, as its authors chose theirs by eye.
-        variant: see the top of this module.
+        threshold: a window is found if its nearest one is closer than this. 2.0 in the variant
+            "ganimator"; "paper" has no default, as its authors chose theirs by eye.
+        variant: see the module docstring.
 
     Raises:
-        EvaluationError: shapes that do not fit, NaN, motions too short, no threshold.
+        EvaluationError: shapes that differ, NaN, motions too short, no threshold.
     """
     return patch_scores(
         generated, reference, window, None, None, threshold=threshold, variant=variant
@@ -86,19 +86,19 @@ def global_diversity(
     *,
     variant: str = "ganimator",
 ) -> float:
-    """Mean distance of a generated frame to the reference frame laid upon it (eq. 19).
+    """Return the mean distance of generated frames to their aligned reference frames (eq. 19).
 
-    The generated motion is cut into segments of at least `min_segment` frames, and each is laid
-    on a piece of the reference as long as itself, so that the mean over all frames is least.
+    The generated motion is cut into segments of at least `min_segment` frames. Each is aligned with
+    an interval of the reference of the same length, so that the mean over all frames is least.
 
     Args:
         generated: (L, D) frames.
         reference: (N, D) frames.
         min_segment: frames.
-        variant: see the top of this module.
+        variant: see the module docstring.
 
     Raises:
-        EvaluationError: shapes that do not fit, NaN, motions too short, or L frames that cannot be
+        EvaluationError: shapes that differ, NaN, motions too short, or L frames that cannot be
             cut into segments of `min_segment` to N frames.
     """
     return patch_scores(
@@ -113,16 +113,16 @@ def local_diversity(
     *,
     variant: str = "ganimator",
 ) -> float:
-    """Mean distance of the generated motion's windows to the nearest of the reference (eq. 20).
+    """Return the mean distance of generated windows to their nearest reference window (eq. 20).
 
     Args:
         generated: (L, D) frames.
         reference: (N, D) frames.
         window: frames of a window.
-        variant: see the top of this module.
+        variant: see the module docstring.
 
     Raises:
-        EvaluationError: shapes that do not fit, NaN, or motions too short.
+        EvaluationError: shapes that differ, NaN, or motions too short.
     """
     return patch_scores(generated, reference, None, None, window, variant=variant).local_diversity
 
@@ -137,7 +137,7 @@ def patch_scores(
     threshold: float | None = None,
     variant: str = "ganimator",
 ) -> PatchScores:
-    """All three at once, from one matrix of distances; NaN for those whose window is None.
+    """Return all three from one matrix of distances; NaN for those whose window is None.
 
     Args:
         generated: (L, D) frames.
@@ -146,10 +146,10 @@ def patch_scores(
         min_segment: see `global_diversity`.
         local_window: see `local_diversity`.
         threshold: see `coverage`.
-        variant: see the top of this module.
+        variant: see the module docstring.
 
     Raises:
-        EvaluationError: what any of the three would raise.
+        EvaluationError: as each of the three.
     """
     _check_variant(variant)
     generated, reference = _frames(generated, "generated"), _frames(reference, "reference")
@@ -187,9 +187,9 @@ def patch_scores(
 def inter_diversity(
     samples: Sequence[np.ndarray], window: int = 15, *, variant: str = "nearest"
 ) -> float:
-    """How much samples of one model differ from each other (SinMDM).
+    """Return how much samples of one model differ from each other (SinMDM).
 
-    Each sample is compared with the one before it, the first with the last, as published.
+    As published, each sample is compared with the previous one, the first with the last.
 
     Args:
         samples: (T, D) arrays, two or more.
@@ -200,7 +200,7 @@ def inter_diversity(
             used, and lengths must be equal.
 
     Raises:
-        EvaluationError: fewer than two samples, shapes that do not fit, NaN, or too short.
+        EvaluationError: fewer than two samples, shapes that differ, NaN, or too short.
     """
     if variant not in ("nearest", "aligned"):
         raise EvaluationError(f"variant {variant!r}; expected nearest or aligned")
@@ -217,11 +217,11 @@ def inter_diversity(
 
 
 def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15) -> float:
-    """How much the windows of one sample differ from each other (SinMDM), mean over samples.
+    """Return how much the windows of one sample differ (SinMDM), averaged over samples.
 
-    The published code draws one pair of windows a sample and takes the Frobenius norm of their
-    difference over `window`; this is the mean over all pairs (a window with itself included,
-    the last window left out, as there), which the draw estimates. Compare with the reference's.
+    The published code draws one pair of windows per sample and divides the Frobenius norm of their
+    difference by `window`. This is the expectation: the mean over all pairs, a window with itself
+    included and the last window left out. Compare it with the value of the reference.
 
     Args:
         samples: one (T, D) array, or several.
@@ -243,14 +243,13 @@ def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15
 def patch_features(
     motion: Motion, variant: str = "ganimator", *, joints: str | Sequence[str] = "body"
 ) -> np.ndarray:
-    """The array of a motion that a variant compares.
+    """Return the features of a motion that a variant compares.
 
-    "ganimator": 6D rotations of J joints, the root's in the world, then a block of six for each
-    foot point, its contact label first and zeros after it: (T, 6 (J + F)). The root's place is left
-    out. Contact is a foot point slower than 0.54 m/s (on the reference body), frame 0 is none; the
-    points are heel and toe of `gesturekit.motion.contacts`, where GANimator's rigs have toe base
-    and toe end.
-    "paper": rotation matrices, (T, 9 J).
+    "ganimator", (T, 6 (J + F)): 6D rotations of J joints, the root's in the world, then for each
+    foot point its contact label and five zeros. The root position is left out. A foot point is in
+    contact if slower than 0.54 m/s (on the reference body), never in frame 0; the points are heel
+    and toe of `gesturekit.motion.contacts` (GANimator: toe base and toe end).
+    "paper", (T, 9 J): rotation matrices.
 
     Args:
         motion: T frames.
@@ -259,7 +258,7 @@ def patch_features(
 
     Raises:
         EvaluationError: no such variant.
-        MotionError: no such joint, or parts of the body that cannot be told.
+        MotionError: no such joint, or body parts that cannot be identified.
     """
     _check_variant(variant)
     if isinstance(joints, str):
@@ -278,7 +277,7 @@ def patch_features(
 
 
 def _nearest(sums: np.ndarray, window: int, variant: str) -> np.ndarray:
-    """Distances of the windows that are looked up, from their least sums over frames."""
+    """Return (W,) distances of the query windows from their least sums (L - w + 1,)."""
     return np.sqrt(sums) if variant == "paper" else sums[:-1] / window
 
 
@@ -325,13 +324,13 @@ def _samples(samples: Sequence[np.ndarray], least: int) -> list[np.ndarray]:
 
 
 def _check_window(
-    window: int, looked_up: np.ndarray, among: np.ndarray, variant: str, what: str
+    window: int, queries: np.ndarray, searched: np.ndarray, variant: str, what: str
 ) -> None:
-    """`looked_up` is the array whose windows are looked for in `among`."""
+    """Check that windows of `queries` (L, D) can be searched for in `searched` (N, D)."""
     _check_count("window", window)
     need = window + (variant == "ganimator")
-    if len(looked_up) < need or len(among) < window:
-        short = len(looked_up) if len(looked_up) < need else len(among)
+    if len(queries) < need or len(searched) < window:
+        short = len(queries) if len(queries) < need else len(searched)
         raise EvaluationError(
             f"window is {window} frames; {what} needs at least {need} and the other {window}, "
             f"but one has {short}"

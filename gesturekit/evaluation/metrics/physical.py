@@ -1,4 +1,4 @@
-"""How fast and how smoothly a motion moves, in physical units."""
+"""Speed, acceleration and jerk of a motion, in physical units."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from gesturekit.motion.parts import SIDES, arm_joints, body_joints, find_parts
 
 
 def arm_speed(motion: Motion) -> np.ndarray:
-    """Summed local angular speed of both shoulder and elbow joints, one value a frame.
+    """Return the summed local angular speed of both shoulder and elbow joints for each frame.
 
-    The speed between frames k and k + 1 belongs to the time between them; a frame gets the mean
-    of the steps before and after it, so that speed is neither early nor late by half a frame.
-    The first and last frames have one step each.
+    A frame gets the mean of the steps before and after it, so that the speed has no delay of half
+    a frame. The first and last frames have one step each.
 
     Returns:
         (T,) radians per second.
@@ -40,15 +39,15 @@ def arm_speed(motion: Motion) -> np.ndarray:
 
 
 def wrist_speed(motion: Motion) -> np.ndarray:
-    """Speed of the two wrists in the world, averaged, from each frame to the next.
+    """Return the mean speed of both wrists in the world, from each frame to the next.
 
-    What Alexanderson et al. 2023 (section 5) draw as violins.
+    Alexanderson et al. 2023 (section 5) plot its distribution.
 
     Returns:
         (T - 1,) metres per second.
 
     Raises:
-        MotionError: fewer than 2 frames, or a rig without wrists that can be told.
+        MotionError: fewer than 2 frames, or wrists that cannot be identified.
     """
     arms = find_parts(motion.skeleton).arms
     wrists = [arms[side].wrist for side in SIDES]
@@ -58,7 +57,7 @@ def wrist_speed(motion: Motion) -> np.ndarray:
 
 
 def joint_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
-    """Speed of joints in the world from each frame to the next.
+    """Return the speed of joints in the world, from each frame to the next.
 
     Args:
         motion: any frame rate.
@@ -68,28 +67,29 @@ def joint_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarr
         (T - 1, J) metres per second.
 
     Raises:
-        MotionError: fewer than 2 frames, or joints that cannot be told.
+        MotionError: fewer than 2 frames, or joints that cannot be identified.
     """
     steps = derivative(joint_paths(motion, joints), motion.fps, 1, None)
     return np.linalg.norm(steps, axis=-1)
 
 
 def relative_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
-    """(T - 1, J) `joint_speed` over `body_scale` of the rig: m/s on the reference body."""
+    """Return (T - 1, J) `joint_speed` divided by `body_scale`: m/s on the reference body."""
     return joint_speed(motion, joints) / body_scale(motion.skeleton)
 
 
 def acceleration(
     motion: Motion, *, cutoff: float | None = None, joints: Sequence[str] | None = None
 ) -> float:
-    """Mean acceleration of the body joints (no fingers, no end joints) in world space, m/s².
+    """Return the mean acceleration of the body joints (no fingers, no end joints), m/s².
 
-    Without a cutoff |Δ²p|·fps², averaged over frames and joints: the average acceleration of
-    the GENEA challenges (genea_numerical_evaluations), in metres, bound to its frame rate. With
-    one, that of the low-passed motion (`derivatives`), which can be compared across frame rates.
+    Without a cutoff: |Δ²p|·fps² in world space, averaged over frames and joints, the average
+    acceleration of the GENEA challenges (genea_numerical_evaluations) in metres. It depends on the
+    frame rate. With a cutoff (Hz): that of the low-passed motion (`derivatives`), which can be
+    compared across frame rates.
 
     Raises:
-        MotionError: fewer than 3 frames (6 with a cutoff), or joints that cannot be told.
+        MotionError: fewer than 3 frames (6 with a cutoff), or joints that cannot be identified.
     """
     return _mean_derivative(motion, 2, cutoff, joints)
 
@@ -97,36 +97,36 @@ def acceleration(
 def jerk(
     motion: Motion, *, cutoff: float | None = None, joints: Sequence[str] | None = None
 ) -> float:
-    """Mean jerk of the body joints (no fingers, no end joints) in world space, m/s³.
+    """Return the mean jerk of the body joints (no fingers, no end joints), m/s³.
 
-    Without a cutoff |Δ³p|·fps³, averaged over frames and joints: the average jerk of the GENEA
-    challenges (genea_numerical_evaluations), in metres. It grows with the frame rate on captured
-    motion, whose noise it measures too: compare at one frame rate, or give a cutoff (Hz) to take
-    the jerk of the low-passed motion (`derivatives`).
+    Without a cutoff: |Δ³p|·fps³ in world space, averaged over frames and joints, the average jerk
+    of the GENEA challenges (genea_numerical_evaluations) in metres. It also measures the noise of
+    captured motion and grows with the frame rate: compare at one frame rate, or give a cutoff (Hz)
+    to take the jerk of the low-passed motion (`derivatives`).
 
     Raises:
-        MotionError: fewer than 4 frames (6 with a cutoff), or joints that cannot be told.
+        MotionError: fewer than 4 frames (6 with a cutoff), or joints that cannot be identified.
     """
     return _mean_derivative(motion, 3, cutoff, joints)
 
 
 def max_speed(motion: Motion) -> float:
-    """Largest speed of any body joint between two neighbouring frames, m/s.
+    """Return the largest speed of any body joint between two neighbouring frames, m/s.
 
     People of 1.7 m stay below about 10 m/s; more is a jump.
 
     Raises:
-        MotionError: fewer than 2 frames, or a skeleton whose parts cannot be told.
+        MotionError: fewer than 2 frames, or body parts that cannot be identified.
     """
     return float(joint_speed(motion).max())
 
 
 HARDLY_MOVING = 0.05
-"""Arms slower than this share of the recording's hardly move; their sync is not informative."""
+"""Below this fraction of the recording's arm speed, sync is not informative."""
 
 
 def arm_speed_ratio(motion: Motion, recording: Motion) -> float:
-    """Mean arm speed of a motion over that of a recording; 1 is as lively as the recording.
+    """Return the mean arm speed of a motion divided by that of a recording.
 
     Raises:
         MotionError: the recording's arms do not move.
@@ -135,7 +135,7 @@ def arm_speed_ratio(motion: Motion, recording: Motion) -> float:
 
 
 def jerk_ratio(motion: Motion, recording: Motion) -> float:
-    """Jerk of a motion over that of a recording, to be taken at one frame rate.
+    """Return the jerk of a motion divided by that of a recording, both at one frame rate.
 
     Raises:
         MotionError: the frame rates differ, or the recording does not move.
@@ -155,10 +155,10 @@ def _ratio(value: float, reference: float, what: str) -> float:
 
 
 def joint_paths(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
-    """(T, J, 3) world positions of named joints, metres; None takes the body joints.
+    """Return (T, J, 3) world positions of joints, metres; None takes the body joints.
 
     Raises:
-        MotionError: a joint that is not there, or a skeleton whose parts cannot be told.
+        MotionError: a missing joint, or body parts that cannot be identified.
     """
     names = body_joints(motion.skeleton) if joints is None else joints
     return motion.positions()[:, [motion.skeleton.index(name) for name in names]]

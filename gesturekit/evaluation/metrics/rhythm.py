@@ -1,7 +1,7 @@
-"""Rhythm: do beats of the motion fall on beats of the sound?
+"""Rhythm: alignment of motion beats with beats or onsets of the sound.
 
-Two measures of the field, each with the level it reaches by chance. Their kernels and windows are
-seconds here, where the published code counts frames, so that the frame rate does not change them.
+Two published metrics, each with its chance level. Kernels and windows are in seconds, where the
+published code counts frames, so that they do not depend on the frame rate.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ KERNEL = 3 / 60
 CONSISTENCY_KERNEL = 0.3
 """Seconds; σ of beat consistency."""
 CONSISTENCY_ORDER = 7 / 30
-"""Seconds to either side in which a beat of beat consistency is the slowest: 7 frames at 30 fps."""
+"""Seconds to either side within which a beat is the minimum: 7 frames at 30 fps."""
 CONSISTENCY_SPEED = 0.1
-"""Beats of beat consistency are faster than this share of the joint's mean speed."""
+"""Least speed of a beat in beat consistency, as a fraction of the joint's mean speed."""
 SHIFT_STEP = 0.1
 """Seconds between two circular shifts of the sound, for the chance level."""
 
 _ONSET_RATE, _ONSET_HOP = 16_000, 512
-_STILL = 1e-6  # m/s on the reference body; what varies less does not move
+_STILL = 1e-6  # m/s on the reference body; a speed that varies less has no beats
 
 
 @dataclass(frozen=True)
 class BeatResult:
-    """What a beat measure found.
+    """Result of a beat metric.
 
     Attributes:
-        score: 0 to 1; the share of the sound's beats that the motion meets, softly counted.
+        score: 0 to 1; mean over the sound's beats of the kernel at the nearest motion beat.
         chance_mean: mean of the score over all circular shifts of the sound of more than 1 s.
         chance_sd: their standard deviation.
         z: (score - chance_mean) / chance_sd.
-        motion_beats: how many beats the motion has (mean over joints for beat consistency).
-        sound_beats: how many the sound has.
-        note: "" or why a figure is 0 without having been measured.
+        motion_beats: number of motion beats (mean over joints for beat consistency).
+        sound_beats: number of beats of the sound.
+        note: "" or why a value is 0 without having been measured.
     """
 
     score: float
@@ -68,23 +68,23 @@ def beat_alignment(
     variant: Literal["seconds", "bailando"] = "seconds",
     joints: Sequence[str] | None = None,
 ) -> BeatResult:
-    """BAS: 1/|B| Σ over beats b of the sound of exp(-min_m (b - m)² / 2σ²), σ = 50 ms.
+    """Return BAS: 1/|B| Σ over beats b of the sound of exp(-min_m (b - m)² / 2σ²), σ = 50 ms.
 
-    The form of AIST++ and Bailando (utils/beat_align_score.py). A clip's own score; published
-    figures are means over clips.
+    The form of AIST++ and Bailando (utils/beat_align_score.py), for one clip; published values are
+    means over clips.
 
     Args:
         motion: the motion; beats after its end do not count.
         beats: (B,) seconds of the sound's beats, such as `music_beats` gives.
         variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivatives`) and
-            places beats between frames by a parabola through three of them; "bailando" takes
-            differences of frames and places a beat at the step's first frame, as its code does:
-            up to half a frame early, as coarse as the frame rate, and bound to it.
+            places beats between frames by a parabola through three of them. "bailando" takes
+            frame differences and places a beat at the first frame of the step, as its code does:
+            up to half a frame early, and dependent on the frame rate.
         joints: names; None for the body joints.
 
     Raises:
         MotionError: fewer than 6 frames, a frame rate of 12 fps or less, or joints that cannot
-            be told.
+            be identified.
     """
     found = motion_beats(motion, variant=variant, joints=joints)
     return _result([found], beats, motion.duration, KERNEL)
@@ -97,11 +97,11 @@ def beat_consistency(
     mean_speed: np.ndarray | None = None,
     joints: Sequence[str] | None = None,
 ) -> BeatResult:
-    """BC of BEAT and EMAGE: the same sum over onsets with σ = 0.3 s, averaged over joints.
+    """Return BC of BEAT and EMAGE: the same sum over onsets, σ = 0.3 s, averaged over joints.
 
     A joint's beats are its local speed minima over ±7/30 s that are faster than a tenth of its
-    mean speed (a joint at rest has no beats); speeds are central differences. The kernel is so
-    wide that chance is high: read it with the chance level.
+    mean speed (a joint at rest has no beats); speeds are central differences. The kernel is wide,
+    so that the chance level is high: compare the score with it.
 
     Args:
         motion: the motion; onsets after its end do not count.
@@ -111,7 +111,7 @@ def beat_consistency(
         joints: names; None for the upper body without fingers.
 
     Raises:
-        MotionError: fewer than 3 frames, or joints that cannot be told.
+        MotionError: fewer than 3 frames, or joints that cannot be identified.
     """
     names = upper_body_joints(motion) if joints is None else joints
     speed = central_speed(motion, names)
@@ -131,7 +131,7 @@ def motion_beats(
     variant: Literal["seconds", "bailando"] = "seconds",
     joints: Sequence[str] | None = None,
 ) -> np.ndarray:
-    """When a motion is slowest: local minima of the mean joint speed, smoothed with σ = 83 ms.
+    """Return the local minima of the mean joint speed, smoothed with σ = 83 ms.
 
     Returns:
         (M,) seconds; see `beat_alignment` for the variants.
@@ -153,7 +153,7 @@ def motion_beats(
 
 
 def speech_onsets(wave: Wave) -> np.ndarray:
-    """(B,) seconds of sound onsets: librosa's, at 16 kHz with hops of 512 samples, as in EMAGE."""
+    """Return (B,) onsets of the sound, seconds: librosa at 16 kHz, hop 512, as in EMAGE."""
     import librosa
 
     if wave.is_silent:
@@ -165,7 +165,7 @@ def speech_onsets(wave: Wave) -> np.ndarray:
 
 
 def music_beats(wave: Wave) -> np.ndarray:
-    """(B,) seconds of a steady pulse: librosa's beat tracker, which finds one in speech too."""
+    """Return (B,) beats of librosa's beat tracker, seconds; it finds beats in speech too."""
     import librosa
 
     if wave.is_silent:
@@ -174,22 +174,22 @@ def music_beats(wave: Wave) -> np.ndarray:
 
 
 def central_speed(motion: Motion, joints: Sequence[str]) -> np.ndarray:
-    """(T, J) m/s: central differences, one-sided at both ends, as BEAT takes them."""
+    """Return (T, J) speeds by central differences, one-sided at both ends, as in BEAT, m/s."""
     if motion.n_frames < 3:
         raise MotionError(f"the motion has {motion.n_frames} frames; at least 3 are needed")
     return np.linalg.norm(np.gradient(joint_paths(motion, joints), 1 / motion.fps, axis=0), axis=-1)
 
 
 def upper_body_joints(motion: Motion) -> tuple[str, ...]:
-    """Names of the joints from the spine upwards, without fingers and end joints."""
+    """Return the names of the joints from the spine upwards, without fingers and end joints."""
     above = set(upper_body(motion.skeleton))
     return tuple(name for name in body_joints(motion.skeleton) if name in above)
 
 
 def _minima(curve: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of local minima within ±order, and where between the samples they lie.
+    """Return indices (M,) of local minima of (T,) within ±order, and sub-sample positions (M,).
 
-    Two equal lowest samples are one minimum between them; a longer flat is rest, and none.
+    Two equal lowest samples are one minimum between them; a longer plateau is rest, not a minimum.
     """
     from scipy.signal import argrelextrema
 
@@ -225,7 +225,7 @@ def _result(
 
 
 def _met(beats: np.ndarray, times: np.ndarray, sigma: float) -> np.ndarray:
-    """(S,) mean over beats (S, B) of exp(-d²/2σ²), d the distance to the nearest of `times`."""
+    """Return (S,) means over beats (S, B) of exp(-d²/2σ²), d the distance to the nearest time."""
     if len(times) == 0:
         return np.zeros(len(beats))
     after = np.searchsorted(times, beats)

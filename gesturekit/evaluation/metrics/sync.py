@@ -1,9 +1,8 @@
-"""Sync: does the motion listen to the speech?
+"""Sync: correlation of arm speed with speech energy.
 
-Pearson's r, at the best lag within ±0.3 s, between arm speed and speech energy, with the level
-that the same figure reaches by chance. It can be flattered by a loss that aims at it: give it
-with the recording's own figure, and with arm-speed and jerk ratios beside it. One clip proves
-little; average over several.
+Pearson's r at the best lag within ±0.3 s, with its chance level. A loss that optimises it inflates
+it: report it with the recording's value and with arm-speed and jerk ratios. One clip is not enough;
+average over several.
 """
 
 from __future__ import annotations
@@ -18,27 +17,27 @@ from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.physical import arm_speed
 from gesturekit.motion import Motion
 
-WINDOW = 0.05  # seconds of sound that one value of the envelope is the RMS of
+WINDOW = 0.05  # seconds of sound in the RMS of one envelope value
 FLOOR = 1e-4  # added to the RMS before the logarithm: -80 dB of full scale
 SIGMA = 0.1  # seconds, standard deviation of the Gaussian that smooths both curves
-MIN_SHIFT = 1.0  # seconds; circular shifts of no more than this are no chance alignments
+MIN_SHIFT = 1.0  # seconds; smaller circular shifts are not chance alignments
 
-# Rounding in files moves joints by less than this, and sound at the floor by less than that.
+# Larger than rounding in files.
 _STILL = 1e-5  # rad/s
 _FLAT = 1e-6  # nepers
 
 
 @dataclass(frozen=True)
 class SyncResult:
-    """What `sync` found.
+    """Result of `sync`.
 
     Attributes:
         r: Pearson's r at the best lag.
-        lag: that lag in seconds; positive where the motion comes after the sound.
+        lag: that lag in seconds; positive if the motion follows the sound.
         chance_mean: mean of r (best lag again) over all circular shifts of more than 1 s.
         chance_sd: their standard deviation.
         z: (r - chance_mean) / chance_sd.
-        note: "" or why a figure is 0 without having been measured.
+        note: "" or why a value is 0 without having been measured.
     """
 
     r: float
@@ -57,24 +56,24 @@ class SyncResult:
 
 
 def sync(motion: Motion, wave: Wave, *, max_lag: float = 0.3) -> SyncResult:
-    """Measure how well arm speed follows speech energy.
+    """Measure the correlation of arm speed with speech energy.
 
-    Both are taken on the motion's frames, as many as motion and wave have in common, and
-    smoothed by a Gaussian of σ = 0.1 s: `arm_speed` in rad/s, and `speech_envelope`,
-    ln(RMS over 50 ms + 1e-4). At lag ℓ the speed at frame k + ℓ meets the envelope at frame k,
-    over the frames where both exist. Chance is the same figure, best lag included, for the
-    envelope shifted circularly by every number of frames more than 1 s from 0.
+    `arm_speed` in rad/s and `speech_envelope`, ln(RMS over 50 ms + 1e-4), are taken on the common
+    frames of motion and sound and smoothed by a Gaussian of σ = 0.1 s. Lag ℓ compares the speed at
+    frame k + ℓ with the envelope at frame k, over the frames where both exist. The chance level is
+    the same value, best lag included, for the envelope shifted circularly by every number of
+    frames more than 1 s from 0.
 
-    Motion that stands still, sound that never changes, and (for chance alone) clips too short
-    to shift give zeros and a `note`, never NaN.
+    Motion without arm movement, constant sound and (for the chance level alone) clips too short to
+    shift give zeros and a `note`, never NaN.
 
     Args:
-        motion: any frame rate; figures of different frame rates differ slightly.
+        motion: any frame rate; values of different frame rates differ slightly.
         wave: the speech, beginning with the motion.
         max_lag: largest lag tried, seconds.
 
     Raises:
-        MotionError: no shoulders and elbows found, or less than 3 frames in common beyond the
+        MotionError: no shoulders and elbows found, or fewer than 3 common frames beyond the
             largest lag.
     """
     fps = motion.fps
@@ -105,10 +104,10 @@ def sync(motion: Motion, wave: Wave, *, max_lag: float = 0.3) -> SyncResult:
 
 
 def speech_envelope(wave: Wave, fps: float, n_frames: int) -> np.ndarray:
-    """ln(RMS + 1e-4) of the 50 ms of sound around each motion frame.
+    """Return ln(RMS + 1e-4) of the 50 ms of sound around each motion frame.
 
-    Frame k is centred at k/fps seconds. Windows that reach beyond the sound are shorter, and
-    those wholly beyond it hold silence.
+    Frame k is centred at k/fps seconds. Windows are cut off at the ends of the sound; outside it
+    there is silence.
 
     Returns:
         (n_frames,) nepers of full scale, not smoothed.
@@ -123,9 +122,13 @@ def _smoothed(curve: np.ndarray, fps: float) -> np.ndarray:
 
 
 def _r_by_lag_and_shift(x: np.ndarray, y: np.ndarray, lags: np.ndarray) -> np.ndarray:
-    """Pearson's r of x[k + lag] with y[(k - shift) mod T] over the k where x exists.
+    """Return Pearson's r of x[k + lag] with y[(k - shift) mod T] over the k where x exists.
 
-    Every shift at once by the convolution theorem: O(lags · T log T).
+    All shifts at once by the convolution theorem: O(lags · T log T).
+
+    Args:
+        x, y: (T,) curves.
+        lags: whole numbers of frames.
 
     Returns:
         (len(lags), T): r for each lag and each circular shift from 0 to T - 1.

@@ -1,4 +1,4 @@
-"""The report: one HTML file with tables, plots and a player, that needs nothing from outside."""
+"""The report: one self-contained HTML file with tables, plots and a player."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from gesturekit.atomic import atomic_write
 from gesturekit.evaluation.intervals import FEW
 from gesturekit.evaluation.report import tables
 from gesturekit.evaluation.report.plots import all_plots
-from gesturekit.evaluation.report.results import Evaluation
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
 from gesturekit.evaluation.report.tables import section
+from gesturekit.evaluation.results import Evaluation
 from gesturekit.viewer import player_shell
 from gesturekit.wording import counted
 
@@ -33,10 +33,10 @@ def write_report(
     """Write the report of an evaluation.
 
     Args:
-        evaluation: what `evaluate` found.
+        evaluation: the result of `evaluate`.
         path: the .html file to write.
-        title: the heading; by default what was measured against what.
-        command: how it was made, to be made again.
+        title: the heading; by default the models and the reference.
+        command: the command line that made the report.
 
     Raises:
         GestureKitError: the player has not been bundled.

@@ -1,4 +1,4 @@
-"""The report's plots, as SVG: one colour a model, the recording dark, chance grey."""
+"""Plots of the report, as SVG: one colour per model, the recording dark, chance grey."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.report.results import Evaluation, ModelResult
+from gesturekit.evaluation.results import Evaluation, ModelResult
 
 MODEL_COLOURS = ("#c8643a", "#3f7fae", "#6c9a48", "#9467a8", "#c49a2c", "#4aa39a")
 RECORDING = "#26303b"
@@ -26,12 +26,12 @@ _MOST_RECORDINGS = 24
 
 
 def colour(index: int) -> str:
-    """The colour of the model of this index, in plots and tables."""
+    """Return the colour of a model by its index, in plots and tables."""
     return MODEL_COLOURS[index % len(MODEL_COLOURS)]
 
 
 def all_plots(evaluation: Evaluation) -> dict[str, str]:
-    """Title to SVG text, for what there is something to draw of."""
+    """Return {title: SVG text} of all plots that have data."""
     made = {
         "Speech: measured, by chance, and the recording's own": _speech(evaluation),
         "Movement, as a ratio to the recording": _ratios(evaluation),

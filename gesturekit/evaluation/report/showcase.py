@@ -1,4 +1,4 @@
-"""The clips a report shows: the best and the worst of the first model, beside their recordings."""
+"""Clips shown in the report: best and worst of the first model, next to their recordings."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.clips import load_clip, load_wave
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.pairs import WINDOW_SECONDS
-from gesturekit.evaluation.report.results import ClipResult, Evaluation, ModelResult
+from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
 from gesturekit.motion import Motion
 from gesturekit.viewer import player_data
 
 EACH = 2
-"""How many of the best and of the worst are shown, where there are so many."""
+"""Largest number of best and of worst clips."""
 SECONDS = 20.0
-"""Only so much of a clip is shown, to keep the page small."""
+"""Seconds of a clip that are shown, to keep the page small."""
 _RANKED_BY = ("sync", "hellinger", "coverage")  # the first that every clip has
 
 
@@ -25,10 +25,10 @@ class Shown:
     """A clip to show.
 
     Attributes:
-        label: what its button says.
-        detail: below it: the figure it is ranked by.
-        title: the player's heading.
-        ranked_by: the measure's name.
+        label: text of its button.
+        detail: text below: the value it is ranked by.
+        title: heading of the player.
+        ranked_by: name of the metric.
         motion: JSON for the player.
     """
 
@@ -40,9 +40,9 @@ class Shown:
 
 
 def best_and_worst(evaluation: Evaluation) -> list[Shown]:
-    """Clips of the first model, the best first; other models' clips of the same name beside them.
+    """Return best and worst clips of the first model, with other models' clips of the same name.
 
-    A file that is gone by now is passed over.
+    Files that no longer exist are skipped.
     """
     model = evaluation.models[0]
     key = next((k for k in _RANKED_BY if all(k in c.figures for c in model.clips)), None)

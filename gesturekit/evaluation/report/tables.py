@@ -7,7 +7,7 @@ import html
 from gesturekit.evaluation.definitions import GROUPS, PATCHES, Definition
 from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.report.results import Evaluation, Figure, ModelResult
+from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
 from gesturekit.wording import counted
 
 _ARROWS = {
@@ -23,13 +23,13 @@ _PER_CLIP = (
 
 
 def section(title: str, lead: str, body: str) -> str:
-    """A titled part of the page; `lead` and `body` are HTML."""
+    """Return a section of the page; `lead` and `body` are HTML."""
     lead = f'<p class="lead">{lead}</p>' if lead else ""
     return f"<section><h2>{title}</h2>{lead}{body}</section>"
 
 
 def number(value: float) -> str:
-    """Three digits that count."""
+    """Format a value with about three significant digits."""
     size = abs(value)
     if size < 1e-6:
         return "0"
@@ -45,7 +45,7 @@ def number(value: float) -> str:
 
 
 def figures(evaluation: Evaluation) -> str:
-    """Every measure of every model, with the recordings' own and chance."""
+    """Return the table of all metrics of all models, with recordings and chance levels."""
     models = evaluation.models
     head = "".join(
         f'<th class="number"><span class="dot" style="background:{colour(i)}"></span>'
@@ -67,8 +67,8 @@ def figures(evaluation: Evaluation) -> str:
         "Mean over recordings; below it the 95 % bootstrap interval and the number of clips (of "
         "windows or 10 s clips for Fréchet distances). "
         "↑ higher is better, ↓ lower is better, ≈ as the recording is best. Chance is the same "
-        "motion's figure with its sound shifted, or beside other recordings: a figure says "
-        "something only where it lies above it."
+        "motion's value with its sound shifted, or with other recordings: only a value above it "
+        "is informative."
     )
     return section(
         "Figures",
@@ -80,7 +80,7 @@ def figures(evaluation: Evaluation) -> str:
 
 
 def has_samples(evaluation: Evaluation) -> bool:
-    """Whether some recording has several samples, so that it has an expectation of its own."""
+    """True if a recording has several samples, so that means over samples are defined."""
     return evaluation.protocol == "multires" or any(
         interval.n > 1
         for model in evaluation.models
@@ -100,7 +100,9 @@ def _measure_cells(definition: Definition) -> str:
     )
 
 
-def _figure_cell(figure: Figure | None, definition: Definition, models: list[ModelResult]) -> str:
+def _figure_cell(
+    figure: MetricResult | None, definition: Definition, models: list[ModelResult]
+) -> str:
     if figure is None:
         return '<td class="number">–<small>not measured</small></td>'
     best = " class=best" if len(models) > 1 and _is_best(figure, definition, models) else ""
@@ -122,8 +124,8 @@ def _bounds(interval: Interval) -> str:
     return f"{number(interval.low)} … {number(interval.high)}, {n}"
 
 
-def _is_best(figure: Figure, definition: Definition, models: list[ModelResult]) -> bool:
-    def badness(one: Figure) -> float:
+def _is_best(figure: MetricResult, definition: Definition, models: list[ModelResult]) -> bool:
+    def badness(one: MetricResult) -> float:
         value = one.interval.value
         if definition.better == "reference":
             return abs(value - one.recording) if one.recording is not None else 0.0
@@ -135,7 +137,7 @@ def _is_best(figure: Figure, definition: Definition, models: list[ModelResult]) 
 
 
 def _recording_cell(models: list[ModelResult], key: str) -> str:
-    """The recordings' figure beside the first model that has one: models share recordings."""
+    """Return the cell of the recordings' value, from the first model that has one."""
     for model in models:
         figure = model.figures.get(key)
         if figure is not None and figure.recording is not None:
@@ -144,7 +146,7 @@ def _recording_cell(models: list[ModelResult], key: str) -> str:
 
 
 def recordings(evaluation: Evaluation) -> str:
-    """The first paper's table: patches for each recording, means over samples (eq. 18)."""
+    """Return the table of patch metrics for each recording: means over samples (eq. 18)."""
     models = [model for model in evaluation.models if model.by_recording]
     stems = sorted({stem for model in models for stem in model.by_recording})
     definitions = [d for d in evaluation.definitions() if d.group == PATCHES]
@@ -186,7 +188,7 @@ def recordings(evaluation: Evaluation) -> str:
 
 
 def per_clip(evaluation: Evaluation) -> str:
-    """Every clip."""
+    """Return the table of all clips."""
     definitions = [d for d in evaluation.definitions() if d.key in _PER_CLIP]
     head = "".join(
         f'<th class="number">{html.escape(d.name)}'
@@ -226,7 +228,7 @@ def per_clip(evaluation: Evaluation) -> str:
 
 
 def excluded(evaluation: Evaluation) -> str:
-    """What was left out, and why."""
+    """Return the table of clips and metrics left out, with reasons."""
     rows = "".join(
         f"<tr><th>{html.escape(item.name)}</th><td>{html.escape(model.label)}</td>"
         f"<td>{html.escape(item.what)}</td><td>{html.escape(item.reason)}</td></tr>"
@@ -234,7 +236,7 @@ def excluded(evaluation: Evaluation) -> str:
         for item in model.excluded
     )
     if not rows:
-        return section("Left out", "Nothing: every clip was measured by every measure.", "")
+        return section("Left out", "Nothing: every metric was computed for every clip.", "")
     return section(
         "Left out, and why",
         "",

@@ -1,11 +1,11 @@
-"""Biovision Hierarchy files.
+"""Biovision Hierarchy (BVH) files.
 
-How we read what writers disagree on: a joint's position channels replace its OFFSET (as in
-Blender; three.js adds them); translation comes before rotation whatever the order of channels;
-Euler angles are intrinsic, in degrees, in the order of the channels.
+Conventions where programs differ: a joint's position channels replace its OFFSET (as in Blender;
+three.js adds them); translation is applied before rotation, whatever the order of channels; Euler
+angles are intrinsic, in degrees, in the order of the channels.
 
-Files that we write carry their unit and axes (`bvh_mark`) and their exact frame rate. What the
-caller names comes first, then the mark, then detection.
+Files that we write contain their unit and axes (`mark`) and their exact frame rate. Arguments of
+the caller take precedence, then the mark, then detection.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from gesturekit.motion.skeleton import ROTATION_ORDERS, Skeleton
 from gesturekit.wording import listed
 
 STILL = 2.1e-6
-"""Position channels that vary by no more than this, in the file's unit, are an OFFSET: what is
-left of a constant that was written with six decimals."""
+"""Position channels that vary by no more than this, in the file's unit, are a constant OFFSET that
+was written with six decimals."""
 
 _FRAMES_AT_ONCE = 256
 
@@ -47,22 +47,20 @@ def read_bvh(
 
     Args:
         path: the file.
-        unit: of its lengths, one of `units.METRES`; "auto" takes that of our mark, or else the
-            one that makes the body of a person's size.
-        up: its axis that points up, "x" to "z" or "-x" to "-z"; "auto" takes "y" in files that
-            we wrote, else looks at the rest pose and where the body stands.
-        forward: its axis that a body at rest faces; "auto" looks at the rest pose, and takes
-            what is usual with `up` where that is none. Where people walk and look is left as it
-            is: only a file's axes are turned, to Y up, +Z forward.
+        unit: unit of its lengths, one of `units.METRES`; "auto" uses that of our mark, or else the
+            one that gives the body the size of a person.
+        up: axis that points up, "x" to "z" or "-x" to "-z"; "auto" uses "y" in files that we
+            wrote, otherwise the rest pose and the frames in which the body stands.
+        forward: axis that a body at rest faces; "auto" uses the rest pose, or the usual axis for
+            `up`. Only the axes are changed, to Y up, +Z forward; the heading in the world is kept.
 
     Returns:
-        The motion, metres, Y up, +Z forward. `info` tells `source`, `unit`, `up`, `forward` (of
-        the file), `guessed` (those of the three for which the file gave no evidence),
-        `frame_time` (as written) and `renamed` (joints whose names repeated: new name to the
-        name in the file).
+        The motion, metres, Y up, +Z forward. `info` has `source`, `unit`, `up`, `forward` (of the
+        file), `guessed` (those of the three without evidence), `frame_time` (as written) and
+        `renamed` (new name to name in the file, for joints with repeated names).
 
     Raises:
-        FormatError: no BVH, broken, or cut short; the message names file and line.
+        FormatError: not a BVH file, broken, or truncated; the message names file and line.
     """
     path = Path(path)
     if unit != "auto" and unit not in METRES:
@@ -91,19 +89,19 @@ def write_bvh(
 ) -> None:
     """Write a BVH file, Y up.
 
-    Position channels stand on the root, and on the joints that the motion moves. Their OFFSET is
-    0 0 0: programs that add positions to it and those that replace it by them then agree. The
-    root's is our mark as well, see `bvh_mark`. Angles are unwrapped, so that curves do not jump by
-    360 degrees.
+    The root and joints with joint translations have position channels. Their OFFSET is 0 0 0, so
+    that programs that add positions to it and those that replace it agree. The root's OFFSET is
+    also our mark, see `mark`. Angles are unwrapped, so that curves do not jump by 360 degrees.
 
     Args:
-        motion: what to write.
-        path: the file; it appears whole or not at all.
-        unit: of its lengths, one of `units.METRES`.
-        decimals: of offsets and channels (longer units get up to two more, millimetres one less).
+        motion: the motion to write.
+        path: the file, written atomically.
+        unit: unit of its lengths, one of `units.METRES`.
+        decimals: decimals of offsets and channels (longer units get up to two more, millimetres
+            one less).
 
     Warns:
-        UserWarning: joint names with blanks, which some readers split.
+        UserWarning: joint names with spaces, which some readers split.
 
     Raises:
         FormatError: a unit or a joint name that the format cannot hold.
@@ -125,7 +123,7 @@ def write_bvh(
     row = " ".join(f"%.{places if is_length else decimals}f" for is_length in lengths) + "\n"
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as out:
         out.write(f"{hierarchy}MOTION\nFrames: {motion.n_frames}\n")
-        # All digits: the rate is then read back exactly.
+        # All digits, so that the rate is read back exactly.
         frame_time = np.format_float_positional(1 / motion.fps, min_digits=10)
         out.write(f"Frame Time: {frame_time}\n")
         for frame in values:
@@ -136,7 +134,7 @@ def write_bvh(
 
 
 def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
-    """In metres, with the file's axes."""
+    """Return the motion in metres, with the file's axes."""
     joints, n_frames = parsed.joints, len(parsed.frames)
     offsets = np.array([joint.offset for joint in joints])
     rotations = _rotations(parsed)
@@ -167,7 +165,7 @@ def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
             offsets[j] = (low + high) / 2
             continue
         moving[joints[j].name] = values * metres
-        if not offsets[j].any() and j in below_fork:  # as we write it: a bone has a length
+        if not offsets[j].any() and j in below_fork:  # written by us: restore the bone length
             offsets[j] = values.mean(axis=0)
     motion = Motion(
         skeleton=replace(skeleton, offsets=offsets).scaled(metres),
@@ -183,7 +181,7 @@ def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
 
 
 def _order(joint: ParsedJoint) -> str:
-    """The order of its rotation channels; the axes that it does not turn about come last."""
+    """Return the order of the rotation channels; axes without a channel come last."""
     turning = "".join(name[0] for name in joint.channels if name[1] == "r")
     return next(order for order in ROTATION_ORDERS if order.startswith(turning))
 
@@ -201,7 +199,7 @@ def _rotations(parsed: ParsedBvh) -> np.ndarray:
             if axis + "r" in joint.channels:
                 columns[j, i] = before + joint.channels.index(axis + "r")
         before += len(joint.channels)
-    for start in range(0, len(frames), _FRAMES_AT_ONCE):  # so that nothing leaves the cache
+    for start in range(0, len(frames), _FRAMES_AT_ONCE):  # blocks that fit in the CPU cache
         part = slice(start, start + _FRAMES_AT_ONCE)
         for order, js in in_order.items():
             angles = np.where(columns[js] >= 0, frames[part][:, columns[js]], 0.0)
@@ -210,7 +208,7 @@ def _rotations(parsed: ParsedBvh) -> np.ndarray:
 
 
 def _places(parsed: ParsedBvh) -> dict[int, np.ndarray]:
-    """Joint to (T, 3): its place in its parent's frame, for joints with position channels."""
+    """Return joint to (T, 3) positions in its parent's frame, for joints with position channels."""
     places: dict[int, np.ndarray] = {}
     before = 0
     for j, joint in enumerate(parsed.joints):
@@ -227,7 +225,7 @@ def _places(parsed: ParsedBvh) -> dict[int, np.ndarray]:
 
 
 def _nested(skeleton: Skeleton) -> list[int]:
-    """Joints in the order that nested blocks stand in a file, which is that of the channels."""
+    """Return the joints in depth-first order, which is the order of blocks and channels."""
     order, waiting = [], [0]
     while waiting:
         joint = waiting.pop()
@@ -237,6 +235,7 @@ def _nested(skeleton: Skeleton) -> list[int]:
 
 
 def _hierarchy(motion: Motion, unit: str, places: int) -> str:
+    """Return the HIERARCHY section, with offsets rounded to `places` decimals."""
     skeleton, metres = motion.skeleton, METRES[unit]
     lines = ["HIERARCHY"]
 
@@ -280,7 +279,7 @@ def _has_positions(motion: Motion, joint: int) -> bool:
 
 
 def _channels(motion: Motion, metres: float) -> tuple[np.ndarray, np.ndarray]:
-    """Values (T, C) in the file's units, and which columns (C,) are lengths."""
+    """Return values (T, C) in the file's units, and (C,) bool, true for columns of lengths."""
     columns, lengths = [], []
     for joint in _nested(motion.skeleton):
         if _has_positions(motion, joint):

@@ -1,4 +1,4 @@
-"""The text of a BVH file: taken apart and checked, not yet understood."""
+"""Parser of BVH files: syntax and its checks, without interpretation."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from gesturekit.formats.signatures import kind_by_content
 
 _MOST_JOINTS = 2000
 _LONGEST_NAME = 200
-_NOTHING = -2  # what the next { opens, where nothing does
+_NOTHING = -2  # value of `opening` if the next { opens no joint
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
 
 @dataclass
 class ParsedJoint:
-    """A ROOT or JOINT as written, or an End Site that has channels of its own.
+    """ROOT or JOINT as written, or an End Site that has channels.
 
     Attributes:
-        name: unique; a name that comes again has a number added.
-        parent: index of the joint that it stands in, -1 for the root.
-        line: where it begins.
-        is_end: whether the file calls it an End Site.
-        offset: in the file's unit.
+        name: unique; a number is added to a repeated name.
+        parent: index of the parent joint, -1 for the root.
+        line: line number of its beginning.
+        is_end: true if the file calls it an End Site.
+        offset: OFFSET in the file's unit.
         channels: "Xp" for Xposition, "Zr" for Zrotation, ..., in the file's order.
         ends: OFFSETs of its end sites.
     """
@@ -46,15 +46,15 @@ class ParsedJoint:
 
 @dataclass
 class ParsedBvh:
-    """A file taken apart.
+    """Content of a BVH file.
 
     Attributes:
         joints: parents before children.
-        frame_time: as written.
-        fps: the frames per second that it stands for.
-        frames: (T, C) float64, one column a channel, in the file's units.
-        renamed: names that had to be changed, to what the file calls them.
-        unit: that of our mark, see `bvh_mark`; None in files of others.
+        frame_time: Frame Time as written.
+        fps: frames per second.
+        frames: (T, C) float64, one column per channel, in the file's units.
+        renamed: new name to name in the file, for names that had to be changed.
+        unit: unit of our mark, see `mark`; None in files of other programs.
     """
 
     joints: list[ParsedJoint]
@@ -66,10 +66,10 @@ class ParsedBvh:
 
 
 def parse_bvh(path: Path) -> ParsedBvh:
-    """Take a file apart.
+    """Parse a file.
 
     Raises:
-        FormatError: missing, no BVH, broken, or cut short; the message names file and line.
+        FormatError: missing, not a BVH file, broken, or truncated; the message names file and line.
     """
     try:
         with path.open("rb") as stream:
@@ -113,7 +113,7 @@ def _parse(path: Path, encoding: str) -> ParsedBvh:
 
 
 def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
-    """Return all blocks, end sites among them, in the file's order; and the unit of our mark."""
+    """Return all blocks in the file's order, end sites included, and the unit of our mark."""
     blocks: list[ParsedJoint] = []
     unit = None
     open_blocks: list[int] = []
@@ -185,7 +185,7 @@ def _block(
 
 
 def _fold_ends(blocks: list[ParsedJoint]) -> list[ParsedJoint]:
-    """Joints alone: end sites become `ends`, but for the odd one with channels or joints in it."""
+    """Return the joints; end sites without channels or children become `ends` of their parent."""
     bears = {block.parent for block in blocks}
     joints: list[ParsedJoint] = []
     index: dict[int, int] = {-1: -1}
@@ -200,7 +200,7 @@ def _fold_ends(blocks: list[ParsedJoint]) -> list[ParsedJoint]:
 
 
 def _name_apart(joints: list[ParsedJoint]) -> tuple[list[ParsedJoint], dict[str, str]]:
-    """Joints with unique names, and which names that changed."""
+    """Return the joints with unique names, and new name to name in the file."""
     renamed: dict[str, str] = {}
     taken = {joint.name for joint in joints}
     times: dict[str, int] = {}
@@ -218,7 +218,7 @@ def _name_apart(joints: list[ParsedJoint]) -> tuple[list[ParsedJoint], dict[str,
 
 
 def _statements(lines: Lines) -> Iterator[str]:
-    """Statements of the hierarchy; braces may stand on lines of their own or not."""
+    """Yield the statements of the hierarchy; braces may share a line with others."""
     while line := lines.next():
         for part in line.replace("{", "\n{\n").replace("}", "\n}\n").split("\n"):
             if part := " ".join(part.split()):
@@ -236,7 +236,7 @@ def _three_numbers(text: str, lines: Lines) -> tuple[float, float, float]:
 
 
 def _parse_channels(text: str, lines: Lines) -> list[str]:
-    """As "Xp" and "Zr", in the file's order."""
+    """Return channels as "Xp" and "Zr", in the file's order."""
     count, *names = text.split() or [""]
     if not count.isdecimal() or int(count[:9]) != len(names):
         raise lines.error(

@@ -1,4 +1,4 @@
-"""The frames of a BVH file: millions of numbers in rows, read in bulk."""
+"""Fast parser of the frames of a BVH file."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from gesturekit.errors import FormatError
 
 LONGEST_LINE = 1 << 20
-"""Characters; what has longer lines is no BVH file."""
+"""Most characters in a line of a BVH file."""
 
 LARGEST = 1e9
-"""Offsets, positions and angles beyond this are damage, and would overflow further on."""
+"""Largest plausible offset, position or angle; larger ones could overflow."""
 
 _BLOCK = 1 << 21  # characters read at a time
 
 
 class Lines:
-    """A text file, where we are in it, and errors that say so."""
+    """Text file with a line number for error messages."""
 
     def __init__(self, stream: TextIO, path: object) -> None:
         self.stream = stream
@@ -27,7 +27,7 @@ class Lines:
         self.number = 0
 
     def next(self) -> str:
-        """The next line that is not blank, stripped; "" at the end of the file."""
+        """Return the next line that is not blank, stripped; "" at the end of the file."""
         while line := self.stream.readline(LONGEST_LINE):
             self.number += 1
             if len(line) >= LONGEST_LINE:
@@ -37,15 +37,15 @@ class Lines:
         return ""
 
     def error(self, message: str, line: int | None = None) -> FormatError:
-        """Say what is wrong in the current line, or in line number `line`."""
+        """Return an error about the current line, or about line number `line`."""
         return FormatError(f"{self.path}:{line or self.number}: {message}")
 
 
 def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
-    """(n_frames, n_channels) float64, one line a frame, to the end of the file.
+    """(n_frames, n_channels) float64, one line per frame, to the end of the file.
 
     Raises:
-        FormatError: too few or too many rows or values, or what is no finite number.
+        FormatError: too few or too many rows or values, or a value that is not a finite number.
     """
     blocks: list[np.ndarray] = []
     n_rows, rest = 0, ""
@@ -80,7 +80,7 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
 
 
 def _bulk(text: str, n_channels: int) -> np.ndarray | None:
-    """Return the rows (R, C) of `text` by numpy's parser; None where a row is unusual or wrong."""
+    """(R, C) rows of `text` from numpy's parser; None if a row is unusual or wrong."""
     if not text.strip():
         return np.empty((0, n_channels))
     try:
@@ -93,7 +93,7 @@ def _bulk(text: str, n_channels: int) -> np.ndarray | None:
 
 
 def _line_of_row(text: str, row: int) -> int:
-    """Return the index of the line that holds a row; blank lines hold none."""
+    """Return the index of the line of a row; blank lines are not rows."""
     filled = (index for index, line in enumerate(text.split("\n")) if line.strip())
     return next(itertools.islice(filled, row, None))
 
@@ -101,7 +101,7 @@ def _line_of_row(text: str, row: int) -> int:
 def _line_by_line(
     text: str, lines: Lines, n_before: int, n_frames: int, n_channels: int
 ) -> np.ndarray:
-    """Return the rows like `_bulk`, or say in which line the wrong one stands, and why."""
+    """(R, C) rows like those of `_bulk`; raise FormatError with the line of a wrong one."""
     rows = []
     for index, line in enumerate(text.split("\n")):
         words = line.split()

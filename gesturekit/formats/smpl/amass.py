@@ -1,8 +1,8 @@
-"""The keys of AMASS and BEAT2 in an npz file: a motion as the pose vectors of an SMPL rig.
+"""Keys of AMASS and BEAT2 in an npz file: a motion as pose vectors of an SMPL rig.
 
-`poses` are (T, 3 J) rotation vectors, `trans` (T, 3) what is added to where the model holds its
-pelvis, then `betas`, `gender` and the frame rate, spelt `mocap_frame_rate` or `mocap_framerate`.
-BEAT2 adds `expressions` and has Y up; AMASS has Z up. Fingers turn from the flat hand; tools of
+`poses` are (T, 3 J) rotation vectors, `trans` (T, 3) is added to the model's rest position of the
+pelvis, then `betas`, `gender` and the frame rate, `mocap_frame_rate` or `mocap_framerate`. BEAT2
+adds `expressions` and has Y up; AMASS has Z up. Fingers are relative to the flat hand; tools of
 BEAT2 that add the model's mean hand curl them a little more.
 """
 
@@ -29,7 +29,7 @@ from gesturekit.motion.rotations import (
 from gesturekit.wording import listed
 
 RATES = ("mocap_frame_rate", "mocap_framerate", "fps")
-"""Keys that the frame rate goes by."""
+"""Keys of the frame rate."""
 _MODELS = {22: "smpl", 24: "smpl", 52: "smplh", 55: "smplx"}
 _N_BETAS = {22: 10, 24: 10, 52: 16, 55: 300}
 _N_EXPRESSIONS = 100
@@ -37,10 +37,10 @@ _MAX_BETAS, _MAX_EXPRESSIONS = 1000, 1000
 
 
 def from_amass(archive: Archive, up: str) -> Motion:
-    """The motion in the keys of AMASS or BEAT2; `up` is "y", "z" or "auto".
+    """Return the motion in the keys of AMASS or BEAT2; `up` is "y", "z" or "auto".
 
     Raises:
-        FormatError: a key is missing, pickled, or of a shape that cannot be.
+        FormatError: a key is missing, pickled, or of a wrong shape.
     """
     if lacking := [key for key in ("poses", "trans") if key not in archive]:
         held = [ascii(key)[1:-1][:40] for key in archive]
@@ -75,7 +75,7 @@ def from_amass(archive: Archive, up: str) -> Motion:
 
 
 def to_amass(motion: Motion, up: str) -> dict[str, Any]:
-    """The keys of AMASS and BEAT2, of a motion on a rig of the SMPL family.
+    """Return the keys of AMASS and BEAT2 and their values, for a motion on an SMPL rig.
 
     `up` is the axis that points up in `poses` and `trans`, "y" or "z".
     """
@@ -104,16 +104,16 @@ def to_amass(motion: Motion, up: str) -> dict[str, Any]:
         values["expressions"] = np.pad(face, ((0, 0), (0, lacking)))
         values["model"] = info.get("model", "smplx2020")
     elif n_joints == 52:
-        values["dmpls"] = np.zeros((n_frames, 8))  # readers of AMASS ask for them
+        values["dmpls"] = np.zeros((n_frames, 8))  # required by readers of AMASS
     return values
 
 
 def to_y_up(
     rotations: np.ndarray, pelvis: np.ndarray, up: str
 ) -> tuple[np.ndarray, np.ndarray, str]:
-    """Rotations (T, J, 4) and pelvis (T, 3) turned to Y up, and the axis that pointed up.
+    """Return rotations (T, J, 4) and pelvis (T, 3) with Y up, and the axis that pointed up.
 
-    With `up` "auto" that is where the pelvis' own up points in most frames.
+    If `up` is "auto", it is the axis that the pelvis points along in most frames.
     """
     if up == "auto":
         body = rotate_vectors(rotations[:, 0], np.array([0.0, 1.0, 0.0]))
@@ -126,11 +126,11 @@ def to_y_up(
 
 
 def body_info(archive: Archive, betas_key: str, n_joints: int) -> dict[str, Any]:
-    """What a file tells of the body: `betas` (B,), `gender`, and which SMPL-X it is, `model`."""
+    """Return data about the body: `betas` (B,), `gender`, and the version of SMPL-X, `model`."""
     info: dict[str, Any] = {}
     if betas_key in archive:
         betas = archive.numbers(betas_key)
-        if betas.ndim == 2:  # one row for each frame: nobody's body changes
+        if betas.ndim == 2:  # one row for each frame, although a body does not change
             betas = betas.mean(axis=0) if len(betas) else betas.ravel()
         if betas.ndim != 1 or len(betas) > _MAX_BETAS or not np.isfinite(betas).all():
             raise FormatError(
@@ -147,7 +147,7 @@ def body_info(archive: Archive, betas_key: str, n_joints: int) -> dict[str, Any]
 
 
 def with_expressions(motion: Motion, archive: Archive) -> Motion:
-    """The motion with the file's face; coefficients that are all zero are none."""
+    """Return the motion with the file's expressions, unless they are all zero."""
     values = archive.numbers("expressions")
     if values.ndim != 2 or len(values) != motion.n_frames or values.shape[1] > _MAX_EXPRESSIONS:
         warnings.warn(
@@ -163,6 +163,7 @@ def with_expressions(motion: Motion, archive: Archive) -> Motion:
 
 
 def _rate(archive: Archive) -> float:
+    """Return the frame rate; all of its keys must agree."""
     rates = {key: archive.numbers(key) for key in RATES if key in archive}
     for key, value in rates.items():
         if value.size != 1:
@@ -177,7 +178,7 @@ def _rate(archive: Archive) -> float:
 
 
 def _text(archive: Archive, key: str) -> str:
-    """A short text, or none where the key is not there or holds something else."""
+    """Return a short text; "" if the key is missing or is not a text."""
     if key not in archive:
         return ""
     try:

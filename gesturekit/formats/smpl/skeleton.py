@@ -1,11 +1,11 @@
-"""The SMPL family's joints: names, tree, and a rest pose that needs no body model.
+"""Rigs of the SMPL family: joint names, tree, and a rest pose that needs no body model.
 
-The body models' own rest joints come with files whose licence forbids handing them on, and follow
-from `betas`. Without them we place the joints as on an adult of average build, 1.7 m tall,
-measured by no model; rotations are exact all the same. With one, `fit_body` takes its joints.
+The rest joints of the body models depend on `betas` and come with files that may not be
+redistributed. Without them, joints are placed as on an adult of average build, 1.7 m tall, not
+taken from any model; rotations are exact. With a body model, `fit_body` uses its joints.
 
-What a file tells of the performer's body rides in a motion's `info`: `betas` (of the rig's own
-shape space), `gender`, and `rest_pelvis`, where the file's model holds its pelvis.
+Data about the performer's body is kept in a motion's `info`: `betas` (of the rig's shape space),
+`gender`, and `rest_pelvis`, the model's rest position of the pelvis.
 """
 
 from __future__ import annotations
@@ -71,10 +71,10 @@ _SMPLX_PELVIS = (0.0, -0.35, 0.01)
 
 
 def model_pelvis(n_joints: int) -> np.ndarray:
-    """(3,) where the unmoved model of that many joints holds its pelvis, metres, to a centimetre.
+    """(3,) rest position of the pelvis in the model with that many joints, to a centimetre, metres.
 
-    The models' origin is in the chest. A file's `trans` is added to this place, whatever the
-    root's rotation and the axis that points up.
+    The origin of the models is in the chest. A file's `trans` is added to this position, whatever
+    the root's rotation and the up axis.
     """
     return np.array(_MODEL_PELVIS.get(n_joints, _SMPLX_PELVIS))
 
@@ -112,7 +112,7 @@ def smpl_skeleton(n_joints: int) -> Skeleton:
 
 
 def is_smpl(skeleton: Skeleton) -> bool:
-    """Whether the joints are those of a rig of the SMPL family, under its own names."""
+    """Return whether a rig has the joints and names of the SMPL family."""
     n = skeleton.n_joints
     if n not in N_JOINTS:
         return False
@@ -121,12 +121,12 @@ def is_smpl(skeleton: Skeleton) -> bool:
 
 
 def as_smpl(motion: Motion, n_joints: int) -> Motion:
-    """The motion on the rig of that many joints of the SMPL family.
+    """Return the motion on the SMPL rig with that many joints.
 
-    From another rig of the family, shared joints keep their rotations, joints that only the new
-    one has (fingers, face, SMPL's hand stubs) stay at rest, and the pelvis its place in the world.
-    SMPL and SMPL-H share one space of body shapes; on the way to SMPL-X or from it `betas` mean
-    nothing and are dropped. Any other rig is retargeted.
+    From another rig of the family, shared joints keep their rotations, the pelvis keeps its
+    position, and new joints (fingers, face, SMPL's hand stubs) stay at rest. SMPL and SMPL-H share
+    one shape space; SMPL-X has another, so `betas` are dropped on conversion to or from it. Any
+    other rig is retargeted.
 
     Raises:
         MotionError: a rig that cannot be retargeted.
@@ -144,7 +144,7 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
         if name in old.names:
             rotations[:, j] = motion.rotations[:, old.index(name)]
     info = dict(motion.info)
-    # A face is SMPL-X's wherever it is carried along: it fits again on the way back.
+    # Expressions belong to SMPL-X; other rigs keep them for a conversion back.
     expressions = None if old.n_joints == 55 else motion.expressions
     if (old.n_joints == 55) != (n_joints == 55):
         for key in ("betas", "model", "rest_pelvis"):
@@ -153,10 +153,10 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
 
 
 def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> Motion:
-    """The motion on the rig of a body model: its joints under the motion's `betas`, its feet.
+    """Return the motion on the rig of a body model, with its joints for the motion's `betas`.
 
-    The six vertices of the feet become end sites of the foot joints, where `foot_points` finds
-    them. A file's `trans` keeps its meaning: the pelvis is moved to where the model holds it.
+    Six vertices of the feet become end sites of the foot joints, for `foot_points`. The pelvis is
+    moved to the model's rest position, so that a file's `trans` keeps its meaning.
 
     Raises:
         FormatError: a model of another family.

@@ -1,4 +1,4 @@
-"""Events on the time line of a recording: what happens when, read from a table."""
+"""Events on the time line of a recording, read from a table."""
 
 from __future__ import annotations
 

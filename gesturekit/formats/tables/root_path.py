@@ -16,18 +16,18 @@ from gesturekit.motion.skeleton import FARTHEST
 
 MOTION_SUFFIXES = (".bvh", ".npz", ".json")
 FINEST = 120.0
-"""Frames per second that a table of uneven times is laid out at, at the most."""
+"""Largest frame rate to which a table of uneven times is resampled."""
 _COLUMNS = ("time", "x", "z", "heading")
 _MEGABYTES = 32
 _MAX_FRAMES = 10_000_000  # a day at 120 fps
 _EVEN = 0.02
-"""Share of a step that times may be off by (rounded digits) and still be even."""
+"""Largest deviation of even times (rounded digits), as a share of a step."""
 
 
 def as_root_path(path: str | os.PathLike[str] | RootPath | Motion, scale: float = 1.0) -> RootPath:
-    """A path, whatever it is given by: itself, a motion, or the name of a file.
+    """Return a path given as a path, a motion, or the name of a file.
 
-    `scale` is as in `load_root_path`.
+    `scale` is that of `load_root_path`.
 
     Raises:
         ModelError: it is none of these.
@@ -49,13 +49,13 @@ def load_root_path(path: str | os.PathLike[str], scale: float = 1.0) -> RootPath
 
     The table's first line names its columns, `time,x,z` or `time,x,z,heading` in any order:
     seconds from the beginning of the path (the first is 0), metres, and degrees about Y (0 faces
-    +Z, 90 faces +X). Without headings the path looks where it goes. Between rows it runs straight,
-    so a few rows are enough. Even times give the frame rate; uneven ones are laid out evenly at
-    the rate of the shortest step, 120 fps at the most.
+    +Z, 90 faces +X). Without headings the path faces its direction of travel. Positions are
+    interpolated linearly, so a few rows are enough. Even times give the frame rate; uneven ones
+    are resampled at the rate of the shortest step, 120 fps at most.
 
     Args:
         path: the file.
-        scale: `body_scale` of who follows it, which says what speed is standing.
+        scale: `body_scale` of the body that follows it, to scale the speed of standing.
 
     Raises:
         FormatError: the file is missing, too large, or not such a table; with its line.
@@ -69,7 +69,7 @@ def load_root_path(path: str | os.PathLike[str], scale: float = 1.0) -> RootPath
             f"{', '.join(MOTION_SUFFIXES)}, or .csv with the columns {','.join(_COLUMNS)}"
         )
     table, has_heading = _table(path)
-    times, x, z = table[:, :3].T
+    times, x, z, *angles = table.T
     fps = _frame_rate(path, times)
     n_frames = int(np.floor(times[-1] * fps + 0.5)) + 1
     if n_frames > _MAX_FRAMES:
@@ -82,14 +82,14 @@ def load_root_path(path: str | os.PathLike[str], scale: float = 1.0) -> RootPath
     try:
         if not has_heading:
             return RootPath.looking_ahead(places, fps, scale)
-        angles = np.unwrap(np.radians(table[:, 3]))
-        return RootPath(places, np.interp(at, times, angles), fps)
+        headings = np.interp(at, times, np.unwrap(np.radians(angles[0])))
+        return RootPath(places, headings, fps)
     except MotionError as error:
         raise FormatError(f"{path}: {error}") from None
 
 
 def _table(path: Path) -> tuple[np.ndarray, bool]:
-    """(N, 3 or 4) time, x, z and heading in the order of `_COLUMNS`; whether headings are there."""
+    """Return (N, 3 or 4) values in the order of `_COLUMNS`, and whether headings are present."""
     values: list[list[float]] = []
     for where, cells in read_table(path, _COLUMNS[:3], _COLUMNS[3:], _MEGABYTES):
         numbers = [_number(where, name, cells[name]) for name in _COLUMNS if name in cells]
@@ -120,9 +120,9 @@ def _number(where: str, column: str, cell: str) -> float:
 
 
 def _frame_rate(path: Path, times: np.ndarray) -> float:
-    """1 / step where all steps are alike, else the rate of the shortest step.
+    """Return 1 / step if all steps of times (N,) are equal, else the rate of the shortest step.
 
-    A whole number is meant where it explains the times as well.
+    A whole number is preferred if it explains the times equally well.
     """
     steps = np.diff(times)
     mean = times[-1] / len(steps)

@@ -1,4 +1,4 @@
-"""Small CSV tables whose first line names their columns."""
+"""Small CSV tables with a header line."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from gesturekit.errors import FormatError
 def read_table(
     path: Path, columns: Sequence[str], optional: Sequence[str] = (), megabytes: int = 32
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """The rows of a table, each with where it stands (file and line) and its cells by column.
+    """Yield the rows of a table, each with its location (file and line) and its cells by column.
 
-    Columns may stand in any order; a blank line is no row.
+    Columns may be in any order; blank lines are skipped.
 
     Args:
         path: the file.
-        columns: names that must be there.
-        optional: names that may be there.
-        megabytes: a larger file is refused unread.
+        columns: required columns.
+        optional: optional columns.
+        megabytes: largest file.
 
     Raises:
         FormatError: the file is missing, too large, or not such a table; with its line.

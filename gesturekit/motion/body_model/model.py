@@ -1,4 +1,4 @@
-"""Body models of the SMPL family, from the files their users have: joints, skin, feet.
+"""Body models of the SMPL family, read from the user's files: joints, skin, foot vertices.
 
 Loper et al. 2015. The skin at rest is `template + shapes . betas`; the joints at rest are a fixed
 mixture of its vertices; a pose adds small corrections to the skin and then carries each vertex
@@ -37,7 +37,7 @@ _CHUNK = 1 << 20  # numbers of one step of skinning
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
-    """A body's skin and joints at rest, and how they follow from its shape. Metres, Y up.
+    """Skin and joints at rest, as functions of the body shape. Metres, Y up.
 
     Attributes:
         template: (V, 3) vertices of the mean body.
@@ -85,7 +85,7 @@ class BodyModel:
 
     @classmethod
     def of(cls, model: BodyModel | str | os.PathLike[str]) -> BodyModel:
-        """The model itself, or the one in a file; the last file is remembered."""
+        """Return the model itself, or that of a file; the last file is cached."""
         if isinstance(model, BodyModel):
             return model
         path = Path(model)
@@ -134,12 +134,12 @@ class BodyModel:
         return mean + by_shape[..., : len(betas)] @ betas
 
     def rig(self, skeleton: Skeleton, betas: np.ndarray | None = None) -> Skeleton:
-        """The skeleton with the offsets of this body, and its foot vertices as end sites.
+        """Return the skeleton with the offsets of this body, and its foot vertices as end sites.
 
-        A foot vertex is fixed to the joint that has the greatest weight on it.
+        A foot vertex is fixed to the joint with the largest skinning weight.
 
         Raises:
-            MotionError: the joints hang on one another otherwise than the model's.
+            MotionError: the skeleton's tree differs from the model's.
         """
         if skeleton.parents != self.parents:
             raise MotionError(
@@ -205,7 +205,7 @@ class BodyModel:
         return moved
 
     def _betas(self, betas: np.ndarray | None) -> np.ndarray:
-        """As many as the model has; of the mean body where none are given."""
+        """(B,) coefficients, at most as many as the model has; none for the mean body."""
         if betas is None:
             return np.zeros(0)
         betas = np.asarray(betas, dtype=np.float64).ravel()

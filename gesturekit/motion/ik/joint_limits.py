@@ -1,4 +1,4 @@
-"""Hinges that bend the wrong way: knees forward, elbows backward."""
+"""Joint limits: knees that bend forward, elbows that bend backward."""
 
 from __future__ import annotations
 
@@ -11,24 +11,23 @@ from gesturekit.motion.retarget.standing_pose import FORWARD, standing_pose
 from gesturekit.motion.rotations import rotate_vectors
 
 TOLERANCE = np.deg2rad(5.0)
-"""Straight limbs overshoot by so much, in people and in captured motion."""
+"""Hyperextension of straight limbs that is normal in people and in captured motion."""
 
 _HINGES = (("shoulder", "elbow", "wrist", -1), ("hip", "knee", "ankle", 1))
 
 
 def bent_backwards(motion: Motion) -> dict[str, np.ndarray]:
-    """Frames in which a hinge bends the wrong way by more than `TOLERANCE`.
+    """Find the frames in which a hinge bends the wrong way by more than `TOLERANCE`.
 
-    A knee does where the shank points ahead of the thigh, an elbow where the forearm points behind
-    the upper arm. Ahead is what was ahead when the body stood, as the thigh or the upper arm has
-    turned since (`body_frames`).
+    A knee does if the shank points ahead of the thigh, an elbow if the forearm points behind the
+    upper arm. Ahead is the forward axis of the upper bone's anatomical frame (`body_frames`).
 
     Returns:
         "left_elbow", "right_elbow", "left_knee", "right_knee" to (T,) bool; without a wrist joint
         there is no elbow.
 
     Raises:
-        MotionError: parts that cannot be told, or a body that never stands.
+        MotionError: parts that cannot be identified, or a body that never stands.
     """
     parts = find_parts(motion.skeleton)
     frames = body_frames(motion.skeleton, parts, standing_pose(motion, parts))

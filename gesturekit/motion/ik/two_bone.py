@@ -1,11 +1,9 @@
-"""Two-bone inverse kinematics: where hip and knee must turn so that the ankle is where it shall be.
+"""Analytic two-bone inverse kinematics (law of cosines), vectorised over frames.
 
-Analytic (the law of cosines), for all frames at once. What it promises:
-
-- An ankle that is already there stays there: the rotations come back as they were.
-- The knee keeps its direction. A leg that was straight has none; it bends along the pole.
-- No pop at full extension. A target that is farther than the leg reaches is approached
-  asymptotically, from a little before the leg is straight (the "soft" limit of animation rigs).
+- If the end is already at its target, the rotations do not change.
+- The middle joint keeps its bending direction. A straight limb has none; it bends along the pole.
+- There is no pop at full extension: a target beyond reach is approached asymptotically, from a
+  little before the limb is straight (the "soft" limit of animation rigs).
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from gesturekit.motion.rotations import (
 )
 
 SOFTNESS = 0.03
-"""The last share of the limb's length over which it gives way."""
+"""Last share of the limb's length over which its extension is compressed."""
 _TINY = 1e-9
 
 
@@ -35,23 +33,23 @@ def two_bone_ik(
     softness: float = SOFTNESS,
     hinge: bool = False,
 ) -> np.ndarray:
-    """Turn a limb of two bones so that its end reaches a target.
+    """Rotate a limb of two bones so that its end reaches a target.
 
     Args:
         joints: (..., 3, 3) world positions of its three joints (hip, knee, ankle), metres.
-        target: (..., 3) where the third joint shall be.
+        target: (..., 3) world position for the third joint, metres.
         rotations: (..., 2, 4) local rotations of the first two joints.
         above: (..., 2, 4) world rotations of the parents of the first two joints. The second is
             that of the first joint itself unless helper joints lie between.
         pole: (..., 3) direction, world, into which a straight limb bends. By default the mean
             direction of the middle joint over all frames, as the first joint sees it.
-        softness: share of the limb's length over which it gives way before it is straight.
-        hinge: bend towards the pole only. A limb that was bent the other way, as noise bends a
-            knee that is nearly straight, is bent this way by as much, and never flips between.
+        softness: share of the limb's length over which its extension is compressed.
+        hinge: bend towards the pole only. A limb bent the other way, such as a nearly straight
+            knee with noise, is bent towards the pole by the same amount, so that it never flips.
 
     Returns:
-        (..., 2, 4) local rotations of the first two joints. The third joint's world rotation
-        turns along with the second's; who wants to keep it turns it back.
+        (..., 2, 4) local rotations of the first two joints. The third joint keeps its local
+        rotation, so its world rotation changes.
     """
     start, middle, end = np.moveaxis(np.asarray(joints, dtype=np.float64), -2, 0)
     first, second = middle - start, end - middle
@@ -66,7 +64,7 @@ def two_bone_ik(
         forward = _perpendicular(pole, along)
         bend = bend - 2 * np.minimum(_dot(bend, forward), 0) * forward
     height = _height(a, b, new)
-    # The bend that is there, and what comes to it along the pole where there was little.
+    # Existing bend, plus a bend along the pole if there was little.
     old = _length(bend)
     extra = np.maximum(height - old, 0) / (1 + (old / (0.1 * a + _TINY)) ** 2)
     side = _perpendicular(bend + extra * _perpendicular(pole, along), along)
@@ -88,10 +86,10 @@ def two_bone_ik(
 def reachable(
     distance: np.ndarray, length: np.ndarray, now: np.ndarray, softness: float = SOFTNESS
 ) -> np.ndarray:
-    """(...) metres that a limb stretches to when asked for `distance`.
+    """(...) soft limit of `distance` to `length`, metres.
 
-    All of it up to `(1 - softness) length`, or up to what it is stretched to `now` if that is
-    more; then less and less of it, never more than `length`. Continuous, as is its slope.
+    Distances up to `(1 - softness) length`, or up to `now` if that is larger, do not change; larger
+    ones approach `length`. The function and its slope are continuous.
     """
     begin = np.minimum(np.maximum((1 - softness) * length, now), length)
     left = np.maximum(length - begin, _TINY)
@@ -100,7 +98,7 @@ def reachable(
 
 
 def _height(a: np.ndarray, b: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """Height of the triangle with sides a and b over its base."""
+    """(..., 1) height of the triangle with sides `a` and `b` over its base."""
     cosine = (a**2 + base**2 - b**2) / np.maximum(2 * a * base, _TINY)
     return a * np.sqrt(np.maximum(1 - np.clip(cosine, -1, 1) ** 2, 0))
 
@@ -113,7 +111,7 @@ def _mean_pole(bend: np.ndarray, turned: np.ndarray) -> np.ndarray:
 def _turn(
     bone: np.ndarray, normal: np.ndarray, new_bone: np.ndarray, new_normal: np.ndarray
 ) -> np.ndarray:
-    """World rotation that takes a bone, and the normal of the limb's plane, to new ones."""
+    """(..., 4) world rotation of a bone and the normal of the limb's plane (..., 3) to new ones."""
     old, new = _basis(bone, normal), _basis(new_bone, new_normal)
     return quaternion_from_matrix(new @ np.swapaxes(old, -1, -2))
 
@@ -125,13 +123,13 @@ def _basis(bone: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _conjugate(turn: np.ndarray, above: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """The local rotation of a joint that the world turns by `turn`."""
+    """(..., 4) local rotation of a joint after a world rotation `turn`; `above` is its parent's."""
     turned = multiply_quaternions(multiply_quaternions(invert_quaternions(above), turn), above)
     return multiply_quaternions(turned, local)
 
 
 def _perpendicular(v: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Unit vectors: what of `v` is perpendicular to unit `along`; any perpendicular if nothing."""
+    """(..., 3) unit vectors along the part of `v` perpendicular to unit `along`, or any if zero."""
     v = v - _dot(v, along) * along
     spare = np.eye(3)[np.abs(along).argmin(axis=-1)]
     spare = spare - _dot(spare, along) * along

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import audio_features as af
-from gesturekit.corpus.speech import hear
+from gesturekit.corpus.speech import speech_features
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables.root_path import as_root_path
 from gesturekit.motion.motion import Motion
@@ -127,7 +127,7 @@ class Request:
             seconds = _own_seconds(model.fps, start, kept, way)
         if model.conditioner is not None and not isinstance(speech, (af.Wave, NoneType)):
             speech = af.Wave.load(speech)
-        features = hear(model.conditioner, speech, seconds, model.fps)
+        features = speech_features(model.conditioner, speech, seconds, model.fps)
         n_frames = len(features)
         if keyframes is not None and not is_led:
             start = fitted(n_frames)

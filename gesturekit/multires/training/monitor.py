@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.evaluation.quick import quick_figures
+from gesturekit.evaluation.quick_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import plain_values
@@ -52,7 +52,7 @@ class Monitor:
         self.recall = recall(data, config)
 
     def figures(self, network: MultiresGenerator, levels: int) -> dict[str, float]:
-        """Cheap measures (`quick_figures`) of what the first `levels` levels generate.
+        """Cheap measures (`quick_metrics`) of what the first `levels` levels generate.
 
         The finest of them is interpolated to the full rate. Noise is the same every time.
         Beside them stands `patch_diversity_ratio`: how much the samples' patches of a second
@@ -60,7 +60,7 @@ class Monitor:
         """
         made = [self._generated(network, levels, number) for number in range(len(self.clips))]
         self.samples = [self._motion(one) for one in made]
-        figures = quick_figures(self.samples, self.recordings)
+        figures = quick_metrics(self.samples, self.recordings)
         real = [self._at_level(self._recorded(number), levels) for number in range(len(made))]
         spread = self._patch_spread(real)
         if spread > 0:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.corpus.manifest import Item
+from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract
 from gesturekit.progress import Progress
 

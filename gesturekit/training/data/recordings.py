@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts

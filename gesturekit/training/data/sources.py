@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.atomic import atomic_write
-from gesturekit.corpus.manifest import Item
+from gesturekit.corpus.item import Item
 from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted, roughly
 

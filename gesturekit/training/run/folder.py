@@ -13,6 +13,7 @@ from typing import Any
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import ConfigError
 from gesturekit.training.config import dump_yaml, read_yaml
+from gesturekit.training.renamed_keys import with_new_keys
 from gesturekit.training.run.checkpoint import Checkpoints
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
@@ -47,9 +48,15 @@ class Run:
         if resume:
             if not config_file.is_file():
                 raise ConfigError(f"{folder}: no run to resume here; start it without --resume")
-            before = read_yaml(config_file)
-            before, config = _dotted(before), _dotted(config)
-            for key in sorted(set(before) | set(config)):
+            before = _dotted(with_new_keys(read_yaml(config_file), str(config_file), quiet=True))
+            config = _dotted(config)
+            # Settings that the file lacks came with a later version; their defaults change nothing.
+            newer = {
+                key
+                for key in config
+                if key not in before and not key.startswith(tuple(f"{old}." for old in before))
+            }
+            for key in sorted((set(before) | set(config)) - newer):
                 if key not in _REPORTING and before.get(key) != config.get(key):
                     raise ConfigError(
                         f"{config_file}: the run was started with {key}: {before.get(key)!r}, now "
@@ -143,7 +150,8 @@ def _dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in values.items():
         name = f"{prefix}{key}"
-        flat |= _dotted(value, f"{name}.") if isinstance(value, dict) else {name: value}
+        is_section = isinstance(value, dict) and value
+        flat |= _dotted(value, f"{name}.") if is_section else {name: value}
     return flat
 
 

@@ -39,7 +39,7 @@ class Steps(Progress):
         super().__init__(
             total=sum(steps for steps, _ in stages),
             initial=done,
-            unit="steps",
+            unit="step",
             disable=quiet,
             bar_format="{l_bar}{bar}| {n_fmt} of {total_fmt} steps, {elapsed} passed, "
             "{remaining} left{postfix}",

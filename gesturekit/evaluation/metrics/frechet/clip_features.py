@@ -1,14 +1,14 @@
-"""Kinetic and geometric features of a clip: what FID_k, FID_g, Div_k and Div_g compare.
+"""Kinetic and geometric features of a clip, for FID_k, FID_g, Div_k and Div_g.
 
-After fairmotion (Onuma et al. 2008; Müller et al. 2005), as AIST++, Bailando and Alexanderson et
-al. 2023 use it. Those codes disagree in their constants (frame times of 1/60 and 1/120 s whatever
-the data, bone lengths of one dancer), so their figures cannot be met exactly. Ours:
+They follow fairmotion (Onuma et al. 2008; Müller et al. 2005), as AIST++, Bailando and Alexanderson
+et al. 2023 use it. Their constants disagree (frame times of 1/60 and 1/120 s for any data, bone
+lengths of one dancer), so that their values cannot be reproduced exactly. Here:
 
 - 30 fps: motions at other rates are resampled (`frame_rate`), dt = 1/30 s.
-- Kinetic: means over the frames around each one, two on either side; what lies outside the clip
-  is skipped. The released code divides by dt only one of the two places that an acceleration's
-  earlier velocity is made of; this divides both.
-- Geometric: upper arm, shoulder width and hip width, in which thresholds count, are the clip's own.
+- Kinetic: means over each frame and two on either side; frames outside the clip are skipped. For
+  the earlier velocity of an acceleration, the released code divides only one of the two positions
+  by dt; here both are divided.
+- Geometric: thresholds are in units of the clip's own upper arm, shoulder width and hip width.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ FPS = 30.0
 CLIP_SECONDS = 10.0
 """Length of a clip in Alexanderson et al. 2023."""
 KINDS = ("kinetic", "geometric")
-_AROUND = 2  # frames on either side that are averaged with each
+_AROUND = 2  # frames on either side in a running mean
 
-# Relation, joints, threshold and the length it counts in (angles: between, in degrees). In the
-# released code, which this follows, "move" does not use its fourth joint.
+# Relation, joints, threshold and its unit of length (angles: lower and upper limit, degrees). As in
+# the released code, "move" does not use its fourth joint.
 _GEOMETRIC = (
     ("nmove", "neck", "rhip", "lhip", "rwrist", 1.8, "arm"),
     ("nmove", "neck", "lhip", "rhip", "lwrist", 1.8, "arm"),
@@ -69,11 +69,11 @@ _GEOMETRIC = (
 
 
 def kinetic_features(motion: Motion, *, joints: Sequence[str] | None = None) -> np.ndarray:
-    """(3 J,) energies of each joint: horizontal, vertical, and expenditure.
+    """Return (3 J,) energies of each joint: horizontal, vertical, and expenditure.
 
     With v(i) the mean velocity around frame i and a(i) the mean acceleration, over frames
-    i = 1 ... T - 1: the means of |v_xz|² and v_y² (m²/s²), and of |a| (m/s²). Places are the
-    world's, so that walking counts; where the clip begins and faces does not.
+    i = 1 ... T - 1: the means of |v_xz|² and v_y² (m²/s²), and of |a| (m/s²). Positions are
+    in the world, so that walking counts; the start position and heading do not.
 
     Args:
         motion: at least 4 frames at 30 fps.
@@ -81,7 +81,7 @@ def kinetic_features(motion: Motion, *, joints: Sequence[str] | None = None) -> 
 
     Raises:
         EvaluationError: fewer frames.
-        MotionError: no such joint, or parts of the body that cannot be told.
+        MotionError: no such joint, or body parts that cannot be identified.
     """
     motion = _long_enough(motion)
     names = body_joints(motion.skeleton) if joints is None else joints
@@ -97,21 +97,21 @@ def kinetic_features(motion: Motion, *, joints: Sequence[str] | None = None) -> 
 
 
 def geometric_features(motion: Motion) -> np.ndarray:
-    """(32,) shares of the frames in which joints stand in certain relations to each other.
+    """Return (32,) fractions of the frames in which a relation between joints holds.
 
-    Joints are found by what they are (`gesturekit.motion.parts`), so that any rig will do: root is
-    the pelvis, belly and chest the first and last joint of the spine, toes the toe points of the
-    feet. Relations, with p a joint, p' the same one frame earlier and θ the threshold:
-    fast |p - p'| / dt > θ; move: the velocity of one joint seen from another, along the way to a
-    third; nmove: likewise along the normal of a plane; plane, nplane: distance over a plane; angle:
+    Joints are identified as body parts (`gesturekit.motion.parts`), on any rig: root is the pelvis,
+    belly and chest are the first and last joint of the spine, toes are the toe points of the feet.
+    Relations, with p a joint, p' its position one frame earlier and θ the threshold:
+    fast: |p - p'| / dt > θ; move: velocity of one joint relative to another, in the direction of a
+    third; nmove: the same along the normal of a plane; plane, nplane: distance from a plane; angle:
     between two bones.
 
     Args:
         motion: at least 4 frames at 30 fps.
 
     Raises:
-        EvaluationError: fewer frames, or forearms that end nowhere.
-        MotionError: parts of the body that cannot be told.
+        EvaluationError: fewer frames, or a forearm without an end.
+        MotionError: body parts that cannot be identified.
     """
     now = _places(_long_enough(motion))
     before = {name: places[:-1] for name, places in now.items()}
@@ -151,17 +151,17 @@ def clip_features(
     seconds: float = CLIP_SECONDS,
     joints: Sequence[str] | None = None,
 ) -> list[list[np.ndarray]]:
-    """Features of the clips of sets of motions: for each set and motion, (clips, D).
+    """Return the clip features of sets of motions: an array (clips, D) for each set and motion.
 
-    Motions are cut into clips one after the other; what is left over, and motions shorter than a
-    clip, are left out.
+    Motions are cut into consecutive clips; the remainder, and motions shorter than a clip, are left
+    out.
 
     Args:
         sets: such as generated and reference.
         kind: "kinetic" or "geometric".
         seconds: length of a clip.
-        joints: names, for kinetic features, that every motion has; by default the body joints of
-            the last set's first motion.
+        joints: names of joints of all motions, for kinetic features; by default the body joints
+            of the first motion of the last set.
 
     Raises:
         EvaluationError: no such kind, an empty set, rigs that differ, or no clip in a set.
@@ -215,11 +215,11 @@ def _long_enough(motion: Motion) -> Motion:
 
 
 def _mean_around(values: np.ndarray, ahead: int = 0) -> np.ndarray:
-    """(T - 1, ...) means for the frames i = 1 ... T - 1 of values that stand at i + j, |j| <= 2.
+    """Return (T - 1, ...) running means over i - 2 ... i + 2 for the frames i = 1 ... T - 1.
 
     Args:
-        values: (T - 1 - ahead, ...), the first one belongs to frame 1.
-        ahead: by how many frames values end before the motion's last.
+        values: (T - 1 - ahead, ...), beginning with frame 1.
+        ahead: number of frames without values at the end.
     """
     n = len(values)
     sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
@@ -230,7 +230,7 @@ def _mean_around(values: np.ndarray, ahead: int = 0) -> np.ndarray:
 
 
 def _places(motion: Motion) -> dict[str, np.ndarray]:
-    """(T, 3) places of the joints that `_GEOMETRIC` names."""
+    """Return {name: (T, 3) positions} of the joints that `_GEOMETRIC` names."""
     skeleton, positions = motion.skeleton, motion.positions()
     parts = find_parts(skeleton)
     names = {"root": parts.pelvis, "belly": parts.spine[0], "chest": parts.spine[-1]}
@@ -263,7 +263,7 @@ def _places(motion: Motion) -> dict[str, np.ndarray]:
 
 
 def _wrist(motion: Motion, positions: np.ndarray, side: str) -> np.ndarray:
-    """(T, 3) place of a wrist, or where the rig has none of the end of the forearm."""
+    """Return the (T, 3) positions of a wrist or, on a rig without, of the end of the forearm."""
     arm = find_parts(motion.skeleton).arms[side]
     if arm.wrist is not None:
         return positions[:, motion.skeleton.index(arm.wrist)]
@@ -277,11 +277,11 @@ def _median_distance(places: dict[str, np.ndarray], a: str, b: str) -> float:
 
 
 def _along(vectors: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """(T,) lengths of vectors along directions; 0 where there is no direction."""
+    """Return (T,) components of vectors along directions; 0 for a direction of no length."""
     length = np.linalg.norm(direction, axis=-1)
     return (vectors * direction).sum(axis=-1) / np.where(length > 1e-9, length, np.inf)
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(T,) degrees between vectors, 0 where one of them is none."""
+    """Return (T,) angles between vectors, degrees; 0 if one has no length."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))

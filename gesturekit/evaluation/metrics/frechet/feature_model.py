@@ -1,7 +1,7 @@
-"""A feature extractor for the Fréchet gesture distance, fitted on one's own reference set.
+"""A feature extractor for the Fréchet gesture distance, fitted on a reference set.
 
-Published extractors are bound to their rigs or were never released, so figures of different papers
-cannot be compared. With this one, two figures can where `fingerprint` is the same.
+Published extractors are bound to their rigs or were never released, so that values of different
+papers cannot be compared. Two values of this one can be compared if `fingerprint` is the same.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 FORMAT = 1
 STEPS = 2300
-"""As many as GENEA's 10 epochs over Trinity's four hours were."""
+"""Optimiser steps, as many as in GENEA's 10 epochs over the four hours of Trinity."""
 ENOUGH_SECONDS = 600.0
 _RATE, _BETAS = 5e-4, (0.5, 0.999)
 _BATCH = {"genea": 64, "yoon": 128}
@@ -39,13 +39,13 @@ _LARGEST_JSON = 1_000_000  # bytes
 
 
 class FeatureModel:
-    """Motions in, 32 numbers for each window of poses out.
+    """Maps each window of poses of a motion to 32 features.
 
     Attributes:
-        windows: how windows are made of motions.
+        windows: cuts motions into windows of normalised poses.
         network: the autoencoder.
-        training: what it was fitted on and how: seed, steps, motions, seconds, and `unexplained`,
-            the share of the reference's mean absolute deviation that it cannot reconstruct.
+        training: seed, steps, motions and seconds of the fit, and `unexplained`, the fraction of
+            the reference's mean absolute deviation that the network cannot reconstruct.
     """
 
     def __init__(
@@ -69,9 +69,9 @@ class FeatureModel:
     ) -> FeatureModel:
         """Train the autoencoder on windows drawn from a reference set, on the CPU.
 
-        Adam (5e-4, betas 0.5 and 0.999) on L1 and L1 of differences, batches of 64 ("genea") or 128
-        ("yoon"), as published, but for the noise that Yoon et al. put on joints. Equal seeds
-        give equal numbers on one machine with one number of threads.
+        Adam (5e-4, betas 0.5 and 0.999) on L1 and L1 of frame differences, batches of 64 ("genea")
+        or 128 ("yoon"), as published, without the joint noise of Yoon et al. The same seed gives
+        the same weights on one machine with the same number of threads.
 
         Args:
             motions: the reference set, of one rig.
@@ -88,42 +88,17 @@ class FeatureModel:
         if steps < 1:
             raise EvaluationError(f"steps is {steps!r}; expected a number from 1")
         windows = PoseWindows.fit(motions, variant, n_frames=n_frames, joints=joints)
-        clips = [windows.frames(motion).astype(np.float32) for motion in motions]
-        frames = torch.from_numpy(np.concatenate(clips))
-        # Of windows that lie within one motion, as rows of all frames one after the other.
-        lengths = np.array([len(clip) for clip in clips])
-        firsts = np.cumsum(lengths) - lengths
-        starts = torch.from_numpy(
-            np.concatenate(
-                [
-                    first + np.arange(max(0, length - windows.n_frames + 1))
-                    for first, length in zip(firsts, lengths)
-                ]
-            )
-        )
-        if len(starts) < 2:
-            raise EvaluationError(
-                f"{len(starts)} windows of {windows.n_frames / windows.fps:.3g} s in "
-                f"{len(motions)} motions; give longer motions"
-            )
+        frames, starts = _training_windows(windows, motions)
         seconds = sum(motion.duration for motion in motions)
-        if seconds < ENOUGH_SECONDS:
-            log.warning(
-                "The feature model is fitted on %.3g minutes of motion; below %.3g its figures "
-                "depend on the seed.",
-                seconds / 60,
-                ENOUGH_SECONDS / 60,
-            )
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             network = PoseAutoencoder(windows.n_features, windows.n_frames, variant == "yoon")
         rng = torch.Generator().manual_seed(seed)
         optimiser = torch.optim.Adam(network.parameters(), lr=_RATE, betas=_BETAS)
-        within = torch.arange(windows.n_frames)
         size = min(_BATCH[variant], len(starts))
         for step in range(1, steps + 1):
             drawn = starts[torch.randint(0, len(starts), (size,), generator=rng)]
-            batch = frames[drawn[:, None] + within]
+            batch = frames[drawn[:, None] + torch.arange(windows.n_frames)]
             loss = reconstruction_loss(network(batch)[1], batch)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
@@ -143,7 +118,7 @@ class FeatureModel:
 
     @torch.no_grad()
     def encode(self, motions: Sequence[Motion]) -> list[np.ndarray]:
-        """(W_i, 32) features of each motion's windows; motions shorter than one are left out.
+        """Return (W_i, 32) features of each motion's windows; skip motions shorter than a window.
 
         Raises:
             EvaluationError: a motion lacks joints, or none is as long as a window.
@@ -157,7 +132,7 @@ class FeatureModel:
 
     @property
     def fingerprint(self) -> str:
-        """sha256 of how windows are made and of all tensors: equal ones give equal figures."""
+        """SHA-256 of the window settings and all tensors; equal ones give comparable values."""
         digest = hashlib.sha256(json.dumps(self.windows.to_json(), sort_keys=True).encode())
         for name, tensor in sorted(self._tensors().items()):
             digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
@@ -181,11 +156,11 @@ class FeatureModel:
 
     @classmethod
     def load(cls, folder: str | Path) -> FeatureModel:
-        """Read what `save` wrote.
+        """Read a feature model from the folder that `save` wrote.
 
         Raises:
-            EvaluationError: a file is missing, damaged, of a newer format, or the two files are not
-                of one model.
+            EvaluationError: a file is missing, damaged or of a newer format, or the files belong to
+                different models.
         """
         folder = Path(folder)
         values = _read_json(folder / _JSON)
@@ -233,6 +208,39 @@ class FeatureModel:
                 left += float((self.network(part)[1] - part).abs().sum())
                 total += float(part.abs().sum())
         return left / total if total else 0.0
+
+
+def _training_windows(
+    windows: PoseWindows, motions: Sequence[Motion]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the frames (N, 3 B) of all motions and the first frames (W,) of all windows.
+
+    Warns if there is too little motion.
+
+    Raises:
+        EvaluationError: fewer than two windows.
+    """
+    minutes = sum(motion.duration for motion in motions) / 60
+    if minutes < ENOUGH_SECONDS / 60:
+        log.warning(
+            "The feature model is fitted on %.3g minutes of motion; below %.3g its figures "
+            "depend on the seed.",
+            minutes,
+            ENOUGH_SECONDS / 60,
+        )
+    clips = [windows.frames(motion).astype(np.float32) for motion in motions]
+    lengths = np.array([len(clip) for clip in clips])
+    starts = [  # windows lie within one motion
+        first + np.arange(max(0, length - windows.n_frames + 1))
+        for first, length in zip(np.cumsum(lengths) - lengths, lengths)
+    ]
+    n_windows = sum(map(len, starts))
+    if n_windows < 2:
+        raise EvaluationError(
+            f"{n_windows} windows of {windows.n_frames / windows.fps:.3g} s in "
+            f"{len(motions)} motions; give longer motions"
+        )
+    return torch.from_numpy(np.concatenate(clips)), torch.from_numpy(np.concatenate(starts))
 
 
 def _parts(clip: np.ndarray) -> tuple[torch.Tensor, ...]:

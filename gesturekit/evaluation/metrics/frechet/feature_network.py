@@ -1,4 +1,4 @@
-"""The autoencoder whose bottleneck are the features of the Fréchet gesture distance."""
+"""The autoencoder whose bottleneck gives the features of the Fréchet gesture distance."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ N_FEATURES = 32
 
 
 class PoseAutoencoder(nn.Module):
-    """Convolutions over time and a bottleneck of 32 numbers (Yoon et al. 2020, `embedding_net`).
+    """Temporal convolutions with a bottleneck of 32 features (Yoon et al. 2020, `embedding_net`).
 
-    Written as `LeakyReLU(True)`, the activations between the linear layers of the released network
-    have slope 1 and do nothing; they are left out here. GENEA's variant lacks the last linear
-    layer of the encoder (`fc_mu`), and takes other lengths than 34 frames.
+    The released network has `LeakyReLU(True)` between its linear layers: a slope of 1, which is the
+    identity. These activations are left out here. GENEA's variant lacks the last linear layer of
+    the encoder (`fc_mu`) and takes windows of other lengths than 34 frames.
 
     Args:
         n_inputs: numbers a frame.
         n_frames: frames of a window, from 10.
-        mean_layer: whether there is a linear layer more, as in Yoon et al.
+        mean_layer: True to add the last linear layer of Yoon et al.
     """
 
     def __init__(self, n_inputs: int, n_frames: int, mean_layer: bool) -> None:
@@ -49,13 +49,13 @@ class PoseAutoencoder(nn.Module):
         )
 
     def forward(self, windows: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, 32) features and the reconstruction of windows (B, n_frames, n_inputs)."""
+        """Return features (B, 32) and the reconstruction of windows (B, n_frames, n_inputs)."""
         features = self.encoder(windows.transpose(1, 2))
         return features, self.decoder(features).transpose(1, 2)
 
 
 def reconstruction_loss(made: Tensor, windows: Tensor) -> Tensor:
-    """L1 and L1 of the differences of frames, each a mean over a window, summed over the batch."""
+    """Return L1 plus L1 of frame differences of (B, T, D): means over a window, summed over B."""
     error = (made - windows).abs().mean(dim=(1, 2))
     steps = (torch.diff(made, dim=1) - torch.diff(windows, dim=1)).abs().mean(dim=(1, 2))
     return (error + steps).sum()

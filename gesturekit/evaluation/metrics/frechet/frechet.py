@@ -1,17 +1,17 @@
-"""Fréchet distances between sets of motions, and how far their clips lie apart.
+"""Fréchet distances between sets of motions, and diversity of their clips.
 
 |m1 - m2|² + tr(S1 + S2 - 2 (S1 S2)^½) with means and covariances (divided by n - 1) of features
-(Heusel et al. 2017). What the features are gives each its name:
+(Heusel et al. 2017). The metrics differ in their features:
 
-- `fgd`: an autoencoder's, of short windows of poses (Yoon et al. 2020). Figures depend on the
-  autoencoder: two may be compared where its fingerprint is one.
+- `fgd`: those of an autoencoder of short windows of poses (Yoon et al. 2020). Values can be
+  compared if the fingerprint of the autoencoder is the same.
 - `raw_fgd`: the normalised windows themselves (Ahuja et al. 2020).
 - `fid_k`, `fid_g`: kinetic and geometric features of 10 s clips, each divided by its standard
   deviation in the reference (Siyao et al. 2022); `div_k`, `div_g`: mean distance of two clips.
 
-Small samples make every one of them larger: below `SAMPLES_PER_DIMENSION` samples for each number
-of a feature, two halves of one set are more than about 5 % of its variance apart. Compare sets of
-equal size, and read the note.
+Small samples bias all of them upwards: below `SAMPLES_PER_DIMENSION` samples per feature dimension,
+two halves of one set are more than about 5 % of its variance apart. Compare sets of equal size,
+and read the note.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
 
 SAMPLES_PER_DIMENSION = 10
 _RESAMPLED_DIMENSIONS = 128
-"""The bootstrap works on this many principal components at most, to be quick."""
+"""Largest number of principal components in the bootstrap, for speed."""
 _EXACT = 1500
-"""`raw_fgd` is exact up to this many numbers a window. Beyond it principal components are taken,
-whatever the number of windows, so that all models of a comparison are measured alike."""
-_COMPONENTS = 256  # sets of fewer windows lie wholly along them, and are exact too
+"""Largest window dimension for an exact `raw_fgd`. Above, principal components are used for any
+number of windows, so that all models of a comparison are measured in the same way."""
+_COMPONENTS = 256  # exact too for sets of fewer windows
 _AXES_FROM = 4000  # samples that principal components are found from, at most
 _CLIPS = 10
-"""Where either set has fewer motions, windows are resampled in place of whole motions."""
+"""Least number of motions of either set for resampling motions instead of windows."""
 
 
 @dataclass(frozen=True)
 class FrechetResult:
-    """A Fréchet distance and how sure it is.
+    """A Fréchet distance and its bootstrap interval.
 
     Attributes:
         value: the distance (a squared length, in the features' units).
@@ -52,8 +52,8 @@ class FrechetResult:
         high: value and 1.96 bootstrap standard errors.
         n_generated: samples (windows or clips) of the generated set.
         n_reference: samples of the reference set.
-        dimensions: numbers a feature.
-        note: "" or why the figure is uncertain.
+        dimensions: dimension of the features.
+        note: "" or why the value is uncertain.
     """
 
     value: float
@@ -71,18 +71,18 @@ class FrechetResult:
 
 
 def frechet_distance(generated: np.ndarray, reference: np.ndarray) -> float:
-    """Fréchet distance of the Gaussians fitted to two samples.
+    """Return the Fréchet distance of the Gaussians fitted to two samples.
 
-    tr((S1 S2)^½) is the sum of the singular values of R1 R2', where R'R = S: no matrix root, no
-    number added to a diagonal, and sound for fewer samples than dimensions. Equal samples are 0
-    apart but for rounding (1e-15 of their variance); it is never negative.
+    tr((S1 S2)^½) is the sum of the singular values of R1 R2', where R'R = S. This needs no matrix
+    square root and no regularisation, and is valid for fewer samples than dimensions. Equal samples
+    have distance 0 up to rounding (1e-15 of their variance); it is never negative.
 
     Args:
         generated: (n, D) features, n from 2.
         reference: (m, D) features, m from 2.
 
     Raises:
-        EvaluationError: shapes that do not fit, fewer than two samples, or NaN.
+        EvaluationError: shapes that differ, fewer than two samples, or NaN.
     """
     generated, reference = _features(generated, "generated"), _features(reference, "reference")
     if generated.shape[1] != reference.shape[1]:
@@ -100,17 +100,17 @@ def frechet_result(
     resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
-    """Fréchet distance of two sets of motions, with its bootstrap interval.
+    """Return the Fréchet distance of two sets of motions, with its bootstrap interval.
 
-    Both sets are drawn anew `resamples` times, whole motions at a time (windows of one motion are
-    alike), or windows where a set has fewer than 10 motions: the interval is then too narrow. It is
-    given by the standard error, as the quantiles of resampled distances all lie too high.
+    Both sets are resampled `resamples` times by whole motions, as windows of one motion are
+    correlated, or by windows if a set has fewer than 10 motions; the interval is then too narrow.
+    It is computed from the standard error, as resampled distances are biased upwards.
 
     Args:
         generated: (n_i, D) features of each motion.
         reference: (m_i, D) features of each motion.
         resamples: 0 for no interval.
-        seed: draws the resamples.
+        seed: seed of the resamples.
 
     Raises:
         EvaluationError: see `frechet_distance`.
@@ -148,17 +148,17 @@ def fgd(
     resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
-    """Fréchet gesture distance on the features of `model` (see `gesturekit fit-features`).
+    """Return the Fréchet gesture distance on the features of `model` (`gesturekit fit-features`).
 
     Args:
         generated: motions with the joints of the model, any frame rate.
-        reference: likewise.
+        reference: the same for the recordings.
         model: the autoencoder, fitted on a reference set.
         resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
     Raises:
-        EvaluationError: joints that are missing, or no motion as long as a window.
+        EvaluationError: missing joints, or no motion as long as a window.
     """
     return frechet_result(
         model.encode(generated), model.encode(reference), resamples=resamples, seed=seed
@@ -174,14 +174,14 @@ def raw_fgd(
     resamples: int = 0,
     seed: int = 0,
 ) -> FrechetResult:
-    """Fréchet distance on windows of normalised poses, without an autoencoder.
+    """Return the Fréchet distance on windows of normalised poses, without an autoencoder.
 
     Args:
         generated: motions of one rig.
         reference: motions of the same rig.
-        windows: how poses are made; by default `PoseWindows.fit(reference)`, GENEA's form.
-            `model.windows` gives the figure that stands beside a model's `fgd`.
-        joints: names that both sets have, where windows are not given; by default the body's.
+        windows: pose normalisation; by default `PoseWindows.fit(reference)`, GENEA's form.
+            `model.windows` gives the value to compare with a model's `fgd`.
+        joints: names of joints of both sets, if `windows` is None; by default the body joints.
         resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
@@ -207,13 +207,13 @@ def fid_k(
     resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
-    """Fréchet distance on kinetic features of clips; see `kinetic_features`.
+    """Return the Fréchet distance on kinetic features of clips; see `kinetic_features`.
 
     Args:
-        generated: motions of one rig, cut into clips one after the other; a rest is left out.
+        generated: motions of one rig, cut into consecutive clips; a remainder is left out.
         reference: motions of the same rig.
         seconds: length of a clip.
-        joints: names that both sets have; by default the body joints of the reference.
+        joints: names of joints of both sets; by default the body joints of the reference.
         resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
@@ -231,7 +231,7 @@ def fid_g(
     resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
-    """Fréchet distance on geometric features of clips; see `geometric_features` and `fid_k`."""
+    """Return the Fréchet distance on geometric features of clips; see `fid_k`."""
     return _fid("geometric", generated, reference, seconds, None, resamples, seed)
 
 
@@ -303,7 +303,7 @@ def _diversity(
 
 
 def _spread(reference: np.ndarray) -> np.ndarray:
-    """(D,) standard deviations; a feature that never changes in the reference keeps its unit."""
+    """Return (D,) standard deviations of (n, D) features, 1 for constant ones."""
     spread = reference.std(axis=0)
     return np.where(spread > 1e-9 * (1 + np.abs(reference).max(axis=0)), spread, 1.0)
 
@@ -322,10 +322,10 @@ def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
 
 
 def _bounded(sets: list[list[np.ndarray]], resamples: int, seed: int) -> FrechetResult:
-    """Fréchet distance along principal components, and a lower bound of the rest.
+    """Return the Fréchet distance along principal components plus a lower bound of the rest.
 
-    Distances along axes and across them add up to no more than the whole, and across them it is
-    no less than |m1 - m2|² + Σ (s1 - s2)², s the standard deviations of each number.
+    The sets are lists of (n_i, D). The distances in the subspace and its complement add up to at
+    most the full one, which in the complement is at least |m1 - m2|² + Σ (s1 - s2)².
     """
     axes = _principal_axes(sets, _COMPONENTS)
     along = frechet_result(
@@ -353,12 +353,12 @@ def _bounded(sets: list[list[np.ndarray]], resamples: int, seed: int) -> Frechet
 
 
 def _across(values: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """What is left of values (n, D) without what lies along orthonormal axes (D, K)."""
+    """Return values (n, D) minus their projection on orthonormal axes (D, K)."""
     return values - (values @ axes) @ axes.T
 
 
 def _principal_axes(sets: list[list[np.ndarray]], count: int) -> np.ndarray:
-    """(D, count) orthonormal axes along which all samples together vary most."""
+    """Return (D, count) principal axes of all samples together."""
     from sklearn.utils.extmath import randomized_svd
 
     clips = [x for one in sets for x in one]

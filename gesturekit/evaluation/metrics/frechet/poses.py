@@ -1,4 +1,4 @@
-"""Poses that do not depend on where a body stands and which way it faces, and windows of them."""
+"""Windows of poses, invariant to the position and heading of the body."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from gesturekit.motion.parts import body_joints, find_parts, upper_body
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 
 _SMALLEST_SCALE = 1e-3
-"""Metres on the reference body; a coordinate that varies by less in the reference is measured in
-this."""
+"""Lower bound of the standard deviation of a coordinate, metres on the reference body."""
 _SHORTEST_BONE = 1e-4  # metres on the reference body
 _MOST_FRAMES = 1000
 
@@ -32,30 +31,29 @@ class _Variant:
 
 
 _VARIANTS = {
-    # Joint positions, as in GENEA 2022 (genea_numerical_evaluations), whose 14 were of its own rig.
+    # Joint positions, as in GENEA 2022 (genea_numerical_evaluations; 14 joints of its own rig).
     "genea": _Variant(False, "body", 30.0, 60, 0),
-    # Directions of the upper body's bones, as in Yoon et al. 2020, who had nine of them.
+    # Bone directions of the upper body, as in Yoon et al. 2020 (nine bones).
     "yoon": _Variant(True, "upper", 15.0, 34, 10),
 }
 
 
 @dataclass(frozen=True, eq=False)
 class PoseWindows:
-    """Makes windows of poses from motions of a rig.
+    """Cuts motions of a rig into windows of normalised poses.
 
-    Each frame is seen from the pelvis and turned about the vertical so that the hips face +Z:
-    where the body stands and which way it faces are left out. The variant "genea" takes positions
-    of joints, each coordinate less its mean over its standard deviation; "yoon" takes unit vectors
-    along bones, less their mean.
+    Each frame is relative to the pelvis and turned about the vertical so that the hips face +Z. The
+    variant "genea" takes joint positions, each coordinate with its mean removed and divided by its
+    standard deviation; "yoon" takes unit bone vectors with their mean removed.
 
     Attributes:
         variant: "genea" or "yoon".
-        bones: (from, to) joint names; positions all go from the pelvis.
-        fps: frame rate that motions are brought to.
+        bones: (from, to) joint names; positions all start at the pelvis.
+        fps: frame rate that motions are resampled to.
         n_frames: frames of a window.
         stride: frames between the starts of two windows.
-        mean: (3 B,) of the reference's frames.
-        scale: (3 B,) what poses are divided by.
+        mean: (3 B,) mean of the reference's frames.
+        scale: (3 B,) divisor of the poses.
     """
 
     variant: str
@@ -82,7 +80,7 @@ class PoseWindows:
 
     @property
     def n_features(self) -> int:
-        """Numbers a frame: three a bone."""
+        """3 B, the dimension of a pose."""
         return 3 * len(self.bones)
 
     @classmethod
@@ -94,12 +92,12 @@ class PoseWindows:
         n_frames: int | None = None,
         joints: str | Sequence[str] | None = None,
     ) -> PoseWindows:
-        """Settle joints, means and scales from a reference set.
+        """Choose joints and compute means and scales from a reference set.
 
         Args:
             motions: motions of one rig (joints are found by name).
             variant: "genea" (60 frames at 30 fps, every 30) or "yoon" (34 at 15 fps, every 10).
-            n_frames: another length of a window; GENEA also has 30 and 90.
+            n_frames: length of a window; by default that of the variant. GENEA also has 30 and 90.
             joints: "body" (no fingers, face, end joints), "upper" (those of spine, head and arms),
                 or names; only those below the pelvis count. By default "body" for "genea",
                 "upper" for "yoon".
@@ -124,10 +122,10 @@ class PoseWindows:
         return cls(variant, bones, form.fps, n_frames, stride, frames.mean(axis=0), scale)
 
     def frames(self, motion: Motion) -> np.ndarray:
-        """(T', 3 B) normalised poses of a motion, at this object's frame rate.
+        """Return (T', 3 B) normalised poses of a motion at `fps`.
 
         Raises:
-            EvaluationError: the motion lacks a joint, or a bone that needs a direction has none.
+            EvaluationError: the motion lacks a joint, or a bone without length needs a direction.
         """
         skeleton = motion.skeleton
         require_joints(motion, sorted({name for bone in self.bones for name in bone}))
@@ -149,7 +147,7 @@ class PoseWindows:
         return (bones.reshape(len(bones), -1) - self.mean) / self.scale
 
     def cut(self, motions: Sequence[Motion]) -> list[np.ndarray]:
-        """(W_i, n_frames, 3 B) windows of each motion; those shorter than a window are left out.
+        """Return (W_i, n_frames, 3 B) windows of each motion; skip motions shorter than a window.
 
         Raises:
             EvaluationError: see `frames`; or no motion is as long as a window.
@@ -168,7 +166,7 @@ class PoseWindows:
         return clips
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but mean and scale, as plain values."""
+        """Return everything except mean and scale as plain values."""
         return {
             "variant": self.variant,
             "bones": [list(bone) for bone in self.bones],
@@ -179,10 +177,10 @@ class PoseWindows:
 
 
 def require_joints(motion: Motion, joints: Sequence[str]) -> None:
-    """Check that a motion has the joints that others have.
+    """Check that a motion has all of the joints.
 
     Raises:
-        EvaluationError: it lacks some.
+        EvaluationError: a joint is missing.
     """
     missing = sorted(set(joints) - set(motion.skeleton.names))
     if missing:
@@ -194,7 +192,7 @@ def require_joints(motion: Motion, joints: Sequence[str]) -> None:
 
 
 def described(motion: Motion) -> str:
-    """A motion in an error message: its file, or what it is."""
+    """Return the name of a motion for errors: its file, or its description."""
     return str(motion.info.get("source") or motion)
 
 
@@ -216,7 +214,7 @@ def _bones(
             chosen &= set(upper_body(skeleton))
     else:
         chosen = {skeleton.names[skeleton.index(name)] for name in joints}
-    # A root above the pelvis would tell where the body stands.
+    # A root above the pelvis would give the position of the body.
     below = skeleton.descendants(skeleton.index(pelvis))
     chosen &= {skeleton.names[j] for j in below} - {pelvis}
     bones = []
@@ -235,7 +233,7 @@ def _bones(
 
 
 def _to_front(motion: Motion, positions: np.ndarray) -> np.ndarray:
-    """(T, 4) turns about the vertical after which the left hip lies at +X of the right one."""
+    """Return (T, 4) turns about the vertical that put the left hip at +X of the right one."""
     legs = find_parts(motion.skeleton).legs
     left, right = (motion.skeleton.index(legs[side].hip) for side in ("left", "right"))
     across = positions[:, left] - positions[:, right]

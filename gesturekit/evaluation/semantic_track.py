@@ -1,4 +1,4 @@
-"""Semantic tracks: how much each moment's gesture means."""
+"""Semantic tracks: the semantic relevance of the gesture at each time."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def read_semantic(path: Path) -> FeatureTrack:
     name, start, end, duration (seconds), score, keywords; 0 where there is no gesture.
 
     Raises:
-        FormatError: the table is none.
-        FeatureError: the feature file is none.
+        FormatError: the table is invalid.
+        FeatureError: the feature file is invalid.
     """
     if path.suffix.lower() == ".npz":
         track = FeatureTrack.load(path)

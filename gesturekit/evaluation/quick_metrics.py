@@ -1,4 +1,4 @@
-"""The cheap measures, for motion in memory: what a training looks at now and then."""
+"""Cheap metrics of motion in memory, computed now and then during training."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.evaluation.clip_metrics import Known, Measurer
+from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
 from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, PatchOptions
 from gesturekit.evaluation.pairs import Pair
@@ -17,22 +17,22 @@ from gesturekit.motion.parts import body_joints
 _NAMELESS = Pair("clip", "clip", None, Path("clip"), Path("clip"))
 
 
-def quick_figures(generated: Sequence[Motion], recordings: Sequence[Motion]) -> dict[str, float]:
-    """Means of the cheap measures (`cheap` in `definitions`), to be read beside a loss.
+def quick_metrics(generated: Sequence[Motion], recordings: Sequence[Motion]) -> dict[str, float]:
+    """Return means over clips of the cheap metrics (`cheap` in `definitions`).
 
-    Measures whose goal is the recording's own figure are given as a ratio to it, `KEY_ratio`; 1 is
-    as the recording. A measure that cannot be taken of any clip is left out.
+    A metric whose goal is the recording's value is given as its ratio to that value, `KEY_ratio`;
+    1 equals the recording. A metric that fails for all clips is left out.
 
     Args:
         generated: motions of one rig.
-        recordings: as many, of the same rig and frame rate.
+        recordings: the same number of motions, of the same rig and frame rate.
     """
-    measurer = Measurer(Known(), (MOVEMENT,), PatchOptions())
+    measure = ClipMetrics(ReferenceStatistics(), (MOVEMENT,), PatchOptions())
     every: dict[str, list[float]] = {}
     for motion, recording in zip(generated, recordings, strict=True):
         clip = Clip(_NAMELESS, motion, recording, body_joints(recording.skeleton), None, ())
-        own = measurer.recording(clip)[0]
-        for key, value in measurer.figures(clip)[0].items():
+        own = measure.recording(clip)[0]
+        for key, value in measure.generated(clip)[0].items():
             if not DEFINITIONS[key].cheap:
                 continue
             if DEFINITIONS[key].better != "reference":

@@ -1,4 +1,4 @@
-"""Likeness to a recording frame by frame, and how varied poses are: positions about the root."""
+"""Similarity to a recording frame by frame (CCA, SRGR), and L1 diversity of poses."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.physical import joint_paths
 from gesturekit.motion import Motion
 
-_STILL = 1e-6  # share of a pose's extent; a column that varies less is held still
+_STILL = 1e-6  # fraction of a pose's extent; a column that varies less is constant
 SRGR_THRESHOLD = 0.1
-"""Metres on the reference body within which SRGR takes a joint for right."""
+"""Largest distance of a correct joint in SRGR, metres on the reference body."""
 
 
 def root_relative(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
-    """Joint positions relative to the first of the joints, which is left out; world axes.
+    """Return joint positions relative to the first joint, which is left out; world axes.
 
     Args:
         motion: T frames.
@@ -27,27 +27,27 @@ def root_relative(motion: Motion, joints: Sequence[str] | None = None) -> np.nda
         (T, J - 1, 3) metres.
 
     Raises:
-        MotionError: a joint that is not there, or a skeleton whose parts cannot be told.
+        MotionError: a missing joint, or body parts that cannot be identified.
     """
     paths = joint_paths(motion, joints)
     return paths[:, 1:] - paths[:, :1]
 
 
 def l1_diversity(motion: Motion, joints: Sequence[str] | None = None) -> float:
-    """Σ_t Σ_d |x_td - mean_t x_td| / T over pose coordinates, metres (L1div of BEAT and EMAGE).
+    """Return Σ_t Σ_d |x_td - mean_t x_td| / T over pose coordinates, metres (BEAT, EMAGE).
 
-    A sum over coordinates, so that it grows with the number of joints: compare on one set.
+    The sum grows with the number of joints: compare values of the same joints.
     """
     values = root_relative(motion, joints)
     return float(np.abs(values - values.mean(axis=0)).sum() / len(values))
 
 
 def cca(generated: np.ndarray, reference: np.ndarray) -> float:
-    """Pearson's r of the first canonical pair of two pose sequences, frame by frame (GENEA).
+    """Return Pearson's r of the first canonical pair of two pose sequences (GENEA).
 
-    Fitted on what it is measured on, as in genea_numerical_evaluations (scikit-learn's CCA with
-    one component and up to 1,500 iterations): it is high for any two sequences with many columns
-    and few frames, and needs its level for mismatched pairs beside it.
+    Fitted and measured on the same frames, as in genea_numerical_evaluations (scikit-learn's CCA
+    with one component and up to 1,500 iterations). It is high for any two sequences with many
+    columns and few frames: compare it with the value of mismatched pairs.
 
     Args:
         generated: (T, D).
@@ -88,7 +88,7 @@ def srgr(
     variant: Literal["beat", "emage"] = "emage",
     threshold: float = SRGR_THRESHOLD,
 ) -> float:
-    """Semantic-relevance gesture recall: how often joints are right where it matters.
+    """Return the semantic-relevance gesture recall (SRGR) of BEAT and EMAGE.
 
     mean over frames t and joints j of [distance < threshold] · semantic_t / 0.165.
 
@@ -100,7 +100,7 @@ def srgr(
         threshold: metres.
 
     Raises:
-        MotionError: shapes that do not fit, or an unknown variant.
+        MotionError: shapes that differ, or an unknown variant.
     """
     if generated.shape != reference.shape or len(semantic) != len(generated):
         raise MotionError(

@@ -1,4 +1,4 @@
-"""Light features: log-mel bands, MFCC, prosody and onsets, each an extractor."""
+"""Acoustic feature extractors: log-mel bands, MFCC, prosody, onsets and liveliness."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from audio_features.acoustic.frames import FRAME_RATE
+from audio_features.acoustic.pitch import check_tracker
+from audio_features.acoustic.spectrum import BANDS, MAX_MELS, ShortTimeSpectrum
 from audio_features.errors import FeatureError
-from audio_features.spectrum import BANDS, FRAME_RATE, MAX_MELS, ShortTimeSpectrum
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
@@ -19,17 +21,16 @@ _OCTAVE_GUARD = 7.0  # semitones
 class AcousticExtractor(ABC):
     """Features computed from a `ShortTimeSpectrum`, 100 frames per second.
 
-    Level is normalised on active speech, and the floor of every logarithm is relative to it:
-    the same words 20 dB quieter give the same values. Silence gives the floor.
+    The level is normalised on active speech, and the floor of every logarithm is relative to
+    that level: the same words 20 dB quieter give the same values. Silence gives the floor.
 
     Attributes:
-        spec: what `extractor_from_spec` needs to make this extractor again, JSON-able.
-        names: names of the columns.
-        centred: for each column, whether a clip's own mean tells of voice and room alone and
-            may be taken out.
-        worth_caching: whether extracting takes so much longer than reading from a cache that
-            a cache should keep the result.
-        device: where torchaudio computes the spectrum; None where numpy and soxr do.
+        spec: JSON-serialisable settings from which `extractor_from_spec` builds this extractor.
+        names: names of the D columns.
+        centred: D flags; true for columns whose mean over a clip depends only on voice and
+            recording conditions, so that it may be subtracted.
+        worth_caching: true if extraction is much slower than reading the result from a cache.
+        device: device on which torchaudio computes the spectrum; None for numpy and soxr.
     """
 
     spec: dict[str, Any]
@@ -44,24 +45,24 @@ class AcousticExtractor(ABC):
         return len(self.names)
 
     def extract(self, wave: Wave) -> FeatureTrack:
-        """The features of a sound: values (T, D), frame k centred at k·0.01 s."""
+        """Extract the features of a sound: values (T, D), frame k centred at k·0.01 s."""
         return self.from_spectrum(self.spectrum_of(wave))
 
     def spectrum_of(self, wave: Wave) -> ShortTimeSpectrum:
-        """What `from_spectrum` takes; extractors with the same `device` can share it."""
+        """Compute the input of `from_spectrum`; extractors with the same `device` can share it."""
         if self.device is None:
             return ShortTimeSpectrum(wave)
-        from audio_features.torchaudio_backend import TorchaudioSpectrum
+        from audio_features.acoustic.torchaudio_backend import TorchaudioSpectrum
 
         return TorchaudioSpectrum(wave, self.device)
 
     def from_spectrum(self, spectrum: ShortTimeSpectrum) -> FeatureTrack:
-        """The same from a spectrum that other extractors share."""
+        """Extract the features (T, D) from a spectrum that other extractors may share."""
         return FeatureTrack(self._values(spectrum), spectrum.times, self.spec, self.names)
 
     @abstractmethod
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
-        """(T, D) values."""
+        """Compute the values (T, D)."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.spec})"
@@ -72,8 +73,8 @@ class LogMel(AcousticExtractor):
 
     Args:
         n_mels: number of bands.
-        backend: "numpy", or "torchaudio" where it is installed.
-        device: where torchaudio computes, as torch names it. Not part of the spec.
+        backend: "numpy", or "torchaudio" if it is installed.
+        device: torch device for torchaudio. Not part of the spec.
     """
 
     def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
@@ -88,11 +89,11 @@ class LogMel(AcousticExtractor):
 
 
 class MFCC(AcousticExtractor):
-    """The first `n` (1 to 40) mel-frequency cepstral coefficients, the 0th included.
+    """First `n` (1 to 40) mel-frequency cepstral coefficients, the 0th included.
 
     Orthonormal DCT-II of 40 log-mel bands in dB, no liftering (librosa's convention). Listen,
-    Denoise, Action (Alexanderson et al. 2023) takes 20 for Trinity speech and 16 for ZeroEGGS,
-    both by madmom, whose bands and logarithm differ: sizes agree, values do not.
+    Denoise, Action (Alexanderson et al. 2023) uses 20 for Trinity speech and 16 for ZeroEGGS,
+    computed by madmom with other bands and another logarithm: the values differ.
 
     Args:
         n: number of coefficients.
@@ -113,7 +114,7 @@ class MFCC(AcousticExtractor):
 
 
 class Prosody(AcousticExtractor):
-    """How something is said: four columns.
+    """Pitch, voicing, energy and onsets of speech: four columns.
 
     - `f0`: semitones relative to the clip's median over voiced frames; 0 where unvoiced.
     - `voicing`: 0 to 1, periodicity at the fundamental; 0 in frames too quiet to be voiced.
@@ -121,21 +122,20 @@ class Prosody(AcousticExtractor):
     - `onset`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
 
     Args:
-        f0: who tracks the pitch. "yin" needs nothing and is the default; "pyin" is steadier and
-            about thirty times slower; "parselmouth" (Praat) and "pyworld" need their packages.
+        f0: pitch tracker. "yin" is the default and needs no extra package; "pyin" is steadier
+            and about thirty times slower; "parselmouth" (Praat) and "pyworld" need their
+            packages.
 
-    Raises FeatureError where the tracker is unknown, or its package is not installed.
+    Raises FeatureError if the tracker is unknown or its package is not installed.
     """
 
     names = ("f0", "voicing", "energy", "onset")
     centred = (True,) * 4
 
     def __init__(self, f0: str = "yin") -> None:
-        from audio_features.pitch import check_tracker
-
         check_tracker(f0)
         self.f0 = f0
-        # The default is not written down: models from before there was a choice keep their spec.
+        # The default is left out, so that models from before this choice keep their spec.
         self.spec = {"kind": "prosody"} if f0 == "yin" else {"kind": "prosody", "f0": f0}
         self.worth_caching = f0 == "pyin"
 
@@ -146,11 +146,11 @@ class Prosody(AcousticExtractor):
 
 
 class Onset(AcousticExtractor):
-    """Where sounds begin: two columns.
+    """Onset strength and onset peaks: two columns.
 
     - `onset_strength`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
-    - `onset_peak`: 1 at its peaks, as librosa picks them, else 0. Put it on motion frames with
-      `to_rate(method="mean")`, which loses none.
+    - `onset_peak`: 1 at its peaks, as librosa picks them, else 0. Use `to_rate(method="mean")`
+      to align it with motion frames: no peak is lost.
     """
 
     names = ("onset_strength", "onset_peak")
@@ -166,10 +166,11 @@ class Onset(AcousticExtractor):
 
 
 def _peaks(strength: np.ndarray) -> list[int]:
-    """Frames of the peaks of an onset strength (T,), picked as librosa.util.peak_pick picks them.
+    """Return the peak frames of an onset strength (T,), as librosa.util.peak_pick finds them.
 
-    Its default waits, for frames of 10 ms; a peak stands 1 dB above what is around it. Importing
-    librosa compiles for 20 seconds wherever numba's cache is empty.
+    Uses librosa's default waits for frames of 10 ms; a peak is 1 dB above its surroundings.
+    Written out because importing librosa takes 20 seconds of compilation when numba's cache is
+    empty.
     """
     highest = np.max(np.lib.stride_tricks.sliding_window_view(np.pad(strength, (3, 0)), 4), axis=1)
     around = np.ones(21)
@@ -184,14 +185,15 @@ def _peaks(strength: np.ndarray) -> list[int]:
 
 
 class Liveliness(AcousticExtractor):
-    """How widely pitch and energy range around each moment: two columns.
+    """Local variation of pitch and energy: two columns.
 
     - `f0_range`: mean distance of the pitch from its local mean over voiced frames, semitones.
-      Pitch is kept within 7 semitones of the clip's median, since trackers err by octaves.
-    - `energy_range`: the same of the energy, dB.
+      Pitch is clipped to 7 semitones around the clip's median because trackers make octave
+      errors.
+    - `energy_range`: the same for the energy, in dB.
 
-    Both under a Gaussian of `seconds`. A monotonous clip stays low throughout, so its mean must
-    not be taken out.
+    Both are averaged with a Gaussian whose standard deviation is `seconds`. A monotonous clip
+    stays low throughout, so its mean must not be subtracted.
     """
 
     names = ("f0_range", "energy_range")
@@ -208,7 +210,7 @@ class Liveliness(AcousticExtractor):
 
         melody = spectrum.melody()
         sigma = self.seconds * FRAME_RATE
-        # Some weight that speaks of no range, so that a few voiced frames do not make one.
+        # A small constant weight keeps a few voiced frames from giving a large range.
         weight = gaussian_filter1d(melody.voiced.astype(float), sigma, mode="constant") + 0.02
         columns = []
         for values in (np.clip(melody.semitones, -_OCTAVE_GUARD, _OCTAVE_GUARD), melody.energy):
@@ -224,19 +226,19 @@ def _device(name: str, device: str) -> str | None:
         raise FeatureError(f"backend={name!r}: one of {', '.join(BACKENDS)}")
     if name == "numpy":
         return None
-    from audio_features.torchaudio_backend import check_device
+    from audio_features.acoustic.torchaudio_backend import check_device
 
     check_device(device)
     return device
 
 
 def _named(backend: str) -> dict[str, str]:
-    """The default is not written down: models from before there was a choice keep their spec."""
+    """Return the backend's spec entry; the default has none, so that older specs stay valid."""
     return {} if backend == "numpy" else {"backend": backend}
 
 
 def whole_number(name: str, value: int, highest: int) -> int:
-    """The value. Raises FeatureError unless it is a whole number from 1 to `highest`."""
+    """Return the value. Raises FeatureError unless it is a whole number from 1 to `highest`."""
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
         raise FeatureError(f"{name}={value!r}: a whole number from 1 to {highest}")
     return value

@@ -1,7 +1,7 @@
-"""torchaudio, where it is wanted and imports: resampling and log-mel on the CPU or a GPU.
+"""Optional torchaudio backend: resampling and log-mel on the CPU or a GPU.
 
-Nothing here needs it. On a CPU-only torch the registry's torchaudio raises OSError on import,
-because it is built for CUDA; then everything else goes on without it.
+No other module needs torchaudio. With a CPU-only torch, PyPI's torchaudio raises OSError on
+import because it is built for CUDA; everything else still works.
 """
 
 from __future__ import annotations
@@ -11,30 +11,24 @@ from types import ModuleType
 
 import numpy as np
 
+from audio_features.acoustic.frames import HOP, SAMPLE_RATE
+from audio_features.acoustic.spectrum import N_FFT, WINDOW, ShortTimeSpectrum, hann_window
 from audio_features.errors import FeatureError
-from audio_features.spectrum import (
-    HOP,
-    N_FFT,
-    SAMPLE_RATE,
-    WINDOW,
-    ShortTimeSpectrum,
-    hann_window,
-)
 from audio_features.wave import Wave
 
-# The windowed sinc that comes nearest to soxr HQ (torchaudio's documentation, "kaiser_best").
+# The windowed sinc filter closest to soxr HQ (torchaudio's documentation, "kaiser_best").
 _RESAMPLER = {
     "lowpass_filter_width": 64,
     "rolloff": 0.9475937167399596,
     "resampling_method": "sinc_interp_kaiser",
     "beta": 14.769656459379492,
 }
-_BLOCK_FRAMES = 6000  # a minute on the device at a time
+_BLOCK_FRAMES = 6000  # one minute on the device at a time
 
 
 @lru_cache
 def import_torchaudio() -> tuple[ModuleType | None, str | None]:
-    """(torchaudio, None), or (None, why it cannot be used)."""
+    """Return (torchaudio, None), or (None, the reason why it cannot be used)."""
     try:
         import torchaudio
         import torchaudio.functional
@@ -47,14 +41,14 @@ def import_torchaudio() -> tuple[ModuleType | None, str | None]:
 
 
 def check_device(device: str) -> None:
-    """Raise FeatureError where torchaudio cannot be used, or the device is not there."""
+    """Raise FeatureError if torchaudio or the device cannot be used."""
     import torch
 
     module, problem = import_torchaudio()
     if module is None:
         raise FeatureError(
             f"backend='torchaudio': torchaudio is {problem}: install the build that matches "
-            "torch, or leave the backend out (`gesturekit doctor` tells more)"
+            "torch, or leave the backend out (see `gesturekit doctor`)"
         )
     try:
         torch.zeros(1, device=device)
@@ -63,12 +57,12 @@ def check_device(device: str) -> None:
 
 
 class TorchaudioSpectrum(ShortTimeSpectrum):
-    """The same spectrum by torchaudio; values agree with the default's to about 0.01 dB.
+    """Short-time spectrum by torchaudio; values agree with the default's to about 0.01 dB.
 
-    Resampling differs above 7 kHz, where filters fall off differently. The sound is resampled as
-    a whole, on the device; frames go through in blocks.
+    Resampling differs above 7 kHz, where the two filters roll off differently. The whole sound
+    is resampled on the device at once; the spectrum is computed in blocks of frames.
 
-    Raises FeatureError where torchaudio cannot be used, or the device is not there.
+    Raises FeatureError if torchaudio or the device cannot be used.
     """
 
     def __init__(self, wave: Wave, device: str = "cpu") -> None:
@@ -95,7 +89,7 @@ class TorchaudioSpectrum(ShortTimeSpectrum):
 
     @cached_property
     def power(self) -> np.ndarray:
-        """(T, 257) float32 power; a frame's sum is its mean square relative to active speech."""
+        """Power (T, 257) float32; a frame's sum is its mean square relative to active speech."""
         import torch
 
         samples = torch.from_numpy(self.wave.samples)

@@ -1,66 +1,48 @@
-"""ShortTimeSpectrum: the one short-time Fourier transform all acoustic features share."""
+"""ShortTimeSpectrum: the short-time Fourier transform that all acoustic features share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
+from audio_features.acoustic.frames import FRAME_RATE, SAMPLE_RATE, centred_frames
+from audio_features.acoustic.pitch import track_pitch
 from audio_features.errors import FeatureError
 from audio_features.wave import SPEECH_LEVEL_DBFS, Wave
 
-SAMPLE_RATE = 16_000
-"""Rate in Hz that every acoustic feature works at."""
-FRAME_RATE = 100
-"""Frames per second: frame k is centred at k·10 ms."""
 FLOOR_DB = -60.0
 """Added to every power before the logarithm, relative to the active speech level."""
 MAX_MELS = 80
-"""More bands than this would be narrower than the 31 Hz between two frequencies."""
+"""Largest number of mel bands; more would be narrower than the 31 Hz between two FFT bins."""
 
 BANDS = 40
-"""Mel bands behind MFCC and onset strength."""
+"""Mel bands from which MFCC and onset strength are computed."""
 
-HOP = SAMPLE_RATE // FRAME_RATE
 WINDOW = 400  # 25 ms
 N_FFT = 512
 _VOICED = 0.6  # periodicity from which a frame counts as voiced
 _AUDIBLE_DB = -30.0  # quieter frames than this, relative to active speech, are unvoiced
-_ONSET_LAG = 2  # frames: windows 20 ms apart hardly overlap, so a rise shows in full
+_ONSET_LAG = 2  # frames: windows 20 ms apart hardly overlap, so a rise appears at full size
 # Slaney's mel scale: linear up to 15 mel (1 kHz), logarithmic above.
 _MEL_HZ, _MEL_LOG_STEP = 200.0 / 3, np.log(6.4) / 27.0
-_BLOCK_FRAMES = 3000  # 30 s worked on at a time, so that long files need little memory
 
 
 def to_db(power: np.ndarray) -> np.ndarray:
-    """Power relative to active speech in dB, never below -60: 10·log10(power + floor)."""
+    """Convert power relative to active speech to dB, at least -60: 10·log10(power + floor)."""
     return 10.0 * np.log10(power + 10.0 ** (FLOOR_DB / 10.0))
-
-
-def centred_frames(
-    samples: np.ndarray, length: int, n_frames: int
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield (first frame, (m, length) view) blocks of frames centred every 10 ms, zero-padded."""
-    for first in range(0, n_frames, _BLOCK_FRAMES):
-        count = min(_BLOCK_FRAMES, n_frames - first)
-        start = first * HOP - length // 2
-        stop = start + (count - 1) * HOP + length
-        block = samples[max(start, 0) : max(stop, 0)]
-        block = np.pad(block, (max(-start, 0), stop - max(start, 0) - len(block)))
-        yield first, np.lib.stride_tricks.sliding_window_view(block, length)[::HOP]
 
 
 @dataclass(frozen=True)
 class Melody:
-    """How a voice rises, falls, swells and fades, 100 frames per second.
+    """Pitch, voicing and energy of a voice, 100 frames per second.
 
     Attributes:
         semitones: (T,) pitch relative to the clip's median over voiced frames; 0 where unvoiced.
         voicing: (T,) 0 to 1, periodicity at the fundamental; 0 in frames too quiet.
         energy: (T,) dB of the RMS over 50 ms, relative to active speech, at least -60.
-        voiced: (T,) bool, where `voicing` is high enough to speak of a pitch.
+        voiced: (T,) bool, true where `voicing` is high enough for a pitch to be meaningful.
     """
 
     semitones: np.ndarray
@@ -72,9 +54,9 @@ class Melody:
 class ShortTimeSpectrum:
     """A sound prepared for the acoustic features.
 
-    The sound is taken to 16 kHz and to the standard active level, so that the same words at
-    another level give the same features. Frames are 25 ms (Hann) every 10 ms, frame k centred
-    at k·0.01 s; there are `wave.n_frames(100)` of them.
+    The sound is resampled to 16 kHz and scaled to the standard active level, so that the same
+    words at another level give the same features. Frames are 25 ms (Hann) every 10 ms; frame k
+    is centred at k·0.01 s.
 
     Attributes:
         wave: the prepared sound, 16 kHz.
@@ -90,15 +72,12 @@ class ShortTimeSpectrum:
         self._melodies: dict[str, Melody] = {}
 
     def melody(self, tracker: str = "yin") -> Melody:
-        """Pitch, voicing and energy, tracked once for all that ask for the same tracker."""
+        """Return pitch, voicing and energy, computed once for each tracker."""
         if tracker not in self._melodies:
             self._melodies[tracker] = self._track(tracker)
         return self._melodies[tracker]
 
     def _track(self, tracker: str) -> Melody:
-        # Pitch is tracked on the frames of this module.
-        from audio_features.pitch import track_pitch
-
         rms = self.wave.rms(self.times, window=0.05)
         energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
         f0, voicing = track_pitch(self.wave.samples, self.n_frames, tracker)
@@ -111,7 +90,7 @@ class ShortTimeSpectrum:
 
     @cached_property
     def power(self) -> np.ndarray:
-        """(T, 257) float32 power; a frame's sum is its mean square relative to active speech."""
+        """Power (T, 257) float32; a frame's sum is its mean square relative to active speech."""
         from scipy.fft import rfft
 
         window = hann_window()
@@ -122,14 +101,14 @@ class ShortTimeSpectrum:
         return power
 
     def log_mel(self, n_mels: int) -> np.ndarray:
-        """(T, n_mels) float32 band powers in dB relative to active speech, at least -60."""
+        """Return (T, n_mels) float32 band powers in dB relative to active speech, at least -60."""
         if n_mels not in self._log_mels:
             self._log_mels[n_mels] = to_db(self.power @ self._mel_filters(n_mels).T)
         return self._log_mels[n_mels]
 
     @cached_property
     def onset(self) -> np.ndarray:
-        """(T,) spectral flux: the mean rise of 40 log-mel bands over 20 ms, in dB."""
+        """Spectral flux (T,): the mean rise of 40 log-mel bands over 20 ms, in dB."""
         bands = self.log_mel(BANDS)
         onset = np.zeros(self.n_frames)
         onset[_ONSET_LAG:] = np.maximum(bands[_ONSET_LAG:] - bands[:-_ONSET_LAG], 0.0).mean(axis=1)
@@ -143,7 +122,7 @@ class ShortTimeSpectrum:
 
 
 def hann_window() -> np.ndarray:
-    """(WINDOW,) float32, scaled so that a frame's power adds up to 1 in active speech."""
+    """Return the Hann window (WINDOW,) float32, scaled so that active speech has power 1."""
     window = np.hanning(WINDOW + 1)[:-1]
     active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
     return (window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))).astype(np.float32)
@@ -151,11 +130,11 @@ def hann_window() -> np.ndarray:
 
 @lru_cache
 def mel_filters(n_mels: int) -> np.ndarray:
-    """(n_mels, 257) float32 triangles of height 1 on Slaney's mel scale, 50 Hz to 8 kHz."""
+    """Return (n_mels, 257) float32 triangles of height 1 on Slaney's scale, 50 Hz to 8 kHz."""
     if not 1 <= n_mels <= MAX_MELS:
         raise FeatureError(f"n_mels={n_mels}: from 1 to {MAX_MELS}")
-    # As librosa.filters.mel(norm=None), to the bit. Importing librosa compiles for 20 seconds
-    # wherever numba's cache is empty.
+    # Bit-identical to librosa.filters.mel(norm=None). Importing librosa takes 20 seconds of
+    # compilation when numba's cache is empty.
     lowest, highest = 50.0 / _MEL_HZ, 15.0 + np.log(SAMPLE_RATE / 2 / 1000.0) / _MEL_LOG_STEP
     mels = np.linspace(lowest, highest, n_mels + 2)
     edges = np.where(mels < 15.0, _MEL_HZ * mels, 1000.0 * np.exp(_MEL_LOG_STEP * (mels - 15.0)))

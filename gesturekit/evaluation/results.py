@@ -1,7 +1,8 @@
-"""What an evaluation found, as values: for the page, the JSON, and anyone else."""
+"""Results of an evaluation, and their JSON form."""
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 from dataclasses import asdict, dataclass, field
@@ -21,15 +22,15 @@ FORMAT = 1
 
 @dataclass
 class ClipResult:
-    """One clip: its figures, its recording's, and what is odd about it.
+    """Metrics of one clip and of its recording.
 
     Attributes:
         pair: names and files.
-        seconds: how long the clip is.
-        figures: by key of `definitions`, with `_chance` and `_z` of speech measures beside them.
-        recording: the recording's own.
-        mismatched: the clip's beside other recordings' sounds (CCA: beside another recording).
-        notes: of the reader.
+        seconds: length of the clip.
+        figures: {key of `definitions`: value}, and KEY_chance and KEY_z of speech metrics.
+        recording: the same for the recording.
+        mismatched: the clip's values with other recordings' sounds (CCA: with another recording).
+        notes: for the reader of the report.
     """
 
     pair: Pair
@@ -41,16 +42,16 @@ class ClipResult:
 
 
 @dataclass(frozen=True)
-class Figure:
-    """One measure of one model.
+class MetricResult:
+    """One metric of one model.
 
     Attributes:
-        key: of `definitions`.
+        key: key of `definitions`.
         interval: the model's mean, with its interval.
-        recording: what the recordings reach themselves, or None.
-        chance: mean chance level by circular shifts of the sound, or None.
-        mismatched: mean beside other recordings, or None.
-        note: "" or what to mind.
+        recording: value of the recordings themselves, or None.
+        chance: mean chance level over circular shifts of the sound, or None.
+        mismatched: mean over other recordings' sounds or motion, or None.
+        note: "" or a remark on how to read the value.
     """
 
     key: str
@@ -63,11 +64,23 @@ class Figure:
 
 @dataclass
 class ModelResult:
-    """One folder of generated motion."""
+    """Metrics of one folder of generated motion.
+
+    Attributes:
+        label: name of the model.
+        path: its folder.
+        figures: {key of `definitions`: result}.
+        by_recording: {recording: {key: interval over its samples}} of the patch metrics.
+        clips: results of each clip.
+        excluded: clips and metrics left out, and why.
+        notes: for the reader of the report.
+        speeds: histogram of joint speeds.
+        wrists: (N,) wrist speeds, m/s; a sample of at most some thousands.
+    """
 
     label: str
     path: Path
-    figures: dict[str, Figure] = field(default_factory=dict)
+    figures: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)
     excluded: list[Excluded] = field(default_factory=list)
@@ -76,19 +89,30 @@ class ModelResult:
     wrists: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
+def library_versions() -> dict[str, str]:
+    """Return {library: version} of the libraries that the metrics depend on."""
+    versions = {}
+    for name in ("gesturekit", "numpy", "scipy", "scikit-learn", "librosa"):
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed as a package"
+    return versions
+
+
 @dataclass
 class Evaluation:
-    """All that was measured, and how.
+    """The result of `evaluate`.
 
     Attributes:
-        models: the first is the one in question, the others are compared with it.
-        reference: the folder of recordings.
-        fps: frame rate at which everything was measured.
-        protocol: "" or whose.
+        models: the evaluated model, then those it is compared with.
+        reference: the folder of recordings, or the manifest.
+        fps: frame rate of all metrics.
+        protocol: "", "multires" or "lda".
         settings: seeds and options, as plain values.
-        versions: of what computed it.
-        recorded_speeds: histogram of the recordings that were compared with.
-        recorded_wrists: (N,) wrist speeds of the same, m/s; a sample of at most some thousands.
+        recorded_speeds: histogram of joint speeds of the recordings.
+        recorded_wrists: (N,) wrist speeds of the recordings, m/s; a sample of some thousands.
+        versions: {library: version}.
     """
 
     models: list[ModelResult]
@@ -96,23 +120,23 @@ class Evaluation:
     fps: float
     protocol: str
     settings: dict[str, Any]
-    versions: dict[str, str]
     recorded_speeds: SpeedHistogram
     recorded_wrists: np.ndarray
+    versions: dict[str, str] = field(default_factory=library_versions)
 
     @property
     def is_complete(self) -> bool:
-        """Whether no clip was left out."""
+        """True if no clip was left out."""
         return not any(item.what == "clip" for model in self.models for item in model.excluded)
 
     def definitions(self) -> list[Definition]:
-        """Of the measures that came out for at least one model, as they were taken."""
+        """Return the definitions of all metrics that at least one model has."""
         keys = {key for model in self.models for key in model.figures}
         patches = PatchOptions(**self.settings["patches"])
         return [DEFINITIONS[key].at(self.fps, patches) for key in DEFINITIONS if key in keys]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values: format, versions, settings, definitions, and every figure."""
+        """Return plain values: format, versions, settings, definitions, and all metrics."""
         return {
             "format": FORMAT,
             "reference": str(self.reference),

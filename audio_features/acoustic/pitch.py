@@ -1,4 +1,4 @@
-"""Fundamental frequency and voicing, frame by frame."""
+"""Pitch tracking: fundamental frequency and voicing of every frame."""
 
 from __future__ import annotations
 
@@ -6,35 +6,35 @@ from collections.abc import Callable
 
 import numpy as np
 
+from audio_features.acoustic.frames import HOP, SAMPLE_RATE, centred_frames
 from audio_features.errors import FeatureError
-from audio_features.spectrum import HOP, SAMPLE_RATE, centred_frames
 
 F0_RANGE = (60.0, 500.0)
-"""Lowest and highest fundamental frequency looked for, in Hz."""
+"""Lowest and highest fundamental frequency that is searched for, in Hz."""
 
 _FRAME = 1024  # 64 ms: almost four periods of the lowest voice
 _LONGEST_PERIOD = int(np.ceil(SAMPLE_RATE / F0_RANGE[0]))
 _SHORTEST_PERIOD = int(SAMPLE_RATE // F0_RANGE[1])
-_DIP = 0.1  # depth of d' from which a period is believed, as librosa has it
+_DIP = 0.1  # a period is accepted where d' falls below this; librosa's value
 _CORE = _FRAME - _LONGEST_PERIOD - 1
-# pyin's best path is sought in stretches of a minute that overlap by 4 s, so that an hour of
-# sound does not take gigabytes.
+# pyin searches its best path in segments of a minute that overlap by 4 s. A single search over an
+# hour of sound would take gigabytes.
 _PATH_FRAMES, _PATH_CONTEXT = 6000, 200
 
 
 def track_pitch(
     samples: np.ndarray, n_frames: int, tracker: str = "yin"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fundamental frequency, and how periodic each frame is at it.
+    """Track the fundamental frequency and each frame's periodicity at that frequency.
 
     Args:
         samples: (N,) float32 at 16 kHz.
         n_frames: number of frames T; frame k is centred at k·0.01 s.
         tracker: one of `TRACKERS`.
 
-    Returns f0 (T,) Hz, always positive (YIN names a period for noise too), and periodicity (T,)
+    Returns f0 (T,) Hz, always positive (YIN gives a period for noise too), and periodicity (T,)
     in 0..1: the correlation coefficient of the frame with itself one period later (Boersma
-    1993), which says whether to believe it; 0 where the tracker itself says unvoiced.
+    1993). It is 0 where the tracker itself marks the frame as unvoiced.
     """
     f0 = TRACKERS[tracker](samples, n_frames)
     unvoiced = ~(f0 > 0)
@@ -69,40 +69,41 @@ def check_tracker(tracker: str) -> None:
 
 
 def _yin(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """YIN (de Cheveigne and Kawahara 2002), with the values of librosa.yin.
+    """Track f0 (T,) by YIN (de Cheveigne and Kawahara 2002), with the values of librosa.yin.
 
-    Importing librosa compiles for 20 seconds wherever numba's cache is empty.
+    Written out because importing librosa takes 20 seconds of compilation when numba's cache is
+    empty.
     """
     f0 = np.empty(n_frames)
     for first, frames in centred_frames(samples, _FRAME, n_frames):
         difference = _normalised_difference(frames)
         before, here, after = difference[:, :-2], difference[:, 1:-1], difference[:, 2:]
-        # Of all dips below the threshold the first, else the deepest place.
+        # The first dip below the threshold, or the global minimum if there is none.
         dips = np.empty(difference.shape, bool)
         dips[:, 0] = difference[:, 0] < difference[:, 1]
         dips[:, 1:-1] = (here < before) & (here <= after)
         dips[:, -1] = difference[:, -1] < difference[:, -2]
         dips &= difference < _DIP
-        place = np.where(dips.any(axis=1), dips.argmax(axis=1), difference.argmin(axis=1))
-        # The vertex of the parabola through a place and its neighbours, where it lies between them.
-        rows, inner = np.arange(len(place)), np.clip(place - 1, 0, here.shape[1] - 1)
+        lag = np.where(dips.any(axis=1), dips.argmax(axis=1), difference.argmin(axis=1))
+        # The vertex of the parabola through the dip and its neighbours, if it lies between them.
+        rows, inner = np.arange(len(lag)), np.clip(lag - 1, 0, here.shape[1] - 1)
         low, mid, high = (part[rows, inner] for part in (before, here, after))
         bend, slope = high + low - 2 * mid, (high - low) / 2
-        inside = (inner == place - 1) & (np.abs(slope) < np.abs(bend))
+        inside = (inner == lag - 1) & (np.abs(slope) < np.abs(bend))
         shift = np.where(inside, -slope / np.where(inside, bend, 1.0), 0.0)
-        f0[first : first + len(frames)] = SAMPLE_RATE / (_SHORTEST_PERIOD + place + shift)
+        f0[first : first + len(frames)] = SAMPLE_RATE / (_SHORTEST_PERIOD + lag + shift)
     return f0
 
 
 def _normalised_difference(frames: np.ndarray) -> np.ndarray:
-    """Cumulative mean normalised difference d' of frames (M, N) at each period (eq. 8)."""
+    """Return the cumulative mean normalised difference d' (M, P) of frames (M, N) (YIN, eq. 8)."""
     from scipy.fft import irfft, rfft
 
     spectrum = rfft(frames, 2 * _FRAME, axis=1)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     correlation = irfft(power, 2 * _FRAME, axis=1)[:, : _LONGEST_PERIOD + 1]
     energy = np.cumsum(np.square(frames[:, :_LONGEST_PERIOD]), axis=1)
-    energy[:, 0] = 0.0  # as librosa has it, whose values models were trained on
+    energy[:, 0] = 0.0  # librosa's value, which trained models depend on
     difference = 2 * (correlation[:, :1] - correlation[:, 1:]) - energy
     mean = np.cumsum(difference, axis=1) / np.arange(1, _LONGEST_PERIOD + 1)
     wanted = np.s_[:, _SHORTEST_PERIOD - 1 :]
@@ -110,7 +111,7 @@ def _normalised_difference(frames: np.ndarray) -> np.ndarray:
 
 
 def _pyin(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """Probabilistic YIN (Mauch and Dixon 2014); about 15 times faster than the sound lasts."""
+    """Track f0 (T,) by probabilistic YIN (Mauch and Dixon 2014), about 15 times real time."""
     import librosa
 
     f0 = np.empty(n_frames)
@@ -131,11 +132,11 @@ def _pyin(samples: np.ndarray, n_frames: int) -> np.ndarray:
 
 
 def _praat(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """Praat's autocorrelation method (Boersma 1993)."""
+    """Track f0 (T,) by Praat's autocorrelation method (Boersma 1993)."""
     import parselmouth
 
     sound = parselmouth.Sound(samples.astype(np.float64), SAMPLE_RATE)
-    if sound.duration < 3.0 / F0_RANGE[0]:  # what Praat needs at least
+    if sound.duration < 3.0 / F0_RANGE[0]:  # the minimum that Praat accepts
         return np.zeros(n_frames)
     pitch = sound.to_pitch_ac(
         time_step=HOP / SAMPLE_RATE, pitch_floor=F0_RANGE[0], pitch_ceiling=F0_RANGE[1]
@@ -147,7 +148,7 @@ def _praat(samples: np.ndarray, n_frames: int) -> np.ndarray:
 
 
 def _world(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """WORLD's DIO with StoneMask (Morise 2009, 2016)."""
+    """Track f0 (T,) by WORLD's DIO with StoneMask (Morise 2009, 2016)."""
     import pyworld
 
     signal = samples.astype(np.float64)
@@ -168,7 +169,7 @@ TRACKERS: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
     "parselmouth": _praat,
     "pyworld": _world,
 }
-"""Name to function of samples (N,) at 16 kHz and T: f0 (T,) in Hz, 0 where unvoiced."""
+"""Functions by name: samples (N,) at 16 kHz and T -> f0 (T,) in Hz, 0 where unvoiced."""
 
 _PACKAGES = {
     "parselmouth": ("parselmouth", "pip install praat-parselmouth"),

@@ -1,4 +1,4 @@
-"""Music: harmony, flux and beats, for motion that dances."""
+"""Music: harmony, spectral flux and beats, for dance."""
 
 from __future__ import annotations
 
@@ -6,43 +6,45 @@ from functools import lru_cache
 
 import numpy as np
 
-from audio_features.acoustic import AcousticExtractor, whole_number
+from audio_features.acoustic.extractors import AcousticExtractor, whole_number
+from audio_features.acoustic.frames import FRAME_RATE, SAMPLE_RATE, centred_frames
+from audio_features.acoustic.spectrum import ShortTimeSpectrum
 from audio_features.errors import FeatureError
-from audio_features.spectrum import FRAME_RATE, SAMPLE_RATE, ShortTimeSpectrum, centred_frames
 
 BEATS_PER_MINUTE = (50.0, 200.0)
-"""Slowest and fastest beat looked for."""
+"""Slowest and fastest tempo that is searched for."""
 
 BEAT_TRACKERS = ("librosa", "madmom")
 
 _WINDOW = 3072  # 192 ms (madmom: 186 ms): long enough for semitones, short enough for chords
 _LOWEST, _HIGHEST = 100.0, 5000.0  # Hz, madmom's range for pitch classes
-_TEMPO_FRAMES = 6 * FRAME_RATE  # a tempo is sought in windows of 6 s
-_BLOCK_FRAMES = 3000  # beats are sought 30 s at a time, so that long files need little memory
+_TEMPO_FRAMES = 6 * FRAME_RATE  # the tempo is estimated in windows of 6 s
+_BLOCK_FRAMES = 3000  # 30 s processed at a time, which bounds the memory for long files
 
 
 class Music(AcousticExtractor):
-    """What dances are made to: `n_chroma` + 2 columns, 100 frames per second.
+    """Chroma, spectral flux and beats of music: `n_chroma` + 2 columns, 100 frames per second.
 
     - `chroma_0` … : share of the energy in each of `n_chroma` pitch classes from A upwards, over
-      192 ms, 100 Hz to 5 kHz; they add up to 1, to 0 in silence. With `n_chroma=1` the one
-      column is the loudness of all of them together, in dB as `Prosody`'s energy.
+      192 ms, 100 Hz to 5 kHz. The shares sum to 1, and to 0 in silence. With `n_chroma=1` the
+      single column is the total loudness in dB, as `Prosody`'s energy.
     - `spectral_flux`: the mean rise of 40 log-mel bands over 20 ms in dB.
     - `beat_activation`: 0 to 1, highest on the beats.
 
-    Listen, Denoise, Action (Alexanderson et al. 2023) dances to three columns of the same names,
-    made by madmom: one chroma, an unnormalised spectral flux, and the activation of its
-    RNNDownBeatProcessor (Böck et al. 2016). Their code is not published; `Music(n_chroma=1)` has
-    their size and sense, not their scale.
+    Listen, Denoise, Action (Alexanderson et al. 2023) uses three columns of the same names,
+    computed by madmom: one chroma, an unnormalised spectral flux, and the activation of its
+    RNNDownBeatProcessor (Böck et al. 2016). Their code is not published. `Music(n_chroma=1)` has
+    the same columns on another scale.
 
     Args:
-        n_chroma: pitch classes to the octave, 12 for semitones; 1 to 36.
-        beats: "librosa": the predominant local pulse (Grosche and Müller 2011) of the flux, so
-            that steady beats reach 1 and doubtful ones less; 50 to 200 beats per minute.
-            "madmom": the beat or downbeat probability of its recurrent networks; needs madmom,
-            whose models may not be used commercially, and is cached, being slow.
+        n_chroma: pitch classes per octave, 1 to 36; 12 gives semitones.
+        beats: "librosa" is the predominant local pulse (Grosche and Müller 2011) of the flux,
+            50 to 200 beats per minute; steady beats reach 1, uncertain ones stay lower.
+            "madmom" is the beat or downbeat probability of its recurrent networks. It needs the
+            package madmom, whose models may not be used commercially. It is slow, so the
+            feature cache stores the result.
 
-    Raises FeatureError for other settings, or where madmom is asked for and does not import.
+    Raises FeatureError for other settings, or if madmom is requested and cannot be imported.
     """
 
     def __init__(self, n_chroma: int = 12, beats: str = "librosa") -> None:
@@ -55,7 +57,7 @@ class Music(AcousticExtractor):
         self.spec = {"kind": "music", "n_chroma": self.n_chroma, "beats": beats}
         chroma = tuple(f"chroma_{i}" for i in range(self.n_chroma))
         self.names = (*chroma, "spectral_flux", "beat_activation")
-        # Which key a piece is in, and how sure its beat is, are the music and not the room.
+        # The means of chroma (key) and activation (beat strength) are properties of the music.
         self.centred = (False,) * self.n_chroma + (True, False)
         self.worth_caching = beats == "madmom"
 
@@ -85,17 +87,17 @@ class Music(AcousticExtractor):
 
 
 def local_pulse(flux: np.ndarray) -> np.ndarray:
-    """The predominant local pulse of Grosche and Müller 2011.
+    """Return the predominant local pulse (T,) of Grosche and Müller 2011.
 
-    In windows of 6 s around every frame the strongest tempo of the flux is found, with its phase;
-    the sinusoids of all windows are overlapped and added, and what is above zero is kept.
+    Finds the strongest tempo of the flux and its phase in a window of 6 s around every frame,
+    overlap-adds the sinusoids of all windows, and sets negative values to zero.
 
     Args:
         flux: (T,) at 100 frames per second.
 
-    Returns (T,): 1 on beats that all windows agree on, 0 between beats and where there is no
-    flux. As librosa.beat.plp, but that every window counts alike, and that the scale does not
-    depend on the clip's own maximum.
+    The result is 1 on beats that all windows agree on, and 0 between beats or without flux.
+    Unlike librosa.beat.plp, every window has the same weight, and the scale does not depend on
+    the clip's maximum.
     """
     import librosa
 
@@ -113,23 +115,23 @@ def local_pulse(flux: np.ndarray) -> np.ndarray:
         )
         size = np.where(wanted[:, None], np.abs(tempogram), 0.0)
         best, columns = size.argmax(axis=0), np.arange(tempogram.shape[1])
-        heard = size[best, columns] > 1e-3 * _TEMPO_FRAMES  # no beat in what does not change
+        present = size[best, columns] > 1e-3 * _TEMPO_FRAMES  # a constant flux has no beat
         tempogram[:, :] = np.where(
-            (np.arange(len(tempo))[:, None] == best) & heard,
+            (np.arange(len(tempo))[:, None] == best) & present,
             tempogram / np.maximum(np.abs(tempogram), 1e-9),
             0.0,
         )
         sinusoids = librosa.istft(tempogram, hop_length=1, n_fft=_TEMPO_FRAMES, length=stop - start)
         last = min(first + _BLOCK_FRAMES, n)
         pulse[first:last] = sinusoids[first - start : last - start]
-    # One bin of size 1 is a sinusoid of 2/n in each window, and the Hann windows that overlap
-    # and add up to n/2 are divided by the sum of their squares, 3n/8.
+    # A bin of magnitude 1 is a sinusoid of amplitude 2/n in each window. The overlapping Hann
+    # windows sum to n/2, and istft divides by the sum of their squares, 3n/8.
     return np.clip(pulse * _TEMPO_FRAMES * 3 / 8, 0.0, 1.0)
 
 
 @lru_cache
 def _pitch_classes(n: int) -> np.ndarray:
-    """(1537, n) float32: which pitch class each frequency belongs to, from A (440 Hz) upwards."""
+    """Return a (1537, n) float32 one-hot map of FFT bins to pitch classes, from A (440 Hz) up."""
     frequencies = np.fft.rfftfreq(_WINDOW, 1 / SAMPLE_RATE)
     inside = (frequencies >= _LOWEST) & (frequencies <= _HIGHEST)
     place = n * np.log2(np.maximum(frequencies, 1.0) / 440.0)
@@ -140,19 +142,22 @@ def _pitch_classes(n: int) -> np.ndarray:
 
 
 def _madmom() -> type:
-    """madmom's processor of beats and downbeats."""
+    """Return madmom's processor of beats and downbeats."""
     try:
         from madmom.features.downbeats import RNNDownBeatProcessor
-    except (ImportError, AttributeError) as error:  # its last release asks numpy for old names
+    except (
+        ImportError,
+        AttributeError,
+    ) as error:  # AttributeError: names numpy removed
         raise FeatureError(
             f"beats='madmom' needs the package madmom, which does not import here ({error}): "
-            "its last release, 0.16.1, wants Python 3.9 or older; or take beats='librosa'"
+            "its last release, 0.16.1, needs Python 3.9 or older; or use beats='librosa'"
         ) from error
     return RNNDownBeatProcessor
 
 
 def _madmom_activation(spectrum: ShortTimeSpectrum) -> np.ndarray:
-    """(T,) probability of a beat or a downbeat; madmom has 100 frames per second too."""
+    """Return (T,) the probability of a beat or downbeat; madmom has 100 frames per second too."""
     from madmom.audio.signal import Signal
 
     wave = spectrum.wave.resample(44_100)

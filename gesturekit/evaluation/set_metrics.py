@@ -1,4 +1,4 @@
-"""Figures of a whole set of clips: distributions, one fit for all, distances between sets."""
+"""Metrics of a set of clips: speed distributions, global CCA, Fréchet distances, diversity."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.clip_metrics import Measurer
+from gesturekit.evaluation.clip_metrics import ClipMetrics
 from gesturekit.evaluation.clips import Clip
-from gesturekit.evaluation.definitions import FRECHET, LIKENESS, PATCHES
+from gesturekit.evaluation.definitions import FRECHET, PATCHES, SIMILARITY
 from gesturekit.evaluation.intervals import Interval, interval_of, interval_of_statistic
-from gesturekit.evaluation.metrics import likeness, physical
+from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import (
     FrechetResult,
@@ -24,95 +24,95 @@ from gesturekit.evaluation.metrics.frechet.frechet import (
     raw_fgd,
 )
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
-from gesturekit.evaluation.report.results import Figure
+from gesturekit.evaluation.results import MetricResult
 from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
 
 INTER_SAMPLES = 20
-"""Samples of one recording that are compared with each other, as SinMDM does."""
+"""Samples of one recording that are compared with each other, at most."""
 _WRISTS = 20_000
-_COLUMNS = 50_000  # frames that the one CCA of a whole set is fitted on, at most
+_CCA_FRAMES = 50_000  # frames that the global CCA is fitted on, at most
 
 
-class Gathered:
-    """What the clips of one model leave behind for the figures of the set.
+class SetMetrics:
+    """Accumulates the clips of one model and computes the metrics of the set.
 
     Args:
-        measurer: how clips are measured.
-        seed: of the intervals.
+        measure: the metrics of single clips.
+        seed: seed of the intervals.
     """
 
-    def __init__(self, measurer: Measurer, seed: int) -> None:
-        self.measurer = measurer
+    def __init__(self, measure: ClipMetrics, seed: int) -> None:
+        self.measure = measure
         self.seed = seed
         self.motions: list[Motion] = []
         self.histograms: list[SpeedHistogram] = []
-        self.beside: list[SpeedHistogram] = []
+        self.recorded: list[SpeedHistogram] = []
         self.wrists: list[np.ndarray] = []
         self.problems: list[tuple[str, str]] = []
         self._stems: list[str] = []
         self._poses: list[tuple[np.ndarray, np.ndarray]] = []
-        self._joints: tuple[str, ...] = ()  # of the one CCA
+        self._joints: tuple[str, ...] = ()  # of the global CCA
         self._shared: tuple[str, ...] | None = None  # joints that all clips have
         self._inter: dict[str, float] = {}
         self._samples: list[np.ndarray] = []
 
     def add(self, clip: Clip, recorded: SpeedHistogram) -> None:
-        """Take what is needed of a clip; clips come in order of their recordings.
+        """Add a clip; clips must be ordered by recording.
 
         Args:
-            clip: a clip that was measured.
+            clip: a measured clip.
             recorded: speeds of its recording.
         """
-        groups = self.measurer.groups
+        groups = self.measure.groups
         same = bool(self._stems) and self._stems[-1] == clip.pair.stem
         self._stems.append(clip.pair.stem)
         self.histograms.append(SpeedHistogram.of([speeds_of(clip.generated, clip.joints)]))
-        self.beside.append(recorded)
+        self.recorded.append(recorded)
         self.wrists.append(wrists_of(clip.generated))
         if FRECHET in groups:
             self.motions.append(clip.generated)
             known = clip.joints if self._shared is None else self._shared
             self._shared = tuple(name for name in known if name in clip.joints)
-        if LIKENESS in groups:
+        if SIMILARITY in groups:
             self._joints = self._joints or clip.joints
             if clip.joints == self._joints:
-                self._poses.append(self.measurer.both(clip))
+                self._poses.append(self.measure.both(clip))
         if PATCHES in groups:
             self._samples = self._samples if same else []
             self._compare_samples(clip)
 
-    def figures(self) -> dict[str, Figure]:
-        """Figures of the set, but for Fréchet distances."""
-        figures: dict[str, Figure] = {}
+    def pooled(self) -> dict[str, MetricResult]:
+        """Compute the metrics of the set, except those of `frechet`."""
+        figures: dict[str, MetricResult] = {}
         self._try(figures, "hellinger", self._hellinger)
         if self._poses:
             self._try(figures, "cca_global", self._cca)
         if self._inter:
             interval = interval_of(list(self._inter.values()), list(self._inter), self.seed)
-            figures["inter_diversity"] = Figure("inter_diversity", interval)
+            figures["inter_diversity"] = MetricResult("inter_diversity", interval)
         return figures
 
-    def frechet_figures(
+    def frechet(
         self,
         full: Sequence[Motion],
         compared: Sequence[Motion] | None,
         model: FeatureModel | None,
-    ) -> dict[str, Figure]:
-        """Fréchet distances to the full set of recordings, and diversity of clips.
+    ) -> dict[str, MetricResult]:
+        """Compute Fréchet distances to the full set of recordings, and the diversity of clips.
 
-        Distances of windows and kinetic features are of the body joints that all clips share with
-        the recordings; geometric features and those of `model` need their own.
+        Windows and kinetic features use the body joints that all clips share with the recordings;
+        geometric features and those of `model` need their own joints.
 
         Args:
             full: all recordings.
-            compared: the recordings (or windows) that generated clips stand for; their own
-                distance to the full set is the top line. None where they are the full set.
-            model: the feature extractor of `gesturekit fit-features`; without it no FGD.
+            compared: the recordings (or windows) that the clips were generated for; their own
+                distance to the full set is the lower bound. None if they are the full set.
+            model: the feature extractor of `gesturekit fit-features`; without it, no FGD.
         """
-        figures: dict[str, Figure] = {}
+        figures: dict[str, MetricResult] = {}
         joints, windows = self._shared, None if model is None else model.windows
         distances: dict[str, Callable[[Sequence[Motion]], FrechetResult]] = {
             "raw_fgd": lambda set_: raw_fgd(set_, full, windows, joints=joints),
@@ -137,7 +137,7 @@ class Gathered:
             self._try(
                 figures,
                 key,
-                lambda diversity=diversity, key=key: Figure(
+                lambda diversity=diversity, key=key: MetricResult(
                     key,
                     _plain(diversity(self.motions), len(self.motions)),
                     recording=diversity(full if compared is None else compared),
@@ -145,46 +145,48 @@ class Gathered:
             )
         return figures
 
-    def _try(self, figures: dict[str, Figure], key: str, make: Callable[[], Figure]) -> None:
+    def _try(
+        self, figures: dict[str, MetricResult], key: str, make: Callable[[], MetricResult]
+    ) -> None:
         try:
             figures[key] = make()
         except GestureKitError as error:
             self.problems.append((key, str(error)))
 
-    def _hellinger(self) -> Figure:
+    def _hellinger(self) -> MetricResult:
         def distance(drawn: np.ndarray) -> float:
-            return hellinger(_pooled(self.histograms, drawn), _pooled(self.beside, drawn))
+            return hellinger(_pooled(self.histograms, drawn), _pooled(self.recorded, drawn))
 
         interval = interval_of_statistic(distance, self._stems, self.seed)
         total = sum(int(h.counts.sum()) + h.beyond for h in self.histograms)
         beyond = 100.0 * sum(h.beyond for h in self.histograms) / max(total, 1)
-        return Figure("hellinger", interval, note=f"{beyond:.1f} % beyond the last bin")
+        return MetricResult("hellinger", interval, note=f"{beyond:.1f} % beyond the last bin")
 
-    def _cca(self) -> Figure:
+    def _cca(self) -> MetricResult:
         ours, theirs = (np.concatenate(side) for side in zip(*self._poses, strict=True))
-        stride = -(-len(ours) // _COLUMNS)
-        r = likeness.cca(ours[::stride], theirs[::stride])
-        return Figure("cca_global", _plain(r, len(self._poses)))
+        stride = -(-len(ours) // _CCA_FRAMES)
+        r = similarity.cca(ours[::stride], theirs[::stride])
+        return MetricResult("cca_global", _plain(r, len(self._poses)))
 
     def _compare_samples(self, clip: Clip) -> None:
         if len(self._samples) >= INTER_SAMPLES:
             return
         try:
-            variant = self.measurer.patches.variant
+            variant = self.measure.patches.variant
             self._samples.append(patch_features(clip.generated, variant, joints=clip.joints))
             if len(self._samples) > 1:
                 self._inter[clip.pair.stem] = inter_diversity(self._samples)
         except GestureKitError:
-            return  # local diversity has told the reason
+            return  # local diversity reports the reason
 
 
 def speeds_of(motion: Motion, joints: Sequence[str]) -> np.ndarray:
-    """(N,) speeds of all joints in all frames, m/s on the reference body."""
+    """Return (N,) speeds of all joints in all frames, m/s on the reference body."""
     return physical.relative_speed(motion, joints).ravel()
 
 
 def wrists_of(motion: Motion) -> np.ndarray:
-    """(T - 1,) wrist speeds, m/s; none of a rig without wrists."""
+    """Return (T - 1,) wrist speeds, m/s; empty for a rig without wrists."""
     try:
         return physical.wrist_speed(motion)
     except GestureKitError:
@@ -192,13 +194,13 @@ def wrists_of(motion: Motion) -> np.ndarray:
 
 
 def thinned(parts: Sequence[np.ndarray], most: int = _WRISTS) -> np.ndarray:
-    """All values in one array, every k-th one where there are more than `most`."""
+    """Concatenate arrays (N_i,); keep every k-th value if there are more than `most`."""
     whole = np.concatenate(parts) if parts else np.zeros(0)
     return whole[:: max(1, -(-len(whole) // most))]
 
 
 def pooled(histograms: Sequence[SpeedHistogram]) -> SpeedHistogram:
-    """One histogram of all."""
+    """Add up histograms."""
     return _pooled(histograms, range(len(histograms)))
 
 
@@ -211,11 +213,11 @@ def _pooled(histograms: Sequence[SpeedHistogram], drawn: Sequence[int]) -> Speed
 
 
 def _plain(value: float, n: int) -> Interval:
-    """A figure of a whole set that is given without an interval."""
+    """Return the value of a whole set, without an interval."""
     return Interval(value, None, None, n, 1, "the whole set")
 
 
-def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None) -> Figure:
+def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None) -> MetricResult:
     known = not np.isnan(ours.low)
     interval = Interval(
         ours.value,
@@ -225,4 +227,4 @@ def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None) -> Figure
         ours.n_generated,
         f"windows, against {ours.n_reference} of the recordings",
     )
-    return Figure(key, interval, recording=None if top is None else top.value, note=ours.note)
+    return MetricResult(key, interval, recording=None if top is None else top.value, note=ours.note)

@@ -1,4 +1,4 @@
-"""What is known of a thing, for people and for programs."""
+"""Summaries as text and as JSON."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _PROBLEMS = 8
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """One thing, told.
+class Summary:
+    """A summary of a file or folder.
 
     Attributes:
         kind: motion, audio, features, model, corpus, run, or other.
-        title: what it is, in a line.
-        facts: for programs: plain values that JSON can hold.
-        rows: (label, text) for people.
-        drawing: further lines for people, at a width in columns.
-        problems: what is wrong with it, one a line.
+        title: description in one line.
+        facts: plain values for JSON.
+        rows: (label, text) pairs for display.
+        drawing: returns further lines for display, for a width in columns.
+        problems: one line each.
     """
 
     kind: str
@@ -35,7 +35,7 @@ class Sheet:
     problems: tuple[str, ...] = ()
 
     def lines(self, width: int = 100) -> list[str]:
-        """The sheet as text, long lines broken at `width` columns."""
+        """Return the summary as lines of at most `width` columns."""
         shown = [("problem", problem) for problem in self.problems[:_PROBLEMS]]
         if len(self.problems) > _PROBLEMS:
             shown.append(("problem", f"and {len(self.problems) - _PROBLEMS} more; --json has all"))
@@ -53,12 +53,12 @@ class Sheet:
         return [*lines, "", *self.drawing(width)] if self.drawing else lines
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; numbers that JSON does not know (no sound at all is -inf dB) are null."""
+        """Return plain values; NaN and infinity (the level of silence is -inf dB) become null."""
         return _plain({"kind": self.kind, **self.facts, "problems": list(self.problems)})
 
 
 def size(n_bytes: int) -> str:
-    """ "3.7 MB"."""
+    """Format a size: "3.7 MB"."""
     for unit in ("bytes", "kB", "MB"):
         if n_bytes < 1000:
             return f"{n_bytes:.0f} {unit}" if unit == "bytes" else f"{n_bytes:.1f} {unit}"
@@ -67,7 +67,7 @@ def size(n_bytes: int) -> str:
 
 
 def span(seconds: float) -> str:
-    """ "68.83 s", "12.5 min", "3.2 h"."""
+    """Format a duration: "68.83 s", "12.5 min", "3.2 h"."""
     if seconds < 120:
         return f"{seconds:.2f} s"
     return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,1 @@
+"""Acoustic features computed from the waveform, without a network."""

@@ -1,0 +1,196 @@
+"""An item of a manifest: a stretch of one recording, and how its files are read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gesturekit.errors import CorpusError
+
+if TYPE_CHECKING:
+    from audio_features import Wave
+    from gesturekit.formats.tables.events import Event
+    from gesturekit.motion import Motion
+    from gesturekit.motion.root_path import RootPath
+
+SPLITS = ("train", "valid", "test")
+CONDITIONS = ("events", "path")
+"""Conditions of a model in addition to speech and style; each is a table beside a recording."""
+READING: dict[str, type | tuple[type, ...]] = {
+    **dict.fromkeys(("unit", "up", "forward"), str),
+    **dict.fromkeys(("fps", "height"), (int, float)),
+    "parts": Mapping,
+}
+"""Options for reading an item's motion file, by name, with their types."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Item:
+    """A stretch of one recording: speech with motion, speech alone, or motion alone.
+
+    Attributes:
+        id: unique name in the manifest; looks like a relative path without extension.
+        audio: the sound file, absolute; None for motion alone.
+        motion: the motion file (BVH or npz), absolute; None for unpaired speech.
+        audio_start: start of the item in the sound file, seconds.
+        channel: channel of the sound file to use, counted from 1; None for their mean.
+        motion_start: start of the item in the motion file, seconds.
+        duration: length of the item, seconds.
+        speaker: name of the person, or None.
+        style: style label, or None.
+        split: "train", "valid" or "test".
+        text: transcript, or None.
+        mirror: True to mirror the motion, left for right.
+        conditions: further files of the whole recording, {name: absolute path}: `events`, a table
+            of timed events (`formats.tables.events`), and `path`, the path of the root
+            (`formats.tables.root_path`; by default that of the motion).
+        reading: options for reading the motion file that replace detection: `unit`, the axes `up`
+            and `forward`, the true `fps`, the `height` in metres to scale the body to, and the
+            body `parts` assigned by hand that the height depends on.
+
+    Raises:
+        CorpusError: a field has an invalid value.
+    """
+
+    id: str
+    audio: Path | None
+    motion: Path | None
+    audio_start: float = 0.0
+    motion_start: float = 0.0
+    duration: float
+    speaker: str | None = None
+    style: str | None = None
+    split: str = "train"
+    text: str | None = None
+    mirror: bool = False
+    conditions: Mapping[str, Path] = field(default_factory=dict)
+    channel: int | None = None
+    reading: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _check_id(self.id)
+        if self.audio is None and self.motion is None:
+            raise CorpusError(f"item {self.id!r} has neither audio nor motion")
+        for name in ("audio_start", "motion_start", "duration"):
+            seconds = getattr(self, name)
+            if not math.isfinite(seconds) or seconds < 0 or (name == "duration" and seconds == 0):
+                raise CorpusError(f"item {self.id!r}: {name} is {seconds}, not a length in seconds")
+        if self.channel is not None and self.channel < 1:
+            raise CorpusError(f"item {self.id!r}: channel is {self.channel}; they count from 1")
+        for name, value in self.reading.items():
+            if name not in READING:
+                raise CorpusError(
+                    f"item {self.id!r}: reading has {name!r}; it holds {', '.join(READING)}"
+                )
+            if not isinstance(value, READING[name]) or isinstance(value, bool):
+                raise CorpusError(f"item {self.id!r}: reading.{name} is {value!r}")
+        if self.split not in SPLITS:
+            raise CorpusError(
+                f"item {self.id!r}: split is {self.split!r}; it must be one of {', '.join(SPLITS)}"
+            )
+
+    @property
+    def is_paired(self) -> bool:
+        """True where the item has both speech and motion."""
+        return self.audio is not None and self.motion is not None
+
+    def load_wave(self) -> Wave:
+        """Read the item's interval of its sound file.
+
+        Raises:
+            CorpusError: the item is motion alone.
+            audio_features.AudioError: the file cannot be read.
+        """
+        if self.audio is None:
+            raise CorpusError(f"item {self.id!r} has no audio: it is motion alone")
+        from audio_features import Wave
+
+        return Wave.load(
+            self.audio, start=self.audio_start, duration=self.duration, channel=self.channel
+        )
+
+    def load_motion(self, parts: Mapping[str, str] | None = None) -> Motion:
+        """Read the item's interval of its motion file; mirror it if the item says so.
+
+        The interval begins at the frame nearest to `motion_start` and has floor(duration·fps + ½)
+        frames; one frame fewer is accepted at the very end of a file.
+
+        Args:
+            parts: body parts assigned by hand, see `Skeleton.parts`; mirroring may need them.
+
+        Raises:
+            CorpusError: the item is speech alone, or reaches past the end of its file.
+            FormatError: the file cannot be read.
+            MotionError: `parts` names a missing joint, or left and right cannot be identified.
+        """
+        if self.motion is None:
+            raise CorpusError(f"item {self.id!r} has no motion: it is speech alone")
+        from gesturekit.formats.conversion import load
+
+        named = {**self.reading.get("parts", {}), **(parts or {})}
+        motion = load(self.motion, self.reading, named)
+        start = math.floor(self.motion_start * motion.fps + 0.5)
+        stop = start + math.floor(self.duration * motion.fps + 0.5)
+        if stop > motion.n_frames + 1 or start >= min(stop, motion.n_frames):
+            raise CorpusError(
+                f"item {self.id!r} is frames {start} to {stop} of {self.motion}, which has "
+                f"{motion.n_frames} frames at {motion.fps:g} fps; prepare the corpus again"
+            )
+        if start > 0 or stop < motion.n_frames:
+            motion = motion.slice(start, min(stop, motion.n_frames))
+        return motion.mirror() if self.mirror else motion
+
+    def load_events(self) -> tuple[Event, ...]:
+        """Read the events within the item, in seconds from its start; none without a file.
+
+        Raises:
+            FormatError: the file cannot be read.
+        """
+        if "events" not in self.conditions:
+            return ()
+        from gesturekit.formats.tables.events import Event, load_events
+
+        begins = self.audio_start if self.motion is None else self.motion_start
+        events = []
+        for event in load_events(self.conditions["events"]):
+            start, stop = event.time - begins, event.time + event.duration - begins
+            if stop >= 0 and start < self.duration:
+                # An event that began before the item continues in it.
+                events.append(Event(max(start, 0.0), event.name, stop - max(start, 0.0)))
+        return tuple(events)
+
+    def load_path(self, fps: float, n_frames: int, scale: float = 1.0) -> RootPath | None:
+        """Read the item's interval of its root path; mirror it if the item says so.
+
+        Args:
+            fps: frames per second of the result.
+            n_frames: frames of the result; after its end a path stays in place.
+            scale: `body_scale` of the body that follows it.
+
+        Returns:
+            the path, or None for an item without one.
+
+        Raises:
+            FormatError: the file cannot be read.
+        """
+        if "path" not in self.conditions:
+            return None
+        from gesturekit.formats.tables.root_path import load_root_path
+
+        begins = self.audio_start if self.motion is None else self.motion_start
+        path = load_root_path(self.conditions["path"], scale)
+        path = path.resample(fps, n_frames, start=begins)
+        return path.mirror() if self.mirror else path
+
+
+def _check_id(name: str) -> None:
+    """Check that an id can be a relative path, as output files are named by it."""
+    parts = name.split("/") if isinstance(name, str) else []
+    if not parts or any(part in ("", ".", "..") for part in parts) or not name.isprintable():
+        raise CorpusError(
+            f"id {name!r} cannot be used: an id is a name, or names joined by '/', "
+            "without '..' and control characters"
+        )

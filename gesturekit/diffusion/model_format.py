@@ -1,0 +1,127 @@
+"""Contents of a diffusion model folder: conversion of a model to files, and back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from gesturekit.diffusion.conditions import Conditions
+from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
+from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.trained_model import TrainedModel
+from gesturekit.motion.resampling import checked_fps
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.training.config import build, to_dict
+from gesturekit.training.model_folder import ModelParts, model_readme, rates
+
+
+def model_parts(
+    model: TrainedModel,
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
+    """Return the contents of config.yaml, skeleton.json and model.safetensors."""
+    config = {
+        "kind": model.kind,
+        "fps": model.fps,
+        "recorded_fps": model.recorded_fps,
+        "joints": list(model.representation.joints),
+        **model.conditions.to_values(),
+        "droppable": list(model.droppable),
+        "window": model.window,
+        "smooth": model.smooth,
+        "noise": to_dict(model.noise_config),
+        "network": to_dict(model.network.config),
+    }
+    rig = {
+        "skeleton": model.skeleton.to_json(),
+        "motion": model.representation.to_json(),
+        "speakers": {name: body.to_json() for name, body in model.speakers.items()},
+    }
+    tensors = {f"network.{name}": value for name, value in model.network.state_dict().items()}
+    tensors |= {"motion.mean": model.standardiser.mean, "motion.scale": model.standardiser.scale}
+    return config, rig, tensors | model.conditions.to_tensors()
+
+
+def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
+    """Return the text of the model folder's README.md, with `notes` as further lines."""
+    network, conditions = model.network.config, model.conditions
+    layers = f" of {network.layers} layers" if network.architecture == "conformer" else ""
+    rows = {
+        "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks{layers}, "
+        f"{model.noise_config.steps} steps",
+        "Motion": f"{rates(model.fps, model.recorded_fps)}, {len(model.representation.joints)} of "
+        f"{model.skeleton.n_joints} joints modelled",
+    }
+    call = []
+    if conditions.conditioner is not None:
+        rows["Speech features"] = json.dumps(conditions.conditioner.extractor.spec)
+        call.append('"speech.wav"')
+    if conditions.path:
+        rows["Path"] = "the root follows a given path"
+        call.append('path="path.csv"')
+    if not call:
+        call.append("seconds=10")
+    if conditions.events:
+        rows["Events"] = ", ".join(conditions.events)
+        call.append(f'events="{conditions.events[0]}@1.0"')
+    if conditions.styles:
+        rows["Styles"] = ", ".join(conditions.styles)
+        call.append(f'style="{conditions.styles[0]}"')
+    if model.droppable:
+        names = {"styles": "style", "all": "all conditions"}
+        parts = " and ".join(names[name] for name in model.droppable)
+        rows["Guidance"] = f"trained with dropout of {parts}"
+        call.append("guidance=1.5")
+    return model_readme(rows | notes, ", ".join(call))
+
+
+def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
+    """Return the fields of `TrainedModel` from the parts of a model folder.
+
+    Args:
+        parts: as read from the folder.
+        weights: the WavLM weights of training, for a model with WavLM features.
+        device: where WavLM computes.
+
+    Raises:
+        KeyError, TypeError, ValueError, RuntimeError: a damaged folder.
+    """
+    config, rig, tensors = parts.config, parts.rig, parts.tensors
+    where = str(parts.folder / "config.yaml")
+    fps = float(config["fps"])
+    representation = DeltaRepresentation.from_json(
+        Skeleton.from_json(rig["skeleton"]), rig["motion"]
+    )
+    conditions = Conditions.from_values(config, tensors, fps, weights, device)
+    network_config = build(NetworkConfig, config["network"], where=where)
+    n_motion = representation.n_features
+    standardiser = Standardiser(tensors["motion.mean"], tensors["motion.scale"])
+    for name, values in vars(standardiser).items():
+        if values.shape != (n_motion,) or not torch.isfinite(values).all():
+            raise ValueError(f"motion.{name} is not {n_motion} finite numbers")
+    if representation.makes_root == conditions.path:
+        raise ValueError("config.yaml and skeleton.json differ in whether there is a path")
+    network = Denoiser(n_motion, conditions.width, network_config)
+    network.load_state_dict(
+        {k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")}
+    )
+    smooth, recorded_fps = config.get("smooth"), config.get("recorded_fps")
+    return {
+        "fps": fps,
+        "representation": representation,
+        "conditions": conditions,
+        "standardiser": standardiser,
+        "noise_config": build(NoiseConfig, config["noise"], where=where),
+        "network": network,
+        "speakers": {name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
+        "droppable": tuple(map(str, config["droppable"])),
+        "window": int(config["window"]),
+        "smooth": None if smooth is None else float(smooth),
+        "recorded_fps": None if recorded_fps is None else checked_fps(recorded_fps),
+    }
