@@ -18,6 +18,7 @@ from gesturekit.corpus.speech import (
     to_output_rate,
 )
 from gesturekit.errors import ModelError, gesturekit_errors
+from gesturekit.model import Inputs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.root_path import RootPath
@@ -61,6 +62,7 @@ class MultiresModel:
     """
 
     kind = "multires"
+    folder: Path | None = None
 
     def __init__(
         self,
@@ -105,6 +107,11 @@ class MultiresModel:
     def skeleton(self) -> Skeleton:
         """The rig, with all the joints of the training files."""
         return self.representation.skeleton
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
+        return Inputs(speech=self.conditioner is not None)
 
     @gesturekit_errors()
     def generate(
