@@ -27,7 +27,7 @@ from gesturekit.multires.sampling.styles import (
     level_track,
     mixed_styles,
 )
-from gesturekit.multires.training.data import load_training_data
+from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 from gesturekit.training.run.checkpoint import Checkpoints
 

@@ -61,7 +61,7 @@ def read_corpus(config: DiffusionConfig, *, paired: bool) -> Corpus:
         CorpusError, ConfigError: see `load_training_data`.
     """
     manifest = Manifest.load(config.corpus)
-    items = training_items(manifest, config.corpus, heard=paired)
+    items = training_items(manifest, config.corpus, with_audio=paired)
     styles: tuple[str, ...] = ()
     if config.styles is not None:
         styles, _ = item_styles(items, config.corpus)

@@ -8,14 +8,21 @@ at 0 it does not exist.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gesturekit.multires.network.resampling import reflect
-from gesturekit.multires.training.kinematics import SMOOTHING_SECONDS, smooth
+import audio_features as af
+from gesturekit.multires.network.resampling import reflect, resample
+from gesturekit.multires.training.data import PairedSequence
+from gesturekit.multires.training.kinematics import (
+    CAPTURE_SECONDS,
+    SMOOTHING_SECONDS,
+    VectorKinematics,
+    smooth,
+)
 
 FLOORS = (1.0, 10.0)
 """Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm. Less than a calm
@@ -33,6 +40,50 @@ def log_movement(speed: Tensor, acceleration: Tensor, frame_seconds: float) -> T
     both = torch.stack([speed, acceleration], dim=1)
     floors = both.new_tensor(FLOORS)[:, None]
     return torch.log(smooth(both, SMOOTHING_SECONDS / frame_seconds) + floors)
+
+
+def arm_targets(
+    sequences: Sequence[PairedSequence],
+    indices: Sequence[int],
+    levels: int,
+    values_of: Callable[[Tensor], Tensor],
+    kinematics: VectorKinematics,
+    device: torch.device,
+) -> list[ArmTarget]:
+    """Fit a regression for each level, from the paired speech to the recorded arm movement.
+
+    Recorded speed is raw and generated speed smoothed (`VectorKinematics.arm_speed`): generated
+    arms have to move as fast as the recorded ones without trembling. For acceleration it is the
+    other way round: recorded without capture noise, generated with all trembling.
+
+    Args:
+        sequences: recordings.
+        indices: of the levels.
+        levels: L.
+        values_of: converts normalised motion (B, D, T) to its own units.
+        kinematics: of the rig.
+        device: on which the networks are trained.
+    """
+    targets = []
+    for i in indices:
+        speeches, movements = [], []
+        stride = 1.0
+        for sequence in sequences:
+            n = af.level_lengths(sequence.n_frames, levels)[i]
+            if n < 2:
+                continue  # a single frame has no speed
+            stride = sequence.n_frames / n
+            values = values_of(resample(sequence.motion[None].to(device), n))
+            movement = log_movement(
+                kinematics.arm_speed(values, stride, smoothing=0.0),
+                kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
+                stride / kinematics.fps,
+            )
+            movements.append(movement[0])
+            speeches.append(resample(sequence.speech.to(device), n))
+        target = ArmTarget(stride / kinematics.fps).to(device)
+        targets.append(target.fit(speeches, movements))
+    return targets
 
 
 class ArmTarget(nn.Module):

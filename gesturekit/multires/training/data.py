@@ -17,11 +17,7 @@ import torch
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.errors import ConfigError, CorpusError, MotionError
-from gesturekit.motion.heading import heading
-from gesturekit.motion.parts import find_parts
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -30,15 +26,7 @@ from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
-    listen,
     load_conditioner,
-)
-from gesturekit.training.data.recordings import (
-    item_styles,
-    load_motions,
-    recorded_rate,
-    speaker_skeletons,
-    training_items,
 )
 from gesturekit.training.data.sources import Source, from_values, to_values
 from gesturekit.training.seeds import rng_for
@@ -297,105 +285,3 @@ class TrainingData:
         around = self.silence[:, :1].expand(-1, n_frames).clone()
         around[:, start : start + clip.shape[-1]] = clip
         return around
-
-
-def load_training_data(config: MultiresConfig) -> TrainingData:
-    """Read the corpus of a run, extract features, and normalise.
-
-    Raises:
-        CorpusError: no training item with what the mode needs, rigs that differ, or a file that
-            cannot be read.
-    """
-    # First: wrong settings are told before anything is read.
-    extractor = None if config.features is None else config.features.extractor()
-    manifest = Manifest.load(config.corpus)
-    items = training_items(manifest, config.corpus, heard=config.features is not None)
-    styles: tuple[str, ...] = ()
-    style_of = [0] * len(items)
-    if config.styles is not None:
-        styles, style_of = item_styles(items, config.corpus)
-    recorded = load_motions(items, config.corpus, None, config.parts)
-    sources = tuple(map(Source.of, items, recorded))
-    motions = [motion.resample(config.fps) for motion in recorded]
-    representation = MultiresRepresentation.fit(motions, config.joints, config.contact_threshold)
-    if config.features is not None and config.network.modulate == "upper":
-        try:
-            find_parts(representation.skeleton)
-        except MotionError as error:
-            raise ConfigError(
-                "network.modulate: speech moves the upper body, which cannot be identified: "
-                f"{error}; or let speech move all joints (network.modulate=all)"
-            ) from None
-    vectors = []
-    for item, motion in zip(items, motions, strict=True):
-        try:
-            turn = -heading(motion) if config.face_forward else 0.0
-            vectors.append(representation.encode(motion, turn=turn))
-        except ValueError as error:
-            raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
-    if config.normalise:
-        normaliser = Normaliser.fit(vectors, representation)
-    else:
-        width = representation.n_features
-        normaliser = Normaliser(torch.zeros(width), torch.ones(width))
-    if config.features is None:
-        conditioner = None
-        speeches = [torch.zeros(0, len(vector)) for vector in vectors]
-        unpaired: list[Tensor] = []
-    else:
-        others = manifest.unpaired("train")
-        conditioner, heard = listen(
-            [*items, *others],
-            [*map(len, vectors), *[None] * len(others)],
-            extractor,
-            config.fps,
-            config.features,
-        )
-        # One after the other, each making room for what becomes of it.
-        heard.reverse()
-        columns = [_columns(heard.pop()) for _ in range(len(heard))]
-        speeches, unpaired = columns[: len(items)], columns[len(items) :]
-    paired = []
-    for item, vector, speech, style in zip(items, vectors, speeches, style_of, strict=True):
-        n_frames = min(len(vector), speech.shape[-1])
-        motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
-        paired.append(
-            PairedSequence.make(
-                item.id,
-                motion,
-                speech[:, :n_frames].contiguous(),
-                config.network.levels,
-                config.seed,
-                style=style,
-                full_noise=config.z_star == "full",
-            )
-        )
-    window = config.training.window
-    frames = None if window is None else max(config.network.levels, round(window * config.fps))
-    longest = max(sequence.n_frames for sequence in paired)
-    if af.level_lengths(longest, config.network.levels)[0] < 2:
-        raise ConfigError(
-            f"network.levels: {config.network.levels} levels leave one frame of the longest "
-            f"recording ({longest / config.fps:.1f} s) at the coarsest; take fewer levels"
-        )
-    silent = (frames or longest) + 2 * config.random_margin
-    hears = conditioner is not None
-    return TrainingData(
-        paired=tuple(paired),
-        unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
-        silence=_columns(conditioner.silence(silent)) if hears else torch.zeros(0, silent),
-        window=frames,
-        representation=representation,
-        conditioner=conditioner,
-        styles=styles,
-        normaliser=normaliser,
-        speakers=speaker_skeletons(items, motions),
-        unpaired_is_paired=hears and not unpaired,
-        sources=sources,
-        recorded_fps=recorded_rate(motions),
-    )
-
-
-def _columns(values: np.ndarray) -> Tensor:
-    """(T, S) to (S, T)."""
-    return torch.from_numpy(np.ascontiguousarray(values.T))

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 import audio_features as af
 from gesturekit.multires import losses
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.data import PairedSequence
+from gesturekit.multires.training.data import PairedSequence, TrainingData
 
 _FLOOR = 0.1
 """Of the RMS detail of all styles; joints that have less are as good as still."""
@@ -91,3 +91,19 @@ class DetailTarget(nn.Module):
             recorded = getattr(self, f"recorded{style}") / made.shape[1] ** 0.5
             total = total + len(own) / len(made) * losses.detail(own, recorded)
         return total
+
+
+def detail_targets(
+    data: TrainingData,
+    indices: Sequence[int],
+    levels: int,
+    places: Callable[[Tensor], Tensor],
+    device: torch.device,
+) -> dict[int, DetailTarget]:
+    """Return the targets of these levels by index; the first level has none below it."""
+    styles = max(1, len(data.styles))
+    return {
+        i: DetailTarget(data.paired, i, levels, places, data.window, styles).to(device)
+        for i in indices
+        if i
+    }

@@ -44,7 +44,7 @@ class FeatureConfig:
         return af.extractor_from_spec(parts, weights=self.weights)
 
 
-def listen(
+def extract_features(
     items: Sequence[Item],
     most: Sequence[int | None],
     extractor: Any,

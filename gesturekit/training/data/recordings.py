@@ -19,13 +19,13 @@ from gesturekit.motion.skeleton import Skeleton
 log = logging.getLogger(__name__)
 
 
-def training_items(manifest: Manifest, corpus: Path, *, heard: bool) -> tuple[Item, ...]:
+def training_items(manifest: Manifest, corpus: Path, *, with_audio: bool) -> tuple[Item, ...]:
     """Items of split train: pairs for a model that hears, else all that have motion.
 
     Raises:
         CorpusError: there are none.
     """
-    if heard:
+    if with_audio:
         items = manifest.paired("train")
         if not items:
             raise CorpusError(

@@ -110,9 +110,11 @@ class Processes:
         """The mean of a tensor over all processes, for reports."""
         if self.count == 1:
             return value
-        value = value.clone()
-        distributed.all_reduce(value)
-        return value / self.count
+        # NCCL reduces tensors on a GPU only.
+        on_gpu = distributed.get_backend() == "nccl"
+        total = value.to("cuda" if on_gpu else value.device, copy=True)
+        distributed.all_reduce(total)
+        return total.to(value.device) / self.count
 
     def wait(self) -> None:
         """Until all have come here, such as for what the first one writes."""
