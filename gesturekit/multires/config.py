@@ -13,6 +13,8 @@ from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
 from gesturekit.training.run_config import RunConfig, check_not_negative, check_positive
 
+BackendName = Literal["auto", "torch", "numba"]
+
 _MARGIN_COARSE = 2
 """Frames of the first level that are generated before and after a motion. Fixed, because a trained
 model must be sampled with the margin that it was measured with."""
@@ -245,6 +247,10 @@ class MultiresConfig(RunConfig):
     model/ always has the weights of the last step."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of convolutions in training; bfloat16 is for GPUs that are fast with it."""
+    backend: BackendName = "auto"
+    """Implementation of convolutions and discriminator gradients in training: plain torch, or numba
+    (compiled for CPUs, float32). auto takes numba on a CPU where it can. The environment variable
+    GESTUREKIT_BACKEND replaces this setting, and applies to generation too."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

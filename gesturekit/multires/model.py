@@ -18,6 +18,7 @@ from gesturekit.corpus.speech import (
     to_output_rate,
 )
 from gesturekit.errors import ModelError, gesturekit_errors
+from gesturekit.model import Inputs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.root_path import RootPath
@@ -25,7 +26,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request, check_controls
@@ -61,6 +62,7 @@ class MultiresModel:
     """
 
     kind = "multires"
+    folder: Path | None = None
 
     def __init__(
         self,
@@ -105,6 +107,11 @@ class MultiresModel:
     def skeleton(self) -> Skeleton:
         """The rig, with all the joints of the training files."""
         return self.representation.skeleton
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
+        return Inputs(speech=self.conditioner is not None)
 
     @gesturekit_errors()
     def generate(

@@ -19,7 +19,7 @@ from gesturekit.motion.rotations import (
     quaternion_from_rotation_vector,
     rotate_vectors,
 )
-from gesturekit.multires.network.networks import LevelDiscriminator
+from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.styles import (
     agreed_style,

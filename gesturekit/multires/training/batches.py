@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.skeleton_conv import Convolve
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.window_cache import Bank, Windows
 from gesturekit.training.seeds import rng_for
@@ -22,15 +23,21 @@ class Batches:
         config: of the run.
         network: its levels below the stage generate what the stage upsamples.
         first: index of the stage's coarser level.
+        convolve: convolution of the backend.
     """
 
     def __init__(
-        self, data: TrainingData, config: MultiresConfig, network: MultiresGenerator, first: int
+        self,
+        data: TrainingData,
+        config: MultiresConfig,
+        network: MultiresGenerator,
+        first: int,
+        convolve: Convolve,
     ) -> None:
         self.training = config.training
         self.seed = config.seed
         self.first = first
-        self.bank = Bank(data, config, network)
+        self.bank = Bank(data, config, network, convolve)
         self.size = config.training.windows_per_step
         self.sequences = {
             n_frames: [data.paired[i] for i in members]

@@ -10,13 +10,12 @@ import torch
 from torch import Tensor, nn
 
 import audio_features as af
+from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.cpu.discriminator_step import critic_gradients
-from gesturekit.multires.cpu.threads import side_by_side
 from gesturekit.multires.losses import Batch, losses, reconstruction
-from gesturekit.multires.network.networks import LevelDiscriminator, MultiresGenerator
+from gesturekit.multires.network.discriminator import LevelDiscriminator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.network.skeleton_conv import threads_for
 from gesturekit.multires.sampling.styles import agreed_style
 from gesturekit.multires.training.arm_speed import ArmTarget, arm_targets, log_movement
 from gesturekit.multires.training.batches import Batches
@@ -55,7 +54,6 @@ class Stage:
         self.first = first
         self.iterations = iterations
         self.device = next(network.parameters()).device
-        self.batches = Batches(data, config, network, first)
         self.indices = range(first, min(first + 2, config.network.levels))
         self.n_styles = (
             len(data.styles) if config.styles and config.styles.condition_discriminator else 0
@@ -68,6 +66,9 @@ class Stage:
             )
             for i in self.indices
         ).to(self.device)
+        requested = requested_backend(config.backend)
+        self.backend = choose_backend(requested, self.generators, self.discriminators)
+        self.batches = Batches(data, config, network, first, self.backend.convolve)
         rate, betas = config.training.learning_rate, config.training.betas
         self.optimisers = {
             name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, fused=True)
@@ -139,13 +140,13 @@ class Stage:
         Losses are those of this process's share, summed over levels. `discriminator` is eq. 12 and
         `reconstruction` eq. 15, without weights and averaged over levels.
         """
-        training, layer = self.config.training, self.generators[0].layers[0]
+        training = self.config.training
         late = iteration >= training.decay_at * self.iterations
         for optimiser in self.optimisers.values():
             for group in optimiser.param_groups:
                 group["lr"] = training.learning_rate * (0.1 if late else 1.0)
         with self._precision():
-            threads = threads_for(layer, layer.weight)
+            threads = self.backend.threads()
         with threads:
             return self._iterate(iteration)
 
@@ -176,6 +177,7 @@ class Stage:
                 first=self.first,
                 coarser=windows.coarser,
                 lengths=[level.shape[-1] for level in windows.conditions],
+                convolve=self.backend.convolve,
             )
         return [level.float() for level in made]
 
@@ -213,7 +215,7 @@ class Stage:
             return {name: value.detach() for name, value in parts.items()}
 
         sums: dict[str, float] = {}
-        for parts in side_by_side(*(partial(level, i) for i in range(len(self.indices)))):
+        for parts in self.backend.run_tasks(*(partial(level, i) for i in range(len(self.indices)))):
             for name, value in parts.items():
                 sums[name] = sums.get(name, 0.0) + float(value)
         if sums:
@@ -263,7 +265,7 @@ class Stage:
         conditions = self._style_conditions(styles[share])
         mixes = [torch.rand(batch, 1, 1, generator=rng).to(self.device) for _ in reals]
         with self._precision():
-            gaps = critic_gradients(
+            gaps = self.backend.discriminator_gradients(
                 self.discriminators,
                 [real[share] for real in reals],
                 fakes,
@@ -324,7 +326,7 @@ class Stage:
         discriminator = self.discriminators[i]
         discriminator.requires_grad_(False)
         with self._precision():
-            scores = discriminator(motion, style)
+            scores = discriminator(motion, style, self.backend.convolve)
         discriminator.requires_grad_(True)
         return scores
 
@@ -342,6 +344,7 @@ class Stage:
                         first=self.first + i,
                         coarser=below[i],
                         lengths=[target.shape[-1]],
+                        convolve=self.backend.convolve,
                     )[0].float()
                     for i, target in enumerate(windows.targets)
                 ]

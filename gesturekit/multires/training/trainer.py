@@ -13,11 +13,12 @@ import torch
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import find_legs, unidentified
+from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second, plain_values
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.model_format import TrainedSequence
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
@@ -112,7 +113,8 @@ class Trainer:
             ),
         ).to(device)
         watched = config.eval_every and processes.is_first
-        self.monitor = Monitor(self.data, config) if watched else None
+        convolve = choose_backend(requested_backend(config.backend), self.network).convolve
+        self.monitor = Monitor(self.data, config, convolve) if watched else None
 
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
         """Return the settings without losses on body parts that the rig lacks; log them."""
@@ -188,10 +190,15 @@ class Trainer:
         if state is not None:
             self.network.load_state_dict(state["generator"])
         stages, levels = self.stages(), self.config.network.levels
+        reported = None
 
         def begin(index: int) -> Stretch:
             first, iterations = stages[index]
             stage = self.stage(first, iterations)
+            nonlocal reported
+            if self.processes.is_first and stage.backend.reason != reported:
+                reported = stage.backend.reason
+                log.info("Backend: %s (%s).", stage.backend.name, reported)
             if state is not None and state["first"] == first:
                 stage.load_state(state)
             before = sum(count for _, count in stages[:index])
