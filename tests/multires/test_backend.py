@@ -177,7 +177,7 @@ def test_a_deeper_discriminator_trains_under_auto_and_is_refused_by_numba(
 ):
     monkeypatch.setattr(stage, "LevelDiscriminator", Deeper)
     moved = []
-    step = stage.Pair._discriminator_step
+    step = stage.Stage._discriminator_step
 
     def recorded(self, *arguments):
         before = [more.weight.detach().clone() for more in (d.more for d in self.discriminators)]
@@ -186,7 +186,7 @@ def test_a_deeper_discriminator_trains_under_auto_and_is_refused_by_numba(
         moved.extend(not torch.equal(*pair) for pair in zip(before, after, strict=True))
         return gap
 
-    monkeypatch.setattr(stage.Pair, "_discriminator_step", recorded)
+    monkeypatch.setattr(stage.Stage, "_discriminator_step", recorded)
     with caplog.at_level(logging.INFO):
         train(make_config(training={"first_stage": 2, "further_stages": 2}))
     assert moved and all(moved)

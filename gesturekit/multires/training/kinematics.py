@@ -130,7 +130,7 @@ class VectorKinematics(nn.Module):
 
     def _sixd(self, values: Tensor) -> Tensor:
         """Return the 6D rotations (B, K, 6, T) of the modelled joints."""
-        return values[:, self.layout.rotations].unflatten(1, (self.layout.n_joints, 6))
+        return values[:, self.layout.rotations].unflatten(1, (-1, 6))
 
     def _foot_places(self, values: Tensor) -> Tensor:
         """Return the foot points (B, T, F, 3), metres, with the root above the origin."""
