@@ -73,7 +73,6 @@ KNOWN_CYCLES: list[set[str]] = [
         "gesturekit.multires.sampling.request",
         "gesturekit.multires.sampling.sampler",
     },
-    {"gesturekit.multires.training.stage", "gesturekit.multires.training.trainer"},
 ]
 
 

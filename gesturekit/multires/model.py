@@ -26,7 +26,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.model_format import TrainedSequence, model_arguments, model_parts
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request, check_controls

@@ -19,7 +19,7 @@ from gesturekit.motion.rotations import (
     quaternion_from_rotation_vector,
     rotate_vectors,
 )
-from gesturekit.multires.network.networks import LevelDiscriminator
+from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.styles import (
     agreed_style,
@@ -27,7 +27,7 @@ from gesturekit.multires.sampling.styles import (
     level_track,
     mixed_styles,
 )
-from gesturekit.multires.training.data import load_training_data
+from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 from gesturekit.training.run.checkpoint import Checkpoints
 

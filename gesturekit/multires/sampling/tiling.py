@@ -4,9 +4,10 @@ A level's frame depends on the frames around it and on nothing else: what lies f
 the convolutions reach may as well be missing. So each level is made a piece at a time, each with
 that many more frames at both sides (its halo), which are thrown away. A short motion is one piece.
 
-Motions of up to `SHORT` frames are made by torch alone, which needs tens of milliseconds, longer
-ones by compiled kernels, which are three times as fast and take seconds to compile where numba's
-cache is empty. Nothing but the number of frames decides: the same request gives the same bytes.
+With `backend: auto` motions of up to `SHORT` frames are made by torch alone, which needs tens of
+milliseconds, longer ones by compiled kernels, which are three times as fast and take seconds to
+compile if numba's cache is empty. The number of frames alone decides: the same request gives the
+same bytes.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ import torch
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.multires.network.networks import LevelGenerator, MultiresGenerator
+from gesturekit.multires.backend import choose_backend, requested_backend
+from gesturekit.multires.network.generator import LevelGenerator, MultiresGenerator
 from gesturekit.multires.network.resampling import resample_part
-from gesturekit.multires.network.skeleton_conv import threads_for
+from gesturekit.multires.network.skeleton_conv import convolve_dense
 
 CHUNK = 2048
 """Frames of a level made at a time: 16 of halo are little beside it, and they need some 50 MB."""
@@ -65,8 +67,11 @@ def sample(
             len(noises[0]), network.levels[0].layers[0].shape[1], lengths[0]
         )
     levels = network.levels[first : first + len(lengths)]
-    compiled = max(lengths, default=0) > SHORT
-    with threads_for(network.levels[0].layers[0], coarser):
+    requested = requested_backend()
+    backend = choose_backend(requested, levels)
+    plain = requested == "auto" and max(lengths, default=0) <= SHORT
+    convolve = convolve_dense if plain else backend.convolve
+    with backend.threads():
         for i, (level, noise, n_frames) in enumerate(
             zip(levels, noises, lengths, strict=True), first
         ):
@@ -77,7 +82,7 @@ def sample(
                 up = resample_part(coarser, n_frames, begin, end)
                 shaken = up.new_zeros(len(up), 1, 1) if noise is None else noise[..., begin:end]
                 told = None if condition is None else condition(i, begin, end)
-                piece = level(up, shaken, told, compiled)
+                piece = level(up, shaken, told, convolve)
                 made[..., start:stop] = piece[..., start - begin : stop - begin]
             coarser = made if hold is None else hold(i, made)
     return coarser

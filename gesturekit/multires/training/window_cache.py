@@ -16,8 +16,9 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
 from gesturekit.multires.sampling.noise import Recall
 from gesturekit.multires.sampling.styles import mixed_styles, style_levels
 from gesturekit.multires.training.data import PairedSequence, TrainingData
@@ -89,11 +90,16 @@ class Bank:
     """Makes the windows that a pair of levels trains on."""
 
     def __init__(
-        self, data: TrainingData, config: MultiresConfig, network: MultiresGenerator
+        self,
+        data: TrainingData,
+        config: MultiresConfig,
+        network: MultiresGenerator,
+        convolve: Convolve = convolve_dense,
     ) -> None:
         self.data = data
         self.config = config
         self.network = network
+        self.convolve = convolve
         self.device = next(network.parameters()).device
         self.sigma = torch.stack([sequence.sigma for sequence in data.paired]).mean(dim=0)
         self.recall = recall(data, config)
@@ -220,6 +226,7 @@ class Bank:
                         [None if noise is None else noise[part] for noise in noises[:first]],
                         [level[part] for level in conditions[:first]],
                         lengths=lengths[:first],
+                        convolve=self.convolve,
                     )[-1]
                     for part in _chunks(len(speech), self.config.training.batch)
                 ]
