@@ -1,7 +1,7 @@
 """The errors gesturekit raises on purpose.
 
-Every message holds what went wrong, where (file and line, or field), the value met, and
-what to do. On the command line they become one line and an exit code, never a traceback.
+Every message states what went wrong, where (file and line, or field), the value, and what to do.
+The command line prints them on one line, without a traceback.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ class GestureKitError(Exception):
     """Root of every error that gesturekit raises on purpose.
 
     Errors of sounds, weights and features (`SpeechError`, `SpeechWeightsError`,
-    `SpeechFeatureError`) are also those of `audio_features` (`AudioError`, ...).
+    `SpeechFeatureError`) are also subclasses of those of `audio_features` (`AudioError`, ...).
     """
 
 
 class MotionError(GestureKitError, ValueError):
-    """A skeleton or a motion that cannot be what it claims to be."""
+    """A skeleton or a motion with invalid or inconsistent values."""
 
 
 class FormatError(GestureKitError, ValueError):
@@ -37,11 +37,11 @@ class ConfigError(GestureKitError, ValueError):
 
 
 class ModelError(GestureKitError, ValueError):
-    """A model folder, or the weights it asks for, that cannot be used."""
+    """A model folder or WavLM weights that cannot be used, or an argument that a model lacks."""
 
 
 class EvaluationError(GestureKitError, ValueError):
-    """A metric that cannot be computed from what it was given."""
+    """A metric that cannot be computed from its inputs."""
 
 
 class SpeechError(GestureKitError, AudioError):
@@ -49,7 +49,7 @@ class SpeechError(GestureKitError, AudioError):
 
 
 class SpeechWeightsError(GestureKitError, WeightsError):
-    """A folder of WavLM weights that is missing, incomplete, or not the one asked for."""
+    """A folder of WavLM weights that is missing, incomplete, or not the expected one."""
 
 
 class SpeechFeatureError(GestureKitError, FeatureError):
@@ -67,8 +67,8 @@ _SPEECH_ERRORS = {
 def gesturekit_errors() -> Iterator[None]:
     """Raise errors of `audio_features` as the `GestureKitError` that is also of their class.
 
-    As a decorator of a public function: `except gesturekit.GestureKitError` then catches
-    everything that it raises on purpose.
+    Used as a decorator of public functions, so that `except gesturekit.GestureKitError` catches
+    every error that they raise on purpose.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""The interface that models of every system have, and the controls that all of them take."""
+"""Interface of the models of every system, and the controls that all of them take."""
 
 from __future__ import annotations
 

@@ -13,11 +13,11 @@ _LINE_WITHOUT_TOTAL = "{n_fmt} {unit}, {elapsed} passed"
 
 
 class Progress(tqdm):
-    """A tqdm bar that is fit for log files: outside a terminal it prints whole lines.
+    """A tqdm bar that prints whole lines outside a terminal, for log files.
 
-    Takes tqdm's arguments and is used like tqdm. On a terminal the bar disappears when it is
-    done, unless `leave` is set. Elsewhere a line with count and time left is printed every
-    `SECONDS_BETWEEN_LINES`, none for work that takes less, and never a carriage return.
+    Takes tqdm's arguments. On a terminal the bar disappears when it is done, unless `leave` is
+    set. Elsewhere a line with count and remaining time is printed every `SECONDS_BETWEEN_LINES`;
+    shorter work prints nothing.
     """
 
     def __init__(self, *args: Any, leave: bool = False, **options: Any) -> None:
@@ -30,7 +30,7 @@ class Progress(tqdm):
 
     @property
     def format_dict(self) -> dict[str, Any]:
-        """Return the fields of a line; outside a terminal the unit is worded for its number."""
+        """Return the fields of a line; outside a terminal, the unit is in the plural if needed."""
         values = super().format_dict
         number = self.n if self.total is None else self.total
         if not self._in_place and number != 1:
@@ -48,13 +48,13 @@ class Progress(tqdm):
         return False
 
     def clear(self, nolock: bool = False) -> None:
-        """Make room for a message; outside a terminal nothing is in its way."""
+        """Clear the bar before a message; outside a terminal, do nothing."""
         if self._in_place:
             super().clear(nolock)
 
 
 def time_in_words(seconds: float) -> str:
-    """Return a time as people say it: 0.4 s, 12 s, 1 min 5 s, 2 h 3 min."""
+    """Return a duration such as 0.4 s, 12 s, 1 min 5 s or 2 h 3 min."""
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     whole = round(seconds)

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:
-    """Return "1 joint", "2 joints"; `plural` where it takes more than an s."""
+    """Return "1 joint", "2 joints"; `plural` for an irregular plural."""
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:
-    """Return names between commas, and of many the first few and how many more there are."""
+    """Return names separated by commas; after the first `most`, only the number of others."""
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 def roughly(seconds: float) -> str:
-    """Return "40 s", "13 min" or "3.2 h": an estimate, or a total whose fractions do not matter."""
+    """Return a rounded duration: "40 s", "13 min" or "3.2 h"."""
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

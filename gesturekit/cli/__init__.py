@@ -1,4 +1,4 @@
-"""The command line: one file a verb. A verb parses, calls the API, and prints; nothing else.
+"""Command line: one file for each command, which only parses, calls the API and prints.
 
 Exit codes: 0 all done; 1 some or all items failed, each listed with its reason; 2 nothing could
 start (bad usage, bad config); 130 on Ctrl-C.
@@ -30,14 +30,14 @@ VERBS = (
 
 
 class VerbGroup(click.Group):
-    """Imports a verb's module when it is asked for."""
+    """A group that imports the module of a command on first use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The verbs, in the order in which one meets them."""
+        """Return the commands in the order of a typical workflow."""
         return list(VERBS)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """The verb of this name; None where there is none."""
+        """Return the command of this name; None if there is none."""
         if name not in VERBS:
             return None
         return importlib.import_module(f"gesturekit.cli.{name.replace('-', '_')}").command
@@ -45,13 +45,13 @@ class VerbGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the verb, or name the one that was probably meant."""
+        """Find the command; the error names the closest match."""
         name = args[0]
         if name in VERBS or name.startswith("-"):
             return super().resolve_command(ctx, args)
         near = difflib.get_close_matches(name.lower(), VERBS, n=1)
         hint = f"did you mean {near[0]}?" if near else f"it is one of {', '.join(VERBS)}."
-        raise click.UsageError(f"{name!r} is no command: {hint}", ctx)
+        raise click.UsageError(f"{name!r} is not a command: {hint}", ctx)
 
 
 @click.group(
@@ -61,17 +61,17 @@ class VerbGroup(click.Group):
 )
 @click.version_option(package_name="gesturekit")
 def cli() -> None:
-    """Turn speech into body motion: train on your own wav + BVH, render wavs to BVH, npz, HTML."""
+    """Generate body motion from speech: train on your WAV + BVH, render WAVs to BVH, npz, HTML."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and leave with the exit codes named at the top of this file."""
+    """Run the command line and exit with the codes listed at the top of this file."""
     from audio_features.errors import AudioFeaturesError
     from gesturekit.errors import GestureKitError
 
     try:
         with warnings.catch_warnings():
-            # In the words of the warning alone: where it stands in our code helps nobody.
+            # Only the text of a warning: its place in our code does not help a user.
             warnings.showwarning = lambda message, *_, **__: click.echo(
                 f"Warning: {message}", err=True
             )
@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
         click.echo(f"Error: {error}", err=True)
         status = 2
     except OSError as error:
-        # A folder that cannot be made, a full disk: the system's own words, without its numbers.
+        # A folder that cannot be created, a full disk: the system's message without its number.
         where = f"{error.filename}: " if error.filename else ""
         click.echo(f"Error: {where}{error.strerror or error}", err=True)
         status = 2

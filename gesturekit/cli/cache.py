@@ -1,4 +1,4 @@
-"""gesturekit cache: what the feature cache holds, and emptying it."""
+"""gesturekit cache: show or clear the feature cache."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import click
 @click.command(epilog="Example: gesturekit cache info")
 @click.argument("action", type=click.Choice(["info", "clear"]))
 def command(action: str) -> None:
-    """Say what the feature cache holds (info), or remove it all (clear).
+    """Show the size of the feature cache (info), or delete its contents (clear).
 
-    The cache keeps what is slow to extract: WavLM, and pitch by pyin. It lies in
-    $GESTUREKIT_CACHE, else in the user's cache folder, and holds $GESTUREKIT_CACHE_GB gigabytes
-    at most (20); what was not used for longest goes first. Clearing costs time, nothing else.
+    The cache holds features that are slow to extract: WavLM, and pitch by pyin. Its folder is
+    $GESTUREKIT_CACHE, by default in the user's cache folder, and its size is limited to
+    $GESTUREKIT_CACHE_GB gigabytes (20); the least recently used entries are removed first.
+    Cleared features are extracted again when needed.
     """
     from datetime import datetime
 

@@ -1,9 +1,9 @@
-"""gesturekit convert: motion files in, motion files of other formats, rigs and rates out."""
+"""gesturekit convert: convert motion files to other formats, rigs and frame rates."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,10 +21,11 @@ from gesturekit.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from gesturekit.formats.changes import Changes
     from gesturekit.formats.conversion import Converted
 
 WIDTH = 100
-"""Columns that a line may take."""
+"""Maximum length of an output line."""
 
 
 @click.command(
@@ -36,25 +37,31 @@ WIDTH = 100
     "sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IN..."
 )
 @click.argument("out", type=click.Path(path_type=Path))
-@click.option("--format", "formats", metavar="LIST", help="For a folder: of bvh,npz,html,png,obj.")
-@click.option("--rig", metavar="RIG", help="Move this body: a motion file, smpl, smplh or smplx.")
+@click.option(
+    "--format", "formats", metavar="LIST", help="Formats of a folder: any of bvh,npz,html,png,obj."
+)
+@click.option(
+    "--rig", metavar="RIG", help="Skeleton to retarget to: a motion file, smpl, smplh or smplx."
+)
 @click.option("--fps", type=RATE, metavar="RATE", help="Frames per second to write.")
-@click.option("--antialias", is_flag=True, help="With a lower --fps: filter, do not just drop.")
-@click.option("--trim", metavar="START:END", help="Keep these seconds; either may be left out.")
-@click.option("--mirror", is_flag=True, help="Exchange left and right.")
+@click.option("--antialias", is_flag=True, help="Low-pass filter before reducing --fps.")
+@click.option("--trim", metavar="START:END", help="Keep these seconds; either may be omitted.")
+@click.option("--mirror", is_flag=True, help="Swap left and right.")
 @click.option(
     "--joints",
     default="all",
     metavar="LIST",
     help="Keep these joints, or body: all but fingers, face and end joints.",
 )
-@click.option("--up", type=click.Choice(["y", "z"]), help="Up in SMPL npz; z for AMASS readers.")
-@click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH to write.  [default: cm]")
+@click.option(
+    "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; z for AMASS readers."
+)
+@click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH files.  [default: cm]")
 @click.option(
     "--frame", type=int, metavar="N", help="Frame to write as obj; -1 is the last.  [default: 0]"
 )
 @existing_option("refuse")
-@click.option("--dry-run", is_flag=True, help="Read and report, write nothing.")
+@click.option("--dry-run", is_flag=True, help="Read and report, but write nothing.")
 @reading_options
 @part_option
 @rig_part_option
@@ -64,74 +71,39 @@ def command(
     sources: tuple[Path, ...],
     out: Path,
     formats: str | None,
-    rig: str | None,
-    fps: float | None,
-    antialias: bool,
-    trim: str | None,
-    mirror: bool,
-    joints: str,
-    up: str | None,
-    unit: str | None,
-    frame: int | None,
     existing: str,
     dry_run: bool,
     body_model: Path | None,
-    parts: tuple[str, ...],
-    rig_parts: tuple[str, ...],
-    **reading: object,
+    **options: Any,
 ) -> None:
     """Convert motion: a file to a file, or files and folders into the folder OUT.
 
-    Folders are searched to the bottom and keep their shape. Unit, axes and frame rate of each
+    Folders are searched recursively and keep their structure. Unit, axes and frame rate of each
     file are detected and printed, with a ? where they are a guess. A broken file never stops the
     others: it is listed with its reason, and the exit code is 1.
     """
-    import sys
-
-    from gesturekit.formats.changes import Changes, parse_trim
     from gesturekit.formats.conversion import FormatOptions, convert
-    from gesturekit.formats.rig import Rig
     from gesturekit.motion.parts import parse_parts
     from gesturekit.progress import Progress
 
-    if rig_parts and rig is None:
-        raise click.UsageError("--rig-part names parts of the body that --rig gives.")
-    if antialias and fps is None:
-        click.echo("Warning: --antialias has no effect without --fps", err=True)
-    changes = Changes(
-        trim=parse_trim(trim) if trim is not None else None,
-        mirror=mirror,
-        rig=Rig.load(rig, parse_parts(rig_parts)) if rig is not None else None,
-        joints=joints if joints in ("all", "body") else tuple(comma_separated(joints)),
-        fps=fps,
-        antialias=antialias,
-    )
+    changes, parts = _changes(options), parse_parts(options.pop("parts"))
+    write = given(**{name: options.pop(name) for name in ("up", "unit", "frame")})
     outcomes = convert(
         sources,
         out,
         formats=comma_separated(formats),
         changes=changes,
-        options=FormatOptions(
-            read=read_from(reading),
-            write=given(up=up, unit=unit, frame=frame),
-            body_model=body_model,
-            parts=parse_parts(parts),
-        ),
+        options=FormatOptions(read_from(options), write, body_model, parts),
         existing=existing,
         dry_run=dry_run,
         progress=lambda jobs: Progress(jobs, desc="Converting", unit="file"),
     )
     done = failed = 0
-    with resumable(lambda: f"{done} done; with --existing skip the same command goes on."):
+    with resumable(lambda: f"{done} done; with --existing skip the same command continues."):
         for outcome in outcomes:
             done += 1
-            if outcome.error is None or outcome.files:
-                Progress.write(_line(outcome))
-            for warning in outcome.warnings:
-                Progress.write(f"Warning: {warning}", file=sys.stderr)
-            if outcome.error is not None:
-                failed += 1
-                Progress.write(f"Failed: {outcome.error}", file=sys.stderr)
+            failed += outcome.error is not None
+            _print(outcome)
     if failed and done > 1:
         click.echo(f"{failed} of {done} failed.", err=True)
     if dry_run:
@@ -139,8 +111,47 @@ def command(
     ctx.exit(1 if failed else 0)
 
 
+def _changes(options: dict[str, Any]) -> Changes:
+    """Pop the options that change a motion from all options.
+
+    Raises:
+        click.UsageError: --rig-part without --rig.
+    """
+    from gesturekit.formats.changes import Changes, parse_trim
+    from gesturekit.formats.rig import Rig
+    from gesturekit.motion.parts import parse_parts
+
+    rig, rig_parts, trim, joints = (
+        options.pop(name) for name in ("rig", "rig_parts", "trim", "joints")
+    )
+    if rig_parts and rig is None:
+        raise click.UsageError("--rig-part names joints of --rig: give it as well.")
+    if options["antialias"] and options["fps"] is None:
+        click.echo("Warning: --antialias has no effect without --fps", err=True)
+    return Changes(
+        trim=parse_trim(trim) if trim is not None else None,
+        rig=Rig.load(rig, parse_parts(rig_parts)) if rig is not None else None,
+        joints=joints if joints in ("all", "body") else tuple(comma_separated(joints)),
+        **{name: options.pop(name) for name in ("mirror", "fps", "antialias")},
+    )
+
+
+def _print(outcome: Converted) -> None:
+    """Print one outcome above the progress bar, with its warnings and its failure."""
+    import sys
+
+    from gesturekit.progress import Progress
+
+    if outcome.error is None or outcome.files:
+        Progress.write(_line(outcome))
+    for warning in outcome.warnings:
+        Progress.write(f"Warning: {warning}", file=sys.stderr)
+    if outcome.error is not None:
+        Progress.write(f"Failed: {outcome.error}", file=sys.stderr)
+
+
 def _line(outcome: Converted) -> str:
-    """What was found, what was written, what was changed: a line, or two where it is long."""
+    """Return the detected input, the written files and the changes, on one or two lines."""
     source = click.format_filename(outcome.source)
     if not outcome.files:
         return f"{source}: left as it is, the outputs exist"

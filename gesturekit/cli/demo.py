@@ -1,4 +1,4 @@
-"""gesturekit demo: the bundled model on the bundled speech."""
+"""gesturekit demo: render the bundled speech with the bundled model."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from gesturekit.cli.options import existing_option, is_left, resumable
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("gesturekit-demo"),
     show_default=True,
-    help="Folder to fill.",
+    help="Output folder.",
 )
-@click.option("--seed", default=0, show_default=True, help="Another seed, another gesture.")
+@click.option("--seed", default=0, show_default=True, help="Random seed.")
 @existing_option("refuse")
 @click.pass_context
 def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     """Render the bundled speech with the bundled model to BVH, npz, HTML and PNG.
 
-    The speech is written beside them.
+    The speech is copied to the same folder.
     """
     click.echo("Loading the demo model ...", err=True)
     from gesturekit.atomic import atomic_write
@@ -32,7 +32,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
 
     speech = bundled_speech()
     output = Output(("bvh", "npz", "html", "png"), existing=existing)
-    # Beside the motion, to play with it in Blender.
+    # For playing it with the motion in Blender.
     wav = out / speech.name
     is_there = wav.is_file() and wav.read_bytes() == speech.read_bytes()
     if not is_there and not is_left([wav], existing):
@@ -40,7 +40,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
             temporary.write_bytes(speech.read_bytes())
     model = load("demo")
     click.echo(f"Rendering its speech into {out} ...", err=True)
-    with resumable(lambda: "The same command goes on."):
+    with resumable(lambda: "The same command continues."):
         (outcome,) = render(model, [speech], out, output=output, seed=seed)
     if outcome.error is not None:
         click.echo(f"Failed: {outcome.error}", err=True)
@@ -50,8 +50,8 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
         ".bvh": "Blender: File > Import > Motion Capture (.bvh); Scale 0.01, Forward -Z, Up Y,\n"
         "      tick Update Scene FPS and Update Scene Duration",
         ".npz": 'Python: gesturekit.Motion.load("...") or numpy.load',
-        ".html": "any browser: double click; it plays with the sound",
-        ".png": "any picture viewer: poses, hand speed and speech side by side",
+        ".html": "any browser: double-click; it plays with the sound",
+        ".png": "any image viewer: poses, hand speed and speech over time",
     }
     for path in (wav, *outcome.kept, *outcome.files):
         click.echo(f"{path}\n      {uses[path.suffix]}")

@@ -1,4 +1,4 @@
-"""gesturekit doctor: what works on this machine, what does not, and what to do."""
+"""gesturekit doctor: check the installation."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ MARKS = {"ok": "ok", "note": "note", "broken": "BROKEN"}
     "--weights", type=click.Path(path_type=Path), help="WavLM weights to read: folder or file."
 )
 def command(weights: Path | None) -> int:
-    """Look at torch, GPU, threads, torchaudio, transformers, ffmpeg, disk, cache and weights.
+    """Check torch, GPU, threads, torchaudio, transformers, ffmpeg, disk, cache and weights.
 
-    Exit code 0 where gesturekit is usable, 1 where something that it needs is broken. Send the
-    output along when you report a problem.
+    The exit code is 0 if gesturekit is usable, and 1 if a requirement is broken. Include the
+    output when you report a problem.
     """
     from gesturekit.diagnosis import diagnose, is_usable
 

@@ -1,4 +1,4 @@
-"""gesturekit inspect: what files and folders are, a screen each."""
+"""gesturekit inspect: describe files and folders."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NARROWEST, _WIDEST = 72, 110
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @reading_options
 @part_option
-@click.option("--json", "as_json", is_flag=True, help="For programs: one JSON object a line.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -25,11 +25,12 @@ def command(
     as_json: bool,
     **reading: object,
 ) -> None:
-    """Tell what PATH is: motion, sound, features, a model (folder or bundled name), a corpus
+    """Describe PATH: motion, sound, features, a model (folder or bundled name), a corpus
     (manifest or folder of recordings), or a training run.
 
-    For a motion: its unit, axes and rate, its rig as a tree with the parts of the body in
-    brackets, how it moves, and what looks wrong. Exit code 1 where a PATH cannot be told.
+    A motion is shown with its unit, axes and frame rate, its rig as a tree with body parts in
+    brackets, statistics of its movement, and probable defects. The exit code is 1 if a PATH
+    cannot be identified.
     """
     import json
     import shutil
@@ -50,7 +51,7 @@ def command(
                 path,
                 parts=named,
                 read=read_from(reading),
-                # On a terminal only: a bar in a log file is noise.
+                # Only on a terminal, not in log files.
                 progress=lambda tasks: tqdm(
                     tasks, unit="file", desc="reading", disable=None, leave=False
                 ),

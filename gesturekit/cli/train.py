@@ -1,4 +1,4 @@
-"""gesturekit train: a configuration in, a run folder with a model out."""
+"""gesturekit train: train a model from a configuration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @click.command(
     "train",
-    context_settings={"ignore_unknown_options": True},  # refused below, in words of settings
+    context_settings={"ignore_unknown_options": True},  # refused below
     epilog="Example: gesturekit train recipes/multires_speech/light.yaml corpus=corpus.jsonl "
     "out=runs/mine",
 )
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option(
     "--resume",
     is_flag=True,
-    help="Go on from the last checkpoint: gesturekit train --resume runs/mine.",
+    help="Continue from the last checkpoint: gesturekit train --resume runs/mine.",
 )
 @click.option(
     "--plan",
@@ -93,7 +93,7 @@ def _show(settings: Sequence[Setting]) -> None:
 
 
 def _next_steps(model: Path) -> list[str]:
-    """Commands that render with a model, and measure it on held-out speech where there is some."""
+    """Return the commands that render with a model and evaluate it on held-out speech."""
     import shlex
 
     from gesturekit.corpus import Manifest
@@ -117,11 +117,11 @@ def _next_steps(model: Path) -> list[str]:
     try:
         is_held_out = takes_speech and bool(Manifest.load(corpus).paired("test"))
     except CorpusError:
-        is_held_out = False  # gone by now; the model does not need it
+        is_held_out = False  # deleted since; the model does not need it
     if is_held_out:
         split = ["--corpus", corpus, "--split", "test"]
         lines += [
             f"Held-out speech: {shlex.join([*start, *split, *end])}",
-            f"Measured by: {shlex.join(['gesturekit', 'evaluate', 'rendered', *split])}",
+            f"Evaluate with: {shlex.join(['gesturekit', 'evaluate', 'rendered', *split])}",
         ]
     return lines
