@@ -57,6 +57,11 @@ class VectorLayout:
         return slice(0, 6 * self.n_joints)
 
     @property
+    def root_rotation(self) -> slice:
+        """Six columns: the root's orientation in world coordinates."""
+        return slice(0, 6)
+
+    @property
     def contacts(self) -> slice:
         """C columns: contact labels, about 0 or 1."""
         return slice(6 * self.n_joints, 6 * self.n_joints + self.n_contacts)

@@ -16,13 +16,14 @@ from gesturekit.motion.parts import find_legs, unidentified
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second, plain_values
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.sampling.conditions import Conditions
+from gesturekit.multires.trained_model import TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import TrainingData, load_training_data
 from gesturekit.multires.training.kinematics import VectorKinematics
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.stage import Pair
-from gesturekit.multires.training.window_cache import Bank
+from gesturekit.multires.training.window_cache import WindowCache
 from gesturekit.training.data.sources import described, save_sources
 from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
@@ -118,7 +119,7 @@ class Trainer:
             self.data.representation, config.fps, arms=config.uses_arm_speed
         ).to(self.device)
         self.normaliser = self.data.normaliser.to(self.device)
-        self.bank = Bank(self.data, config, self.network)
+        self.bank = WindowCache(self.data, config, self.network)
         self.monitor = Monitor(self.data, config) if config.eval_every else None
         self.groups = self.data.window_lengths()
         # How often a step takes windows of each length: as often as there are frames of it.
@@ -307,28 +308,30 @@ class Trainer:
         return MultiresModel(
             fps=self.config.fps,
             representation=self.data.representation,
-            conditioner=self.data.conditioner,
             normaliser=self.data.normaliser,
+            conditions=Conditions(self.data.conditioner, self.data.styles, self.config.residual),
             network_config=self.config.network,
-            residual=self.config.residual,
-            z_star_shuffle=self.config.z_star_shuffle,
-            noise_levels=self.config.noise_levels,
-            styles=self.data.styles,
             network=network.cpu().eval(),
-            sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
-            z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
-            sequences={
-                sequence.name: TrainedSequence(
-                    sequence.n_frames,
-                    self.data.styles[sequence.style] if self.data.styles else None,
-                )
-                for sequence in self.data.paired
-            },
+            noise=TrainedNoise(
+                sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
+                z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
+                sequences={
+                    sequence.name: TrainedSequence(
+                        sequence.n_frames,
+                        self.data.styles[sequence.style] if self.data.styles else None,
+                    )
+                    for sequence in self.data.paired
+                },
+                z_star_shuffle=self.config.z_star_shuffle,
+                noise_levels=self.config.noise_levels,
+            ),
             speakers=self.data.speakers,
             fastest=self.data.representation.scale
             * max(
                 fastest_second(
-                    plain_values(self.data.normaliser, sequence.motion[None])[:, [-3, -1]],
+                    plain_values(self.data.normaliser, sequence.motion[None])[
+                        :, self.data.representation.layout.root_xz
+                    ],
                     self.config.fps,
                 )
                 for sequence in self.data.paired

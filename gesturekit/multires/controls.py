@@ -1,0 +1,50 @@
+"""Controls of `MultiresModel.generate`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gesturekit.model import ControlArguments, Controls
+
+if TYPE_CHECKING:
+    from gesturekit.motion.motion import Motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultiresControls(Controls):
+    """Controls that multires models take beside those of every system.
+
+    Without a style, each sample gets a random one. At most one of `path`, `keyframes`, `like` and
+    `keep` can be given; each of them sets the length where neither speech nor seconds does, `like`
+    excepted.
+    """
+
+    level_style: str | None = None
+    """Styles of single levels, counted from 1 (coarsest), which override style:
+    1-4=describe,5-8=angry."""
+    levels: int | None = None
+    """Stop after this many levels. The motion has the lower frame rate of that level and can be
+    edited and given back as keyframes. Only style, level_style and speech can be combined with
+    it."""
+    keyframes: str | Path | Motion | None = None
+    """A motion that replaces the output of a coarse level; the finer levels add detail and keep
+    its slow movement. If it is an edit of what this seed made with levels, unedited frames stay as
+    they were generated. A motion of another rig is retargeted."""
+    keyframe_level: int = 1
+    """The level that keyframes or like replaces, counted from 1 (coarsest)."""
+    keep: Mapping[float, str | Path | Motion] | None = None
+    """Motions by the second at which each begins. They come back unchanged and in their place in
+    the world; the model generates the time before, between and after them (in-betweening)."""
+
+
+class MultiresControlArguments(ControlArguments, total=False):
+    """Keywords of `MultiresControls`, for type checkers."""
+
+    level_style: str | None
+    levels: int | None
+    keyframes: str | Path | Motion | None
+    keyframe_level: int
+    keep: Mapping[float, str | Path | Motion] | None
