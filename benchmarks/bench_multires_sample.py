@@ -23,7 +23,8 @@ from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import SLOPE, MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.skeleton_conv import SLOPE
 from gesturekit.multires.sampling.tiling import TILE, sample
 
 FPS, LEVELS = 30, 7

@@ -34,8 +34,7 @@ from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.network.networks import SLOPE
-from gesturekit.multires.network.skeleton_conv import block_neighbours
+from gesturekit.multires.network.skeleton_conv import SLOPE, block_neighbours
 from gesturekit.multires.training.kinematics import VectorKinematics
 from gesturekit.multires.training.stage import Pair
 from gesturekit.multires.training.trainer import Trainer

@@ -56,12 +56,13 @@ class Controls:
         names = [field.name for field in dataclasses.fields(cls)]
         for name, value in keywords.items():
             if name not in names and value is not None:
-                near = difflib.get_close_matches(name, names, n=1)
+                near = difflib.get_close_matches(name, names, n=1, cutoff=0.75)
                 hint = f"; did you mean {near[0]}?" if near else ""
                 raise UnknownControlError(
                     f"{name}={value!r}: {kind} models have no control {name}{hint}"
                 )
-        return cls(**{name: value for name, value in keywords.items() if name in names})
+        given = {name: value for name, value in keywords.items() if value is not None}
+        return cls(**given)
 
 
 class UnknownControlError(ModelError, TypeError):
@@ -80,30 +81,52 @@ class ControlArguments(TypedDict, total=False):
     fps: float | None
 
 
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs of a model besides style and speaker.
+
+    Attributes:
+        speech: whether it was trained with speech (or music) features.
+        path: whether it was trained with the path of the root.
+        events: names of the events that it was trained with.
+    """
+
+    speech: bool = False
+    path: bool = False
+    events: tuple[str, ...] = ()
+
+
 @runtime_checkable
 class Model(Protocol):
-    """A trained model, as `gesturekit.load` gives it.
+    """A trained model, as returned by `gesturekit.load`.
 
     Attributes:
         kind: name of its system.
-        fps: frames per second at which its networks work.
-        recorded_fps: the training recordings' rate, which generated motion gets.
-        speakers: a reference skeleton for each speaker that the corpus named.
+        fps: frames per second of its networks.
+        recorded_fps: frames per second of the training recordings; the default of the output.
+        speakers: reference skeleton of each speaker of the corpus.
+        folder: folder that it was loaded from; None for one that was not loaded.
     """
 
     kind: str
     fps: float
     recorded_fps: float
     speakers: dict[str, Skeleton]
+    folder: Path | None
 
     @property
     def skeleton(self) -> Skeleton:
-        """The rig, with all the joints of the training files."""
+        """The skeleton, with all joints of the training files."""
         ...
 
     @property
     def styles(self) -> tuple[str, ...]:
-        """Names of the styles it knows; empty for a model without styles."""
+        """Names of its styles; empty for a model without styles."""
+        ...
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
         ...
 
     @overload
@@ -131,17 +154,37 @@ class Model(Protocol):
     ) -> list[Motion]: ...
 
     def generate(self, *args: Any, **controls: Any) -> Motion | list[Motion]:
-        """Generate motion, as long as the speech or `seconds`; a list where `samples` > 1.
+        """Generate motion as long as the speech or `seconds`; a list where `samples` > 1.
 
-        Further `controls` are those of the system: see `MultiresModel.generate` and
-        `DiffusionModel.generate`.
+        `controls` are the fields of the system's `Controls`: see `MultiresControls` and
+        `DiffusionControls`.
 
         Raises:
-            ModelError: a control, style or speaker this model does not have.
-            AudioError, FormatError: a file cannot be read, or an array is no sound.
+            ModelError: a control, style or speaker that this model does not have.
+            AudioError, FormatError: a file cannot be read, or an array is not a sound.
+        """
+        ...
+
+    def check_controls(self, *, samples: int = 1, seed: int = 0, **controls: Any) -> None:
+        """Check the arguments of `generate` that do not depend on the speech.
+
+        Raises:
+            ModelError: a control, style or speaker that this model does not have.
         """
         ...
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
+        ...
+
+    @classmethod
+    def load(
+        cls,
+        folder: str | Path,
+        *,
+        weights: str | Path | None = None,
+        device: str = "cpu",
+        dtype: Literal["fp32"] = "fp32",
+    ) -> Model:
+        """Read a model folder; see `gesturekit.load`."""
         ...

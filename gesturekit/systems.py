@@ -1,4 +1,4 @@
-"""The systems gesturekit has, by name: the one place where a name leads upwards to its code."""
+"""Registry of the systems; the only place that imports a system by name."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ import difflib
 import importlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
-from gesturekit.model import Model
+from gesturekit.field_docs import field_docs
+from gesturekit.model import Controls, Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.run_config import RunConfig
+from gesturekit.training.settings import Setting, list_settings
 
 
 @dataclass(frozen=True)
 class System:
-    """Where the parts of a system live, as `module:name`; imported when they are asked for."""
+    """Parts of a system as `module:name`, imported on first use."""
 
     model: str
+    controls: str
     config: str
     train: str
     plan: str
@@ -29,12 +32,14 @@ class System:
 SYSTEMS = {
     "multires": System(
         model="gesturekit.multires.model:MultiresModel",
+        controls="gesturekit.multires.controls:MultiresControls",
         config="gesturekit.multires.config:MultiresConfig",
         train="gesturekit.multires.training.trainer:train",
         plan="gesturekit.multires.training.trainer:plan",
     ),
     "diffusion": System(
         model="gesturekit.diffusion.model:DiffusionModel",
+        controls="gesturekit.diffusion.controls:DiffusionControls",
         config="gesturekit.diffusion.config:DiffusionConfig",
         train="gesturekit.diffusion.training.trainer:train",
         plan="gesturekit.diffusion.training.trainer:plan",
@@ -45,23 +50,40 @@ _BUNDLED = Path(__file__).parent / "models"
 
 
 def bundled_models() -> list[str]:
-    """Names of the models that come with the package."""
+    """Return the names of the models that come with the package."""
     if not _BUNDLED.is_dir():
         return []
     return sorted(folder.parent.name for folder in _BUNDLED.glob("*/config.yaml"))
 
 
 def bundled_speech() -> Path:
-    """The short recording that comes with the demo model."""
+    """Return the short speech recording that comes with the demo model."""
     return _BUNDLED / "demo" / "speech.wav"
 
 
 def model_folder(model: str | Path) -> Path:
-    """The folder that a bundled name or a path stands for.
+    """Return the folder of a model, given by a bundled name or a path.
 
-    A bundled name wins over a folder that happens to be called so; ./demo means the folder.
+    A bundled name takes precedence over a folder of the same name; ./demo is the folder.
     """
     return _BUNDLED / str(model) if str(model) in bundled_models() else Path(model)
+
+
+def controls_type(kind: str) -> type[Controls]:
+    """Return the dataclass of controls of a system."""
+    return _part(SYSTEMS[kind].controls)
+
+
+def control_docs() -> dict[str, str]:
+    """Return the docstring of each control of any system, with its default if that is a number."""
+    docs: dict[str, str] = {}
+    for kind in SYSTEMS:
+        schema = controls_type(kind)
+        docs |= field_docs(schema)
+        for field in fields(schema):
+            if isinstance(field.default, int | float) and not isinstance(field.default, bool):
+                docs[field.name] += f"  [default: {field.default:g}]"
+    return docs
 
 
 @gesturekit_errors()
@@ -75,24 +97,24 @@ def load(
     """Load a model.
 
     Args:
-        model: a bundled name such as "demo", a model folder, or a run folder that holds one.
-        weights: folder of WavLM weights, for models that hear by WavLM.
-        device: where its networks compute: cpu, cuda, cuda:1, or auto (a GPU if there is one).
-            A pyramid of multires stays on the CPU, which makes its motion in milliseconds.
-        dtype: arithmetic of the network: single precision, or bfloat16, in which diffusion is
-            1.5 to 1.9 times as fast on processors that have it; its motion differs slightly.
+        model: a bundled name such as "demo", a model folder, or a run folder with a model.
+        weights: folder of WavLM weights, for models with WavLM features.
+        device: device of the networks: cpu, cuda, cuda:1, or auto (a GPU if there is one).
+            Multires networks stay on the CPU, where they generate in milliseconds.
+        dtype: precision of the network. With bf16, diffusion is 1.5 to 1.9 times as fast on
+            processors that support it, and its motion differs slightly.
 
     Returns:
-        a model, whose `generate` makes motion.
+        a model, whose `generate` returns motion.
 
     Raises:
-        ModelError: there is no such model, it cannot be read, or has no such dtype.
+        ModelError: there is no such model, it cannot be read, or it does not support the dtype.
         ConfigError: there is no such device.
-        WeightsError: the model needs weights, or other weights.
+        WeightsError: the WavLM weights are missing, or differ from those of training.
     """
     folder = model_folder(model)
     if not _is_model(folder) and _is_model(folder / "model"):
-        folder /= "model"  # a run folder stands for its model
+        folder /= "model"  # the model of a run folder
     if not folder.is_dir():
         raise ModelError(
             f"{model}: neither a model folder nor a bundled model "
@@ -120,15 +142,15 @@ def train(
     resume: bool = False,
     **settings: Any,
 ) -> Path:
-    """Train the system that a configuration file names.
+    """Train a model as a configuration file describes.
 
     `train("light.yaml", {"training.batch": 8}, corpus="corpus.jsonl", out="runs/mine")`.
 
     Args:
-        config: YAML file, whose `system:` is one of `SYSTEMS`; its parent may say so too. To
-            resume, the run folder is enough.
+        config: YAML file, whose `system:` (or its parent's) is one of `SYSTEMS`. To resume, the
+            run folder is enough.
         overrides: single settings, as `key=value` strings, or by dotted name.
-        resume: go on from the last checkpoint of the run folder.
+        resume: continue from the last checkpoint of the run folder.
         settings: further settings by name; a mapping changes single settings of a section.
 
     Returns:
@@ -139,30 +161,64 @@ def train(
     """
     if isinstance(overrides, Mapping):
         overrides, settings = (), {**overrides, **settings}
-    system, loaded = _resolved(config, overrides, settings, resume=resume)
+    system, loaded = _resolve(config, overrides, settings, resume=resume)
     return _part(system.train)(loaded, resume=resume)
 
 
 def plan(config: str | Path, overrides: Sequence[str] = ()) -> None:
-    """Log what `train` would do, on what, where to, and how long it would take; train nothing.
+    """Log the data, output folder and estimated duration of a training, without training.
 
     Raises:
-        ConfigError: the configuration is wrong. A run folder that holds a run is a warning.
+        ConfigError: the configuration is wrong. A run folder that is in use is only a warning.
     """
-    system, loaded = _resolved(config, overrides, {}, resume=False)
+    system, loaded = _resolve(config, overrides, {}, resume=False)
     _part(system.plan)(loaded)
 
 
-def _resolved(
+def resolved_settings(config: str | Path, overrides: Sequence[str] = ()) -> list[Setting]:
+    """Return all settings that `train` would use.
+
+    The corpus need not exist; where none is given, its value is null.
+
+    Args:
+        config: YAML file, or a run folder.
+        overrides: single settings, as `key=value` strings.
+
+    Raises:
+        ConfigError: the configuration is wrong.
+    """
+    path = Path(config)
+    resume = path.is_dir()
+    file, _ = _config_file(path, overrides, resume=resume)
+    has_corpus = "corpus" in read_chain(file) or any(o.startswith("corpus=") for o in overrides)
+    missing = {} if has_corpus else {"corpus": "corpus.jsonl"}
+    _, loaded = _resolve(config, overrides, missing, resume=resume)
+    return list(list_settings(loaded if has_corpus else replace(loaded, corpus=None)))
+
+
+def _resolve(
     config: str | Path, overrides: Sequence[str], settings: Mapping[str, Any], *, resume: bool
 ) -> tuple[System, RunConfig]:
-    """The system that a configuration names, and its settings."""
-    path = Path(config)
+    """Return the system that a configuration names, and its settings."""
+    path, overrides = _config_file(Path(config), overrides, resume=resume)
+    name = _system_name(path, overrides)
+    schema = _part(SYSTEMS[name].config)
+    return SYSTEMS[name], load_config(path, schema, overrides, settings)
+
+
+def _config_file(
+    path: Path, overrides: Sequence[str], *, resume: bool
+) -> tuple[Path, Sequence[str]]:
+    """Return the configuration file of a path, and the overrides with the folder of a run.
+
+    Raises:
+        ConfigError: there is none, or a run folder is given without `resume`.
+    """
     if resume and not path.exists():
         raise ConfigError(f"{path}: no such run")
     if path.is_dir():
         if _is_model(path) and (path.parent / "config.yaml").is_file():
-            path = path.parent  # the model of a run stands for the run
+            path = path.parent  # the run of a model folder
         if not (path / "config.yaml").is_file():
             raise ConfigError(
                 f"{path}: a folder without config.yaml, so no run to resume; to train on what is "
@@ -171,11 +227,20 @@ def _resolved(
         if not resume:
             raise ConfigError(f"{path}: a run folder; add --resume to go on with it")
         # Its own config.yaml holds every setting, and the folder may have been moved.
-        path, overrides = path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
-    elif not path.exists():
+        return path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
+    if not path.exists():
         raise ConfigError(f"{path}: no such configuration file{_near(path)}")
-    elif path.suffix.lower() not in (".yaml", ".yml"):
+    if path.suffix.lower() not in (".yaml", ".yml"):
         raise ConfigError(f"{path}: {_not_a_config(path)}")
+    return path, overrides
+
+
+def _system_name(path: Path, overrides: Sequence[str]) -> str:
+    """Return the name of the system of a configuration file.
+
+    Raises:
+        ConfigError: there is no such system, or the overrides name another than the file.
+    """
     name = read_chain(path).get("system")
     for override in overrides:
         key, _, value = override.partition("=")
@@ -188,12 +253,11 @@ def _resolved(
             name = value
     if not isinstance(name, str) or name not in SYSTEMS:
         raise ConfigError(f"{path}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
-    schema = _part(SYSTEMS[name].config)
-    return SYSTEMS[name], load_config(path, schema, overrides, settings)
+    return name
 
 
 def _is_model(folder: Path) -> bool:
-    """Tell whether a folder holds a model: a config.yaml that names its kind."""
+    """Return whether a folder holds a model: a config.yaml that names its kind."""
     try:
         return "kind" in read_yaml(folder / "config.yaml")
     except ConfigError:
@@ -201,7 +265,7 @@ def _is_model(folder: Path) -> bool:
 
 
 def _not_a_config(path: Path) -> str:
-    """Return what a file is that was named in place of a configuration, and what to do."""
+    """Return the end of a message about a file that is not a configuration."""
     if path.suffix.lower() == ".jsonl":
         what = f"a manifest, not a configuration; give it as corpus={path} beside one"
     elif path.suffix.lower() in (".bvh", ".npz", ".wav"):
@@ -213,7 +277,7 @@ def _not_a_config(path: Path) -> str:
 
 
 def _near(path: Path) -> str:
-    """Configurations that a missing one may stand for, as the end of a message."""
+    """Return the end of a message that suggests configurations with a similar name."""
     beside = [str(file) for file in path.parent.glob("*.yaml")] if path.parent.is_dir() else []
     known = {name: name for name in [*beside, *_recipes()]}
     # A recipe may be meant by its folder's name, as in `recipes/multires_speech`.
@@ -229,12 +293,12 @@ def _near(path: Path) -> str:
 
 
 def _main(configs: Sequence[str]) -> list[str]:
-    """The first configuration of each recipe, without its variants."""
+    """Return the main configuration of each recipe, without its variants."""
     return [name for name in configs if Path(name).name == "config.yaml"]
 
 
 def _recipes(system: str | None = None) -> list[str]:
-    """Configurations below `recipes/` in the current folder, of one system or of all."""
+    """Return the configurations below `recipes/` in the current folder, of one system or all."""
     found = sorted(Path("recipes").glob("*/*.yaml"))
     if system is not None:
         found = [file for file in found if read_chain(file).get("system") == system]
@@ -242,5 +306,6 @@ def _recipes(system: str | None = None) -> list[str]:
 
 
 def _part(where: str) -> Any:
+    """Import `module:name`."""
     module, _, name = where.partition(":")
     return getattr(importlib.import_module(module), name)

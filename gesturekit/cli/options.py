@@ -1,7 +1,8 @@
-"""Options that several verbs have, and what their commands share."""
+"""Options and helpers that several commands share."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,36 +17,36 @@ RATE = click.FloatRange(min=0, min_open=True, max=1000)
 
 
 _RECORDING = (
-    click.option("--in-unit", type=click.Choice(UNITS), help="Unit of a BVH that is read."),
-    click.option("--in-up", type=click.Choice(AXES), help="Its axis that points up."),
-    click.option("--in-forward", type=click.Choice(AXES), help="Its axis that points forward."),
+    click.option("--in-unit", type=click.Choice(UNITS), help="Unit of the BVH input."),
+    click.option("--in-up", type=click.Choice(AXES), help="Up axis of the input."),
+    click.option("--in-forward", type=click.Choice(AXES), help="Forward axis of the input."),
     click.option(
-        "--in-fps", type=RATE, metavar="RATE", help="Its true frame rate, whatever it says."
+        "--in-fps", type=RATE, metavar="RATE", help="Frame rate of the input; overrides its header."
     ),
     click.option(
         "--height",
         type=click.FloatRange(min=0, min_open=True, max=1000),
         metavar="METRES",
-        help="Scale the body to this height, sole to crown, whatever its file says: 1.75.",
+        help="Scale the body to this height from sole to crown, such as 1.75.",
     ),
 )
 RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height")
 """Names of the parameters that `recording_options` adds."""
 _OPTIONS = (
     *_RECORDING,
-    click.option("--person", type=int, metavar="ID", help="Whom to read, of several (EasyMocap)."),
+    click.option("--person", type=int, metavar="ID", help="Person to read (EasyMocap)."),
     click.option(
         "--body-model",
         type=click.Path(path_type=Path),
         metavar="NPZ",
-        help="SMPL or SMPL-X model: true bones for SMPL files, a skin for html and obj.",
+        help="SMPL or SMPL-X model: exact bones for SMPL files, body mesh for html and obj.",
     ),
 )
 
 channel_option = click.option(
     "--channel",
     type=click.IntRange(min=1),
-    help="Channel to take, from 1 (left), where two speakers share a file.  [default: the mean]",
+    help="Channel to use, from 1 (left), if two speakers share a file.  [default: the mean]",
 )
 
 part_option = click.option(
@@ -53,7 +54,7 @@ part_option = click.option(
     "parts",
     multiple=True,
     metavar="PART=JOINT",
-    help="Name a joint that is not recognised, as left_elbow=Joint12. May be repeated.",
+    help="Name a joint that is not recognised: left_elbow=Joint12. May be repeated.",
 )
 
 rig_part_option = click.option(
@@ -61,36 +62,36 @@ rig_part_option = click.option(
     "rig_parts",
     multiple=True,
     metavar="PART=JOINT",
-    help="Name a joint of --rig that is not recognised, as left_elbow=Joint12. May be repeated.",
+    help="Name a joint of --rig that is not recognised: left_elbow=Joint12. May be repeated.",
 )
 
 
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that overrule what is detected in a motion file; see `read_from`."""
+    """Add the options that override what is detected in a motion file; see `read_from`."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add those of `reading_options` that recordings of a corpus (BVH and npz) can need."""
+    """Add the `reading_options` that apply to recordings of a corpus (BVH and npz)."""
     for option in reversed(_RECORDING):
         command = option(command)
     return command
 
 
 def read_from(reading: dict[str, Any]) -> dict[str, Any]:
-    """Return the `reading_options` that were given, under the names that readers have for them."""
+    """Return the `reading_options` that were given, by the readers' names for them."""
     return given(**{name.removeprefix("in_"): value for name, value in reading.items()})
 
 
 def given(**options: Any) -> dict[str, Any]:
-    """The options that were given."""
+    """Return the options that are not None."""
     return {name: value for name, value in options.items() if value is not None}
 
 
 def comma_separated(text: str | None) -> list[str]:
-    """Items between commas."""
+    """Return the items of a comma-separated list."""
     return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
@@ -99,8 +100,8 @@ def existing_option(default: str, *, alias: bool = False, note: str = "") -> Cal
 
     Args:
         default: refuse, skip or replace.
-        alias: whether there is --skip-existing.
-        note: what else the help says of it.
+        alias: whether to add --skip-existing.
+        note: added to the help text.
     """
 
     skip_by_alias = "--skip-existing"
@@ -126,14 +127,14 @@ def existing_option(default: str, *, alias: bool = False, note: str = "") -> Cal
             type=click.Choice(["refuse", "skip", "replace"]),
             default=default,
             callback=choose,
-            help=f"What to do where an output exists{note}.  [default: {default}]",
+            help=f"What to do if an output exists{note}.  [default: {default}]",
         )(command)
 
     return add
 
 
 def is_left(files: Sequence[Path], existing: str) -> bool:
-    """Tell whether outputs that exist are to be left as they are, which is then printed.
+    """Return whether outputs exist and are kept; if so, print them.
 
     Raises:
         ConfigError: one exists, and `existing` is "refuse".
@@ -151,7 +152,7 @@ def is_left(files: Sequence[Path], existing: str) -> bool:
 
 @contextmanager
 def resumable(hint: Callable[[], str]) -> Iterator[None]:
-    """On Ctrl-C, say how to go on and leave with exit code 130."""
+    """On Ctrl-C, print how to continue and exit with code 130."""
     try:
         yield
     except KeyboardInterrupt:
@@ -159,11 +160,35 @@ def resumable(hint: Callable[[], str]) -> Iterator[None]:
         raise click.exceptions.Exit(130) from None
 
 
+class ControlOption(click.Option):
+    """An option of the control of the same name, whose docstring is the help text.
+
+    Args:
+        note: further help on the syntax of the command line.
+    """
+
+    def __init__(self, *args: Any, note: str = "", **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._note = note
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Return the option and its help text, which is read when it is shown."""
+        from gesturekit.systems import control_docs
+
+        docs = control_docs()
+
+        def plain(name: re.Match[str]) -> str:
+            return f"--{name[1].replace('_', '-')}" if name[1] in docs else name[1]
+
+        self.help = re.sub(r"`(\w+)`", plain, f"{docs[self.name]} {self._note}".strip())
+        return super().get_help_record(ctx)
+
+
 class GroupedCommand(click.Command):
     """A command whose help shows its examples first, and its options in groups.
 
     Args:
-        groups: heading to the names of its parameters; all others come last.
+        groups: names of its parameters by heading; all others come last.
     """
 
     def __init__(self, *args: Any, groups: Mapping[str, Sequence[str]], **options: Any) -> None:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from gesturekit.training.settings import Setting
 
 
 @click.command(
@@ -24,17 +29,24 @@ import click
     "--plan",
     "only_plan",
     is_flag=True,
-    help="Say what would be trained, on what, where to and how long it takes, and stop.",
+    help="Print what would be trained, on which data, where to and how long it takes, and exit.",
 )
-def command(config: Path, overrides: tuple[str, ...], resume: bool, only_plan: bool) -> None:
-    """Train a model as CONFIG says; KEY=VALUE changes single settings (training.batch=8).
+@click.option(
+    "--show",
+    is_flag=True,
+    help="Print every setting with its value, default and description, and exit.",
+)
+def command(
+    config: Path, overrides: tuple[str, ...], resume: bool, only_plan: bool, show: bool
+) -> None:
+    """Train the model that CONFIG describes; KEY=VALUE changes single settings (training.batch=8).
 
     The run folder (out=...) gets the resolved config, metrics, TensorBoard events, checkpoints,
     and at the end the model.
     """
     import logging
 
-    from gesturekit.systems import plan, train
+    from gesturekit.systems import plan, resolved_settings, train
 
     if resume and only_plan:
         raise click.UsageError("--plan is for a new run; leave out --resume")
@@ -42,19 +54,42 @@ def command(config: Path, overrides: tuple[str, ...], resume: bool, only_plan: b
         if text.startswith("-"):
             key = text.lstrip("-").partition("=")[0]
             if "." not in key:
-                raise click.NoSuchOption(text, ["--resume", "--plan"])
+                raise click.NoSuchOption(text, ["--resume", "--plan", "--show"])
             raise click.UsageError(f"No such option: {text}; a setting is written as {key}=VALUE.")
+    if show:
+        _show(resolved_settings(config, overrides))
+        return
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if only_plan:
         plan(config, overrides)
         return
     model = train(config, overrides, resume=resume)
     run = model.parent
-    click.echo(f"Losses and figures: {run / 'metrics.jsonl'}")
+    click.echo(f"Losses and metrics: {run / 'metrics.jsonl'}")
     click.echo(f"Curves: tensorboard --logdir {run / 'events'}")
     click.echo(f"Model: {model}")
     for line in _next_steps(model):
         click.echo(line)
+
+
+def _show(settings: Sequence[Setting]) -> None:
+    """Print settings, each with its docstring below it, as wide as the terminal."""
+    import shutil
+    import textwrap
+
+    width = shutil.get_terminal_size((100, 24)).columns
+    for setting in settings:
+        is_section = setting.value is None
+        line = f"\n[{setting.name}]" if is_section else f"{setting.name}={setting.value}"
+        if setting.default is not None:
+            is_required = setting.default == "required"
+            line += "  (required)" if is_required else f"  (default: {setting.default})"
+        click.echo(line)
+        if setting.doc:
+            indent = "" if is_section else "    "
+            click.echo(
+                textwrap.fill(setting.doc, width, initial_indent=indent, subsequent_indent=indent)
+            )
 
 
 def _next_steps(model: Path) -> list[str]:

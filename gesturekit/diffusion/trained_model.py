@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import ClassVar
 
 import torch
@@ -14,6 +15,7 @@ from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.model import Inputs
 from gesturekit.motion.skeleton import Skeleton
 
 MAX_FRAMES = 9000
@@ -37,6 +39,7 @@ class TrainedModel:
         window: frames of the longest motion that is generated without tiling.
         smooth: default of the control `smooth`, in seconds; None for no smoothing.
         recorded_fps: the recordings' rate, which generated motion gets; by default `fps`.
+        folder: folder that it was loaded from; None for one that was not loaded.
     """
 
     kind: ClassVar[str] = "diffusion"
@@ -52,6 +55,7 @@ class TrainedModel:
     window: int = MAX_FRAMES
     smooth: float | None = None
     recorded_fps: float = None  # type: ignore[assignment]
+    folder: Path | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.schedule = NoiseSchedule.of(self.noise_config)
@@ -63,6 +67,13 @@ class TrainedModel:
     def skeleton(self) -> Skeleton:
         """The rig, with all the joints of the training files."""
         return self.representation.skeleton
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
+        conditions = self.conditions
+        has_speech = conditions.conditioner is not None
+        return Inputs(speech=has_speech, path=conditions.path, events=conditions.events)
 
     @property
     def styles(self) -> tuple[str, ...]:

@@ -13,6 +13,8 @@ from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
 from gesturekit.training.run_config import RunConfig, check_not_negative, check_positive
 
+BackendName = Literal["auto", "torch", "numba"]
+
 _MARGIN_COARSE = 2
 """Frames of the first level that are made before a motion and after it."""
 
@@ -211,6 +213,10 @@ class MultiresConfig(RunConfig):
     training, and model/ is always what its last step left."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of convolutions in training; bfloat16 is for GPUs that are fast with it."""
+    backend: BackendName = "auto"
+    """Implementation of convolutions and discriminator gradients in training: plain torch, or numba
+    (compiled for CPUs, float32). auto takes numba on a CPU where it can. The environment variable
+    GESTUREKIT_BACKEND replaces this setting, and applies to generation too."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -14,7 +14,7 @@ from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.trained_model import TrainedModel, TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import Normaliser

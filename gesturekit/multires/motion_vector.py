@@ -36,50 +36,23 @@ _FRAMES_AT_ONCE = 1024
 
 @dataclass(frozen=True)
 class VectorLayout:
-    """Columns of a motion vector: indices into an axis of 6 K + C + 3 numbers.
+    """Named columns of a motion vector: indices into an axis of 6 K + C + 3 numbers.
 
-    Args:
-        n_joints: K, modelled joints.
-        n_contacts: C, foot points with a contact label.
+    Attributes:
+        rotations: 6 K columns, for each joint the first two columns of its rotation matrix.
+        root_rotation: the first six of these, the root's orientation in world coordinates.
+        contacts: C columns of contact labels, about 0 or 1.
+        root: three columns, displacement along x, height, displacement along z.
+        root_xz: the first and last of these, metres since the previous frame.
+        root_height: the middle one, metres.
     """
 
-    n_joints: int
-    n_contacts: int
-
-    @property
-    def width(self) -> int:
-        """Length of a motion vector, 6 K + C + 3."""
-        return 6 * self.n_joints + self.n_contacts + 3
-
-    @property
-    def rotations(self) -> slice:
-        """6 K columns: for each joint the first two columns of its rotation matrix."""
-        return slice(0, 6 * self.n_joints)
-
-    @property
-    def root_rotation(self) -> slice:
-        """Six columns: the root's orientation in world coordinates."""
-        return slice(0, 6)
-
-    @property
-    def contacts(self) -> slice:
-        """C columns: contact labels, about 0 or 1."""
-        return slice(6 * self.n_joints, 6 * self.n_joints + self.n_contacts)
-
-    @property
-    def root(self) -> slice:
-        """Three columns: displacement along x, height, displacement along z."""
-        return slice(self.width - 3, self.width)
-
-    @property
-    def root_xz(self) -> list[int]:
-        """Two columns: the root's displacement along x and z since the previous frame, metres."""
-        return [self.width - 3, self.width - 1]
-
-    @property
-    def root_height(self) -> int:
-        """Column of the root's height, metres."""
-        return self.width - 2
+    rotations: slice
+    root_rotation: slice
+    contacts: slice
+    root: slice
+    root_xz: list[int]
+    root_height: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +102,21 @@ class MultiresRepresentation(ModelJoints):
     @cached_property
     def layout(self) -> VectorLayout:
         """Named columns of the motion vector."""
-        return VectorLayout(len(self.joints), len(self.foot_points))
+        contacts = 6 * len(self.joints)
+        root = contacts + len(self.foot_points)
+        return VectorLayout(
+            rotations=slice(0, contacts),
+            root_rotation=slice(0, 6),
+            contacts=slice(contacts, root),
+            root=slice(root, root + 3),
+            root_xz=[root, root + 2],
+            root_height=root + 1,
+        )
 
     @property
     def n_features(self) -> int:
         """Length of a motion vector: 6 K + C + 3."""
-        return self.layout.width
+        return self.layout.root.stop
 
     def joint_columns(self, name: str) -> slice:
         """Return the six columns of a modelled joint."""

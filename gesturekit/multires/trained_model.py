@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import ClassVar
 
 from torch import Tensor
 
+from gesturekit.model import Inputs
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource, ZStarPatches
 from gesturekit.multires.training.data import Normaliser
@@ -76,6 +78,7 @@ class TrainedModel:
         fastest: m/s over the ground in the fastest second of the training; None if unknown.
         smooth: default of the control `smooth`, in seconds; None for no smoothing.
         recorded_fps: the recordings' rate, which generated motion gets; by default `fps`.
+        folder: folder that it was loaded from; None for one that was not loaded.
     """
 
     kind: ClassVar[str] = "multires"
@@ -91,6 +94,7 @@ class TrainedModel:
     fastest: float | None = None
     smooth: float | None = None
     recorded_fps: float = None  # type: ignore[assignment]
+    folder: Path | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         if self.recorded_fps is None:
@@ -105,3 +109,8 @@ class TrainedModel:
     def styles(self) -> tuple[str, ...]:
         """Names of the styles it knows; empty for a model without styles."""
         return self.conditions.styles
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
+        return Inputs(speech=self.conditions.conditioner is not None)

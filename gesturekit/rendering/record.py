@@ -1,8 +1,8 @@
-"""The record beside rendered files: which model, settings and input each was made with.
+"""Record beside rendered files: the model, settings and input of each.
 
-A file of JSON lines that is only ever appended to. Each result has a line when its writing begins,
-and one with its SHA-256 when it is whole; the last line counts. A line that is damaged, as a killed
-run may leave one, is ignored.
+An append-only file of JSON lines. Each result has a line when its writing begins, and one with its
+SHA-256 when it is complete; the last line counts. Damaged lines, which a killed run may leave, are
+ignored.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gesturekit.errors import ConfigError
+from gesturekit.model import Model
 
 RECORD = ".gesturekit-render.jsonl"
 _FORMAT = 1
@@ -30,10 +31,10 @@ class Record:
 
     Args:
         out: the folder; it need not exist.
-        model: where the model lies, for `gesturekit evaluate`; None where it was never saved.
+        model: folder of the model, for `gesturekit evaluate`; None if it was never saved.
 
     Raises:
-        ConfigError: the record is a link to a file elsewhere.
+        ConfigError: the record is a symbolic link.
     """
 
     def __init__(self, out: Path, model: Path | None = None) -> None:
@@ -43,7 +44,7 @@ class Record:
             raise ConfigError(f"{self._path} is a link, and would lead out of {out}: remove it")
         self._lines: dict[str, dict[str, Any]] = {}
         text = self._path.read_text("utf-8", "replace") if self._path.is_file() else ""
-        # After a line that a killed run left unfinished, the next begins on its own.
+        # Begin a new line after one that a killed run left unfinished.
         self._begin = "" if text.endswith("\n") or not text else "\n"
         for line in text.splitlines():
             try:
@@ -54,11 +55,11 @@ class Record:
                 continue
 
     def state(self, file: Path, made_with: Mapping[str, Any]) -> Literal["same", "begun", "other"]:
-        """Compare a file that is there with what would be made now.
+        """Compare an existing file with the one that would be made now.
 
         Returns:
-            "same" for a whole file that was made with the same; "begun" for one that a stopped run
-            was about to write with the same; "other" for all else.
+            "same" for a complete file with the same `made_with`; "begun" for one that an
+            interrupted run was writing with the same; "other" for anything else.
         """
         line = self._lines.get(self._key(file))
         if line is None or line["made_with"] != made_with:
@@ -68,7 +69,7 @@ class Record:
         return "same" if line["sha256"] == _file_digest(file) else "other"
 
     def differences(self, file: Path, made_with: Mapping[str, Any]) -> list[str]:
-        """Name what was another when a file was made; nothing where there is no record of it."""
+        """Return the settings that differed when a file was made; empty without a record of it."""
         line = self._lines.get(self._key(file))
         if line is None:
             return []
@@ -76,14 +77,14 @@ class Record:
         return [name for name in {**was, **made_with} if was.get(name) != made_with.get(name)]
 
     def begin(self, file: Path, made_with: Mapping[str, Any]) -> None:
-        """Note that a file is about to be written, and remove what a killed run left of it."""
+        """Record that a file is being written, and remove temporary files of a killed run."""
         if "sha256" not in self._lines.get(self._key(file), {"sha256": ""}):
             for left in file.parent.glob(f".{glob.escape(file.stem)}-????????{file.suffix}"):
                 left.unlink(missing_ok=True)
         self._append({"file": self._key(file), "made_with": dict(made_with)})
 
     def finish(self, file: Path, made_with: Mapping[str, Any]) -> None:
-        """Note that a file is whole."""
+        """Record that a file is complete."""
         line = {"file": self._key(file), "made_with": dict(made_with)}
         self._append({**line, "sha256": _file_digest(file)})
 
@@ -98,8 +99,8 @@ class Record:
         self._begin = ""
 
 
-def model_fingerprint(model: Any) -> str:
-    """Return the SHA-256 of a model's files, as it would be saved."""
+def model_fingerprint(model: Model) -> str:
+    """Return the SHA-256 of the files that saving a model writes."""
     digest = hashlib.sha256()
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
         model.save(folder)
@@ -110,10 +111,10 @@ def model_fingerprint(model: Any) -> str:
 
 
 def described(value: Any) -> Any:
-    """Return a setting as JSON: plain values as they are, files and arrays by their contents.
+    """Return a setting as JSON: plain values unchanged, files and arrays by their SHA-256.
 
-    Two settings that make the same motion may be described differently, as a file and its copy
-    named by a text are; two that are described alike make the same.
+    Equal descriptions mean equal motion. The converse need not hold: a file and its copy, given as
+    strings, have different descriptions.
     """
     if value is None or isinstance(value, bool | int | float):
         return value
@@ -129,7 +130,7 @@ def described(value: Any) -> Any:
         return {str(key): described(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [described(item) for item in value]
-    if hasattr(value, "generate"):
+    if isinstance(value, Model):
         return f"model sha256:{model_fingerprint(value)}"
     if dataclasses.is_dataclass(value):
         fields = {f.name: described(getattr(value, f.name)) for f in dataclasses.fields(value)}
@@ -138,7 +139,7 @@ def described(value: Any) -> Any:
 
 
 def path_digest(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 of a file, or of all files in a folder; "" for what cannot be read."""
+    """Return the SHA-256 of a file, or of all files in a folder; "" if it cannot be read."""
     path = Path(path)
     try:
         if path.is_dir():

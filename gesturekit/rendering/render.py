@@ -1,27 +1,29 @@
-"""Many sounds through one model; a broken one never stops the others."""
+"""Batch rendering: many sounds with one model; a broken file never stops the others."""
 
 from __future__ import annotations
 
-import inspect
+import dataclasses
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import audio_features as af
 from gesturekit.corpus.item import Item
-from gesturekit.errors import ConfigError, GestureKitError, ModelError
+from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.rig import Rig
 from gesturekit.formats.sources import EXISTING, Job, refuse_existing, refuse_leaving
+from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.record import Record, described, model_fingerprint, path_digest
 from gesturekit.rendering.tasks import Source, Task, find_tasks
+from gesturekit.systems import controls_type
 
 FORMATS = ("bvh", "npz", "html", "png")
-# torch says RuntimeError where memory runs out.
+# torch raises RuntimeError when memory runs out.
 _FAILURES = (GestureKitError, af.AudioFeaturesError, OSError, MemoryError, RuntimeError)
 
 
@@ -32,12 +34,12 @@ class Output:
     Attributes:
         formats: of bvh, npz, html (a player with sound), png (a picture); `"bvh,html"` or
             `(".BVH", "html")` mean the same as `("bvh", "html")`.
-        existing: what to do about files that are there and were not made with the same model,
-            settings and input: refuse, skip or replace. Files that were are kept.
-        rig: the body to move instead of the model's: a motion file, of any names, size and rest
-            pose, or smpl, smplh or smplx; see `gesturekit.formats.rig`.
-        unit: of BVH; None for cm.
-        up: the axis that points up in SMPL npz, "y" or "z"; None for y.
+        existing: treatment of existing files that were made with another model, settings or
+            input: refuse, skip or replace. Files made with the same ones are kept.
+        rig: skeleton to retarget to: a motion file with any joint names, size and rest pose, or
+            smpl, smplh or smplx; see `gesturekit.formats.rig`. None for the model's own.
+        unit: unit of BVH files; None for cm.
+        up: up axis of SMPL npz files, "y" or "z"; None for y.
     """
 
     formats: str | Sequence[str] = ("bvh",)
@@ -58,10 +60,10 @@ class Outcome:
 
     Attributes:
         source: the input.
-        files: what was written.
-        kept: what was there already and is left as it is.
-        fps: frames per second of what was written.
-        error: why some or all files are missing.
+        files: files that were written.
+        kept: existing files that were left unchanged.
+        fps: frames per second of the written motion.
+        error: reason why some or all files are missing.
     """
 
     source: str
@@ -72,7 +74,7 @@ class Outcome:
 
 
 def render(
-    model: Any,
+    model: Model,
     sources: Source | Sequence[Source],
     out: str | Path,
     *,
@@ -85,33 +87,33 @@ def render(
     """Generate motion for each input and write it as NAME.bvh (NAME_s1.bvh ... for samples).
 
     NAME is the stem of a sound file, the path within its folder for one found in a folder, and
-    the id of a manifest's item. Faults of a sound (`Wave.faults`) are warned about, and it is
-    rendered all the same. A hidden file beside the results records what each was made with
-    (`gesturekit.rendering.record`), so that a run that was stopped goes on where it was.
+    the id of a manifest's item. Faults of a sound (`Wave.faults`) are logged as warnings, and it
+    is rendered all the same. A hidden file beside the results records the model, settings and
+    input of each (`gesturekit.rendering.record`), so that an interrupted run can be continued.
 
     Args:
-        model: as `gesturekit.load` gives it.
-        sources: sound files; folders, for all sounds below them; items of a manifest, whose sound
-            is cut as they say, and whose style, speaker, path and events are taken where the model
-            knows them and `controls` do not say otherwise. Items without sound, or for a model
-            without speech input, are as long as their duration. Without any source one motion of
-            so many `seconds` is made.
+        model: model from `gesturekit.load`.
+        sources: sound files; folders, for all sounds below them; items of a manifest. An item's
+            sound is cut to its interval, and its style, speaker, path and events are used where
+            the model has them as inputs and `controls` does not set them. Items without sound, or
+            for a model without speech input, are as long as their duration. Without any source,
+            one motion of length `seconds` is generated.
         out: folder for the results.
-        output: how they are written.
-        seconds: without sources, how long an idle motion to make.
-        channel: which channel of each file to take, counted from 1; None for the mean of all.
-        progress: wraps the list of tasks while they are done, as tqdm does.
+        output: settings of the written files.
+        seconds: length of the motion without sources.
+        channel: channel of each file to use, counted from 1; None for the mean of all.
+        progress: wraps the list of tasks, as tqdm does.
         controls: arguments of the model's `generate`: seed, samples, style, foot_lock, smooth ...
 
     Yields:
-        an outcome for each input, as it is done.
+        an outcome for each input as soon as it is done.
 
     Raises:
         ModelError: a control that this kind of model does not have.
         ConfigError: an unknown format, a folder without audio, two sources that would write the
-            same file, a result that exists and is to be refused, or a folder for the results that
+            same file, an existing result with `existing="refuse"`, or an output folder that
             cannot be written to.
-        FormatError, MotionError: a rig that cannot be read, or whose parts cannot be found.
+        FormatError, MotionError: a rig cannot be read, or its body parts cannot be found.
     """
     run = _Run(model, Path(out), output or Output(), seconds, channel, controls)
     model.check_controls(**run.controls)
@@ -124,11 +126,11 @@ def render(
 
 
 class _Run:
-    """One call of `render`: the model, what it is asked, and where the results go."""
+    """One call of `render`: the model, its controls, and the output folder."""
 
     def __init__(
         self,
-        model: Any,
+        model: Model,
         out: Path,
         output: Output,
         seconds: float | None,
@@ -144,7 +146,7 @@ class _Run:
             raise ConfigError(f"existing is {output.existing!r}; expected {', '.join(EXISTING)}")
         self.model, self.out, self.output = model, out, output
         self.seconds, self.channel = seconds, channel
-        self.controls = _given(model, controls)
+        self.controls = _without_defaults(controls, model.kind)
         self.samples = controls.get("samples", 1)
         rig = output.rig
         self.body = rig if rig is None or isinstance(rig, Rig) else Rig.load(rig)
@@ -152,7 +154,7 @@ class _Run:
         self.options = writer_options(
             output.formats, {name: value for name, value in written.items() if value is not None}
         )
-        self.record = Record(out, getattr(model, "folder", None))
+        self.record = Record(out, model.folder)
         self.input_digest = cache(path_digest)
         settings = {k: v for k, v in self.controls.items() if k != "samples"}
         self.settings = {"model": model_fingerprint(model), "seed": 0} | described(settings)
@@ -160,13 +162,13 @@ class _Run:
             self.settings["rig"] = described(self.body)
 
     def names(self, task: Task) -> list[str]:
-        """Name of each sample."""
+        """Return the name of each sample."""
         if self.samples == 1:
             return [task.name]
         return [f"{task.name}_s{number}" for number in range(1, self.samples + 1)]
 
     def targets(self, task: Task) -> tuple[Path, ...]:
-        """Every file of a task."""
+        """Return all output files of a task."""
         if task.error is not None:
             return ()
         return tuple(
@@ -174,7 +176,7 @@ class _Run:
         )
 
     def made_with(self, task: Task) -> dict[str, Any]:
-        """Everything that the motions of a task depend on, as the record holds it."""
+        """Return everything that the motions of a task depend on, as in the record."""
         made_with = dict(self.settings)
         if task.audio is not None:
             made_with["input"] = self.input_digest(task.audio)
@@ -189,18 +191,17 @@ class _Run:
         return made_with
 
     def item_controls(self, item: Item) -> dict[str, Any]:
-        """Controls that a manifest's item gives, where the model knows them."""
-        conditions = getattr(self.model, "conditions", None)
+        """Return the controls of a manifest's item that the model has as inputs."""
+        inputs = self.model.inputs
         found: dict[str, Any] = {}
-        if item.style in getattr(self.model, "styles", ()):
+        if item.style in self.model.styles:
             found["style"] = item.style
-        if item.speaker in getattr(self.model, "speakers", ()):
+        if item.speaker in self.model.speakers:
             found["speaker"] = item.speaker
-        if getattr(conditions, "path", False) and (item.motion or "path" in item.conditions):
+        if inputs.path and (item.motion or "path" in item.conditions):
             n_frames = max(1, int(item.duration * self.model.fps + 0.5))
             found["path"] = item.load_path(self.model.fps, n_frames) or item.load_motion()
-        known = getattr(conditions, "events", ())
-        if events := [event for event in item.load_events() if event.name in known]:
+        if events := [event for event in item.load_events() if event.name in inputs.events]:
             found["events"] = ",".join(
                 f"{event.name}@{event.time:g}" + (f":{event.duration:g}" if event.duration else "")
                 for event in events
@@ -208,10 +209,10 @@ class _Run:
         return {name: value for name, value in found.items() if name not in self.controls}
 
     def settle_existing(self, tasks: Sequence[Task]) -> set[Path]:
-        """Find the files that are to be left as they are.
+        """Return the existing files that are kept.
 
         Raises:
-            ConfigError: one that is there was made with something else, and is to be refused.
+            ConfigError: `existing` is "refuse", and a file was made with other settings.
         """
         kept: set[Path] = set()
         refused: list[Path] = []
@@ -249,7 +250,7 @@ class _Run:
         return kept
 
     def outcome(self, task: Task, kept: set[Path]) -> Outcome:
-        """Fill the files of one task, but for those that are kept."""
+        """Write the files of one task, except those in `kept`."""
         left = tuple(file for file in self.targets(task) if file in kept)
         if task.error is not None or len(left) == len(self.targets(task)):
             return Outcome(task.source, kept=left, error=task.error)
@@ -258,7 +259,7 @@ class _Run:
         try:
             made_with = self.made_with(task)
             wave, motions = self.generate(task)
-            # Players get the file as it is, unless only a part of it was used.
+            # The player embeds the original file, unless only a part of it was used.
             whole = task.item is None and self.channel is None
             sound = task.audio if whole else wave
             for motion, name in zip(motions, self.names(task), strict=True):
@@ -269,14 +270,7 @@ class _Run:
                     if file not in kept:
                         self.write(motion, file, sound, made_with)
                         files.append(file)
-        # torch says RuntimeError where memory runs out.
-        except (
-            GestureKitError,
-            af.AudioFeaturesError,
-            OSError,
-            MemoryError,
-            RuntimeError,
-        ) as error:
+        except _FAILURES as error:
             return Outcome(task.source, tuple(files), left, fps, _reason(error, task.source))
         return Outcome(task.source, tuple(files), left, fps)
 
@@ -292,15 +286,14 @@ class _Run:
         return wave, made if isinstance(made, list) else [made]
 
     def takes_speech(self) -> bool:
-        """Tell whether sound is an input of the model, or of an expert beside it."""
+        """Return whether the model or one of its experts has speech input."""
         models = [self.model, *(expert[0] for expert in self.controls.get("experts", ()))]
-        parts = [part for model in models for part in (model, getattr(model, "conditions", None))]
-        return any(getattr(part, "conditioner", None) is not None for part in parts)
+        return any(model.inputs.speech for model in models)
 
     def write(
         self, motion: Motion, file: Path, sound: Path | af.Wave | None, made_with: dict[str, Any]
     ) -> None:
-        """Write one file, and record what it was made with."""
+        """Write one file, and record its model, settings and input."""
         options = dict(self.options[file.suffix[1:]])
         made_with = made_with | options
         if self.body is not None:
@@ -312,28 +305,28 @@ class _Run:
         self.record.finish(file, made_with)
 
 
-def _given(model: Any, controls: Mapping[str, Any]) -> dict[str, Any]:
-    """Controls that are not the model's defaults.
+def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]:
+    """Return the arguments of `generate` that differ from their defaults.
 
     Raises:
-        ModelError: one that the model does not have.
+        UnknownControlError: a control that models of this kind do not have.
     """
-    parameters = inspect.signature(model.generate).parameters
-    defaults = {name: parameter.default for name, parameter in parameters.items()}
-    if schema := getattr(model, "controls", None):
-        defaults |= {field.name: field.default for field in fields(schema)}
-    for name in controls:
-        if name not in defaults or name in ("speech", "seconds", "controls"):
-            raise ModelError(f"{name}: a {model.kind} model knows no {name}")
+    defaults: dict[str, Any] = {"samples": 1, "seed": 0}
+    names = defaults.keys() & arguments.keys()
+    values = {name: arguments[name] for name in names}
+    schema = controls_type(kind)
+    controls = schema.build({k: v for k, v in arguments.items() if k not in defaults}, kind)
+    for field in dataclasses.fields(schema):
+        defaults[field.name], values[field.name] = field.default, getattr(controls, field.name)
     return {
         name: value
-        for name, value in controls.items()
+        for name, value in values.items()
         if value is not defaults[name] and value != defaults[name]
     }
 
 
 def _reason(error: Exception, source: str) -> str:
-    """Return the reason of a failure, in one line that names the input."""
+    """Return the reason of a failure on one line that names the input."""
     reason = str(error) or "not enough memory"
     # Not every reason names the input: a model that gives NaN, a disk that is full.
     reason = reason if source in reason else f"{source}: {reason}"

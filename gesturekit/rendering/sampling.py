@@ -1,8 +1,7 @@
-"""Motion as the papers' evaluations ask for it: sampled from a model into a folder.
+"""Samples for the papers' evaluation protocols, written to a folder.
 
-`gesturekit.evaluation` never sees a model; it measures such folders. Motion stays at the model's
-own frame rate. Clips are named after their recordings, so that they are found again: `STEM_s1` ...,
-`STEM_w000_s1` ... for windows.
+`gesturekit.evaluation` only reads such folders, not models. Motion has the model's own frame rate.
+Clips are named after their recordings: `STEM_s1` ..., `STEM_w000_s1` ... for windows.
 """
 
 from __future__ import annotations
@@ -22,11 +21,12 @@ from gesturekit.evaluation.pairs import (
     motion_files,
 )
 from gesturekit.formats.sources import SPEECH_SUFFIXES
+from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
 
 
 def sample_multires(
-    model: Any,
+    model: Model,
     reference: Path,
     out: Path,
     *,
@@ -35,26 +35,26 @@ def sample_multires(
     seed: int = 0,
     skip: bool = False,
 ) -> Iterator[Path]:
-    """Samples for Table 1 of Moreno-Villamarín et al. 2024, twice as long as training sequences.
+    """Sample for Table 1 of Moreno-Villamarín et al. 2024, twice as long as training sequences.
 
-    Noise enters at level 1 only, which is how `generate` samples, and feet are not locked.
+    Noise is given to level 1 only, as in `generate`, and feet are not locked.
 
     Args:
-        model: as `gesturekit.load` gives it.
+        model: model from `gesturekit.load`.
         reference: folder of the training sequences.
         out: folder to fill with `STEM_s1.npz` ...
-        audio: folder of their sound; a model that hears gets a sequence's sound twice, end to end.
-            Without it the model moves without speech.
-        samples: for each sequence.
-        seed: of the first sample of each; the others count up from it.
-        skip: leave samples that are there already as they are, to go on after a stop.
+        audio: folder of their sound; a model with speech input gets each sound twice in a row.
+            Without it, the model generates without speech.
+        samples: number of samples for each sequence.
+        seed: seed of the first sample of each; the others count up from it.
+        skip: keep existing samples, to continue an interrupted run.
 
     Yields:
         each file, as it is written.
 
     Raises:
         CorpusError: an empty folder.
-        ConfigError: a sequence without sound, where a folder of sounds was given.
+        ConfigError: `audio` lacks the sound of a sequence.
     """
     sequences = motion_files(reference)
     sounds = {} if audio is None else files_by_key(audio, SPEECH_SUFFIXES, "sound")
@@ -72,7 +72,7 @@ def sample_multires(
 
 
 def sample_lda(
-    model: Any,
+    model: Model,
     audio: Path,
     out: Path,
     *,
@@ -80,17 +80,17 @@ def sample_lda(
     seed: int = 0,
     skip: bool = False,
 ) -> Iterator[Path]:
-    """Samples for Table 4 of Alexanderson et al. 2023: for 10 s windows of speech, end to end.
+    """Sample for Table 4 of Alexanderson et al. 2023: for adjacent 10 s windows of speech.
 
-    What is left of a recording after its last whole window is left out.
+    The rest of a recording after its last whole window is not used.
 
     Args:
-        model: as `gesturekit.load` gives it.
+        model: model from `gesturekit.load`.
         audio: folder of the test recordings' sound.
         out: folder to fill with `STEM_w000_s1.npz` ...
-        samples: for each window.
-        seed: of the first sample of each window; the others count up from it.
-        skip: leave samples that are there already as they are, to go on after a stop.
+        samples: number of samples for each window.
+        seed: seed of the first sample of each window; the others count up from it.
+        skip: keep existing samples, to continue an interrupted run.
 
     Yields:
         each file, as it is written.
@@ -111,7 +111,7 @@ def sample_lda(
 
 
 def _samples(
-    model: Any, asked: dict[str, Any], out: Path, stem: str, samples: int, seed: int, skip: bool
+    model: Model, asked: dict[str, Any], out: Path, stem: str, samples: int, seed: int, skip: bool
 ) -> Iterator[Path]:
     # One at a time: 200 motions of some minutes do not fit into memory together.
     for number in range(samples):

@@ -1,4 +1,4 @@
-"""Motions to render: sounds in files and folders, items of a manifest, or nothing but a length."""
+"""List of motions to render: for sound files, folders and items of a manifest, or a length."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Task:
-    """One motion to make, or several samples of it.
+    """One motion to render, or several samples of it.
 
     Attributes:
-        source: the input, as messages name it.
+        source: name of the input in messages.
         name: path of the results below the output folder, without suffix.
         audio: the sound file, or None.
-        item: the manifest's item that says which stretch of the sound is meant, or None.
-        error: why it cannot even begin.
+        item: the manifest's item, which gives the interval of the sound, or None.
+        error: reason why it cannot be rendered, or None.
     """
 
     source: str
@@ -45,7 +45,7 @@ class Task:
     error: str | None = None
 
     def load_wave(self, channel: int | None) -> af.Wave | None:
-        """Read the sound, cut as the item says; warn of its faults. None where there is none.
+        """Read the sound, cut to the item's interval, and log its faults; None without a sound.
 
         Raises:
             AudioError: the file cannot be read.
@@ -65,8 +65,8 @@ class Task:
 def find_tasks(sources: Source | Sequence[Source], out: Path) -> list[Task]:
     """List what to render.
 
-    A folder stands for all sounds below it, which keep their path within it; other files that
-    hold sound are warned about. Hidden files, and `out` itself, are passed over.
+    A folder stands for all sounds below it, which keep their relative path; other files with
+    sound are warned about. Hidden files and `out` itself are skipped.
 
     Args:
         sources: sound files, folders, and items of a manifest, which are named by their ids; one
@@ -119,7 +119,7 @@ def _below(folder: Path, out: Path) -> Iterator[Task]:
 
 
 def _listed(paths: Sequence[Path]) -> Iterator[str]:
-    """One line for each reason why files are not read, with the first of them by name."""
+    """Yield a line for each reason why files cannot be read, which names the first of them."""
     reasons: dict[str, list[Path]] = {}
     for path in paths:
         reasons.setdefault(unreadable_media(path) or "", []).append(path)

@@ -17,7 +17,7 @@ import gesturekit as gk
 from gesturekit.evaluation import arm_speed
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling import tiling
 from gesturekit.multires.sampling.conditions import LevelConditions, condition_levels
 from gesturekit.multires.sampling.tiling import sample

@@ -20,7 +20,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
 )
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.network.networks import LevelDiscriminator
+from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.styles import (
     agreed_style,

@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 import gesturekit as gk
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.training.data import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.trainer import train

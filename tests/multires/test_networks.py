@@ -10,9 +10,11 @@ from audio_features import level_lengths
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import Film, MultiresGenerator, modulated_blocks
+from gesturekit.multires.network.discriminator import LevelDiscriminator
+from gesturekit.multires.network.film import Film, modulated_blocks
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import reflect, resample, resample_part
-from gesturekit.multires.network.skeleton_conv import SkeletonConv1d, block_neighbours
+from gesturekit.multires.network.skeleton_conv import SLOPE, SkeletonConv1d, block_neighbours
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)
 
@@ -68,7 +70,7 @@ def test_a_joint_sees_its_neighbourhood_and_nothing_else(representation):
     assert not changed[representation.layout.contacts].any()
 
 
-def test_only_live_weights_are_stored(representation):
+def test_only_weights_between_neighbours_are_stored(representation):
     near = block_neighbours(representation, distance=2)
     conv = SkeletonConv1d(near, (3,) * len(near), (3,) * len(near), 5)
     dense = conv.dense_weight()
@@ -151,3 +153,20 @@ def test_the_embedding_is_rectified_or_linear(representation, rectified):
         level(up, noise, sign * condition)
     there, back = seen
     assert torch.allclose(there, -back, atol=1e-6) != rectified
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 21])
+def test_a_score_is_the_mean_of_a_reflect_padded_convolution(representation, n_frames):
+    torch.manual_seed(0)
+    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 2)
+    motions = torch.randn(2, representation.n_features, n_frames)
+    style = torch.tensor([[0.0, 1.0], [0.0, 0.0]])
+    features = motions
+    for conv in critic.layers:
+        features = torch.nn.functional.leaky_relu(conv(features), SLOPE)
+    features = reflect(features, 2)
+    plain = critic.score(features).mean(dim=(1, 2))
+    assert torch.allclose(critic(motions), plain, atol=1e-6)
+    styled = critic.styled(features)[0, 1].mean()
+    expected = plain + torch.stack([styled, torch.tensor(0.0)])
+    assert torch.allclose(critic(motions, style), expected, atol=1e-6)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gesturekit.multires import losses
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.training.data import load_training_data
 from gesturekit.multires.training.kinematics import CAPTURE_SECONDS, VectorKinematics
 from gesturekit.multires.training.stage import Pair
@@ -22,18 +22,24 @@ from gesturekit.training.seeds import rng_for
 def test_generators_want_high_scores_and_discriminators_a_gap():
     scores = torch.tensor([1.0, 3.0])
     assert float(losses.adversarial(scores)) == -2.0
-    assert float(losses.critic_gap(scores, torch.tensor([4.0, 6.0]))) == -3.0
+    assert float(losses.discriminator_gap(scores, torch.tensor([4.0, 6.0]))) == -3.0
 
 
 def test_the_gradient_penalty_wants_a_norm_of_one():
     # Two channels, two frames: frame norms 5 and 0, the window's norm is 5.
     gradient = torch.tensor([[[3.0, 0.0], [4.0, 0.0]]])
-    assert float(losses.gradient_penalty(gradient, "printed")) == 16.0
+
+    def penalty(penalty_on):
+        motions = torch.zeros(1, 2, 2)
+        score = lambda x: (x * gradient).sum(dim=(1, 2))  # noqa: E731
+        return float(losses.gradient_penalty(score, motions, motions, motions, penalty_on))
+
+    assert penalty("printed") == 16.0
     # GANimator: of the sum over two frames' scores, norms 10 and 0.
-    assert float(losses.gradient_penalty(gradient, "frame")) == (81.0 + 1.0) / 2
+    assert penalty("frame") == (81.0 + 1.0) / 2
     # The gradient of the sum over two frames' scores is sqrt(2) larger in units of the mean's.
     expected = (5 * math.sqrt(2) - 1) ** 2
-    assert float(losses.gradient_penalty(gradient, "window")) == pytest.approx(expected)
+    assert penalty("window") == pytest.approx(expected)
 
 
 def test_the_contact_loss_is_squared_speed_where_the_label_says_standing():

@@ -175,6 +175,7 @@ SPEECH = {
     "training.margins": (False, "not in the paper"),
     "training.silence": (0.0, "not in the paper"),
     "precision": ("float32", "GANimator"),
+    "backend": ("auto", "implementation only"),
 }
 NO_SPEECH = {"features": (None, "4: labels only")}
 LABELS = {name: SPEECH[name] for name in SPEECH if name != "styles"} | NO_SPEECH | {

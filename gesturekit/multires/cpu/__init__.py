@@ -1,1 +1,4 @@
-"""Fast CPU engine for the networks of the pyramid."""
+"""CPU engine: the multires networks' slowest operations, compiled by numba.
+
+Optional: without this folder `multires/backend.py` takes plain torch (`multires/network`).
+"""

@@ -1,57 +1,108 @@
-"""What `live_conv` and a discriminator's step are made of, compiled by numba.
+"""Compiled kernels of the CPU engine.
 
-Rows are laid out as `live_conv.Rows` has them: in each the frames of all windows of a channel.
-All of it stands in this file, as numba's cache does not see that a function of another file has
-changed. A sum of products may be rounded once, which is what the processor does; the order of sums
-over time is free where a function says so, as many are made side by side.
+Signals are (C, width) float32 arrays: each channel's windows stand one after another, as
+`sparse_conv.Packing` lays them out. All kernels are in this file, as numba's cache does not notice
+that a function in another file has changed. "contract" allows fused multiply-adds; `SUMS` also
+allows any order of the sums over time, which vectorises them.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from gesturekit.compiled import compiled
 
 TAPS = 5
-"""Of all kernels; shorter ones have zeros at both ends."""
-EDGE = TAPS // 2
-GAP = 2 * EDGE
+"""Kernel size of all convolutions; shorter kernels are padded with zeros at both ends."""
+PADDING = TAPS // 2
+"""Columns before and after each window, for reflected frames or zeros."""
 LINE = 16
-"""Numbers that a processor loads and stores together; what is made begins with such a lot."""
-LEAD = LINE + EDGE
-"""Columns before the first frame."""
+"""Floats in a cache line; packed windows start at a multiple of it."""
+START = LINE + PADDING
+"""Column of the first frame."""
 VECTOR = 8
-"""Numbers that most loops make at a time; those over a single row make a line."""
-BLOCK = 2048
-"""Numbers of a row that are made at a time, so that those of all rows read stay at hand."""
+"""Multiple that loops over two channels are rounded up to; those over one are rounded to LINE."""
+TILE = 2048
+"""Columns computed at a time, so that the tiles of all input channels stay in the cache."""
 SUMS = frozenset({"contract", "reassoc", "nsz"})
-"""What the compiler may do to sums whose order is free."""
+"""LLVM fast-math flags of kernels that sum over time."""
+
+
+class Plan(NamedTuple):
+    """Connections of a sparse convolution, in the order in which output channels are computed.
+
+    Attributes:
+        steps: (S, 5) int64, one or two output channels each: the first channel, their number, the
+            first and the last + 1 of their `inputs`, and the distance in the weights between the
+            two channels' kernels.
+        inputs: (N, 2) int64: an input channel, and the position of its kernel in the weights.
+    """
+
+    steps: np.ndarray
+    inputs: np.ndarray
+
+
+class Shape(NamedTuple):
+    """Number and length of the packed windows.
+
+    Attributes:
+        batch: B, number of windows.
+        n_frames: T, frames of each.
+    """
+
+    batch: int
+    n_frames: int
+
+
+class Rectifier(NamedTuple):
+    """Leaky rectifier after a convolution.
+
+    Attributes:
+        slope: of negative values; 1 for none.
+        gate: (C, width), scale by the slope where it is not above 0; (0, width) to use the output.
+    """
+
+    slope: float
+    gate: np.ndarray
 
 
 @compiled()
-def whole(n: int, size: int) -> int:
-    """At least n numbers in lots of this size; a loop is slow on those beyond its last lot."""
-    return (n + size - 1) // size * size
+def round_up(n: int, multiple: int) -> int:
+    """Return n rounded up, so that a vectorised loop has no slow remainder."""
+    return (n + multiple - 1) // multiple * multiple
 
 
 @compiled(fastmath={"contract"})
-def _add_two(
-    made: np.ndarray,
-    also: np.ndarray,
+def _accumulate_pair(
+    outputs: tuple[np.ndarray, np.ndarray],
     signal: np.ndarray,
     weight: np.ndarray,
-    reads: np.ndarray,
-    apart: int,
+    inputs: np.ndarray,
+    distance: int,
     start: int,
     n: int,
     reverse: bool,
 ) -> None:
-    """Add to n numbers of two rows what they see; `start` is two before the first of them."""
+    """Add the convolution of `inputs` to n columns of two output channels.
+
+    Args:
+        outputs: (>= n,) each, written from column 0.
+        signal: (C, width), read from column `start`, PADDING before the first output.
+        weight: (N,) kernels of TAPS numbers.
+        inputs: (M, 2), see `Plan`.
+        distance: between the two channels' kernels in `weight`.
+        start: see `signal`.
+        n: columns to compute.
+        reverse: apply kernels in reverse order of taps, for the gradient.
+    """
     one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
-    for j in range(len(reads)):
-        x = signal[reads[j, 0], start:]
-        a = weight[reads[j, 1] :]
-        b = weight[reads[j, 1] + apart :]
+    first, second = outputs
+    for j in range(len(inputs)):
+        x = signal[inputs[j, 0], start:]
+        a = weight[inputs[j, 1] :]
+        b = weight[inputs[j, 1] + distance :]
         a0, a1, a2, a3, a4 = a[0], a[1], a[2], a[3], a[4]
         b0, b1, b2, b3, b4 = b[0], b[1], b[2], b[3], b[4]
         if reverse:
@@ -59,160 +110,173 @@ def _add_two(
             b0, b1, b3, b4 = b4, b3, b1, b0
         for t in range(np.uint64(n)):  # unsigned: numba is slow where an index may be negative
             p, q, r, s, u = x[t], x[t + one], x[t + two], x[t + three], x[t + four]
-            made[t] += a0 * p + a1 * q + a2 * r + a3 * s + a4 * u
-            also[t] += b0 * p + b1 * q + b2 * r + b3 * s + b4 * u
+            first[t] += a0 * p + a1 * q + a2 * r + a3 * s + a4 * u
+            second[t] += b0 * p + b1 * q + b2 * r + b3 * s + b4 * u
 
 
 @compiled(fastmath={"contract"})
-def _add_one(
-    made: np.ndarray,
+def _accumulate_single(
+    output: np.ndarray,
     signal: np.ndarray,
     weight: np.ndarray,
-    reads: np.ndarray,
+    inputs: np.ndarray,
     start: int,
     n: int,
     reverse: bool,
 ) -> None:
-    """The same for a row by itself. In a function with `_add_two`, both would be slower."""
+    """Do the same for one output channel; as one function with the pair both would be slower."""
     one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
-    for j in range(len(reads)):
-        x = signal[reads[j, 0], start:]
-        a = weight[reads[j, 1] :]
+    for j in range(len(inputs)):
+        x = signal[inputs[j, 0], start:]
+        a = weight[inputs[j, 1] :]
         a0, a1, a2, a3, a4 = a[0], a[1], a[2], a[3], a[4]
         if reverse:
             a0, a1, a3, a4 = a4, a3, a1, a0
         for t in range(np.uint64(n)):
             p, q, r, s, u = x[t], x[t + one], x[t + two], x[t + three], x[t + four]
-            made[t] += a0 * p + a1 * q + a2 * r + a3 * s + a4 * u
+            output[t] += a0 * p + a1 * q + a2 * r + a3 * s + a4 * u
 
 
 @compiled()
-def _mirror(window: np.ndarray, n_frames: int) -> None:
-    """Of one window, which begins two before its first frame."""
-    for k in range(1, EDGE + 1):
-        window[EDGE - k] = window[EDGE + k]
-        window[EDGE + n_frames - 1 + k] = window[EDGE + n_frames - 1 - k]
+def _reflect(window: np.ndarray, n_frames: int) -> None:
+    """Write the reflected frames of one window, which starts PADDING before its first frame."""
+    for k in range(1, PADDING + 1):
+        window[PADDING - k] = window[PADDING + k]
+        window[PADDING + n_frames - 1 + k] = window[PADDING + n_frames - 1 - k]
 
 
 @compiled()
 def _fold(window: np.ndarray, n_frames: int) -> None:
-    """The transpose of `_mirror`."""
-    for k in range(1, EDGE + 1):
-        before, after = EDGE - k, EDGE + n_frames - 1 + k
-        window[EDGE + k] += window[before]
-        window[EDGE + n_frames - 1 - k] += window[after]
+    """Apply the transpose of `_reflect`."""
+    for k in range(1, PADDING + 1):
+        before, after = PADDING - k, PADDING + n_frames - 1 + k
+        window[PADDING + k] += window[before]
+        window[PADDING + n_frames - 1 - k] += window[after]
         window[before] = window[after] = 0
 
 
 @compiled()
-def pack_rows(windows: np.ndarray, signal: np.ndarray, mirrored: bool) -> None:
-    """(B, C, T) into rows; beyond the ends of windows mirrored frames or zeros."""
+def pack(windows: np.ndarray, signal: np.ndarray, reflect: bool) -> None:
+    """Write windows (B, C, T) into a signal (C, width), padded by reflection or by zeros."""
     batch, channels, n_frames = windows.shape
     signal[:] = 0
     for c in range(channels):
         for b in range(batch):
-            row = signal[c, LEAD - EDGE + b * (n_frames + GAP) :]
+            row = signal[c, START - PADDING + b * (n_frames + 2 * PADDING) :]
             for t in range(n_frames):
-                row[EDGE + t] = windows[b, c, t]
-            if mirrored:
-                _mirror(row, n_frames)
+                row[PADDING + t] = windows[b, c, t]
+            if reflect:
+                _reflect(row, n_frames)
 
 
 @compiled()
-def unpack_rows(signal: np.ndarray, windows: np.ndarray) -> None:
-    """The frames of rows as (B, C, T)."""
+def unpack(signal: np.ndarray, windows: np.ndarray) -> None:
+    """Write the frames of a signal (C, width) into windows (B, C, T)."""
     batch, channels, n_frames = windows.shape
     for c in range(channels):
         for b in range(batch):
-            row = signal[c, LEAD + b * (n_frames + GAP) :]
+            row = signal[c, START + b * (n_frames + 2 * PADDING) :]
             for t in range(n_frames):
                 windows[b, c, t] = row[t]
 
 
 @compiled()
-def mirror_rows(signal: np.ndarray, batch: int, n_frames: int) -> None:
-    """Write what lies beyond the ends of windows."""
+def reflect_windows(signal: np.ndarray, shape: Shape) -> None:
+    """Write the reflected frames of all windows of a signal (C, width)."""
+    batch, n_frames = shape
     for c in range(len(signal)):
         for b in range(batch):
-            _mirror(signal[c, LEAD - EDGE + b * (n_frames + GAP) :], n_frames)
+            _reflect(signal[c, START - PADDING + b * (n_frames + 2 * PADDING) :], n_frames)
 
 
 @compiled()
 def _rectify(window: np.ndarray, gate: np.ndarray, n: int, slope: float) -> None:
-    """Scale by the slope where `gate` is not above zero."""
+    """Scale n frames of a window (>= n,) by the slope where `gate` (>= n,) is not above zero."""
     for t in range(np.uint64(n)):
         value = window[t]
         window[t] = value if gate[t] > 0 else slope * value
 
 
 @compiled()
-def filter_rows(
-    steps: np.ndarray,
-    reads: np.ndarray,
+def convolve(
+    plan: Plan,
     signal: np.ndarray,
     weight: np.ndarray,
     bias: np.ndarray,
-    made: np.ndarray,
-    gate: np.ndarray,
-    slope: float,
-    batch: int,
-    n_frames: int,
+    output: np.ndarray,
+    rectifier: Rectifier,
+    shape: Shape,
     reverse: bool,
 ) -> None:
-    """Rows of `made`: filtered, folded if reverse, rectified, mirrored if not reverse.
+    """Compute the output channels of a plan: convolution, rectifier, reflected ends.
 
-    What is rectified is scaled by the slope where `gate` is not above zero; where it has no rows,
-    `made` is its own gate. Steps and reads are a `Plan`'s, or some of its steps.
+    Args:
+        plan: all steps of a convolution, or some of them.
+        signal: (C_in, width), padded by reflection, or by zeros with `reverse`.
+        weight: (N,) kernels of TAPS numbers.
+        bias: (C_out,).
+        output: (C_out, width), written.
+        rectifier: applied to the output.
+        shape: of the windows.
+        reverse: compute the transpose: kernels are reversed, and the gradient of reflected frames
+            is added to the frames that they repeat.
     """
-    pitch, begin = n_frames + GAP, LEAD - EDGE
+    steps, inputs = plan
+    slope, gate = rectifier
+    batch, n_frames = shape
+    pitch, begin = n_frames + 2 * PADDING, START - PADDING
     stop = begin + batch * pitch
-    for start in range(begin, stop, BLOCK):
-        length = min(BLOCK, stop - start)
-        n, n_one = whole(length, VECTOR), whole(length, LINE)
+    for start in range(begin, stop, TILE):
+        length = min(TILE, stop - start)
+        n, n_single = round_up(length, VECTOR), round_up(length, LINE)
         for i in range(len(steps)):
-            row, count, first, last, apart = steps[i]
-            for c in range(row, row + count):
-                made[c, start : start + n_one] = bias[c]
-            here, seen, before = made[row, start:], reads[first:last], start - EDGE
+            channel, count, first, last, distance = steps[i]
+            for c in range(channel, channel + count):
+                output[c, start : start + n_single] = bias[c]
+            own, seen, before = output[channel, start:], inputs[first:last], start - PADDING
             if count == 2:
-                also = made[row + 1, start:]
-                _add_two(here, also, signal, weight, seen, apart, before, n, reverse)
+                pair = (own, output[channel + 1, start:])
+                _accumulate_pair(pair, signal, weight, seen, distance, before, n, reverse)
             else:
-                _add_one(here, signal, weight, seen, before, n_one, reverse)
+                _accumulate_single(own, signal, weight, seen, before, n_single, reverse)
     for i in range(len(steps)):
         for c in range(steps[i, 0], steps[i, 0] + steps[i, 1]):
-            made[c, :begin] = 0
-            made[c, stop:] = 0
+            output[c, :begin] = 0
+            output[c, stop:] = 0
             for b in range(batch):
-                window = made[c, begin + b * pitch :]
+                window = output[c, begin + b * pitch :]
                 if reverse:
                     _fold(window, n_frames)
                 if slope != 1:
-                    deciding = gate[c] if len(gate) else made[c]
-                    deciding = deciding[begin + b * pitch :]
-                    _rectify(window[EDGE:], deciding[EDGE:], n_frames, slope)
+                    decides = gate[c] if len(gate) else output[c]
+                    decides = decides[begin + b * pitch :]
+                    _rectify(window[PADDING:], decides[PADDING:], n_frames, slope)
                 if not reverse:
-                    _mirror(window, n_frames)
+                    _reflect(window, n_frames)
 
 
 @compiled(fastmath=SUMS)
 def weight_gradients(
-    steps: np.ndarray,
-    reads: np.ndarray,
-    signal: np.ndarray,
-    gradient: np.ndarray,
-    made: np.ndarray,
-    n: int,
+    plan: Plan, signal: np.ndarray, gradient: np.ndarray, output: np.ndarray, n: int
 ) -> None:
-    """Sums over n frames of products; beyond the ends of windows the gradient is zero."""
+    """Compute the gradients of a plan's weights.
+
+    Args:
+        plan: all steps of a convolution, or some of them.
+        signal: (C_in, width), its input, padded by reflection.
+        gradient: (C_out, width), of its output, padded by zeros.
+        output: (N,), written.
+        n: columns of all windows.
+    """
+    steps, inputs = plan
     one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
-    begin = LEAD - EDGE
-    n = whole(n, VECTOR)
+    begin = START - PADDING
+    n = round_up(n, VECTOR)
     for i in range(len(steps)):
-        row, count, first, last, apart = steps[i]
-        g, h = gradient[row, begin:], gradient[row + count - 1, begin:]
+        channel, count, first, last, distance = steps[i]
+        g, h = gradient[channel, begin:], gradient[channel + count - 1, begin:]
         for j in range(first, last):
-            x = signal[reads[j, 0], begin - EDGE :]
+            x = signal[inputs[j, 0], begin - PADDING :]
             a0 = a1 = a2 = a3 = a4 = b0 = b1 = b2 = b3 = b4 = np.float32(0)
             for t in range(np.uint64(n)):
                 p, q, r, s, u = x[t], x[t + one], x[t + two], x[t + three], x[t + four]
@@ -226,62 +290,70 @@ def weight_gradients(
                 b2 += h[t] * r
                 b3 += h[t] * s
                 b4 += h[t] * u
-            at = reads[j, 1]
-            own = made[at:]
+            at = inputs[j, 1]
+            own = output[at:]
             own[0], own[1], own[2], own[3], own[4] = a0, a1, a2, a3, a4
             if count == 2:
-                own = made[at + apart :]
+                own = output[at + distance :]
                 own[0], own[1], own[2], own[3], own[4] = b0, b1, b2, b3, b4
 
 
 @compiled(fastmath=SUMS)
-def score_rows(
-    signal: np.ndarray,
-    slopes: np.ndarray,
-    seeds: np.ndarray,
+def score(
+    features: np.ndarray,
+    weights: np.ndarray,
+    score_gradients: np.ndarray,
     slope: float,
     gradient: np.ndarray,
 ) -> np.ndarray:
-    """Scores without bias, (B,); writes the gradient of their sum weighted by `seeds`.
+    """Return the score of each window without bias, (B,), and write the gradient of the features.
 
-    Slopes are (1 or B, C, T). The gradient is that of what came before the last rectifier.
+    Args:
+        features: (C, width), output of the last layer's rectifier.
+        weights: (1 or B, C, T), see `LevelDiscriminator.score_weights`.
+        score_gradients: (B,) gradient of the loss with respect to each score.
+        slope: negative slope of the last rectifier.
+        gradient: (C, width), written: the gradient of the last rectifier's input, zero-padded.
     """
-    n_frames = slopes.shape[2]
-    scores = np.zeros(len(seeds), dtype=np.float32)
-    for c in range(len(signal)):
+    n_frames = weights.shape[2]
+    scores = np.zeros(len(score_gradients), dtype=np.float32)
+    for c in range(len(features)):
         gradient[c] = 0
-        for b in range(len(seeds)):
-            start = LEAD + b * (n_frames + GAP)
-            x, made = signal[c, start:], gradient[c, start:]
-            weights = slopes[min(b, len(slopes) - 1), c]
+        for b in range(len(score_gradients)):
+            start = START + b * (n_frames + 2 * PADDING)
+            x, own = features[c, start:], gradient[c, start:]
+            weight = weights[min(b, len(weights) - 1), c]
             total = np.float32(0)
             for t in range(np.uint64(n_frames)):
-                total += x[t] * weights[t]
-                value = seeds[b] * weights[t]
-                made[t] = value if x[t] > 0 else slope * value
+                total += x[t] * weight[t]
+                value = score_gradients[b] * weight[t]
+                own[t] = value if x[t] > 0 else slope * value
             scores[b] += total
     return scores
 
 
 @compiled(fastmath=SUMS)
 def penalty_gradient(
-    gradient: np.ndarray,
-    batch: int,
-    n_frames: int,
-    weight: float,
-    per_frame: bool,
-    scale: float,
+    gradient: np.ndarray, shape: Shape, weight: float, per_frame: bool, scale: float
 ) -> None:
-    """From the gradient that the penalty is on to that of the penalty, in place.
+    """Replace the input gradients g of scores by the derivative of eq. 13 with respect to them.
 
-    The penalty is (scale |g| - 1)^2, the mean over frames or of a window at once; of all windows
-    the sum, times `weight`. Where g is zero any direction would do, and none is taken.
+    The penalty is `weight` times the sum over windows of (scale ||g|| - 1)^2, or of its mean over
+    frames. Where g is zero the derivative is taken as zero.
+
+    Args:
+        gradient: (D, width), overwritten.
+        shape: of the windows.
+        weight: see above.
+        per_frame: take the norm of each frame instead of that of a window.
+        scale: see above.
     """
+    batch, n_frames = shape
     if per_frame:
         weight = weight / n_frames
     factor = np.empty(n_frames, dtype=np.float32)
     for b in range(batch):
-        start = LEAD + b * (n_frames + GAP)
+        start = START + b * (n_frames + 2 * PADDING)
         factor[:] = 0
         for c in range(len(gradient)):
             g = gradient[c, start:]
@@ -299,17 +371,25 @@ def penalty_gradient(
 
 
 @compiled(fastmath=SUMS)
-def sums_over_time(signal: np.ndarray, seeds: np.ndarray, often: np.ndarray) -> np.ndarray:
-    """(B, C, K): sums over time by each of `often`, (K, T), times the window's seed."""
-    taps, n_frames = often.shape
-    made = np.empty((len(seeds), len(signal), taps), dtype=np.float32)
-    for b in range(len(seeds)):
-        for c in range(len(signal)):
-            x = signal[c, LEAD + b * (n_frames + GAP) :]
+def score_kernel_gradients(
+    features: np.ndarray, score_gradients: np.ndarray, tap_frequencies: np.ndarray
+) -> np.ndarray:
+    """Return the gradient of the score's kernel from each window, (B, C, taps).
+
+    Args:
+        features: (C, width).
+        score_gradients: (B,) gradient of the loss with respect to each score.
+        tap_frequencies: (taps, T), see `discriminator.tap_frequencies`.
+    """
+    taps, n_frames = tap_frequencies.shape
+    made = np.empty((len(score_gradients), len(features), taps), dtype=np.float32)
+    for b in range(len(score_gradients)):
+        for c in range(len(features)):
+            x = features[c, START + b * (n_frames + 2 * PADDING) :]
             for k in range(taps):
-                weights = often[k]
+                weights = tap_frequencies[k]
                 total = np.float32(0)
                 for t in range(np.uint64(n_frames)):
                     total += x[t] * weights[t]
-                made[b, c, k] = seeds[b] * total
+                made[b, c, k] = score_gradients[b] * total
     return made

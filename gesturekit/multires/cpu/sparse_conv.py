@@ -1,13 +1,9 @@
-"""Skeleton-aware convolution on a CPU: products with live weights alone (`row_kernels`).
+"""Sparse skeleton convolution: multiplies only by weights between neighbouring blocks.
 
-A signal has one row a channel, with all frames of all windows in it (`Rows`). Each row that comes
-out is a sum of shifted rows of the channels that it sees, two rows at a time: ten products for
-every five numbers read. Nothing is laid out anew beforehand, neither weights nor signals, and
-rectifiers and mirrored ends are seen to while a row is at hand.
-
-Forward, the gradient of the input and that of the weights are functions of their own. Rows are
-shared among as many threads as torch may use. What comes out is the same to the bit, however many
-there are and whatever other windows or frames are filtered with it.
+Each output channel is a sum of shifted input channels, computed two at a time: ten products for
+every five numbers read. Forward, input gradient and weight gradient are separate operations; the
+rectifier and the reflected ends are part of each. Output channels are shared among threads. The
+results do not depend on the number of threads nor on the other windows of a batch, in any bit.
 """
 
 from __future__ import annotations
@@ -21,73 +17,58 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from gesturekit.multires.cpu.kernels import (
-    EDGE,
-    GAP,
-    LEAD,
-    LINE,
-    TAPS,
-    filter_rows,
-    pack_rows,
-    unpack_rows,
-    weight_gradients,
-    whole,
-)
-from gesturekit.multires.cpu.threads import row_threads, submit
+from gesturekit.multires.cpu import kernels
+from gesturekit.multires.cpu.kernels import LINE, PADDING, START, TAPS, Plan, Rectifier, Shape
+from gesturekit.multires.cpu.threads import kernel_threads, submit
+from gesturekit.multires.network.skeleton_conv import SkeletonConv1d
 
-_ALONE = 16_000_000
-"""Products that one thread makes sooner than others would come to help."""
+_MIN_PARALLEL = 16_000_000
+"""Multiply-adds below which a single thread is faster than several."""
 
 
-class Rows:
-    """Signals of B windows of T frames as (C, width): the windows of a channel, one after another.
+class Packing:
+    """Layout of B windows of T frames as one array (C, width), window after window.
 
-    Between windows, and at both ends, is room for what lies beyond their frames: two mirrored
-    frames behind one and two before the next, or, in a gradient, zeros.
+    Before and after each window are two columns for its reflected frames or, in a gradient, zeros.
     """
 
     def __init__(self, batch: int, n_frames: int) -> None:
-        self.batch, self.n_frames = batch, n_frames
-        self.pitch = n_frames + GAP
-        # Whole lines are made, and two numbers behind them read.
-        self.width = LEAD - EDGE + whole(batch * self.pitch, LINE) + LINE
+        self.shape = Shape(batch, n_frames)
+        self.columns = batch * (n_frames + 2 * PADDING)
+        # Kernels write whole lines, and read PADDING columns beyond them.
+        self.width = START - PADDING + kernels.round_up(self.columns, LINE) + LINE
 
     @staticmethod
     def fits(n_frames: int, kernel: int) -> bool:
-        """Whether frames can be mirrored in place; very short signals go another way."""
-        return kernel <= TAPS and n_frames > EDGE
+        """Return whether the kernels can compute a convolution of n frames."""
+        return kernel <= TAPS and n_frames > PADDING
 
     def empty(self, channels: int) -> np.ndarray:
-        """For a signal of so many channels; torch's arrays begin where a processor likes it."""
+        """Return an uninitialised (channels, width) array, aligned as torch aligns it."""
         return torch.empty(channels, self.width).numpy()
 
-    def pack(self, x: Tensor) -> np.ndarray:
-        """(B, C, T) with zeros beyond the ends."""
-        return self._packed(x, False)
-
-    def mirrored(self, x: Tensor) -> np.ndarray:
-        """(B, C, T) with mirrored frames beyond the ends."""
-        return self._packed(x, True)
-
-    def _packed(self, x: Tensor, mirrored: bool) -> np.ndarray:
+    def pack(self, x: Tensor, *, reflect: bool) -> np.ndarray:
+        """Return windows (B, C, T) as (C, width), padded by reflection or by zeros."""
         signal = self.empty(x.shape[1])
-        pack_rows(x.contiguous().numpy(), signal, mirrored)
+        kernels.pack(x.contiguous().numpy(), signal, reflect)
         return signal
 
     def unpack(self, signal: np.ndarray) -> Tensor:
-        """The frames as (B, C, T)."""
-        windows = torch.empty(self.batch, len(signal), self.n_frames)
-        unpack_rows(signal, windows.numpy())
+        """Return the frames of a (C, width) array as (B, C, T)."""
+        windows = torch.empty(self.shape.batch, len(signal), self.shape.n_frames)
+        kernels.unpack(signal, windows.numpy())
         return windows
 
 
-class Wiring:
-    """Which rows a convolution's rows are made of; the same for all layers of one shape.
+class SparseConv:
+    """Convolution with given connections; its arrays are (C, width), see `Packing`.
+
+    Weights are (N,), TAPS numbers for each connected pair of channels.
 
     Args:
-        neighbours: (blocks, blocks) bool, which block sees which.
-        sizes_in: channels of each block of what comes in.
-        sizes_out: the same of what goes out.
+        neighbours: (blocks, blocks) bool, True where one block sees another.
+        sizes_in: channels of each input block.
+        sizes_out: channels of each output block.
     """
 
     def __init__(
@@ -95,150 +76,152 @@ class Wiring:
     ) -> None:
         self.n_in, self.n_out = sum(sizes_in), sum(sizes_out)
         mask = np.repeat(np.repeat(neighbours, sizes_out, axis=0), sizes_in, axis=1)
-        # Where in the live weights stand those from a channel to another.
-        places = np.where(mask, TAPS * (np.cumsum(mask).reshape(mask.shape) - 1), -1)
-        self.n_live = TAPS * int(mask.sum())
-        self.forward_plan = _plan(places, sizes_out)
-        self.reverse_plan = _plan(places.T, sizes_in)
+        positions = np.where(mask, TAPS * (np.cumsum(mask).reshape(mask.shape) - 1), -1)
+        self.n_weights = TAPS * int(mask.sum())
+        self.plan = ParallelPlan(positions, sizes_out)
+        self.transposed_plan = ParallelPlan(positions.T, sizes_in)
 
     def forward(
         self,
         weight: np.ndarray,
         bias: np.ndarray,
         signal: np.ndarray,
-        rows: Rows,
+        packing: Packing,
         slope: float,
     ) -> np.ndarray:
-        """Filter a mirrored signal, rectify it with this slope below zero, and mirror it."""
-        return self._filter(self.forward_plan, weight, bias, signal, rows, signal[:0], slope, False)
+        """Return the convolution of a reflect-padded signal, rectified and reflect-padded."""
+        rectifier = Rectifier(np.float32(slope), signal[:0])
+        return self._convolve(self.plan, weight, bias, signal, rectifier, packing)
 
-    def forward_along(
+    def jvp(
         self,
         weight: np.ndarray,
         direction: np.ndarray,
-        rows: Rows,
-        signal: np.ndarray,
+        packing: Packing,
+        output: np.ndarray,
         slope: float,
     ) -> np.ndarray:
-        """The derivative of `forward`, which gave `signal`, in a direction of what came in."""
-        none = np.zeros(self.n_out, np.float32)
-        return self._filter(self.forward_plan, weight, none, direction, rows, signal, slope, False)
+        """Return the derivative of `forward`, which gave `output`, in a direction of its input."""
+        bias = np.zeros(self.n_out, np.float32)
+        rectifier = Rectifier(np.float32(slope), output)
+        return self._convolve(self.plan, weight, bias, direction, rectifier, packing)
 
     def input_gradient(
         self,
         weight: np.ndarray,
         gradient: np.ndarray,
-        rows: Rows,
+        packing: Packing,
         signal: np.ndarray | None = None,
         slope: float = 1.0,
     ) -> np.ndarray:
-        """The gradient of what came in, and back through the rectifier that gave `signal`."""
-        none = np.zeros(self.n_in, np.float32)
-        gate = gradient[:0] if signal is None else signal
-        return self._filter(self.reverse_plan, weight, none, gradient, rows, gate, slope, True)
+        """Return the gradient of the input, zero-padded.
 
-    def weight_gradient(self, signal: np.ndarray, gradient: np.ndarray, rows: Rows) -> Tensor:
-        """Of the live weights, (n,)."""
-        made = torch.empty(self.n_live)
-        _in_shares(
-            weight_gradients,
-            self.forward_plan,
-            signal,
-            gradient,
-            made.numpy(),
-            rows.batch * rows.pitch,
-            products=self.n_live * rows.width,
-        )
+        Args:
+            weight: (N,).
+            gradient: (C_out, width) of the output before its rectifier, zero-padded.
+            packing: layout of both.
+            signal: the input, if it comes from a rectifier; the gradient returned is then that of
+                the rectifier's input.
+            slope: negative slope of that rectifier.
+        """
+        bias = np.zeros(self.n_in, np.float32)
+        gate = gradient[:0] if signal is None else signal
+        rectifier = Rectifier(np.float32(slope), gate)
+        plan = self.transposed_plan
+        return self._convolve(plan, weight, bias, gradient, rectifier, packing, reverse=True)
+
+    def weight_gradient(self, signal: np.ndarray, gradient: np.ndarray, packing: Packing) -> Tensor:
+        """Return the gradient of the weights, (N,), from the input and the output's gradient."""
+        made = torch.empty(self.n_weights)
+        arguments = (signal, gradient, made.numpy(), packing.columns)
+        self.plan.run(self.n_weights * packing.width, kernels.weight_gradients, *arguments)
         return made
 
-    def _filter(
+    def _convolve(
         self,
-        plan: Plan,
+        plan: ParallelPlan,
         weight: np.ndarray,
         bias: np.ndarray,
         signal: np.ndarray,
-        rows: Rows,
-        gate: np.ndarray,
-        slope: float,
-        reverse: bool,
+        rectifier: Rectifier,
+        packing: Packing,
+        reverse: bool = False,
     ) -> np.ndarray:
-        made = rows.empty(len(bias))
-        _in_shares(
-            filter_rows,
-            plan,
-            signal,
-            weight,
-            bias,
-            made,
-            gate,
-            np.float32(slope),
-            rows.batch,
-            rows.n_frames,
-            reverse,
-            products=self.n_live * rows.width,
-        )
-        return made
+        output = packing.empty(len(bias))
+        arguments = (signal, weight, bias, output, rectifier, packing.shape, reverse)
+        plan.run(self.n_weights * packing.width, kernels.convolve, *arguments)
+        return output
 
 
-class Plan:
-    """Rows to make, two at a time, and what each is made of.
+class ParallelPlan:
+    """Plan of a sparse convolution that threads can share.
 
-    Attributes:
-        steps: (S, 5): a row, how many are made (this one, or the next as well), where in `reads`
-            their own begin and end, and how far the next row's weights stand from this one's.
-        reads: (N, 2): a row to read, and where the weights for it stand.
+    Args:
+        positions: (C_out, C_in) int, position of each pair's kernel in the weights, -1 for none.
+        sizes: channels of each output block; all channels of a block have the same inputs.
     """
 
-    def __init__(self, steps: np.ndarray, reads: np.ndarray) -> None:
-        self.steps, self.reads = steps, reads
-        self._work = np.cumsum((steps[:, 3] - steps[:, 2]) * (1 + 2 * steps[:, 1]))
+    def __init__(self, positions: np.ndarray, sizes: Sequence[int]) -> None:
+        steps, inputs, n_inputs, first = [], [], 0, 0
+        for size in sizes:
+            seen = np.flatnonzero(positions[first] >= 0)
+            for channel in range(first, first + size, 2):
+                count = min(2, first + size - channel)
+                own = positions[channel, seen]
+                two = count == 2 and len(seen)
+                distance = (positions[channel + 1, seen] - own)[0] if two else 0
+                steps.append((channel, count, n_inputs, n_inputs + len(seen), distance))
+                inputs.append(np.stack([seen, own], axis=1))
+                n_inputs += len(seen)
+            first += size
+        self.plan = Plan(np.array(steps), np.concatenate(inputs))
+        counts, begins, ends = self.plan.steps[:, 1:4].T
+        self._work = np.cumsum((ends - begins) * (1 + 2 * counts))
 
-    @lru_cache(maxsize=8)  # noqa: B019 - plans are few and stay
-    def shares(self, count: int) -> list[tuple[int, int]]:
-        """Steps, from the first to before the last, for each of so many threads."""
+    @lru_cache(maxsize=8)  # noqa: B019 - plans are few, and live as long as the process
+    def split(self, count: int) -> list[Plan]:
+        """Return `count` plans of about equal work that make up this one."""
         goals = self._work[-1] * np.arange(1, count) / count
-        edges = [0, *np.searchsorted(self._work, goals).tolist(), len(self.steps)]
-        return list(zip(edges[:-1], edges[1:], strict=True))
+        edges = [0, *np.searchsorted(self._work, goals).tolist(), len(self.plan.steps)]
+        return [
+            Plan(self.plan.steps[first:last], self.plan.inputs)
+            for first, last in zip(edges[:-1], edges[1:], strict=True)
+        ]
+
+    def run(self, products: int, kernel: Callable[..., None], *arguments: Any) -> None:
+        """Call a kernel with this plan, on several threads if it has enough multiply-adds."""
+        own, *others = self.split(kernel_threads() if products > _MIN_PARALLEL else 1)
+        futures = [submit("kernels", kernel, plan, *arguments) for plan in others]
+        kernel(own, *arguments)
+        for future in futures:
+            future.result()
 
 
-def _plan(places: np.ndarray, sizes: Sequence[int]) -> Plan:
-    """Of rows in blocks of these sizes; (rows, rows read), where weights stand, -1 for none."""
-    steps, reads, n_reads, first = [], [], 0, 0
-    for size in sizes:
-        seen = np.flatnonzero(places[first] >= 0)
-        for row in range(first, first + size, 2):
-            count = min(2, first + size - row)
-            own = places[row, seen]
-            apart = (places[row + 1, seen] - own)[0] if count == 2 and len(seen) else 0
-            steps.append((row, count, n_reads, n_reads + len(seen), apart))
-            reads.append(np.stack([seen, own], axis=1))
-            n_reads += len(seen)
-        first += size
-    return Plan(np.array(steps), np.concatenate(reads))
+def sparse_conv(layer: SkeletonConv1d) -> SparseConv:
+    """Return the sparse convolution of a layer, the same object for all layers of one shape."""
+    near = layer.neighbours
+    return _sparse_conv(near.tobytes(), len(near), *layer.sizes)
 
 
-def _in_shares(function: Callable[..., None], plan: Plan, *arguments: Any, products: int) -> None:
-    """Call a compiled function for all steps of a plan, on as many threads as rows may use."""
-    own, *others = plan.shares(row_threads() if products > _ALONE else 1)
-    waiting = [
-        submit("rows", function, plan.steps[first:last], plan.reads, *arguments)
-        for first, last in others
-    ]
-    function(plan.steps[slice(*own)], plan.reads, *arguments)
-    for one in waiting:
-        one.result()
+@lru_cache(maxsize=64)
+def _sparse_conv(
+    neighbours: bytes, n_blocks: int, sizes_in: tuple[int, ...], sizes_out: tuple[int, ...]
+) -> SparseConv:
+    near = np.frombuffer(neighbours, dtype=bool).reshape(n_blocks, n_blocks)
+    return SparseConv(near, sizes_in, sizes_out)
 
 
-def widened(weight: Tensor, kernel: int) -> Tensor:
-    """Live weights of a shorter kernel, (n,), with zeros at its ends."""
-    if kernel == TAPS:
-        return weight
-    missing = (TAPS - kernel) // 2
-    return F.pad(weight.view(-1, kernel), (missing, missing)).flatten()
+def padded_weight(layer: SkeletonConv1d) -> np.ndarray:
+    """Return a layer's weights with every kernel padded to TAPS, (N,)."""
+    weight, kernel = layer.weight.detach(), layer.shape[-1]
+    if kernel != TAPS:
+        missing = (TAPS - kernel) // 2
+        weight = F.pad(weight.view(-1, kernel), (missing, missing)).flatten()
+    return weight.numpy()
 
 
-def narrowed(gradient: Tensor, kernel: int) -> Tensor:
-    """The gradient of weights that were `widened`."""
+def cropped_gradient(gradient: Tensor, kernel: int) -> Tensor:
+    """Return the gradient of weights from that of the padded weights, (N,)."""
     if kernel == TAPS:
         return gradient
     missing = (TAPS - kernel) // 2

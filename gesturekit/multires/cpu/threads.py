@@ -1,4 +1,4 @@
-"""Threads on a CPU: for rows of frames, and for tasks that stand side by side."""
+"""Thread pools of the CPU engine: one for kernels, one for independent tasks."""
 
 from __future__ import annotations
 
@@ -14,90 +14,88 @@ from typing import Any, TypeVar
 import torch
 
 
-class _Allowance(threading.local):
-    """How many threads this Python thread's rows may use; None leaves it to torch."""
+class _Local(threading.local):
+    """Threads that kernels called from this Python thread may use; None for torch's number."""
 
-    rows: int | None = None
+    kernel_threads: int | None = None
 
 
-_allowance = _Allowance()
+_local = _Local()
 T = TypeVar("T")
 
 
 @contextmanager
-def only_rows_in_threads() -> Iterator[None]:
-    """Within, torch's own operations stay on one thread, and rows have as many as torch had.
+def threads_for_kernels() -> Iterator[None]:
+    """Within this context kernels use all of torch's threads, and torch's operators only one.
 
-    Training and sampling have thousands of operations too short to be shared. Between them torch's
-    threads wait busily, on processors that rows could use.
+    Training and sampling call thousands of torch operators too short to be parallel. Between them
+    torch's threads would spin on the cores that the kernels need.
     """
-    if _allowance.rows is not None:
+    if _local.kernel_threads is not None:
         yield
         return
     count = torch.get_num_threads()
     torch.set_num_threads(1)
-    _allowance.rows = count
+    _local.kernel_threads = count
     try:
         yield
     finally:
-        _allowance.rows = None
+        _local.kernel_threads = None
         torch.set_num_threads(count)
 
 
-def row_threads() -> int:
-    """How many threads rows may use here."""
-    return _allowance.rows or torch.get_num_threads()
+def kernel_threads() -> int:
+    """Return how many threads a kernel called from this thread may use."""
+    return _local.kernel_threads or torch.get_num_threads()
 
 
-def side_by_side(*tasks: Callable[[], T]) -> list[T]:
-    """What independent tasks give, within `only_rows_in_threads` made on the threads of rows.
+def run_tasks(*tasks: Callable[[], T]) -> list[T]:
+    """Return the results of independent tasks, run in parallel within `threads_for_kernels`.
 
-    Each thread takes the next task when it is done with one: the longest should come first. A task
-    finds torch's modes (gradients, half precision) as a new thread does and sets what it needs;
-    the rows that it filters have what threads are left over. Without `only_rows_in_threads` tasks
-    are done in turn.
+    A free thread takes the next task, so that the longest should come first. A task starts with
+    torch's default modes (gradients, autocast) and sets those it needs. The kernels it calls share
+    the threads that are left. Outside of that context tasks run one after another.
     """
-    count = min(_allowance.rows or 1, len(tasks))
+    count = min(_local.kernel_threads or 1, len(tasks))
     if count == 1:
         return [task() for task in tasks]
-    own_rows = _allowance.rows // count
+    own_threads = _local.kernel_threads // count
     left, made = deque(enumerate(tasks)), {}
 
     def work() -> None:
-        before, _allowance.rows = _allowance.rows, own_rows
+        before, _local.kernel_threads = _local.kernel_threads, own_threads
         try:
             while left:
                 try:
                     number, task = left.popleft()
-                except IndexError:  # another thread was there first
+                except IndexError:  # another thread took the last one
                     return
                 made[number] = task()
         finally:
-            _allowance.rows = before
+            _local.kernel_threads = before
 
-    waiting = [submit("tasks", work) for _ in range(count - 1)]
+    futures = [submit("tasks", work) for _ in range(count - 1)]
     try:
         work()
     except BaseException:
         left.clear()
         raise
     finally:
-        wait(waiting)  # whatever happened here: nothing goes on unseen
-    for one in waiting:
-        one.result()
+        wait(futures)  # after an error too: no task may run on in the background
+    for future in futures:
+        future.result()
     return [made[number] for number in range(len(tasks))]
 
 
-def submit(work: str, function: Callable[..., T], *arguments: Any) -> Future[T]:
-    """Have a thread call it: one of those for tasks, or for rows, which tasks wait for."""
-    return _threads(work).submit(function, *arguments)
+def submit(pool: str, function: Callable[..., T], *arguments: Any) -> Future[T]:
+    """Call a function on a pool's thread: "tasks", or "kernels", which tasks wait for."""
+    return _threads(pool).submit(function, *arguments)
 
 
 @lru_cache(maxsize=2)
-def _threads(work: str) -> ThreadPoolExecutor:
-    """As many threads as were ever wanted at once."""
-    return ThreadPoolExecutor(thread_name_prefix=work)
+def _threads(pool: str) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix=pool)
 
 
-if hasattr(os, "register_at_fork"):  # threads do not come along into a forked process
+if hasattr(os, "register_at_fork"):  # a forked process does not inherit threads
     os.register_at_fork(after_in_child=_threads.cache_clear)

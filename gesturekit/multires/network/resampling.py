@@ -1,9 +1,9 @@
-"""Upsampling and padding along time, as index operations.
+"""Resampling and padding along time, as index operations.
 
-On a GPU torch can make the backward pass of gathers by index deterministic
-(`torch.use_deterministic_algorithms`), and not that of its own interpolation and reflection
-padding. On a CPU torch gathers frames several times slower than numpy does. The weights are
-those of the audio front-end: motion and features never disagree on where a frame lies.
+torch has deterministic backward passes of index operations on a GPU
+(`torch.use_deterministic_algorithms`), but not of its own interpolation and reflection padding. On
+a CPU numpy gathers frames several times faster than torch. The interpolation weights are those of
+the audio front-end, so that motion and speech features have the same frame times.
 """
 
 from __future__ import annotations
@@ -11,13 +11,11 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from audio_features.pyramid import interpolation_weights
-from gesturekit.compiled import compiled
 
 
 @lru_cache(maxsize=4096)
@@ -27,14 +25,14 @@ def _weights(n_in: int, n_out: int, dtype: torch.dtype) -> tuple[Tensor, Tensor,
 
 
 def resample(x: Tensor, n_frames: int) -> Tensor:
-    """(..., T) to (..., n_frames), linear, align_corners=False."""
+    """Return x (..., T) as (..., n_frames): linear interpolation with align_corners=False."""
     if x.shape[-1] == n_frames:
         return x
-    return _between(x, *_weights(x.shape[-1], n_frames, x.dtype))
+    return _interpolate(x, *_weights(x.shape[-1], n_frames, x.dtype))
 
 
 def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:
-    """Frames `start` to `stop` of `resample(x, n_frames)`, to the bit, without the others."""
+    """Return frames `start` to `stop` of `resample(x, n_frames)`, equal in every bit."""
     if x.shape[-1] == n_frames:
         return x[..., start:stop]
     if (start, stop) == (0, n_frames):
@@ -42,51 +40,44 @@ def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:
     low, high, weight = map(
         torch.from_numpy, interpolation_weights(x.shape[-1], n_frames, start, stop)
     )
-    return _between(x, low, high, weight.to(x.dtype))
+    return _interpolate(x, low, high, weight.to(x.dtype))
 
 
-def _between(x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
-    """Between frames `low` and `high` of (..., T), as far as `weight` says."""
+def _interpolate(x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
+    """Interpolate between frames `low` and `high`, (n,) each, of x (..., T): (..., n)."""
     if x.device.type == "cpu" and x.dtype == torch.float32:
-        return _Between.apply(x, low, high, weight)
+        return _Interpolate.apply(x, low, high, weight)
     low, high, weight = (part.to(x.device) for part in (low, high, weight))
     below = x.index_select(-1, low)
     return below + weight * (x.index_select(-1, high) - below)
 
 
-class _Between(torch.autograd.Function):
-    """`_between` of float32 on a CPU, to the bit, and its transpose."""
+class _Interpolate(torch.autograd.Function):
+    """`_interpolate` of float32 on a CPU, equal in every bit, and its transpose."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
         ctx.n_frames = x.shape[-1]
-        ctx.places = [part.numpy() for part in (low, high, weight)]
-        low, high, weight = ctx.places
+        ctx.places = low, high, weight
         frames = x.numpy()
-        below, made = frames.take(low, axis=-1), frames.take(high, axis=-1)
+        below, made = (frames.take(index.numpy(), axis=-1) for index in (low, high))
         made -= below
-        made *= weight
+        made *= weight.numpy()
         made += below
         return torch.from_numpy(made)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None, None]:
-        made = gradient.new_zeros(*gradient.shape[:-1], ctx.n_frames)
-        flat = gradient.reshape(-1, gradient.shape[-1]).contiguous().numpy()
-        _resample_back(flat, *ctx.places, made.view(-1, ctx.n_frames).numpy())
-        return made, None, None, None
-
-
-@compiled()
-def _resample_back(
-    gradient: np.ndarray, low: np.ndarray, high: np.ndarray, weight: np.ndarray, made: np.ndarray
-) -> None:
-    for c in range(len(gradient)):
-        for t in range(len(low)):
-            above = weight[t] * gradient[c, t]
-            made[c, low[t]] += gradient[c, t] - above
-            made[c, high[t]] += above
+        low, high, weight = ctx.places
+        # Time comes first: index_add_ is fast where it adds whole rows. Frame by frame, low before
+        # high, is the order of the sums.
+        gradient = gradient.movedim(-1, 0).contiguous()
+        above = weight.reshape(-1, *[1] * (gradient.ndim - 1)) * gradient
+        parts = torch.stack([gradient - above, above], dim=1).flatten(0, 1)
+        made = gradient.new_zeros(ctx.n_frames, *gradient.shape[1:])
+        made.index_add_(0, torch.stack([low, high], dim=1).flatten(), parts)
+        return made.movedim(0, -1).contiguous(), None, None, None
 
 
 @lru_cache(maxsize=4096)
@@ -97,5 +88,5 @@ def _reflection(n_frames: int, padding: int) -> Tensor:
 
 
 def reflect(x: Tensor, padding: int) -> Tensor:
-    """(..., T) to (..., T + 2 padding), mirrored about the end frames as often as it takes."""
+    """Pad x (..., T) by reflection to (..., T + 2 padding); short signals reflect repeatedly."""
     return x.index_select(-1, _reflection(x.shape[-1], padding).to(x.device))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from gesturekit.errors import ModelError
 from gesturekit.multires.constraints.constraint import Constraint, normalised, plain_values
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import LevelConditions
 from gesturekit.multires.sampling.noise import NoiseSource
 from gesturekit.multires.sampling.tiling import sample

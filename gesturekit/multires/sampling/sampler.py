@@ -21,7 +21,7 @@ from gesturekit.multires.constraints.keyframes import (
 )
 from gesturekit.multires.constraints.path import PathConstraint
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource
 from gesturekit.multires.sampling.pyramid import Pyramid

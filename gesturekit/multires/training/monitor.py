@@ -16,8 +16,9 @@ from gesturekit.evaluation.quick_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import plain_values
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
 from gesturekit.multires.sampling.conditions import condition_levels
 from gesturekit.multires.sampling.styles import style_levels
 from gesturekit.multires.training.data import TrainingData
@@ -40,8 +41,11 @@ class Monitor:
     It has random numbers of its own, so that a run has the same weights with and without it.
     """
 
-    def __init__(self, data: TrainingData, config: MultiresConfig) -> None:
+    def __init__(
+        self, data: TrainingData, config: MultiresConfig, convolve: Convolve = convolve_dense
+    ) -> None:
         self.data = data
+        self.convolve = convolve
         self.config = config
         self.clips = [
             (sequence, min(sequence.n_frames, round(MAX_SECONDS * config.fps)))
@@ -107,6 +111,7 @@ class Monitor:
             [None if noise is None else noise.to(device) for noise in noises],
             [level.to(device) for level in conditions[:levels]],
             lengths=lengths[:levels],
+            convolve=self.convolve,
         )[-1]
         return resample(output, n_frames)[0].cpu()
 

@@ -14,11 +14,9 @@ from torch import Tensor, nn
 import audio_features as af
 from gesturekit.errors import ModelError
 from gesturekit.multires import losses
-from gesturekit.multires.cpu.discriminator_step import critic_gradients
-from gesturekit.multires.cpu.threads import side_by_side
-from gesturekit.multires.network.networks import LevelDiscriminator
+from gesturekit.multires.backend import choose_backend, requested_backend
+from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.network.skeleton_conv import threads_for
 from gesturekit.multires.sampling.styles import agreed_style
 from gesturekit.multires.training.arm_speed import ArmTarget, log_movement
 from gesturekit.multires.training.detail import DetailTarget
@@ -56,6 +54,8 @@ class Pair:
             )
             for i in self.indices
         ).to(trainer.device)
+        requested = requested_backend(self.config.backend)
+        self.backend = choose_backend(requested, self.generators, self.discriminators)
         rate, betas = self.config.training.learning_rate, self.config.training.betas
         self.optimisers = {
             name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, fused=True)
@@ -191,9 +191,8 @@ class Pair:
 
     def iterate(self, iteration: int) -> dict[str, float]:
         """One iteration: discriminator, random-generation and reconstruction steps."""
-        layer = self.generators[0].layers[0]
         with self._precision():
-            threads = threads_for(layer, layer.weight)
+            threads = self.backend.threads()
         with threads:
             return self._iterate(iteration)
 
@@ -233,6 +232,7 @@ class Pair:
                 first=self.first,
                 coarser=windows.coarser,
                 lengths=[level.shape[-1] for level in windows.conditions],
+                convolve=self.backend.convolve,
             )
         return [level.float() for level in made]
 
@@ -270,7 +270,7 @@ class Pair:
             return {name: value.detach() for name, value in parts.items()}
 
         sums: dict[str, float] = {}
-        for parts in side_by_side(*(partial(level, i) for i in range(len(self.indices)))):
+        for parts in self.backend.run_tasks(*(partial(level, i) for i in range(len(self.indices)))):
             for name, value in parts.items():
                 sums[name] = sums.get(name, 0.0) + float(value)
         if sums:
@@ -311,7 +311,7 @@ class Pair:
         told = self._told(styles[share])
         mixes = [torch.rand(batch, 1, 1, generator=rng).to(self.trainer.device) for _ in reals]
         with self._precision():
-            gaps = critic_gradients(
+            gaps = self.backend.discriminator_gradients(
                 self.discriminators,
                 [real[share] for real in reals],
                 fakes,
@@ -343,7 +343,8 @@ class Pair:
                 critic = self.discriminators[i]
                 critic.requires_grad_(False)  # what the score is by its weights is not asked for
                 with self._precision():
-                    loss = losses.adversarial(critic(motion, told[i]))
+                    scores = critic(motion, told[i], self.backend.convolve)
+                    loss = losses.adversarial(scores)
                 critic.requires_grad_(True)
                 parts["adversarial"] = weights.adversarial * loss
             # One frame, the coarsest level of a very short recording, has no speed.
@@ -399,6 +400,7 @@ class Pair:
                         first=self.first + i,
                         coarser=below[i],
                         lengths=[target.shape[-1]],
+                        convolve=self.backend.convolve,
                     )[0].float()
                     for i, target in enumerate(windows.targets)
                 ]

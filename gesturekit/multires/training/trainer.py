@@ -13,10 +13,11 @@ import torch
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import find_legs, unidentified
+from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second, plain_values
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.trained_model import TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import TrainingData, load_training_data
@@ -119,8 +120,9 @@ class Trainer:
             self.data.representation, config.fps, arms=config.uses_arm_speed
         ).to(self.device)
         self.normaliser = self.data.normaliser.to(self.device)
-        self.bank = WindowCache(self.data, config, self.network)
-        self.monitor = Monitor(self.data, config) if config.eval_every else None
+        convolve = choose_backend(requested_backend(config.backend), self.network).convolve
+        self.bank = WindowCache(self.data, config, self.network, convolve)
+        self.monitor = Monitor(self.data, config, convolve) if config.eval_every else None
         self.groups = self.data.window_lengths()
         # How often a step takes windows of each length: as often as there are frames of it.
         self.group_frames = torch.tensor(
@@ -228,12 +230,15 @@ class Trainer:
         cost = {first: 20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in pairs}
         stages = [(iterations, cost[first]) for first, iterations in pairs]
         with Steps(stages, done, quiet=not self.processes.is_first) as progress:
-            start = 0
+            start, chosen = 0, None
             for first, iterations in pairs:
                 here = min(max(done - start, 0), iterations)
                 if here < iterations:
                     own = state if state is not None and state["first"] == first else None
                     pair = Pair(self, first, iterations)
+                    if self.processes.is_first and pair.backend.reason != chosen:
+                        chosen = pair.backend.reason
+                        log.info("Backend: %s (%s).", pair.backend.name, chosen)
                     if own is not None:
                         pair.load_state(own)
                     pair.train(here, start, progress, cost[first])

@@ -16,8 +16,9 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.network.networks import MultiresGenerator
+from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
 from gesturekit.multires.sampling.conditions import condition_levels
 from gesturekit.multires.sampling.noise import NoiseSource, ZStarPatches
 from gesturekit.multires.sampling.styles import mixed_styles, style_levels
@@ -69,11 +70,16 @@ class WindowCache:
     """Draw the windows that a stage trains on, and generate their coarser levels."""
 
     def __init__(
-        self, data: TrainingData, config: MultiresConfig, network: MultiresGenerator
+        self,
+        data: TrainingData,
+        config: MultiresConfig,
+        network: MultiresGenerator,
+        convolve: Convolve = convolve_dense,
     ) -> None:
         self.data = data
         self.config = config
         self.network = network
+        self.convolve = convolve
         self.device = next(network.parameters()).device
         self.noise = noise_source(data, config, config.network.levels)
 
@@ -213,6 +219,7 @@ class WindowCache:
                         [None if noise is None else noise[part] for noise in noises[:first]],
                         [level[part] for level in conditions[:first]],
                         lengths=lengths[:first],
+                        convolve=self.convolve,
                     )[-1]
                     for part in _batches(len(speech), self.config.training.batch)
                 ]

@@ -1,4 +1,4 @@
-"""Live weights alone: the same numbers as one dense convolution by autograd."""
+"""The CPU engine: the same numbers as dense convolutions and autograd."""
 
 from __future__ import annotations
 
@@ -12,13 +12,21 @@ import torch
 
 from gesturekit.motion import Motion
 from gesturekit.multires.config import LossConfig, NetworkConfig
-from gesturekit.multires.cpu import sparse_conv as live_conv
-from gesturekit.multires.cpu import threads as row_threads
-from gesturekit.multires.cpu.discriminator_step import critic_gradients
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.networks import SLOPE, LevelDiscriminator
-from gesturekit.multires.network.resampling import reflect
+from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.skeleton_conv import SkeletonConv1d, block_neighbours
+from gesturekit.multires.network.torch_backend import TorchBackend
+
+engine = pytest.importorskip("gesturekit.multires.cpu.engine", reason="the CPU engine is absent")
+sparse_conv = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")
+threads = pytest.importorskip("gesturekit.multires.cpu.threads")
+
+NUMBA, TORCH = engine.NumbaBackend("test"), TorchBackend("test")
+
+
+def convolve(conv, x):
+    assert engine._computes([conv], x)
+    return NUMBA.convolve([conv], x, 1.0, 1.0)
 
 
 @pytest.fixture
@@ -34,15 +42,14 @@ def close(one, other, relative):
 
 @pytest.mark.parametrize("n_frames", [3, 4, 30, 31])
 @pytest.mark.parametrize("kernel", [1, 3, 5])
-def test_a_layer_and_its_gradients(representation, n_frames, kernel):
+def test_layer_and_gradients_agree_with_dense_convolution(representation, n_frames, kernel):
     torch.manual_seed(0)
     near = block_neighbours(representation, 2)
-    near[0, 5:9] = True  # who is seen need not see
+    near[0, 5:9] = True  # not symmetric
     conv = SkeletonConv1d(near, representation.block_sizes, (3,) * len(near), kernel)
     x = torch.randn(2, conv.shape[1], n_frames, requires_grad=True)
     wanted = torch.randn(2, conv.shape[0], n_frames)
-    assert conv.is_live(x)
-    made, dense = conv(x), conv.dense(x)
+    made, dense = convolve(conv, x), conv(x)
     assert close(made, dense, 1e-5)
     inputs = (x, conv.weight, conv.bias)
     for ours, theirs in zip(
@@ -53,10 +60,10 @@ def test_a_layer_and_its_gradients(representation, n_frames, kernel):
         assert close(ours, theirs, 1e-5)
     with torch.no_grad():
         conv.weight.mul_(2)
-    assert close(conv(x), conv.dense(x), 1e-5)
+    assert close(convolve(conv, x), conv(x), 1e-5)
 
 
-def test_a_frame_does_not_depend_on_who_else_is_filtered_nor_by_how_many(
+def test_results_do_not_depend_on_the_batch_nor_on_the_number_of_threads(
     representation, monkeypatch
 ):
     torch.manual_seed(0)
@@ -67,14 +74,14 @@ def test_a_frame_does_not_depend_on_who_else_is_filtered_nor_by_how_many(
 
     def made(x, wanted):
         x = x.clone().requires_grad_(True)
-        out = conv(x)
+        out = convolve(conv, x)
         return out, *torch.autograd.grad(out, (x, conv.weight), wanted)
 
     whole, by_input, by_weight = made(windows, gradient)
     own, own_by_input, _ = made(windows[1:2], gradient[1:2])
     assert torch.equal(own, whole[1:2]) and torch.equal(own_by_input, by_input[1:2])
-    assert torch.equal(conv(windows[..., 20:70])[..., 2:-2], whole[..., 22:68])
-    monkeypatch.setattr(live_conv, "_ALONE", 0)
+    assert torch.equal(convolve(conv, windows[..., 20:70])[..., 2:-2], whole[..., 22:68])
+    monkeypatch.setattr(sparse_conv, "_MIN_PARALLEL", 0)
     before = torch.get_num_threads()
     try:
         for count in (1, 2, 5):
@@ -82,7 +89,7 @@ def test_a_frame_does_not_depend_on_who_else_is_filtered_nor_by_how_many(
             again = made(windows, gradient)
             for one, other in zip(again, (whole, by_input, by_weight), strict=True):
                 assert torch.equal(one, other)
-            with row_threads.only_rows_in_threads():
+            with threads.threads_for_kernels():
                 assert torch.get_num_threads() == 1
                 assert torch.equal(made(windows, gradient)[0], whole)
             assert torch.get_num_threads() == count
@@ -90,7 +97,7 @@ def test_a_frame_does_not_depend_on_who_else_is_filtered_nor_by_how_many(
         torch.set_num_threads(before)
 
 
-def test_tasks_side_by_side_share_the_threads_and_leave_none_behind():
+def test_parallel_tasks_share_the_threads_and_end_with_the_call():
     def task(result, wait_for=None, then=None):
         if wait_for is not None:
             assert wait_for.wait(10), "the other task did not run beside this one"
@@ -98,71 +105,52 @@ def test_tasks_side_by_side_share_the_threads_and_leave_none_behind():
             then.set()
         if isinstance(result, Exception):
             raise result
-        return result, row_threads.row_threads()
+        return result, threads.kernel_threads()
 
     def both(one, two):
         begun = threading.Event()
-        return row_threads.side_by_side(
-            partial(task, one, wait_for=begun), partial(task, two, then=begun)
-        )
+        return threads.run_tasks(partial(task, one, wait_for=begun), partial(task, two, then=begun))
 
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(5)
-        with row_threads.only_rows_in_threads():
+        with threads.threads_for_kernels():
             assert both("one", "two") == [("one", 2), ("two", 2)]
-            assert row_threads.side_by_side(partial(task, "alone")) == [("alone", 5)]
+            assert threads.run_tasks(partial(task, "alone")) == [("alone", 5)]
             for one, two in ((ValueError("wrong"), "two"), ("one", ValueError("wrong"))):
                 with pytest.raises(ValueError, match="wrong"):
                     both(one, two)
             assert both("one", "two") == [("one", 2), ("two", 2)]
         torch.set_num_threads(1)
-        with row_threads.only_rows_in_threads():
-            here = row_threads.side_by_side(threading.get_ident, threading.get_ident)
+        with threads.threads_for_kernels():
+            here = threads.run_tasks(threading.get_ident, threading.get_ident)
             assert here == [threading.get_ident()] * 2
     finally:
         torch.set_num_threads(before)
 
 
-@pytest.mark.parametrize("n_frames", [1, 2, 21])
-def test_a_score_is_the_mean_of_a_convolution_over_the_last_features(representation, n_frames):
-    torch.manual_seed(0)
-    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 2)
-    motions = torch.randn(2, representation.n_features, n_frames)
-    told = torch.tensor([[0.0, 1.0], [0.0, 0.0]])
-    features = motions
-    for conv in critic.layers:
-        features = torch.nn.functional.leaky_relu(conv.dense(features), SLOPE)
-    features = reflect(features, 2)
-    plain = critic.score(features).mean(dim=(1, 2))
-    assert torch.allclose(critic(motions), plain, atol=1e-6)
-    styled = critic.styled(features)[0, 1].mean()
-    expected = plain + torch.stack([styled, torch.tensor(0.0)])
-    assert torch.allclose(critic(motions, told), expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("batch", [2, 6])
 @pytest.mark.parametrize("penalty_on", ["window", "frame", "printed"])
 @pytest.mark.parametrize("n_frames", [4, 21])
-@pytest.mark.parametrize("told", [None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]], ids=["", "told"])
-def test_a_discriminator_step_is_that_of_autograd(
-    representation, penalty_on, n_frames, told, batch
+@pytest.mark.parametrize("style", [None, [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]], ids=["", "style"])
+def test_discriminator_gradients_are_those_of_autograd(
+    representation, penalty_on, n_frames, style, batch
 ):
     torch.manual_seed(0)
-    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 3 if told else 0)
-    told = None if told is None else torch.tensor(told).repeat(batch // 2, 1)
+    critic = LevelDiscriminator(representation, NetworkConfig(channels=(3, 4)), 3 if style else 0)
+    style = None if style is None else torch.tensor(style).repeat(batch // 2, 1)
     losses = LossConfig(discriminator_scale=0.5, gradient_penalty=2.0, penalty_on=penalty_on)
     real, fake = torch.randn(2, batch, representation.n_features, n_frames)
     mix = torch.rand(batch, 1, 1)
-    exact = copy.deepcopy(critic).double()  # double precision goes by autograd
-    gap = critic_gradients([critic], [real], [fake], [mix], losses, [told])
-    expected = critic_gradients(
+    exact = copy.deepcopy(critic).double()
+    gap = NUMBA.discriminator_gradients([critic], [real], [fake], [mix], losses, [style])
+    expected = TORCH.discriminator_gradients(
         [exact],
         [real.double()],
         [fake.double()],
         [mix.double()],
         losses,
-        [None if told is None else told.double()],
+        [None if style is None else style.double()],
     )
     assert float(gap) == pytest.approx(float(expected), abs=1e-5)
     for ours, theirs in zip(critic.parameters(), exact.parameters(), strict=True):

@@ -1,0 +1,51 @@
+"""Choice of the implementation that computes convolutions and discriminator gradients."""
+
+from __future__ import annotations
+
+import os
+from typing import get_args
+
+from torch import nn
+
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.multires.config import BackendName
+from gesturekit.multires.network.torch_backend import TorchBackend
+
+VARIABLE = "GESTUREKIT_BACKEND"
+"""Environment variable that replaces the configured backend."""
+
+
+def requested_backend(configured: BackendName = "auto") -> BackendName:
+    """Return the backend asked for: that of GESTUREKIT_BACKEND if it is set, else `configured`.
+
+    Raises:
+        ConfigError: the variable names no backend.
+    """
+    name = os.environ.get(VARIABLE) or configured
+    if name not in get_args(BackendName):
+        raise ConfigError(f"{VARIABLE}: {name!r} is none of {', '.join(get_args(BackendName))}")
+    return name
+
+
+def choose_backend(requested: BackendName, *networks: nn.Module) -> TorchBackend:
+    """Return the backend for these networks.
+
+    `auto` takes the numba engine (`multires/cpu`) if it can be imported and was written for exactly
+    these modules, and plain torch otherwise. The backend's `reason` says why.
+
+    Raises:
+        ModelError: numba is asked for, and the engine is missing or cannot compute a module.
+    """
+    if requested == "torch":
+        return TorchBackend("as requested")
+    try:
+        from gesturekit.multires.cpu.engine import NumbaBackend, unsupported
+    except ImportError as error:
+        obstacle = f"the numba engine cannot be imported ({error})"
+    else:
+        obstacle = unsupported(*networks)
+        if obstacle is None:
+            return NumbaBackend("compiled sparse convolutions on the CPU")
+    if requested == "numba":
+        raise ModelError(f"backend: numba cannot be used: {obstacle}; auto falls back to torch")
+    return TorchBackend(f"slower than numba, but {obstacle}")

@@ -1,0 +1,193 @@
+"""Numba backend of the multires networks, and the check that it was written for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor, nn
+
+from gesturekit.multires.config import LossConfig
+from gesturekit.multires.cpu.discriminator_step import DiscriminatorStep
+from gesturekit.multires.cpu.kernels import TAPS
+from gesturekit.multires.cpu.sparse_conv import (
+    Packing,
+    cropped_gradient,
+    padded_weight,
+    sparse_conv,
+)
+from gesturekit.multires.cpu.threads import run_tasks, threads_for_kernels
+from gesturekit.multires.network.discriminator import LevelDiscriminator
+from gesturekit.multires.network.film import Film
+from gesturekit.multires.network.generator import LevelGenerator, MultiresGenerator
+from gesturekit.multires.network.skeleton_conv import SkeletonConv1d, convolve_dense
+from gesturekit.multires.network.torch_backend import TorchBackend
+
+T = TypeVar("T")
+
+_PARTS = {
+    MultiresGenerator: {"levels"},
+    LevelGenerator: {"layers", "embed", "films"},
+    LevelDiscriminator: {"layers", "score", "styled"},
+    Film: {"gain", "shift"},
+    SkeletonConv1d: {"weight", "bias"},
+    nn.Conv1d: {"weight", "bias"},
+}
+"""Modules that the engine was written for: class to the names of its children and parameters."""
+
+
+def unsupported(*networks: nn.Module) -> str | None:
+    """Return why the engine cannot compute these networks, or None if it can.
+
+    Classes must be exactly those that it was written for: it does not call their `forward`, so that
+    a subclass would be trained with the gradients of its base class.
+    """
+    for network in networks:
+        for name, module in network.named_modules():
+            problem = _problem(module)
+            if problem:
+                return f"{type(module).__name__}{f' ({name})' if name else ''} {problem}"
+        for parameter in network.parameters():
+            if parameter.device.type != "cpu" or parameter.dtype != torch.float32:
+                return f"it needs float32 weights on the CPU, not {parameter.dtype} on " + str(
+                    parameter.device
+                )
+    return None
+
+
+def _problem(module: nn.Module) -> str | None:
+    if type(module) is nn.ModuleList:
+        return None
+    if type(module) not in _PARTS:
+        return "is not a class that the numba engine was written for"
+    parts = {*dict(module.named_children()), *dict(module.named_parameters(recurse=False))}
+    if extra := sorted(parts - _PARTS[type(module)]):
+        return f"has parts that the numba engine does not know: {', '.join(extra)}"
+    hooks = (module._forward_hooks, module._forward_pre_hooks, module._backward_hooks)
+    if "forward" in vars(module) or any(hooks):
+        return "has a hook or a forward of its own, which the numba engine would not call"
+    if type(module) is SkeletonConv1d and module.shape[-1] > TAPS:
+        return f"has a kernel of {module.shape[-1]} frames; the numba engine computes up to {TAPS}"
+    return None
+
+
+def _computes(layers: Sequence[SkeletonConv1d], x: Tensor) -> bool:
+    """Return whether the kernels can compute these layers for x (B, C, T)."""
+    exact = all(x.dtype == layer.weight.dtype == torch.float32 for layer in layers)
+    on_cpu = x.device.type == "cpu" and not torch.is_autocast_enabled("cpu")
+    return exact and on_cpu and all(Packing.fits(x.shape[-1], layer.shape[-1]) for layer in layers)
+
+
+class NumbaBackend(TorchBackend):
+    """Sparse convolutions and discriminator gradients in compiled kernels.
+
+    Signals that the kernels cannot compute (one or two frames, half precision) go to plain torch.
+    """
+
+    name = "numba"
+
+    def convolve(
+        self, layers: Sequence[SkeletonConv1d], x: Tensor, slope: float, last_slope: float
+    ) -> Tensor:
+        """Return the output of a chain of convolutions; see `convolve_dense`."""
+        if not _computes(layers, x):
+            return super().convolve(layers, x, slope, last_slope)
+        weights = (part for layer in layers for part in (layer.weight, layer.bias))
+        return _SparseChain.apply(x, layers, slope, last_slope, *weights)
+
+    def discriminator_gradients(
+        self,
+        discriminators: Sequence[LevelDiscriminator],
+        reals: Sequence[Tensor],
+        fakes: Sequence[Tensor],
+        mixes: Sequence[Tensor],
+        config: LossConfig,
+        styles: Sequence[Tensor | None],
+    ) -> Tensor:
+        """Set the parameters' gradients and return eq. 12; see `TorchBackend`."""
+        if not all(map(_computes, (each.layers for each in discriminators), reals)):
+            return super().discriminator_gradients(
+                discriminators, reals, fakes, mixes, config, styles
+            )
+        steps = [
+            DiscriminatorStep(*level, config)
+            for level in zip(discriminators, reals, fakes, mixes, styles, strict=True)
+        ]
+        # The longest tasks first: those of the finer level, and of these the scores, as they are of
+        # two windows each.
+        parts = [(step, part) for step in reversed(steps) for part in step.parts]
+        results = run_tasks(
+            *(partial(step.score, part) for step, part in parts),
+            *(partial(step.penalise, part) for step, part in parts),
+        )
+        scored, penalised = results[: len(parts)], results[len(parts) :]
+
+        def own(step: DiscriminatorStep, made: list) -> list:
+            return [one for (other, _), one in zip(parts, made, strict=True) if other is step]
+
+        return torch.stack([step.finish(own(step, scored), own(step, penalised)) for step in steps])
+
+    def run_tasks(self, *tasks: Callable[[], T]) -> list[T]:
+        """Run independent tasks in parallel and return their results."""
+        return run_tasks(*tasks)
+
+    def threads(self) -> AbstractContextManager[None]:
+        """Return a context in which kernels use the CPU threads, and torch's operators one.
+
+        In half precision it does nothing: dense convolutions are parallel by themselves.
+        """
+        return nullcontext() if torch.is_autocast_enabled("cpu") else threads_for_kernels()
+
+
+class _SparseChain(torch.autograd.Function):
+    """A chain of sparse convolutions; its second derivatives are those of dense convolutions."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        x: Tensor,
+        layers: Sequence[SkeletonConv1d],
+        slope: float,
+        last_slope: float,
+        *parameters: Tensor,
+    ) -> Tensor:
+        packing = Packing(len(x), x.shape[-1])
+        slopes = (*(slope for _ in layers[1:]), last_slope)
+        signals = [packing.pack(x.detach(), reflect=True)]
+        for layer, negative in zip(layers, slopes, strict=True):
+            weight, bias = padded_weight(layer), layer.bias.detach().numpy()
+            made = sparse_conv(layer).forward(weight, bias, signals[-1], packing, negative)
+            signals = [*signals, made] if any(ctx.needs_input_grad) else [made]
+        ctx.layers, ctx.slopes, ctx.packing, ctx.signals = layers, slopes, packing, signals
+        ctx.save_for_backward(x, *parameters)
+        return packing.unpack(signals[-1])
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        layers, slopes, packing, signals = ctx.layers, ctx.slopes, ctx.packing, ctx.signals
+        x, *parameters = ctx.saved_tensors
+        wanted = (ctx.needs_input_grad[0], *ctx.needs_input_grad[4:])
+        if torch.is_grad_enabled():
+            inputs = [part for part, want in zip((x, *parameters), wanted, strict=True) if want]
+            made = convolve_dense(layers, x, slopes[0], slopes[-1])
+            found = iter(torch.autograd.grad(made, inputs, gradient, create_graph=True))
+            by_input, *by_parameters = (next(found) if want else None for want in wanted)
+            return by_input, None, None, None, *by_parameters
+        gradient = packing.pack(gradient, reflect=False)
+        if slopes[-1] != 1:
+            gradient[signals[-1] <= 0] *= slopes[-1]
+        found: list[Tensor | None] = []
+        for i in reversed(range(len(layers))):
+            layer, (by_weight, by_bias) = layers[i], wanted[1 + 2 * i : 3 + 2 * i]
+            conv, by = sparse_conv(layer), None
+            if by_weight:
+                by = conv.weight_gradient(signals[i], gradient, packing)
+                by = cropped_gradient(by, layer.shape[-1])
+            found = [by, torch.from_numpy(gradient.sum(axis=1)) if by_bias else None, *found]
+            if any(wanted[: 1 + 2 * i]):
+                rectifier = (signals[i], slopes[i - 1]) if i else (None, 1.0)
+                gradient = conv.input_gradient(padded_weight(layer), gradient, packing, *rectifier)
+        return packing.unpack(gradient) if wanted[0] else None, None, None, None, *found

@@ -1,0 +1,196 @@
+"""Choice of the backend: what is asked for, what is refused, what auto falls back to."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+import gesturekit as gk
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.multires.backend import VARIABLE, choose_backend, requested_backend
+from gesturekit.multires.config import NetworkConfig
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.discriminator import LevelDiscriminator
+from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.skeleton_conv import SkeletonConv1d
+from gesturekit.multires.training import stage
+from gesturekit.multires.training.trainer import train
+
+ENGINE = "gesturekit.multires.cpu.engine"
+
+
+@pytest.fixture
+def engine(monkeypatch):
+    """The engine, whatever backend these tests run with."""
+    monkeypatch.delenv(VARIABLE, raising=False)
+    return pytest.importorskip(ENGINE, reason="the CPU engine is absent")
+
+
+@pytest.fixture
+def networks(gesture):
+    representation = MultiresRepresentation.fit([gesture(1.0)])
+    config = NetworkConfig(levels=2, channels=(2, 2), embedding=4)
+    torch.manual_seed(0)
+    return MultiresGenerator(representation, 3, config), LevelDiscriminator(representation, config)
+
+
+class Deeper(LevelDiscriminator):
+    """A changed discriminator: one more layer, which the engine does not know."""
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.more = torch.nn.Conv1d(self.layers[-1].shape[0], self.score.in_channels, 1)
+
+    def forward(self, x, style=None, convolve=None):
+        for layer in self.layers:
+            x = torch.nn.functional.leaky_relu(layer(x), 0.2)
+        return self.score(self.more(x)).mean(dim=(1, 2))
+
+
+class OtherConv(SkeletonConv1d):
+    """A changed convolution."""
+
+
+def test_the_environment_goes_before_the_configuration(monkeypatch):
+    monkeypatch.delenv(VARIABLE, raising=False)
+    assert requested_backend() == "auto" and requested_backend("torch") == "torch"
+    monkeypatch.setenv(VARIABLE, "torch")
+    assert requested_backend("numba") == "torch"
+    monkeypatch.setenv(VARIABLE, "jax")
+    with pytest.raises(ConfigError, match=f"{VARIABLE}: 'jax' is none of auto, torch, numba"):
+        requested_backend()
+
+
+def test_a_wrong_backend_in_the_configuration_is_refused(make_config):
+    with pytest.raises(ConfigError, match="backend"):
+        make_config(backend="jax")
+
+
+def test_auto_takes_numba_for_the_networks_as_they_are(engine, networks):
+    assert choose_backend("auto", *networks).name == "numba"
+    assert choose_backend("numba", *networks).name == "numba"
+    assert choose_backend("torch", *networks).name == "torch"
+
+
+def changed_child(generator, discriminator):
+    generator.levels[0].films[0].extra = torch.nn.Conv1d(1, 1, 1)
+    return generator
+
+
+def changed_class(generator, discriminator):
+    generator.levels[1].layers[0].__class__ = OtherConv
+    return generator
+
+
+def weight_norm(generator, discriminator):
+    torch.nn.utils.parametrizations.weight_norm(discriminator.score)
+    return discriminator
+
+
+def own_forward(generator, discriminator):
+    discriminator.layers[0].forward = lambda x: x
+    return discriminator
+
+
+def hook(generator, discriminator):
+    discriminator.register_forward_hook(lambda *_: None)
+    return discriminator
+
+
+def own_parameter(generator, discriminator):
+    discriminator.temperature = torch.nn.Parameter(torch.ones(1))
+    return discriminator
+
+
+def in_double(generator, discriminator):
+    return generator.double()
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (changed_child, r"Film \(levels\.0\.films\.0\) .*extra"),
+        (changed_class, r"OtherConv \(levels\.1\.layers\.0\)"),
+        (weight_norm, r"\(score\)"),
+        (own_forward, r"SkeletonConv1d \(layers\.0\) .*forward"),
+        (hook, "LevelDiscriminator has a hook"),
+        (own_parameter, "LevelDiscriminator .*temperature"),
+        (in_double, "float64 on cpu"),
+    ],
+)
+def test_numba_refuses_what_it_was_not_written_for(engine, networks, change, named):
+    network = change(*networks)
+    with pytest.raises(ModelError, match=named):
+        choose_backend("numba", network)
+    backend = choose_backend("auto", network)
+    assert backend.name == "torch" and "slower than numba" in backend.reason
+
+
+def test_a_kernel_that_is_too_wide_is_refused(engine, gesture):
+    representation = MultiresRepresentation.fit([gesture(1.0)])
+    network = MultiresGenerator(representation, 0, NetworkConfig(levels=1, kernel=7))
+    with pytest.raises(ModelError, match="kernel of 7 frames"):
+        choose_backend("numba", network)
+
+
+def test_without_the_engine_auto_falls_back_and_numba_is_an_error(networks, monkeypatch):
+    monkeypatch.setitem(sys.modules, ENGINE, None)
+    backend = choose_backend("auto", *networks)
+    assert backend.name == "torch" and "cannot be imported" in backend.reason
+    with pytest.raises(ModelError, match="cannot be imported"):
+        choose_backend("numba", *networks)
+
+
+def weights(folder):
+    return load_file(folder / "model.safetensors")
+
+
+def test_torch_trains_and_generates_values_close_to_numbas(
+    engine, make_config, tmp_path, caplog, monkeypatch
+):
+    short = {"training": {"first_stage": 2, "further_stages": 2, "learning_rate": 1e-5}}
+    folders, motions = {}, {}
+    for name in ("numba", "torch"):
+        with caplog.at_level(logging.INFO):
+            folders[name] = train(make_config(**short, backend=name, out=str(tmp_path / name)))
+        assert caplog.text.count("Backend: ") == 1 and f"Backend: {name}" in caplog.text
+        caplog.clear()
+        model = gk.load(folders["numba"])
+        monkeypatch.setenv(VARIABLE, name)
+        motions[name] = model.generate(seconds=2.0, seed=3)
+        monkeypatch.delenv(VARIABLE)
+    made, other = (weights(folder) for folder in folders.values())
+    # Adam's first steps have the sign of the gradient: a weight whose gradient is about zero may
+    # move the other way, by a learning rate each step.
+    for key in made:
+        torch.testing.assert_close(made[key], other[key], rtol=0, atol=1e-4)
+    one, two = (torch.from_numpy(motion.rotations) for motion in motions.values())
+    torch.testing.assert_close(one, two, rtol=0, atol=1e-5)
+
+
+def test_a_deeper_discriminator_trains_under_auto_and_is_refused_by_numba(
+    engine, make_config, tmp_path, caplog, monkeypatch
+):
+    monkeypatch.setattr(stage, "LevelDiscriminator", Deeper)
+    moved = []
+    step = stage.Pair._discriminator_step
+
+    def recorded(self, *arguments):
+        before = [more.weight.detach().clone() for more in (d.more for d in self.discriminators)]
+        gap = step(self, *arguments)
+        after = [discriminator.more.weight for discriminator in self.discriminators]
+        moved.extend(not torch.equal(*pair) for pair in zip(before, after, strict=True))
+        return gap
+
+    monkeypatch.setattr(stage.Pair, "_discriminator_step", recorded)
+    with caplog.at_level(logging.INFO):
+        train(make_config(training={"first_stage": 2, "further_stages": 2}))
+    assert moved and all(moved)
+    assert caplog.text.count("Backend: torch") == 1
+    assert "Deeper (0) is not a class that the numba engine was written for" in caplog.text
+    with pytest.raises(ModelError, match="Deeper"):
+        train(make_config(backend="numba", out=str(tmp_path / "refused")))
