@@ -100,7 +100,7 @@ def test_a_motion_to_begin_from(render, folders, untrained, gesture, tmp_path):
         np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
     for name, wrong, told in (
         ("styled", ["--change", 0.1, "--seconds", 1], "--change goes with --like"),
-        ("demo", [*options[:2], "--change", 0.1], "change: a multires model knows no change"),
+        ("demo", [*options[:2], "--change", 0.1], "multires models have no control change"),
         ("styled", ["--like", tmp_path / "none.bvh"], "none.bvh: no such file"),
     ):
         status, motion, err = render(folders.get(name, name), *wrong)
@@ -130,11 +130,11 @@ def test_a_path_gives_the_length(render, folders, tmp_path):
         ("styled", ["--expert", "nowhere"], "nowhere: neither a model folder"),
         ("plain", ["--guidance", "2"], "no conditions to guide on"),
         ("styled", ["--events", "kcik@1"], "did you mean kick"),
-        ("demo", ["--steps", "5"], "steps: a multires model knows no steps"),
+        ("demo", ["--steps", "5"], "multires models have no control steps"),
         ("demo", ["--dtype", "bf16"], "a multires model, which is fp32 only"),
         ("plain", ["--device", "tpu"], "device: 'tpu' cannot be used here"),
-        ("demo", ["--solver", "dpm"], "solver: a multires model knows no solver"),
-        ("demo", ["--expert", "{plain}"], "experts: a multires model knows no experts"),
+        ("demo", ["--solver", "dpm"], "multires models have no control solver"),
+        ("demo", ["--expert", "{plain}"], "multires models have no control experts"),
     ],
 )
 def test_what_a_model_cannot_do_is_one_line(render, folders, name, options, told):
