@@ -36,7 +36,6 @@ from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.skeleton_conv import SLOPE, block_neighbours
 from gesturekit.multires.training.kinematics import VectorKinematics
-from gesturekit.multires.training.stage import Pair
 from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.config import load_config, to_dict
 from gesturekit.training.run.folder import Run
@@ -105,7 +104,7 @@ class Masked:
             side: [torch.optim.Adam(net.parameters(), lr=1e-4) for net in nets]
             for side, nets in (("g", self.generators), ("d", self.critics))
         }
-        self.kinematics: VectorKinematics = trainer.kinematics
+        self.kinematics = VectorKinematics(trainer.data.representation, FPS)
         # Six channels for every block: a contact and the root leave some of them unused.
         width = BLOCK * len(self.blocks)
         places = [BLOCK * i + k for i, size in enumerate(self.blocks) for k in range(size)]
@@ -195,14 +194,14 @@ class Masked:
 
 
 class Ours:
-    """Iterations of a pair, one after the other, the bank's renewals among them."""
+    """Iterations of a stage, renewals of the window cache included."""
 
     def __init__(self, trainer: Trainer, first: int) -> None:
-        self.pair = Pair(trainer, first, 15000)
+        self.stage = trainer.stage(first, 15000)
         self.iteration = 0
 
     def iterate(self) -> None:
-        self.pair.iterate(self.iteration)
+        self.stage.iterate(self.iteration)
         self.iteration += 1
 
 

@@ -58,9 +58,8 @@ class Controls:
             if name not in names and value is not None:
                 near = difflib.get_close_matches(name, names, n=1, cutoff=0.75)
                 hint = f"; did you mean {near[0]}?" if near else ""
-                raise UnknownControlError(
-                    f"{name}={value!r}: {kind} models have no control {name}{hint}"
-                )
+                given = f"{name}={value!r}" if isinstance(value, str | int | float) else name
+                raise UnknownControlError(f"{given}: {kind} models have no control {name}{hint}")
         given = {name: value for name, value in keywords.items() if value is not None}
         return cls(**given)
 

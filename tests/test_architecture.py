@@ -66,7 +66,6 @@ KNOWN_CYCLES: list[set[str]] = [
         "gesturekit.diffusion.model",
         "gesturekit.diffusion.sampling.sdedit",
     },
-    {"gesturekit.multires.training.stage", "gesturekit.multires.training.trainer"},
 ]
 
 

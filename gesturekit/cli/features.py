@@ -1,8 +1,10 @@
-"""gesturekit features: sound files to feature files."""
+"""gesturekit features: turn sound files into feature files."""
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +15,9 @@ from gesturekit.cli.options import channel_option, existing_option, is_left, res
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
-    from audio_features import Extractor
+    from audio_features import Extractor, FeatureTrack, Wave
 
-# Kind to the setting that may follow it after a colon, as in mfcc:16.
+# Extractors, and the setting that may follow each after a colon, as in mfcc:16.
 KINDS = {
     "logmel": "n_mels",
     "mfcc": "n",
@@ -36,7 +38,7 @@ KINDS = {
     default="logmel,prosody",
     show_default=True,
     metavar="LIST",
-    help=f"One or more of {', '.join(KINDS)}, separated by commas and stacked side by side. A "
+    help=f"One or more of {', '.join(KINDS)}, separated by commas and concatenated. A "
     "colon gives a size or method: logmel:64, mfcc:16, prosody:pyin, music:1.",
 )
 @click.option(
@@ -45,14 +47,13 @@ KINDS = {
 @click.option(
     "--fps",
     type=click.FloatRange(min=0, min_open=True, max=1000),
-    help="Put the features on motion frames at this rate.  [default: the features' own rate]",
+    help="Resample the features to motion frames at this rate.  [default: the features' own rate]",
 )
 @click.option(
     "--align",
     type=click.Choice(["linear", "mean", "gaussian", "length_ratio"]),
-    help="How they get there: by true time, interpolated, or averaged over the motion frame; "
-    "gaussian averages more; length_ratio only reproduces systems that ignored time.  "
-    "[default: linear]",
+    help="Method of resampling: linear interpolation, mean over the motion frame, a wider gaussian "
+    "mean, or by the ratio of lengths, as in systems that ignore frame times.  [default: linear]",
 )
 @channel_option
 @click.option(
@@ -62,33 +63,33 @@ KINDS = {
 )
 @click.option(
     "--layer",
-    help="WavLM layer: a number from 0, last, mean, several side by side (6,9,12) or their "
+    help="WavLM layer: a number from 0, last, mean, several concatenated (6,9,12) or their "
     "weighted mean (6:1,9:3).  [default: last]",
 )
 @click.option(
     "--preset",
     type=click.Choice(["dsg", "dsg+"]),
-    help="WavLM as DiffuseStyleGesture makes it, quirks included; leave --layer out.",
+    help="WavLM features exactly as in DiffuseStyleGesture; leave --layer out.",
 )
 @click.option(
     "--dtype",
     type=click.Choice(["fp32", "bf16"]),
-    help="WavLM's arithmetic; bf16 is faster where the processor has it, and less exact.  "
+    help="Precision of WavLM; bf16 is faster on processors that support it, and less exact.  "
     "[default: fp32]",
 )
 @click.option(
     "--full-context",
     type=click.FloatRange(min=0),
     metavar="SECONDS",
-    help="Longest sound that WavLM sees whole; longer ones go in chunks.  [default: 300]",
+    help="Longest sound that WavLM processes whole; longer ones are split.  [default: 300]",
 )
-@click.option("--device", default="cpu", show_default=True, help="Where WavLM computes.")
+@click.option("--device", default="cpu", show_default=True, help="Device of WavLM.")
 @click.option(
     "--cache",
     type=click.Choice(["fp32", "fp16", "off"]),
     default="fp32",
     show_default=True,
-    help="How slow features are kept for next time; see gesturekit cache.",
+    help="Precision of cached features; see gesturekit cache.",
 )
 @click.option("--picture", is_flag=True, help="Draw STEM.png as well.")
 @existing_option("refuse", alias=True)
@@ -96,84 +97,114 @@ def command(
     wavs: tuple[Path, ...],
     extractor: str,
     out: Path,
-    fps: float | None,
-    align: str | None,
     channel: int | None,
-    weights: Path | None,
-    device: str,
     cache: str,
-    picture: bool,
     existing: str,
-    **wavlm: Any,
+    **options: Any,
 ) -> int:
     """Turn sound files into feature files.
 
     Writes STEM.npz (values, times, spec) to the output folder for every WAV; flac, ogg, mp3,
-    aiff, au and SPHERE will do too. A file that fails is reported and the others go on.
+    aiff, au and SPHERE are read too. A broken file never stops the others: it is listed with its
+    reason.
     """
     import logging
-    import sys
 
     from audio_features import AudioFeaturesError, Wave, cache_from_environment
     from gesturekit.progress import Progress
 
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
-    stems = Counter(wav.stem for wav in wavs)
-    doubles = [str(wav) for wav in wavs if stems[wav.stem] > 1]
-    if doubles:
-        raise click.UsageError(f"{', '.join(doubles)} would be written to the same file: rename")
-    if align is not None and fps is None:
-        raise click.UsageError("--align puts features on motion frames: give --fps as well")
-    if wavlm["layer"] is not None:
-        wavlm["layer"] = _layer(wavlm["layer"])
-    chosen = _extractor(extractor, weights, device, wavlm)
-    for part in getattr(chosen, "parts", (chosen,)):
-        if hasattr(part, "weights"):
-            click.echo(part.weights.describe())
+    output = _Output(*(options.pop(name) for name in ("fps", "align", "picture")))
+    _check(wavs, output)
+    chosen = _extractor(extractor, options)
     extract = chosen.extract
     if cache != "off":
         extract = partial(cache_from_environment(cache).extract, chosen)
-
-    def outputs(wav: Path) -> list[Path]:
-        return [out / f"{wav.stem}.{kind}" for kind in ("npz", "png")[: 1 + picture]]
-
+    files = {wav: [out / f"{wav.stem}.{kind}" for kind in output.formats] for wav in wavs}
     if existing == "refuse":
-        is_left([file for wav in wavs for file in outputs(wav)], existing)
+        is_left([file for targets in files.values() for file in targets], existing)
     failed = 0
-    progress = Progress(wavs, desc="Features", unit="file")
-    with resumable(lambda: f"{progress.n} done; with --existing skip the same command goes on."):
+    progress = Progress(files, desc="Features", unit="file")
+    with resumable(lambda: f"{progress.n} done; with --existing skip the same command continues."):
         for wav in progress:
-            if existing == "skip" and all(file.exists() for file in outputs(wav)):
+            target = files[wav][0]
+            if existing == "skip" and all(file.exists() for file in files[wav]):
                 Progress.write(f"{wav}: left as it is, the outputs exist")
                 continue
-            target = out / f"{wav.stem}.npz"
             try:
                 wave = Wave.load(wav, channel=channel)
                 for fault in wave.faults():
                     Progress.write(f"Warning: {wav}: {fault}", file=sys.stderr)
-                track = extract(wave)
-                if fps is not None:
-                    track = track.to_rate(fps, wave.n_frames(fps), method=align or "linear")
-                track.save(target)
-                if picture:
-                    from gesturekit.viewer.feature_picture import draw_features
-
-                    draw_features(track, target.with_suffix(".png"), wave)
+                n_frames, width = output.save(extract(wave), wave, target)
             except (AudioFeaturesError, OSError) as error:
                 failed += 1
                 reason = f"{target}: {error.strerror}" if isinstance(error, OSError) else error
                 Progress.write(f"Error: {reason}", file=sys.stderr)
             else:
-                n_frames, width = track.values.shape
                 Progress.write(f"{target}: {counted(n_frames, 'frame')} × {width}")
     if failed:
         click.echo(f"{failed} of {len(wavs)} files failed.", err=True)
     return 1 if failed else 0
 
 
-def _extractor(kinds: str, weights: Path | None, device: str, wavlm: dict[str, Any]) -> Extractor:
-    """The extractor that the command line names."""
+@dataclass(frozen=True)
+class _Output:
+    """Settings of the written files.
+
+    Attributes:
+        fps: frames per second to resample to; None for the features' own rate.
+        align: method of resampling; None for linear.
+        picture: whether to draw a PNG as well.
+    """
+
+    fps: float | None
+    align: str | None
+    picture: bool
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        return ("npz", "png") if self.picture else ("npz",)
+
+    def save(self, track: FeatureTrack, wave: Wave, target: Path) -> tuple[int, int]:
+        """Write one feature file and its picture, and return the shape of its values."""
+        if self.fps is not None:
+            n_frames = wave.n_frames(self.fps)
+            track = track.to_rate(self.fps, n_frames, method=self.align or "linear")
+        track.save(target)
+        if self.picture:
+            from gesturekit.viewer.feature_picture import draw_features
+
+            draw_features(track, target.with_suffix(".png"), wave)
+        return track.values.shape
+
+
+def _check(wavs: tuple[Path, ...], output: _Output) -> None:
+    """Check the inputs and options.
+
+    Raises:
+        click.UsageError: two inputs with the same output file, or --align without --fps.
+    """
+    stems = Counter(wav.stem for wav in wavs)
+    doubles = [str(wav) for wav in wavs if stems[wav.stem] > 1]
+    if doubles:
+        raise click.UsageError(f"{', '.join(doubles)} would be written to the same file: rename")
+    if output.align is not None and output.fps is None:
+        raise click.UsageError("--align resamples features to motion frames: give --fps as well")
+
+
+def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
+    """Return the extractor of the command line, and print the WavLM weights that it uses.
+
+    Args:
+        kinds: value of --extractor.
+        options: weights, device and the settings of WavLM.
+    """
     from audio_features import extractor_from_spec
+
+    wavlm = dict(options)
+    weights, device = wavlm.pop("weights"), wavlm.pop("device")
+    if wavlm["layer"] is not None:
+        wavlm["layer"] = _layer(wavlm["layer"])
 
     specs = []
     for item in filter(None, map(str.strip, kinds.split(","))):
@@ -186,13 +217,17 @@ def _extractor(kinds: str, weights: Path | None, device: str, wavlm: dict[str, A
     given = [name for name, value in {"weights": weights, **wavlm}.items() if value is not None]
     if given and all(spec["kind"] != "wavlm" for spec in specs):
         option = given[0].replace("_", "-")
-        raise click.UsageError(f"--{option} is about WavLM: name it, as in --extractor wavlm")
+        raise click.UsageError(f"--{option} requires WavLM: give --extractor wavlm as well")
     spec = specs[0] if len(specs) == 1 else {"kind": "stack", "parts": specs}
-    return extractor_from_spec(spec, weights=weights, device=device)
+    extractor = extractor_from_spec(spec, weights=weights, device=device)
+    for part in getattr(extractor, "parts", (extractor,)):
+        if hasattr(part, "weights"):
+            click.echo(part.weights.describe())
+    return extractor
 
 
 def _layer(text: str) -> Any:
-    """6 to 6, 6,9 to [6, 9], 6:1,9:3 to {6: 1, 9: 3}, last to last."""
+    """Parse a layer: 6 to 6; 6,9 to [6, 9]; 6:1,9:3 to {6: 1, 9: 3}; last to last."""
     items = text.split(",")
     try:
         if ":" in text:
@@ -205,7 +240,7 @@ def _layer(text: str) -> Any:
 
 
 def _number(text: str) -> Any:
-    """A number where the text is one."""
+    """Return the text as a number if it is one."""
     for kind in (int, float):
         try:
             return kind(text)

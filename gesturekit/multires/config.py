@@ -1,6 +1,6 @@
-"""What a multires run can be told; the defaults are the light-feature speech mode.
+"""Settings of a multires training run; the defaults train a model with light speech features.
 
-With `features: null` nothing is heard: single-clip mode, or label mode where `styles` is given.
+`features: null` trains without speech: single-clip mode, or label mode if `styles` is given.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from gesturekit.training.run_config import RunConfig, check_not_negative, check_
 BackendName = Literal["auto", "torch", "numba"]
 
 _MARGIN_COARSE = 2
-"""Frames of the first level that are made before a motion and after it."""
+"""Frames of the first level that are generated before and after a motion. Fixed, because a trained
+model must be sampled with the margin that it was measured with."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +27,17 @@ class NetworkConfig:
     levels: int = 10
     """L; each level has 3/4 of the frames of the next."""
     channels: tuple[int, ...] = (6, 9, 9)
-    """Hidden channels for every joint, layer by layer; one more layer than there are numbers."""
+    """Hidden channels per joint of each layer; the output layer follows."""
     kernel: int = 5
+    """Kernel size of the convolutions over time, in frames; odd."""
     neighbour_distance: int = 2
-    """How many bones apart two joints may stand and still see one another."""
+    """Largest distance, in bones, between two joints that a convolution connects."""
     film: Literal["input", "all"] = "all"
-    """Modulate the input of each level (the paper), or every hidden layer as well."""
+    """Layers that FiLM modulates: the input of each level (the paper), or all hidden layers too."""
     embedding: int = 64
-    """Width of y_i, the embedding of the condition (eq. 8)."""
+    """Dimension of y_i, the embedding of the condition (eq. 8)."""
     rectify_embedding: bool = True
-    """Put y_i through a leaky rectifier; the paper's fully connected layer (eq. 8) has none."""
+    """Apply a leaky ReLU to y_i; the paper's fully connected layer (eq. 8) has none."""
     modulate: Literal["upper", "all"] | tuple[str, ...] = "upper"
     """Joints that the condition modulates: the upper body, all, or names."""
 
@@ -49,48 +51,61 @@ class NetworkConfig:
 
     @property
     def margin(self) -> int:
-        """Frames made before a motion and after it, and cut off.
+        """Return how many frames are generated before and after a motion, and then removed.
 
-        At its ends a pyramid moves less: levels hold their end frames when they are upsampled,
-        and convolutions see the motion mirrored. With a margin that happens outside of what is
-        kept, and a motion of a single frame is no special case.
+        A generated motion moves less at its ends: upsampling repeats the end frames, and
+        convolutions pad by reflection. With a margin this happens outside of the motion that is
+        kept.
         """
         return round(_MARGIN_COARSE * (4 / 3) ** (self.levels - 1))
 
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of eq. 11 and of what goes beyond it; 0 turns a loss off."""
+    """Weights of the losses (eq. 11) and their variants; a weight of 0 turns a loss off.
+
+    Losses on 'random steps' compare motion generated from random noise and unpaired speech.
+    """
 
     adversarial: float = 1.0
+    """Adversarial loss of the generators on random steps (eq. 12)."""
     gradient_penalty: float = 1.0
+    """Gradient penalty of the discriminators (eq. 13)."""
     reconstruction: float = 50.0
+    """L1 between a recording and its reconstruction from z* (eq. 15)."""
     contact: float = 5.0
+    """Speed of feet with a contact label on random steps (eq. 14)."""
     smoothness: float = 5.0
+    """Second difference of the joints' positions on random steps, at half the full rate or more
+    (eq. 16)."""
     arm_speed: float = 3.0
-    """On random steps, L1 between the generated arm speed and the one that a ridge regression
-    reads off the speech. Not in the paper, where it is 0."""
+    """L1 between the generated log arm speed and its prediction from speech by ridge regression,
+    on random steps. Not in the paper, where it is 0."""
     arm_acceleration: float = 0.0
-    """The same of the change of arm speed: at one speed, arms that swing and arms that shake."""
+    """The same for arm acceleration, which tells trembling from swinging at equal speed."""
     detail: float = 0.0
-    """On random steps, energy distance between how much detail a level has at each joint, what the
-    level below cannot hold, and how much recordings of the level's style have. Not in the paper,
-    where it is 0."""
+    """Energy distance between generated and recorded amounts of detail at each joint, on random
+    steps. Detail is what the frame rate of the level below cannot represent. Not in the paper."""
     coarse: float = 0.0
-    """On random steps, L1 between what a level was given and what it makes of it, at the frames of
-    the level below: finer levels add detail and leave the rest. Not in the paper."""
+    """L1 between a level's input and its output resampled to the frames of the level below, on
+    random steps: finer levels add detail and keep the rest. Not in the paper."""
     rec_input: Literal["generated", "real"] = "generated"
-    """What reconstruction steps upsample: the chain from z*, or the real motion as in eq. 15."""
+    """Input of each level on reconstruction steps: the output of the level below, from z* on, or
+    the recorded motion as in eq. 15."""
     contact_speed: Literal["squared", "norm"] = "squared"
-    """Foot speed in the contact loss: squared (eq. 14), or as it is (GANimator)."""
+    """Foot speed in the contact loss: squared (eq. 14), or not (GANimator)."""
     contact_slope: float = 10.0
-    """Of the sigmoid over contact labels in eq. 14; 12 in GANimator."""
+    """Slope of the sigmoid over contact labels in eq. 14; 12 in GANimator."""
     discriminator_scale: float = 1.0
-    """Of the critic's score in its own loss, before the penalty; 1/2 in GANimator."""
+    """Factor of eq. 12 in the discriminators' loss, beside the penalty; 1/2 in GANimator."""
     penalty_on: Literal["window", "frame", "printed"] = "window"
-    """Norm that the gradient penalty holds at 1: over a window, of the score's sum rather than its
-    mean, so that it does not depend on the length; of each frame's gradient of the scores' sum
-    (GANimator); or over a window of the mean score's gradient, as eq. 13 is printed."""
+    """Gradient norm that the penalty draws to 1.
+
+    - `window`: of the mean score by a whole window, times the square root of its frames, so that
+      the penalty does not depend on the window's length.
+    - `frame`: of the sum of scores by each frame (GANimator).
+    - `printed`: of the mean score by a whole window, as eq. 13 is printed.
+    """
 
     def __post_init__(self) -> None:
         check_not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
@@ -98,31 +113,36 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How long, how often and how fast. Two levels are trained at a time."""
+    """Training stages, steps and batches. A stage trains two levels, the coarsest first."""
 
     first_stage: int = 15000
-    """Iterations for the stage of the two coarsest levels."""
+    """Iterations of the first stage, which trains the two coarsest levels."""
     further_stages: int = 25000
-    """Iterations for each further stage, two levels at a time."""
+    """Iterations of each further stage."""
     discriminator_steps: int = 5
+    """Discriminator steps of an iteration."""
     generator_steps: int = 1
+    """Random-generation steps of an iteration, from unpaired speech."""
     reconstruction_steps: int = 1
+    """Reconstruction steps of an iteration."""
     learning_rate: float = 1e-4
+    """Learning rate of Adam, for generators and discriminators."""
     betas: tuple[float, ...] = (0.9, 0.999)
-    """Of Adam. Lower ones forget a freak gradient sooner: it moves the weights less far."""
+    """Betas of Adam. With lower ones a single large gradient moves the weights less far."""
     decay_at: float = 1.0
-    """After this share of a pair's iterations the learning rate falls to a tenth."""
+    """Share of a stage's iterations after which the learning rate falls to a tenth."""
     batch: int = 4
+    """Windows of a step, over all processes; 1 with `window: null`."""
     window: float | None = 10.0
-    """Seconds of each training window; null takes whole sequences, one at a time."""
+    """Length of the training windows in seconds; null takes whole recordings, one at a time."""
     window_cache: int | None = 64
-    """Windows whose coarser levels are generated beforehand ...; null draws fresh noise and speech
-    at every step, as both papers do."""
+    """Number of windows whose coarser levels are generated ahead and reused; null draws new noise
+    and speech at every step, as both papers do."""
     renew_every: int = 50
-    """... and renewed every so many iterations."""
+    """Iterations after which the window cache is filled anew."""
     margins: bool = False
-    """Random motions are made with the margins that `generate` cuts off, and judged without. Else
-    what is judged is nearer to its mirrored ends than what is generated later, and stiller. Not in
+    """Generate random motions with the margins that `generate` removes, and compute losses without
+    them. Otherwise training motions move less at their ends than the model's output does. Not in
     the papers."""
     silence: float = 0.1
     """Share of random windows whose speech is replaced by silence."""
@@ -152,24 +172,30 @@ class TrainingConfig:
         if not 0 <= self.silence < 1:
             raise ConfigError(f"silence: {self.silence} must be at least 0 and below 1")
 
+    @property
+    def windows_per_step(self) -> int:
+        """Return the batch size over all processes."""
+        # Whole sequences differ in length, so they go one at a time, as in the paper.
+        return self.batch if self.window is not None else 1
+
 
 @dataclass(frozen=True)
 class PyramidFeatureConfig(FeatureConfig):
-    """What the model hears, and how levels share it."""
+    """Speech features of the model, and their distribution over levels."""
 
     residual: bool = True
-    """Give finer levels only what the coarser ones lack (section 5 of the paper)."""
+    """Condition finer levels on the residual of the coarser features (section 5 of the paper)."""
 
 
 @dataclass(frozen=True)
 class StyleConfig:
-    """Label mode: each sequence is told by the `style` that the manifest gives it."""
+    """Label mode: the `style` of each manifest item is a condition."""
 
     mixing: float = 0.9
-    """Share of random motions that have one style up to a random level and another above it."""
+    """Share of random motions with one style up to a random level and another above it."""
     condition_discriminator: bool = True
-    """Discriminators are told the style of a motion that has one, beside recordings of that style;
-    in the paper they are not."""
+    """Condition discriminators on the style of a motion, and compare it with recordings of that
+    style; in the paper they are unconditional."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.mixing <= 1:
@@ -178,41 +204,49 @@ class StyleConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MultiresConfig(RunConfig):
-    """A multires training run, in speech, label or single-clip mode, or by speech and label."""
+    """Settings of a multires training run, with or without speech and style conditions."""
 
     system: Literal["multires"]
+    """System that is trained; `multires` for these settings."""
     out: Path = field(default_factory=lambda: Path("runs/multires"))
+    """Run folder."""
     fps: float = 25.0
+    """Frame rate of the finest level; recordings are resampled to it."""
     normalise: bool = True
-    """Bring motion to zero mean and comparable spread; GANimator does not."""
+    """Normalise motion to zero mean and comparable spread; GANimator does not."""
     face_forward: bool = True
-    """Turn each recording about the vertical to face +Z on the whole; the papers do not."""
+    """Turn each recording about the vertical so that its mean heading is +Z; the papers do not."""
     contact_threshold: float = 0.2
-    """m/s on a body of 1.7 m; a slower foot point stands (eq. 1). The paper gives none, GANimator
-    0.54, which is 0.018 a frame at 30 fps."""
+    """Speed below which a foot point is in contact (eq. 1), m/s on a body of 1.7 m. The paper gives
+    none; GANimator has 0.54, which is 0.018 a frame at 30 fps."""
     z_star: Literal["shared", "full"] = "shared"
-    """The noise of reconstructions: like all noise, or of each channel and unscaled (GANimator)."""
+    """Noise of reconstructions: one channel scaled by sigma like all noise, or unscaled noise for
+    each channel (GANimator)."""
     z_star_shuffle: int = 0
-    """Noise of random motions is put together from pieces of z* of so many coarsest frames at
-    most, in chance order, those of the style asked for; 0 draws it anew (both papers)."""
+    """Longest patch, in coarsest frames, of z* from which level-1 noise of random motions is put
+    together in random order, within the requested style; 0 draws new noise (both papers)."""
     noise_levels: int = 1
-    """How many of the coarsest levels are given noise when the model generates (GANimator: the
-    first). In training all are (both papers), so that what finer ones make of it is left out."""
+    """Number of coarsest levels that get noise in generation (GANimator: the first only). In
+    training all levels get noise (both papers)."""
     features: PyramidFeatureConfig | None = field(default_factory=PyramidFeatureConfig)
-    """What is heard; null for nothing."""
+    """Speech features; null trains a model without speech input."""
     styles: StyleConfig | None = None
-    """How styles are learnt; null for none."""
+    """Style conditions; null trains a model without."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
+    """Generators and discriminators."""
     losses: LossConfig = field(default_factory=LossConfig)
+    """Weights of the losses."""
     training: TrainingConfig = field(default_factory=TrainingConfig)
+    """Stages, steps and batches."""
     checkpoint_every: int = 250
+    """Iterations between checkpoints."""
     eval_every: int = 0
     """Iterations between cheap evaluations (`quick_metrics`) on the training speech, written to
-    metrics.jsonl with `kind: evaluation`, each with a sample in samples/; 0 for none. The model of
-    the last pair of levels that they find best is kept in best/. They change nothing in the
-    training, and model/ is always what its last step left."""
+    metrics.jsonl with `kind: evaluation`, each with a sample in samples/; 0 for none. The best
+    model of the last stage by these metrics is kept in best/. They do not change the training, and
+    model/ always has the weights of the last step."""
     precision: Literal["float32", "bfloat16"] = "float32"
-    """Of convolutions in training; bfloat16 is for GPUs that are fast with it."""
+    """Precision of convolutions in training; bfloat16 is for GPUs that are fast with it."""
     backend: BackendName = "auto"
     """Implementation of convolutions and discriminator gradients in training: plain torch, or numba
     (compiled for CPUs, float32). auto takes numba on a CPU where it can. The environment variable
@@ -225,16 +259,16 @@ class MultiresConfig(RunConfig):
 
     @property
     def uses_arm_speed(self) -> bool:
-        """Whether random steps are told how the arms should move."""
-        told = self.losses.arm_speed or self.losses.arm_acceleration
-        return bool(self.features and told and self.training.generator_steps)
+        """Return True if random steps have a loss on arm speed or acceleration."""
+        weighted = self.losses.arm_speed or self.losses.arm_acceleration
+        return bool(self.features and weighted and self.training.generator_steps)
 
     @property
     def random_margin(self) -> int:
-        """Frames that random motions of the training are made longer at either end."""
+        """Return how many frames random motions are longer at either end in training."""
         return self.network.margin if self.training.margins else 0
 
     @property
     def residual(self) -> bool:
-        """Whether finer levels hear only what the coarser ones lack."""
+        """Return True if finer levels get only the residual of the coarser features."""
         return self.features is not None and self.features.residual

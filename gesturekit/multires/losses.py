@@ -1,15 +1,84 @@
 """Losses of the multires system (section 3.4 of Moreno-Villamarin et al. 2024): pure functions.
 
-Equations are those of the paper. `LossConfig` holds the weight of each.
+Equations are those of the paper. `losses` weighs the generators' losses by `LossConfig`; each has
+one name as a function, as a setting and in the log.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from gesturekit.multires.config import LossConfig
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Tensors of one level that `losses` compares; a loss whose tensors are None is left out.
+
+    Attributes:
+        scores: (B,) discriminator scores of the generated motions.
+        foot_velocity: (B, T - 1, F, 3) of the generated foot points, m/s.
+        contact_labels: (B, T - 1, F) as generated, about 0 or 1.
+        bend: (B, K, 3, T - 2) second differences of the generated joints' positions, metres.
+        arms: (B, 2, T) log arm speed and acceleration, as generated.
+        arm_target: (B, 2, T) the same, predicted from speech.
+        downsampled: (B, D, T') generated motion, resampled to the frames of the level below.
+        coarser: (B, D, T') motion of the level below.
+        detail: () energy distance between generated and recorded detail, see `DetailTarget`.
+        generated: (B, D, T) normalised motion of a reconstruction step.
+        recorded: (B, D, T) the recording that it should reproduce.
+    """
+
+    scores: Tensor | None = None
+    foot_velocity: Tensor | None = None
+    contact_labels: Tensor | None = None
+    bend: Tensor | None = None
+    arms: Tensor | None = None
+    arm_target: Tensor | None = None
+    downsampled: Tensor | None = None
+    coarser: Tensor | None = None
+    detail: Tensor | None = None
+    generated: Tensor | None = None
+    recorded: Tensor | None = None
+
+
+def losses(batch: Batch, weights: LossConfig) -> dict[str, Tensor]:
+    """Return the weighted losses of one level by name; the generators minimise their sum (eq. 11).
+
+    Args:
+        batch: generated tensors, and those that they are compared with.
+        weights: one for each loss.
+    """
+    values: dict[str, Tensor] = {}
+    if batch.scores is not None:
+        values["adversarial"] = adversarial(batch.scores)
+    if batch.foot_velocity is not None:
+        values["contact"] = contact(
+            batch.foot_velocity,
+            batch.contact_labels,
+            weights.contact_slope,
+            squared=weights.contact_speed == "squared",
+        )
+    if batch.bend is not None:
+        values["smoothness"] = smoothness(batch.bend)
+    if batch.coarser is not None:
+        values["coarse"] = coarse(batch.downsampled, batch.coarser)
+    if batch.detail is not None:
+        values["detail"] = batch.detail
+    if batch.arms is not None:
+        speed, acceleration = movement(batch.arms, batch.arm_target)
+        if weights.arm_speed:
+            values["arm_speed"] = speed
+        if weights.arm_acceleration:
+            values["arm_acceleration"] = acceleration
+    if batch.generated is not None:
+        values["reconstruction"] = reconstruction(batch.generated, batch.recorded)
+    return {name: getattr(weights, name) * value for name, value in values.items()}
 
 
 def adversarial(scores: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Configurations: dataclasses are the schema, YAML holds the values.
+"""Configurations: dataclasses are the schema, YAML files hold the values.
 
 A file may name a parent with `base: other.yaml` and then holds only what differs from it. On the
 command line, dotted `key=value` changes single values. An unknown key is an error that names the
@@ -58,7 +58,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
 
 
 def read_chain(path: str | Path) -> dict[str, Any]:
-    """A file's values laid over those of its `base:` files, unchecked, paths as written."""
+    """Return a file's values over those of its `base:` files, unchecked, paths as written."""
     return _with_parents(Path(path), None)
 
 
@@ -74,7 +74,7 @@ def load_config(
         path: YAML file; its `base:` names a parent, relative to itself.
         schema: the dataclass that holds names, types and defaults.
         overrides: `key.subkey=value` strings; values are read as YAML.
-        settings: the same as Python values, by (dotted) name; they go before `overrides`.
+        settings: the same as Python values, by (dotted) name; they take precedence.
 
     Raises:
         ConfigError: unknown key, wrong type, a chain of parents that does not end.
@@ -143,7 +143,7 @@ def _resolve_paths(values: Any, schema: Any, folder: Path) -> Any:
 
 
 def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config") -> Schema:
-    """Check a mapping against a dataclass and make the dataclass.
+    """Build a dataclass from a mapping, and check its values.
 
     Raises:
         ConfigError: with `where`, the dotted key, the value and what was expected.
@@ -281,7 +281,7 @@ def _convert_one(value: Any, hint: Any, where: str, key: str) -> Any:
 
 
 def to_dict(config: Any) -> dict[str, Any]:
-    """The configuration as plain values, ready for YAML or JSON."""
+    """Return the configuration as plain values, ready for YAML or JSON."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, Path):
@@ -296,5 +296,5 @@ def to_dict(config: Any) -> dict[str, Any]:
 
 
 def dump_yaml(values: dict[str, Any]) -> str:
-    """YAML text of plain values, in their own order."""
+    """Return YAML text of plain values, in their own order."""
     return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)

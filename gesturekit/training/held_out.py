@@ -1,4 +1,4 @@
-"""Measure a model in training: sync and speed on recordings that it does not learn from."""
+"""Metrics of a model in training on held-out recordings: sync, coverage and speed."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ log = logging.getLogger(__name__)
 
 MOST_CLIPS = 4
 MOST_SECONDS = 20.0
-"""So many clips are measured, and so much of each."""
+"""Largest number of measured clips, and of seconds of each. Fixed: they bound the time it takes."""
 EVERY_SECONDS = 300.0
-"""Seconds between measurements of a training without `eval_every` ..."""
+"""Seconds between measurements of a training without `eval_every`."""
 MOST_SHARE = 0.05
-"""... or less often, so that measuring takes no more than this share of the time."""
+"""Largest share of the training time spent on measurements, which are made less often if needed."""
 _PATCH_FRAMES = 30
 
 
@@ -46,17 +46,17 @@ class _Clip:
 
 
 class HeldOut:
-    """Measures a model on the corpus's valid and test items, or on train where there are none.
+    """Measurement of a model on the corpus's valid and test items, or on train without these.
 
-    Items are read when they are measured first. Nothing here changes the training: a corpus that
-    cannot be read any more is a warning.
+    Items are read at the first measurement. The training goes on with a warning if the corpus
+    cannot be read any more.
 
     Args:
         config: of the run.
-        run: its folder, where figures are logged.
-        speech: whether the model is given the items' sound.
-        styles: those that it knows.
-        path: whether it is given the way that the root goes.
+        run: folder in which metrics are logged.
+        speech: pass the items' audio to the model.
+        styles: styles of the model.
+        path: pass the recordings' root path to the model.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class HeldOut:
 
     @cached_property
     def items(self) -> tuple[Item, ...]:
-        """The items to measure; none where the corpus cannot be read."""
+        """Return the items to measure; none if the corpus cannot be read."""
         try:
             fitting = [
                 item
@@ -94,33 +94,33 @@ class HeldOut:
 
     @property
     def is_held_out(self) -> bool:
-        """Return True where no item is of a split that is trained on."""
+        """Return True if no item is of split train."""
         return all(item.split != "train" for item in self.items)
 
     @property
     def what(self) -> str:
-        """ "2 held-out recordings (34 s)"."""
+        """Return "2 held-out recordings (34 s)"."""
         seconds = sum(min(item.duration, MOST_SECONDS) for item in self.items)
         kind = "held-out" if self.is_held_out else "training"
         return f"{counted(len(self.items), f'{kind} recording')} ({roughly(seconds)})"
 
     def is_due(self) -> bool:
-        """Return True where it is time to measure again."""
+        """Return True if it is time to measure again."""
         return time.monotonic() - self._measured > max(EVERY_SECONDS, self._took / MOST_SHARE)
 
     def measure(
         self, step: int, generate: Callable[..., Motion], so_far: str = "", **controls: Any
     ) -> str:
-        """Log the figures of a model, to the run's metrics and as a sentence.
+        """Log the metrics of a model, to the run's metrics and as a sentence.
 
         Args:
             step: of the training.
-            generate: the model's.
-            so_far: what the sentence adds on a training under way.
-            controls: of `generate`, beside what the items give.
+            generate: method of the model.
+            so_far: text after the step number.
+            controls: further controls of `generate`.
 
         Returns:
-            the sentence; empty where nothing could be measured.
+            The sentence; empty if nothing could be measured.
         """
         if not self.items:
             return ""
@@ -175,7 +175,7 @@ class HeldOut:
 
 
 def sentence(figures: Mapping[str, float]) -> str:
-    """The figures in words, each beside what it is to be compared with."""
+    """Return the metrics in words, each beside its reference value."""
     parts = []
     if figures.get("arm_speed_ratio", 1.0) < HARDLY_MOVING and "sync" in figures:
         parts.append("the arms hardly move, so sync is not informative")
@@ -193,7 +193,7 @@ def sentence(figures: Mapping[str, float]) -> str:
 
 
 def _compared(made: Motion, recording: Motion, wave: af.Wave | None) -> dict[str, float]:
-    """Figures of a motion; those that the rig or the length does not allow are left out."""
+    """Return the metrics of a motion, without those that its rig or length does not allow."""
     figures: dict[str, float] = {}
     joints = body_joints(recording.skeleton)
     for key, speed in (

@@ -29,10 +29,10 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ModelParts:
-    """What a model folder holds.
+    """Contents of a model folder.
 
     Attributes:
-        folder: where.
+        folder: its path.
         config: `config.yaml`.
         rig: `skeleton.json`.
         tensors: `model.safetensors`.
@@ -54,11 +54,11 @@ def save_model(
     """Write a model folder.
 
     Args:
-        folder: where; made if it is not there.
+        folder: created if missing.
         config: with `kind` and `fps`; the format's number is added.
-        rig: what goes into `skeleton.json`.
-        tensors: what goes into `model.safetensors`.
-        readme: text for people.
+        rig: content of `skeleton.json`.
+        tensors: content of `model.safetensors`.
+        readme: content of `README.md`.
     """
     folder = Path(folder)
     with atomic_write(folder / "skeleton.json") as temporary:
@@ -77,12 +77,12 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
 
     Args:
         folder: as written by `save_model`.
-        kind: which kind of model it must hold.
-        assemble: makes the model of its parts.
+        kind: expected kind of model.
+        assemble: build the model from its parts.
 
     Raises:
         ModelError: a part is missing, damaged, or of a newer format.
-        WeightsError: WavLM weights are asked for, or are not those of training.
+        WeightsError: WavLM weights are missing, or differ from those of training.
     """
     folder = Path(folder)
     try:
@@ -129,16 +129,16 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
 
 
 def rates(fps: float, recorded_fps: float) -> str:
-    """The rate of a model's motion, in words."""
+    """Return a description of the frame rate of a model's motion."""
     return f"{fps:g} fps" + ("" if recorded_fps == fps else f", resampled to {recorded_fps:g} fps")
 
 
 def model_readme(rows: Mapping[str, str], call: str) -> str:
-    """The text of a model's README.md.
+    """Return the text of a model's README.md.
 
     Args:
-        rows: what there is to say of it.
-        call: how `generate` is called, but for the seed.
+        rows: facts by name.
+        call: arguments of `generate` in the example, without the seed.
     """
     lines = [f"- **{key}**: {value}" for key, value in rows.items()]
     return (

@@ -1,4 +1,4 @@
-"""Settings that were renamed: old names still work in files, overrides, run and model folders."""
+"""Renamed settings: old names still work in files, overrides, run and model folders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every training run can be told, and how numbers in a configuration are checked."""
+"""Settings that all training runs share, and checks of numbers in a configuration."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ UNIDENTIFIED = (
     "%s of the rig cannot be identified: %s. If it has them, name them by hand "
     "(parts: {left_knee: JOINT, ...})."
 )
-"""Log message of a run whose rig lacks parts: which, and what follows."""
+"""Log message for a rig without some parts: their names, and the consequences."""
 
 
 def check_positive(**values: float) -> None:
-    """Raises ConfigError for what is not above 0 and finite."""
+    """Raise ConfigError for a value that is not above 0 and finite."""
     for name, value in values.items():
         if not 0 < value < math.inf:
             raise ConfigError(f"{name}: {value!r} must be above 0")
 
 
 def check_not_negative(**values: float) -> None:
-    """Raises ConfigError for what is below 0 or not finite."""
+    """Raise ConfigError for a value that is below 0 or not finite."""
     for name, value in values.items():
         if not 0 <= value < math.inf:
             raise ConfigError(f"{name}: {value!r} must be at least 0")
 
 
 def check_share(**values: float) -> None:
-    """Raises ConfigError for what is not between 0 and 1."""
+    """Raise ConfigError for a value that is not between 0 and 1."""
     for name, value in values.items():
         if not 0 <= value <= 1:
             raise ConfigError(f"{name}: {value!r} must be between 0 and 1")
@@ -40,29 +40,34 @@ def check_share(**values: float) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """The settings that the systems share; each adds its own and may have other defaults."""
+    """Settings that the systems share; each adds its own and may have other defaults."""
 
     corpus: Path
     """Manifest written by `gesturekit prepare`."""
     out: Path
     """Run folder."""
     seed: int = 0
+    """Seed of initial weights, noise and batches; the same seed gives the same model."""
     fps: float
+    """Frame rate of the model; recordings are resampled to it."""
     joints: Literal["body", "all"] | tuple[str, ...] = "body"
+    """Joints that the model moves: the body without fingers and end joints, all, or names. Others
+    stay at their mean rotation."""
     parts: dict[str, str] = field(default_factory=dict)
-    """Parts of the body named by hand, such as {left_elbow: Joint12}, for rigs whose names and
-    shape do not tell them."""
+    """Joints of body parts, such as {left_elbow: Joint12}, for rigs whose parts cannot be
+    identified by names and shape."""
     smooth: float | None = None
-    """Seconds; what the model makes has movements of the upper body that are shorter smoothed
-    away, but for its beats (`gesturekit.postprocess.smooth_motion`); null for none. Stored with the
-    model: it changes nothing in the training."""
+    """Smooth generated movements of the upper body that are shorter than this many seconds, except
+    beats (`gesturekit.postprocess.smooth_motion`); null for none. Stored with the model; it does
+    not change the training."""
     checkpoint_every: int
     """Steps between checkpoints."""
     log_every: int = 10
+    """Steps between log lines."""
     eval_every: int = 0
     """Steps between cheap evaluations (`quick_metrics`) on the training recordings, written to
-    metrics.jsonl with `kind: evaluation`; 0 for none. They change nothing in the training.
-    Whatever is set here, the model is measured on held-out recordings at the end and every few
+    metrics.jsonl with `kind: evaluation`; 0 for none. They do not change the training.
+    Independent of this, the model is measured on held-out recordings at the end and every few
     minutes (`kind: held_out`)."""
     threads: int | None = None
     """CPU threads; null leaves the choice to torch."""

@@ -1,4 +1,4 @@
-"""Random numbers that depend on what they are for, not on what was drawn before.
+"""Random numbers that depend on their purpose, not on earlier draws.
 
 A trainer that asks for `rng_for(seed, "pair", 2, "iteration", 417)` needs no random state in its
 checkpoints: a resumed run asks for the same numbers again.
@@ -22,7 +22,7 @@ def checked_seed(seed: int) -> int:
     """Return a seed as a plain whole number.
 
     Raises:
-        ModelError: it is none.
+        ModelError: it is not a whole number.
     """
     try:
         return operator.index(seed)

@@ -297,7 +297,7 @@ def test_a_file_named_twice_is_rendered_once(gesturekit, model, wav, tmp_path):
         (["--model", "demmo"], "demmo: neither a model folder nor a bundled model"),
         (["--samples", "0"], "samples"),
         (["--seed", "one"], "seed"),
-        (["--seconds", "2"], "--seconds goes without audio"),
+        (["--seconds", "2"], "--seconds is for motion without audio"),
         (["--colour", "red"], "--colour"),
         (["in/other/speech.flac"], "speech.flac would both be written as"),
         (["in/nothing"], "in/nothing: the folder holds no audio files"),
@@ -418,7 +418,7 @@ def test_ctrl_c_leaves_whole_files_only(model, wav, tmp_path):
     running.send_signal(signal.SIGINT)
     told = running.communicate(timeout=60)[1]
     assert running.returncode == 130
-    assert re.search(r"^Interrupted\. \d+ rendered in .*; the same command goes on$", told, re.M)
+    assert re.search(r"^Interrupted\. \d+ rendered in .*; the same command continues$", told, re.M)
     assert 2 <= len(names(out)) < 600
     for path in map(out.joinpath, names(out)):
         assert re.fullmatch(r"\d{3}\.(npz|html)", path.name), "nothing temporary is left"
@@ -460,7 +460,7 @@ def test_a_split_of_a_corpus(gesturekit, model, corpus, tmp_path):
     assert done.status == 2 and "no item is in split test (3 in train)" in done.err
     for wrong in (["--seconds", 2], [tmp_path / "x.wav"], ["--channel", 1]):
         done = gesturekit(*common, *wrong)
-        assert done.status == 2 and "--corpus says which sound" in done.err
+        assert done.status == 2 and "--corpus sets the sounds" in done.err
     done = gesturekit("render", "--model", model, "--out", out, "--split", "test")
     assert done.status == 2 and "--corpus" in done.err
 
@@ -468,7 +468,7 @@ def test_a_split_of_a_corpus(gesturekit, model, corpus, tmp_path):
 def test_another_rate_than_the_models_is_said_once(gesturekit, model, wav, tmp_path):
     make_sound(tmp_path / "in" / "more.wav", 16_000, 16_000)
     made = ("render", wav.parent, "--model", model, "--out", tmp_path / "out")
-    rate = "Written at 30 fps; the model's own rate is 25 fps (--fps chooses)."
+    rate = "Written at 30 fps; the model's own rate is 25 fps (change it with --fps)."
     assert gesturekit(*made).err.splitlines().count(rate) == 1
     done = gesturekit(*made, "--fps", 25, "--existing", "replace")
     assert "Written at" not in done.err

@@ -9,7 +9,7 @@ import shutil
 
 import pytest
 
-from gesturekit.multires.training.stage import Pair
+from gesturekit.multires.training.stage import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.config import read_yaml
 from gesturekit.training.held_out import HeldOut
@@ -157,14 +157,14 @@ def test_the_run_folder_is_enough_to_resume(gesturekit, train, tmp_path):
 
 
 def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monkeypatch, caplog):
-    iterate = Pair.iterate
+    iterate = Stage.iterate
 
     def interrupted(self, iteration):
         if self.first == 2:
             raise KeyboardInterrupt
         return iterate(self, iteration)
 
-    monkeypatch.setattr(Pair, "iterate", interrupted)
+    monkeypatch.setattr(Stage, "iterate", interrupted)
     assert train().status == 130
     command = f"gesturekit train --resume {tmp_path / 'run'}"
     assert f"Go on with: {command}" in caplog.text

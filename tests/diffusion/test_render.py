@@ -99,7 +99,7 @@ def test_a_motion_to_begin_from(render, folders, untrained, gesture, tmp_path):
         expected = model.generate(**asked, change=change)
         np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
     for name, wrong, told in (
-        ("styled", ["--change", 0.1, "--seconds", 1], "--change goes with --like"),
+        ("styled", ["--change", 0.1, "--seconds", 1], "--change requires --like"),
         ("demo", [*options[:2], "--change", 0.1], "multires models have no control change"),
         ("styled", ["--like", tmp_path / "none.bvh"], "none.bvh: no such file"),
     ):
@@ -119,12 +119,12 @@ def test_a_path_gives_the_length(render, folders, tmp_path):
 @pytest.mark.parametrize(
     ("name", "options", "told"),
     [
-        ("plain", ["--levels", "2"], "levels: a diffusion model knows no levels"),
+        ("plain", ["--levels", "2"], "diffusion models have no control levels"),
         ("plain", ["--style", "old"], "this model knows no styles"),
         ("styled", ["--style", "odl"], "style 'odl': the model knows old, angry"),
         ("styled", ["--style", "old:0.5,angry:0.6"], "weights add up to 1.1"),
         ("styled", ["--expert", "{walker}"], "only one of the two follows a path"),
-        ("styled", ["--expert", "{plain}:much"], "'much' is no weight"),
+        ("styled", ["--expert", "{plain}:much"], "'much' is not a weight"),
         ("styled", ["--expert", "{plain}:0.5@4"], "weights over time look like 0.2@0-10"),
         ("styled", ["--expert", "{plain}:0.5@4-2"], "'0.5@4-2': the span ends before it begins"),
         ("styled", ["--expert", "nowhere"], "nowhere: neither a model folder"),

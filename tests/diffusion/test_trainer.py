@@ -150,7 +150,7 @@ def test_what_is_no_number_stops_the_run_and_the_last_good_checkpoint_stays(
 
     monkeypatch.setattr(trainer._Trainer, "_loss", broken)
     config = make_config()
-    with pytest.raises(ModelError, match=r"step 6: loss is nan; .* checkpoint is of step 3"):
+    with pytest.raises(ModelError, match=r"step 5: .* NaN .*checkpoint is of step 3"):
         train(config)
     step, state = Checkpoints(config.out / "checkpoints").latest()
     assert step == 3 and all(torch.isfinite(value).all() for value in state["network"].values())

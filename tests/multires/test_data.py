@@ -19,8 +19,8 @@ from gesturekit.multires.training.data import (
     PairedSequence,
     TrainingData,
     level_sigmas,
-    load_training_data,
 )
+from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 
 

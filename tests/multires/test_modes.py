@@ -28,7 +28,7 @@ from gesturekit.multires.sampling.styles import (
     mixed_styles,
     requested_styles,
 )
-from gesturekit.multires.training.data import load_training_data
+from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 from gesturekit.training.run.checkpoint import Checkpoints
 

@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 
 import gesturekit as gk
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.training.data import load_training_data
+from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.trainer import train
 
@@ -40,7 +40,7 @@ def test_evaluations_are_logged_and_the_weights_are_those_without_them(make_conf
         {k: v for k, v in x.items() if "seconds" not in k} for x in without
     ]
     # The model's README tells losses, not evaluations.
-    assert "critic" in (watched / "README.md").read_text()
+    assert "discriminator" in (watched / "README.md").read_text()
 
 
 def test_a_run_resumed_without_evaluations_ends_with_the_same_weights(make_config, tmp_path):

@@ -10,9 +10,9 @@ import torch
 
 from gesturekit.multires import losses
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.training.data import load_training_data
 from gesturekit.multires.training.kinematics import CAPTURE_SECONDS, VectorKinematics
-from gesturekit.multires.training.stage import Pair
+from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import Trainer, train
 from gesturekit.multires.training.window_cache import WindowCache, random_windows
 from gesturekit.training.run.session import session
@@ -84,10 +84,10 @@ ALONE |= {"gradient_penalty": 1, "arm_acceleration": 0, "detail": 0, "coarse": 0
 
 
 @pytest.fixture
-def pair_of(make_config, tmp_path):
-    """The first pair of levels, or another, of the small configuration with changes."""
+def stage_of(make_config, tmp_path):
+    """The first training stage, or another, of the small configuration with changes."""
 
-    def make(first: int = 0, **changes) -> Pair:
+    def make(first: int = 0, **changes) -> Stage:
         config = make_config(**changes, out=str(tmp_path / f"{first} {changes}"))
         with session(config, resume=False) as (run, device, processes):
             trainer = Trainer(config, run, device, processes, resume=False)
@@ -96,20 +96,20 @@ def pair_of(make_config, tmp_path):
             for name, weight in level.named_parameters():
                 rng = rng_for("shaken", number, name)
                 weight.data += 0.05 * torch.randn(weight.shape, generator=rng)
-        pair = Pair(trainer, first, iterations=10)
-        pair._fill_bank(0)
-        return pair
+        stage = trainer.stage(first, iterations=10)
+        stage.batches.renew(0)
+        return stage
 
     return make
 
 
-def steps_of(pair: Pair, kind: str):
+def steps_of(stage: Stage, kind: str):
     """One step's gradients by the generators' parameters, and what it reports."""
-    pair._update = lambda name: None
-    n_frames = max(pair.trainer.groups)
-    step = {"random": pair._random_step, "paired": pair._reconstruction_step}[kind]
+    stage._update = lambda name: None
+    n_frames = max(stage.batches.sequences)
+    step = {"random": stage._random_step, "paired": stage._reconstruction_step}[kind]
     report = step(n_frames, rng_for("step"))
-    gradients = [p.grad.clone() for p in pair.generators.parameters() if p.grad is not None]
+    gradients = [p.grad.clone() for p in stage.generators.parameters() if p.grad is not None]
     return torch.cat([gradient.flatten() for gradient in gradients]), report
 
 
@@ -126,24 +126,24 @@ def steps_of(pair: Pair, kind: str):
         ("reconstruction", "paired", 0),
     ],
 )
-def test_every_weight_scales_its_gradient(pair_of, name, kind, first):
-    once, _ = steps_of(pair_of(first, losses={**ALONE, name: 1.0}), kind)
-    thrice, _ = steps_of(pair_of(first, losses={**ALONE, name: 3.0}), kind)
+def test_every_weight_scales_its_gradient(stage_of, name, kind, first):
+    once, _ = steps_of(stage_of(first, losses={**ALONE, name: 1.0}), kind)
+    thrice, _ = steps_of(stage_of(first, losses={**ALONE, name: 3.0}), kind)
     assert float(once.norm()) > 0
     torch.testing.assert_close(thrice, 3 * once, rtol=1e-3, atol=1e-6 * float(once.norm()))
 
 
-def test_smoothness_counts_from_half_the_full_rate_on(pair_of):
+def test_smoothness_counts_from_half_the_full_rate_on(stage_of):
     # Levels of 32, 42, 56 and 75 frames: the second has 0.56 of the full rate, the first 0.43.
-    pair = pair_of(0, losses={**ALONE, "smoothness": 1.0})
-    steps_of(pair, "random")
-    coarse, finer = pair.generators
+    stage = stage_of(0, losses={**ALONE, "smoothness": 1.0})
+    steps_of(stage, "random")
+    coarse, finer = stage.generators
     assert all(p.grad is None or not p.grad.any() for p in coarse.parameters())
     assert any(p.grad is not None and p.grad.any() for p in finer.parameters())
 
 
 def test_recorded_arms_are_read_raw_for_speed_and_without_capture_noise_for_jerks(
-    pair_of, monkeypatch
+    stage_of, monkeypatch
 ):
     read = {"arm_speed": [], "arm_acceleration": []}
     for name, seen in read.items():
@@ -154,18 +154,18 @@ def test_recorded_arms_are_read_raw_for_speed_and_without_capture_noise_for_jerk
             return measure(self, values, stride, smoothing)
 
         monkeypatch.setattr(VectorKinematics, name, record)
-    pair_of(losses={**ALONE, "arm_speed": 1.0})
+    stage_of(losses={**ALONE, "arm_speed": 1.0})
     assert set(read["arm_speed"]) == {0.0}
     assert set(read["arm_acceleration"]) == {CAPTURE_SECONDS}
 
 
-def test_the_penalty_and_the_critics_scale_count(pair_of):
+def test_the_penalty_and_the_critics_scale_count(stage_of):
     def gradient(**changes):
-        pair = pair_of(losses={**ALONE, **changes})
-        n_frames = max(pair.trainer.groups)
-        pair._update = lambda name: None
-        pair._discriminator_steps([n_frames], rng_for("step"))
-        return torch.cat([p.grad.flatten() for p in pair.discriminators.parameters()])
+        stage = stage_of(losses={**ALONE, **changes})
+        n_frames = max(stage.batches.sequences)
+        stage._update = lambda name: None
+        stage._discriminator_steps([n_frames], rng_for("step"))
+        return torch.cat([p.grad.flatten() for p in stage.discriminators.parameters()])
 
     gap = gradient(gradient_penalty=0.0)
     both = gradient(gradient_penalty=1.0)
@@ -174,45 +174,44 @@ def test_the_penalty_and_the_critics_scale_count(pair_of):
     torch.testing.assert_close(gradient(gradient_penalty=0.0, discriminator_scale=0.5), 0.5 * gap)
 
 
-def scores_of(pair: Pair) -> tuple[float, float]:
+def scores_of(stage: Stage) -> tuple[float, float]:
     """Mean scores of generated and of recorded windows, by the finer level's discriminator."""
-    n_frames = max(pair.trainer.groups)
+    n_frames = max(stage.batches.sequences)
     with torch.no_grad():
-        made = pair._generate(pair._draw("random", n_frames, rng_for("judged")))
-        data = [pair.trainer.data.paired[i] for i in pair.trainer.groups[n_frames]]
-        reals = pair.trainer.bank.reals(data, n_frames, pair.first, 4, rng_for("judged"))
-        critic = pair.discriminators[-1]
+        made = stage._generate(stage._draw("random", n_frames, rng_for("judged")))
+        reals = stage.batches.reals(n_frames, rng_for("judged"))
+        critic = stage.discriminators[-1]
         return float(critic(made[-1]).mean()), float(critic(reals[-1]).mean())
 
 
-def test_random_steps_alone_raise_the_score_of_what_is_generated(pair_of):
-    pair = pair_of(losses={**ALONE, "adversarial": 1.0})
-    n_frames = max(pair.trainer.groups)
-    before = scores_of(pair)[0]
+def test_random_steps_alone_raise_the_score_of_what_is_generated(stage_of):
+    stage = stage_of(losses={**ALONE, "adversarial": 1.0})
+    n_frames = max(stage.batches.sequences)
+    before = scores_of(stage)[0]
     for k in range(8):
-        pair._random_step(n_frames, rng_for("random", k))
-    assert scores_of(pair)[0] > before + 0.01
+        stage._random_step(n_frames, rng_for("random", k))
+    assert scores_of(stage)[0] > before + 0.01
 
 
-def test_discriminator_steps_alone_tell_recorded_from_generated(pair_of):
-    pair = pair_of(losses=ALONE)
-    n_frames = max(pair.trainer.groups)
-    fake, real = scores_of(pair)
-    pair._discriminator_steps([n_frames] * 12, rng_for("discriminator"))
-    fake_after, real_after = scores_of(pair)
+def test_discriminator_steps_alone_tell_recorded_from_generated(stage_of):
+    stage = stage_of(losses=ALONE)
+    n_frames = max(stage.batches.sequences)
+    fake, real = scores_of(stage)
+    stage._discriminator_steps([n_frames] * 12, rng_for("discriminator"))
+    fake_after, real_after = scores_of(stage)
     assert real_after - fake_after > real - fake + 0.01
 
 
 def test_the_learning_rate_falls_to_a_tenth_where_it_is_told(make_config, monkeypatch):
     rates = []
-    iterate = Pair._iterate
+    iterate = Stage._iterate
 
     def record(self, iteration):
         groups = [o.param_groups for o in self.optimisers.values()]
         rates.append({group["lr"] for members in groups for group in members})
         return iterate(self, iteration)
 
-    monkeypatch.setattr(Pair, "_iterate", record)
+    monkeypatch.setattr(Stage, "_iterate", record)
     train(make_config(training={"decay_at": 0.7, "first_stage": 10, "further_stages": 10}))
     assert rates == 2 * (7 * [{1e-3}] + 3 * [{1e-4}])
 

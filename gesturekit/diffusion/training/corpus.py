@@ -61,7 +61,7 @@ def read_corpus(config: DiffusionConfig, *, paired: bool) -> Corpus:
         CorpusError, ConfigError: see `load_training_data`.
     """
     manifest = Manifest.load(config.corpus)
-    items = training_items(manifest, config.corpus, heard=paired)
+    items = training_items(manifest, config.corpus, with_audio=paired)
     styles: tuple[str, ...] = ()
     if config.styles is not None:
         styles, _ = item_styles(items, config.corpus)
@@ -107,7 +107,7 @@ def _unpaired(
     if config.unpaired.corpus is None:
         items = manifest.motion_alone("train")
     else:
-        items = training_items(Manifest.load(where), where, heard=False)
+        items = training_items(Manifest.load(where), where, with_audio=False)
     if not items:
         raise CorpusError(
             f"{where}: no item of split train is motion alone; name a manifest of motion by "

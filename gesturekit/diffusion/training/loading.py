@@ -26,7 +26,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget.path_following import follow_path
 from gesturekit.motion.root_path import RootPath
 from gesturekit.training.config import to_dict
-from gesturekit.training.data.features import listen
+from gesturekit.training.data.features import extract_features
 
 _STEP_FLOORS = (1e-3, 5e-4, 5e-4)
 """Least scale of turn, forward and lateral displacement: radians and metres per frame."""
@@ -105,7 +105,7 @@ def _conditions(
     conditioner, speeches = None, [None] * len(corpus.items)
     if extractor is not None:
         lengths = [motion.n_frames for motion in corpus.motions]
-        conditioner, speeches = listen(
+        conditioner, speeches = extract_features(
             corpus.items, lengths, extractor, config.fps, config.features
         )
     names = tuple(sorted({event.name for events in corpus.events for event in events}))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import logging
-import math
 import time
 from pathlib import Path
 from typing import Any
@@ -22,16 +21,15 @@ from gesturekit.diffusion.training.batches import Batch, Batches
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.monitor import STEPS, Monitor
-from gesturekit.errors import ModelError
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.parts import unidentified
 from gesturekit.training.data.sources import described, save_sources
 from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
+from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import plan as session_plan
 from gesturekit.training.run.session import session
-from gesturekit.training.run.steps import Steps
 from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import rng_for, seeded
 from gesturekit.wording import counted, roughly
@@ -83,7 +81,13 @@ class _Trainer:
         self.folder = run
         self.device = device
         self.processes = processes
-        self.data = self._data(resume=resume)
+        self.data = read_once(
+            run,
+            processes,
+            resume=resume,
+            read=lambda: load_training_data(config),
+            load=lambda folder: TrainingData.load(folder, config),
+        )
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(self.data, config)
         self.changes = self.data.changes().to(device) if config.training.changes else None
@@ -94,16 +98,11 @@ class _Trainer:
             styles=self.data.conditions.styles,
             path=config.path,
         )
+        self.loop = Loop(config, run, processes, self.held_out)
         if processes.is_first:
-            log.info(
-                "Run folder %s: diffusion, %s, %s.",
-                config.out,
-                self._mode(),
-                counted(config.training.updates, "update"),
-            )
-            log.info("Training on %s.", ", ".join(self._description()))
             self._log_missing_parts()
-            log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
+        updates = counted(config.training.updates, "update")
+        self.loop.announce(["diffusion", self._mode(), updates], self._description())
         self.network = self._network(resume=resume).to(device)
         # The weights of the final model.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
@@ -122,19 +121,6 @@ class _Trainer:
         missing = unidentified(skeleton)
         if missing and follows:
             log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
-
-    def _data(self, *, resume: bool) -> TrainingData:
-        """Load the training data: the first process reads the corpus, the others its copy."""
-        folder = self.folder.folder / "data"
-        if not resume:
-            if self.processes.is_first:
-                data = load_training_data(self.config)
-                data.save(folder)
-                self.folder.begin()
-            self.processes.wait()
-            if self.processes.is_first:
-                return data
-        return TrainingData.load(folder, self.config)
 
     def _network(self, *, resume: bool) -> Denoiser:
         width = self.data.representation.n_features
@@ -188,45 +174,21 @@ class _Trainer:
         return self.config.training.updates * (time.monotonic() - began) / 3
 
     def run(self) -> Path:
-        done, state = self.folder.checkpoints.latest() or (0, None)
+        """Train all updates, or those that are left, and write the model."""
+        done, state = self.loop.resume()
         if state is not None:
             self._load_state(state)
-            log.info("Resuming after step %d.", done)
-        first, training = self.processes.is_first, self.config.training
-        if first:
-            self.folder.forget_metrics_after(done)
-        losses: list[Tensor] = []
-        clock = time.monotonic()
-        with Steps([(training.updates, 1)], done, quiet=not first) as progress:
-            for update in range(done, training.updates):
-                losses.append(self._update(update))
-                step = update + 1
-                progress.step(1)
-                last = step == training.updates
-                if step % self.config.log_every == 0 or last:
-                    loss = float(self.processes.mean(torch.stack(losses).mean()))
-                    self._check_finite(step, "loss", loss)
-                    if first:
-                        pace = (time.monotonic() - clock) / len(losses)
-                        rate = learning_rate(training, update)
-                        values = {"loss": loss, "learning_rate": rate}
-                        self.folder.log(step, {**values, "seconds_per_iteration": pace})
-                        progress.set_postfix_str(f"loss {loss:.3g}")
-                    losses, clock = [], time.monotonic()
-                if self.monitor is not None and (step % self.config.eval_every == 0 or last):
-                    self.average.eval()
-                    figures = self.monitor.figures(self.average)
-                    if figures:
-                        self.folder.log(step, figures, kind="evaluation")
-                fires = self.config.eval_every and step % self.config.eval_every == 0
-                if first and not last and (fires or self.held_out.is_due()):
-                    self._measure(step)
-                if step % self.config.checkpoint_every == 0 or last:
-                    weights = [weight.detach().norm() for weight in self.network.parameters()]
-                    self._check_finite(step, "weights", float(torch.stack(weights).sum()))
-                    if first:
-                        self.folder.checkpoints.save(step, self._state())
-        if first:
+        training = self.config.training
+        stretch = Stretch(
+            train=lambda step: {"loss": self._update(step - 1)},
+            weights=self.network.parameters,
+            state=self._state,
+            evaluate=self._evaluate,
+            measure=self._measure,
+            also=lambda step: {"learning_rate": learning_rate(training, step - 1)},
+        )
+        self.loop.train([(training.updates, 1.0)], done, lambda index: stretch)
+        if self.processes.is_first:
             self._finish()
         self.processes.wait()
         return self.folder.folder / "model"
@@ -278,16 +240,6 @@ class _Trainer:
         for name, value in self.average.state_dict().items():
             value.lerp_(own[name], 1 - kept)
 
-    def _check_finite(self, step: int, name: str, value: float) -> None:
-        if math.isfinite(value):
-            return
-        kept = self.folder.checkpoints.steps()
-        after = f"the last checkpoint is of step {kept[-1]}" if kept else "there is no checkpoint"
-        raise ModelError(
-            f"step {step}: {name} is {value}; training diverged, and {after}. Try a smaller "
-            "training.learning_rate"
-        )
-
     def _state(self) -> dict[str, Any]:
         state = {
             "network": self.network.state_dict(),
@@ -302,6 +254,12 @@ class _Trainer:
         self.optimiser.load_state_dict(state["optimiser"])
         if self.config.training.ema:
             self.average.load_state_dict(state["average"])
+
+    def _evaluate(self, step: int) -> None:
+        """Log cheap metrics."""
+        figures = {} if self.monitor is None else self.monitor.figures(self.average.eval())
+        if figures:
+            self.folder.log(step, figures, kind="evaluation")
 
     def _measure(self, step: int) -> str:
         """Log and return the metrics on held-out recordings, generated in a few steps."""
@@ -333,8 +291,6 @@ class _Trainer:
         figures = self._measure(training.updates)
         model = self._model(self.average.cpu())
         paired, unpaired = self.data.seconds
-        last = self.folder.last_metrics()
-        last.pop("learning_rate", None)
         model.save(
             self.folder.folder / "model",
             notes={
@@ -342,7 +298,7 @@ class _Trainer:
                 "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
                 "Began with": str(self.config.start_from or "random weights"),
                 "Training steps": str(training.updates),
-                "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
+                "Last losses": last_losses(self.folder),
                 **({"Measured": figures} if figures else {}),
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },

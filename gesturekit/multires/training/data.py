@@ -1,8 +1,8 @@
-"""What a multires run trains on: sequences in memory, and windows cut from them.
+"""Training data of a multires run: normalised recordings and speech features in memory.
 
-Paired sequences (speech and motion) feed reconstruction steps and the discriminators' real side;
-random-generation steps take their speech from the unpaired audio alone. Where nothing is heard,
-speech has no channels (0, T), and every motion is a sequence.
+Reconstruction steps and discriminators use paired sequences (speech and motion). Random-generation
+steps use unpaired speech only. Without speech input, speech has no channels (0, T), and every
+motion is a sequence.
 """
 
 from __future__ import annotations
@@ -17,11 +17,7 @@ import torch
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.errors import ConfigError, CorpusError, MotionError
-from gesturekit.motion.heading import heading
-from gesturekit.motion.parts import find_parts
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -30,29 +26,21 @@ from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
-    listen,
     load_conditioner,
-)
-from gesturekit.training.data.recordings import (
-    item_styles,
-    load_motions,
-    recorded_rate,
-    speaker_skeletons,
-    training_items,
 )
 from gesturekit.training.data.sources import Source, from_values, to_values
 from gesturekit.training.seeds import rng_for
 
 _SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
-"""Below these spreads (6D entries, label, m, m; of the reference body) a channel is scaled as if it
-had this much."""
+"""Smallest scale of each kind of channel (6D entries, label, m, m; on the reference body). Fixed:
+they keep noise of still channels from being amplified."""
 
 
 @dataclass(frozen=True)
 class Normaliser:
-    """Takes motion vectors to zero mean and comparable spread, whatever the rig's units.
+    """Normalisation of motion vectors to zero mean and comparable spread, in any unit of the rig.
 
-    One scale serves the six numbers of a joint, so that a rotation keeps its shape.
+    The six numbers of a joint share one scale, so that its rotation keeps its shape.
 
     Attributes:
         mean: (D,).
@@ -66,7 +54,7 @@ class Normaliser:
     def fit(
         cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation
     ) -> Normaliser:
-        """Mean and scale of encoded training motions, each (T, D)."""
+        """Compute mean and scale of encoded training motions, each (T, D)."""
         values = np.concatenate(motions)
         scale = values.std(axis=0)
         start = 0
@@ -77,34 +65,38 @@ class Normaliser:
             floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
             scale[part] = max(spread, floor)
             start += size
-        dx, height, dz = scale[-3:]
+        root = representation.layout.root
+        dx, height, dz = scale[root]
         across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"])
-        scale[-3:] = across, max(height, _SCALE_FLOORS["height"]), across
+        scale[root] = across, max(height, _SCALE_FLOORS["height"]), across
         return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
 
     def to(self, device: torch.device) -> Normaliser:
-        """The same on another device."""
+        """Return a copy on another device."""
         return Normaliser(self.mean.to(device), self.scale.to(device))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, D, T) in their own units to normalised."""
+        """Normalise motion vectors (B, D, T)."""
         return (x - self.mean[:, None]) / self.scale[:, None]
 
     def inverse(self, x: Tensor) -> Tensor:
-        """(B, D, T) normalised to their own units."""
+        """Return normalised motion vectors (B, D, T) to their own units."""
         return x * self.scale[:, None] + self.mean[:, None]
 
 
 @dataclass(frozen=True)
 class PairedSequence:
-    """One recording: normalised motion (D, T), speech (S, T), its noise and its style.
+    """Recording with speech features, noise and style.
 
     Attributes:
-        sigma: (L,) spread of what each level adds (RMSE of the level against the coarser one,
-            upsampled; RMS at the first level).
-        z_star: the noise at level 1 from which this recording is reconstructed, (T_1,), or
-            (D, T_1) where each channel has its own.
-        style: its number among the corpus's styles; 0 where there are none.
+        name: id of the manifest item.
+        motion: (D, T) normalised motion vectors.
+        speech: (S, T) features.
+        sigma: (L,) noise scale of each level: RMSE between the level and the upsampled coarser one;
+            RMS at the first level.
+        z_star: noise at level 1 from which this recording is reconstructed, (T_1,), or (D, T_1)
+            with separate noise for each channel.
+        style: index among the corpus's styles; 0 without styles.
     """
 
     TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star")
@@ -118,7 +110,7 @@ class PairedSequence:
 
     @property
     def n_frames(self) -> int:
-        """T, at the full rate."""
+        """Return T, at the full rate."""
         return self.motion.shape[-1]
 
     @classmethod
@@ -133,7 +125,7 @@ class PairedSequence:
         style: int = 0,
         full_noise: bool = False,
     ) -> PairedSequence:
-        """Draw the noise of a recording; it depends on the seed and the name alone."""
+        """Make a sequence; its noise depends on the seed and the name only."""
         sigma = level_sigmas(motion[None], levels)
         n_coarsest = af.level_lengths(motion.shape[-1], levels)[0]
         rng = rng_for(seed, "z_star", name)
@@ -144,7 +136,7 @@ class PairedSequence:
         return cls(name, motion, speech, sigma, noise, style)
 
     def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
-        """(1 or D, T_1) of the window that starts at this full-rate frame."""
+        """Return the noise (1 or D, T_1) of the window that starts at this full-rate frame."""
         noise = self.z_star.reshape(-1, self.z_star.shape[-1])
         first = round(start * noise.shape[-1] / self.n_frames)
         first = max(0, min(first, noise.shape[-1] - n_coarsest))
@@ -154,7 +146,7 @@ class PairedSequence:
 
 
 def level_sigmas(motion: Tensor, levels: int) -> Tensor:
-    """(L,) sigma_i of a normalised motion (1, D, T)."""
+    """Return sigma_i of all levels (L,) for a normalised motion (1, D, T)."""
     lengths = af.level_lengths(motion.shape[-1], levels)
     pyramid = [resample(motion, n) for n in lengths]
     sigmas = [pyramid[0].square().mean().sqrt()]
@@ -165,18 +157,18 @@ def level_sigmas(motion: Tensor, levels: int) -> Tensor:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """Everything a run needs, on the CPU.
+    """Training data of a run, on the CPU.
 
     Attributes:
         paired: recordings with motion.
-        unpaired: (S, T) speech without motion; where the corpus has none, that of `paired`.
-        silence: (S, T) what the model hears when nobody speaks, one window long.
-        conditioner: turns waves into what the model hears; None where it hears nothing.
-        styles: names of the styles, in alphabetical order; none outside label mode.
-        speakers: a reference skeleton for each named speaker.
-        window: frames of a training window; None takes whole sequences.
-        sources: the recordings that `paired` was read from.
-        recorded_fps: the commonest frame rate of the recordings; None where older runs lack it.
+        unpaired: (S, T) speech without motion; that of `paired` if the corpus has none.
+        silence: (S, T) speech features of silence, one window long.
+        conditioner: converts waves to speech features; None without speech input.
+        styles: names of the styles, in alphabetical order; empty outside label mode.
+        speakers: reference skeleton of each named speaker.
+        window: frames of a training window; None for whole sequences.
+        sources: recordings from which `paired` was read.
+        recorded_fps: most common frame rate of the recordings; None in older runs.
     """
 
     paired: tuple[PairedSequence, ...]
@@ -193,7 +185,7 @@ class TrainingData:
     recorded_fps: float | None = None
 
     def save(self, folder: Path) -> None:
-        """Write all of it into a folder, for a run that is resumed."""
+        """Write the data into a folder, from which a resumed run loads it."""
         tensors = {
             "silence": self.silence,
             "motion.mean": self.normaliser.mean,
@@ -226,7 +218,7 @@ class TrainingData:
 
         Raises:
             ConfigError: the folder's data is missing or damaged.
-            WeightsError: the WavLM weights are not those that the run began with.
+            WeightsError: the WavLM weights differ from those at the start of the run.
         """
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
@@ -265,18 +257,18 @@ class TrainingData:
 
     @property
     def n_speech(self) -> int:
-        """S, the number of speech features; 0 where nothing is heard."""
+        """Return S, the number of speech features; 0 without speech input."""
         return self.silence.shape[0]
 
     def style_shares(self, sequences: Sequence[PairedSequence]) -> Tensor:
-        """(K,) frames of each style in these: how often random motions are given it."""
+        """Return the frames of each style (K,) in these sequences: its weight in random draws."""
         frames = torch.zeros(len(self.styles))
         for sequence in sequences:
             frames[sequence.style] += sequence.n_frames
         return frames
 
     def window_lengths(self) -> dict[int, list[int]]:
-        """Window length to the paired sequences that give windows of that length."""
+        """Return {window length: indices of paired sequences with windows of that length}."""
         groups: dict[int, list[int]] = {}
         for i, sequence in enumerate(self.paired):
             frames = sequence.n_frames
@@ -285,7 +277,7 @@ class TrainingData:
         return groups
 
     def speech_window(self, n_frames: int, rng: torch.Generator) -> Tensor:
-        """(S, n_frames) of unpaired speech; a shorter clip is set into silence."""
+        """Draw a window (S, n_frames) of unpaired speech; a shorter clip is padded with silence."""
         if not self.n_speech:
             return torch.zeros(0, n_frames)
         weights = torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])
@@ -297,105 +289,3 @@ class TrainingData:
         around = self.silence[:, :1].expand(-1, n_frames).clone()
         around[:, start : start + clip.shape[-1]] = clip
         return around
-
-
-def load_training_data(config: MultiresConfig) -> TrainingData:
-    """Read the corpus of a run, extract features, and normalise.
-
-    Raises:
-        CorpusError: no training item with what the mode needs, rigs that differ, or a file that
-            cannot be read.
-    """
-    # First: wrong settings are told before anything is read.
-    extractor = None if config.features is None else config.features.extractor()
-    manifest = Manifest.load(config.corpus)
-    items = training_items(manifest, config.corpus, heard=config.features is not None)
-    styles: tuple[str, ...] = ()
-    style_of = [0] * len(items)
-    if config.styles is not None:
-        styles, style_of = item_styles(items, config.corpus)
-    recorded = load_motions(items, config.corpus, None, config.parts)
-    sources = tuple(map(Source.of, items, recorded))
-    motions = [motion.resample(config.fps) for motion in recorded]
-    representation = MultiresRepresentation.fit(motions, config.joints, config.contact_threshold)
-    if config.features is not None and config.network.modulate == "upper":
-        try:
-            find_parts(representation.skeleton)
-        except MotionError as error:
-            raise ConfigError(
-                "network.modulate: speech moves the upper body, which cannot be identified: "
-                f"{error}; or let speech move all joints (network.modulate=all)"
-            ) from None
-    vectors = []
-    for item, motion in zip(items, motions, strict=True):
-        try:
-            turn = -heading(motion) if config.face_forward else 0.0
-            vectors.append(representation.encode(motion, turn=turn))
-        except ValueError as error:
-            raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
-    if config.normalise:
-        normaliser = Normaliser.fit(vectors, representation)
-    else:
-        width = representation.n_features
-        normaliser = Normaliser(torch.zeros(width), torch.ones(width))
-    if config.features is None:
-        conditioner = None
-        speeches = [torch.zeros(0, len(vector)) for vector in vectors]
-        unpaired: list[Tensor] = []
-    else:
-        others = manifest.unpaired("train")
-        conditioner, heard = listen(
-            [*items, *others],
-            [*map(len, vectors), *[None] * len(others)],
-            extractor,
-            config.fps,
-            config.features,
-        )
-        # One after the other, each making room for what becomes of it.
-        heard.reverse()
-        columns = [_columns(heard.pop()) for _ in range(len(heard))]
-        speeches, unpaired = columns[: len(items)], columns[len(items) :]
-    paired = []
-    for item, vector, speech, style in zip(items, vectors, speeches, style_of, strict=True):
-        n_frames = min(len(vector), speech.shape[-1])
-        motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
-        paired.append(
-            PairedSequence.make(
-                item.id,
-                motion,
-                speech[:, :n_frames].contiguous(),
-                config.network.levels,
-                config.seed,
-                style=style,
-                full_noise=config.z_star == "full",
-            )
-        )
-    window = config.training.window
-    frames = None if window is None else max(config.network.levels, round(window * config.fps))
-    longest = max(sequence.n_frames for sequence in paired)
-    if af.level_lengths(longest, config.network.levels)[0] < 2:
-        raise ConfigError(
-            f"network.levels: {config.network.levels} levels leave one frame of the longest "
-            f"recording ({longest / config.fps:.1f} s) at the coarsest; take fewer levels"
-        )
-    silent = (frames or longest) + 2 * config.random_margin
-    hears = conditioner is not None
-    return TrainingData(
-        paired=tuple(paired),
-        unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
-        silence=_columns(conditioner.silence(silent)) if hears else torch.zeros(0, silent),
-        window=frames,
-        representation=representation,
-        conditioner=conditioner,
-        styles=styles,
-        normaliser=normaliser,
-        speakers=speaker_skeletons(items, motions),
-        unpaired_is_paired=hears and not unpaired,
-        sources=sources,
-        recorded_fps=recorded_rate(motions),
-    )
-
-
-def _columns(values: np.ndarray) -> Tensor:
-    """(T, S) to (S, T)."""
-    return torch.from_numpy(np.ascontiguousarray(values.T))

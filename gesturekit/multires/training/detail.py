@@ -1,8 +1,8 @@
-"""How much of where each joint goes is finer than the level below can hold, as in recordings.
+"""Loss on the amount of fine detail that a level adds, compared with recordings.
 
-Critics weigh what is wrong by its size, and fine detail is a hundredth of a posture: left to
-them, fine levels add next to nothing. It is not in the paper; with `losses.detail` at 0 it does not
-exist.
+Detail is joint movement that the frame rate of the level below cannot represent. Discriminators
+respond to the size of an error, and detail is a hundredth of a pose: with them alone, fine levels
+add next to nothing. Not in the paper; unused with `losses.detail` at 0.
 """
 
 from __future__ import annotations
@@ -15,28 +15,29 @@ from torch import Tensor, nn
 import audio_features as af
 from gesturekit.multires import losses
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.data import PairedSequence
+from gesturekit.multires.training.data import PairedSequence, TrainingData
 
 _FLOOR = 0.1
-"""Of the RMS detail of all styles; joints that have less are as good as still."""
+"""Share of the RMS detail of all styles, below which a joint counts as still. Fixed: it keeps the
+logarithm finite."""
 _WINDOWS = 64
-"""Of each style, evenly chosen, that stand for all."""
+"""Recorded windows per style, evenly chosen. Fixed: it bounds the cost of a step."""
 
 
 class DetailTarget(nn.Module):
-    """How much detail one level has at each joint: distributions over windows, one for each style.
+    """Distribution over windows of the detail of each joint, for one level and each style.
 
-    Windows differ: a wave, then rest. So it is the energy distance (Szekely and Rizzo 2013) between
-    distributions that is to vanish; were every window held to the mean, all would be alike. Joints
-    are compared by their places: along an arm rotations add up, or make up for one another.
+    The loss is the energy distance (Szekely and Rizzo 2013) between generated and recorded
+    distributions; a distance from the mean would make all windows alike. Positions are compared,
+    not rotations, because rotations along an arm can compensate each other.
 
     Args:
         sequences: recordings.
-        level: its index; not the first, below which there is nothing.
+        level: index of the level; not the first.
         levels: L.
-        places: takes normalised motion (B, D, T) to where joints are, (B, K, 3, T) in metres.
-        window: frames at the full rate that are taken together; None for whole sequences.
-        styles: how many there are; 1 where there are none.
+        places: converts normalised motion (B, D, T) to joint positions (B, K, 3, T), metres.
+        window: frames of a window at the full rate; None for whole sequences.
+        styles: number of styles; 1 without styles.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class DetailTarget(nn.Module):
             self.register_buffer(f"recorded{style}", logs[few])
 
     def _power(self, places: Tensor) -> Tensor:
-        """(B, K), m^2, of what as many frames as the level below has cannot hold."""
+        """Return the mean square (B, K), m^2, of movement finer than the level below."""
         n_frames = places.shape[-1]
         coarser = resample(places, af.level_lengths(n_frames, 2)[0])
         return (places - resample(coarser, n_frames)).square().mean(dim=(2, 3))
@@ -75,11 +76,11 @@ class DetailTarget(nn.Module):
         return 0.5 * torch.log(power + self.floor)
 
     def forward(self, places: Tensor, styles: Tensor) -> Tensor:
-        """Energy distance, up to a constant, between the detail of motions and of recordings.
+        """Return the energy distance, up to a constant, of generated and recorded detail.
 
         Args:
-            places: (B, K, 3, T) of motions of this level.
-            styles: (B,) their numbers. One of its kind says nothing about a distribution.
+            places: (B, K, 3, T) joint positions of generated motions, metres.
+            styles: (B,) style indices. A style with a single motion is left out.
         """
         made = self._log(self._power(places))
         made = made / made.shape[1] ** 0.5
@@ -91,3 +92,19 @@ class DetailTarget(nn.Module):
             recorded = getattr(self, f"recorded{style}") / made.shape[1] ** 0.5
             total = total + len(own) / len(made) * losses.detail(own, recorded)
         return total
+
+
+def detail_targets(
+    data: TrainingData,
+    indices: Sequence[int],
+    levels: int,
+    places: Callable[[Tensor], Tensor],
+    device: torch.device,
+) -> dict[int, DetailTarget]:
+    """Return the targets of these levels by index; the first level has none below it."""
+    styles = max(1, len(data.styles))
+    return {
+        i: DetailTarget(data.paired, i, levels, places, data.window, styles).to(device)
+        for i in indices
+        if i
+    }

@@ -1,4 +1,4 @@
-"""Joints, feet and arms of motion vectors, in torch, for losses."""
+"""Joint positions and speeds of motion vectors, differentiable, for losses."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import reflect
 
 SMOOTHING_SECONDS = 0.1
-"""Of rotations before arm speed is read off them, and of the speed itself."""
+"""Standard deviation of the Gaussian that smooths rotations before arm speed is computed, and the
+speed itself. Fixed: targets and losses must use the same."""
 
 CAPTURE_SECONDS = 0.03
-"""Of recorded rotations before acceleration is read off them: capture noise is none."""
+"""Standard deviation of the Gaussian that removes capture noise from recorded rotations before
+acceleration is computed. Fixed, as it depends on motion capture only."""
 
 
 class _Places(nn.Module):
-    """Where joints of the rig are, or points that hang on them, by the rotations above them."""
+    """Positions of joints, or of points fixed to them, by forward kinematics."""
 
     fixed: Tensor
     rows: Tensor
@@ -35,11 +37,17 @@ class _Places(nn.Module):
         joints: Sequence[int],
         points: np.ndarray | None = None,
     ) -> None:
-        """Take joints of the skeleton, at least one, or a point (F, 3) on each, metres from it."""
+        """Prepare the kinematic chain.
+
+        Args:
+            representation: of the motion vectors.
+            joints: indices in the skeleton, at least one.
+            points: (F, 3) offsets from these joints, metres; None for the joints themselves.
+        """
         super().__init__()
         skeleton = representation.skeleton
         modelled = [skeleton.index(name) for name in representation.joints]
-        # Joints between the root and what is wanted; nothing below, above or beside them.
+        # Only joints on the way from the root to the requested ones.
         needed = {modelled[0]}
         for joint in joints:
             while joint not in needed and joint >= 0:
@@ -63,7 +71,7 @@ class _Places(nn.Module):
         held = [joint for joint in turning if joint not in modelled]
         matrices = matrix_from_quaternion(representation.fixed_rotations[held])
         self.register_buffer("fixed", torch.from_numpy(matrices).float(), persistent=False)
-        # Where each finds its rotation: among the modelled that turn, or behind them those held.
+        # Index of each joint's rotation: modelled joints first, fixed ones after them.
         turned = [joint for joint in turning if joint in modelled]
         rows = [[*turned, *held].index(joint) for joint in turning]
         self.register_buffer("rows", torch.tensor(rows, dtype=torch.long), persistent=False)
@@ -71,7 +79,7 @@ class _Places(nn.Module):
         self.register_buffer("turned", turned, persistent=False)
 
     def forward(self, sixd: Tensor, height: Tensor) -> Tensor:
-        """(B, T, n, 3) metres, the root above the origin.
+        """Return positions (B, T, n, 3), metres, with the root above the origin.
 
         Args:
             sixd: (B, K, 6, T) rotations of the modelled joints.
@@ -86,11 +94,11 @@ class _Places(nn.Module):
 
 
 class VectorKinematics(nn.Module):
-    """Reads positions and speeds off motion vectors (B, D, T) in their own units.
+    """Positions and speeds of motion vectors (B, D, T) in their own units.
 
-    Metres are those of the reference body (`ModelJoints.scale`), so that losses are alike for all.
-    Root displacement, contact speed and smoothness count per full-rate frame at every level:
-    `stride` is how many full-rate frames lie between two frames of the level at hand.
+    Lengths are in metres of the reference body (`ModelJoints.scale`), so that losses do not depend
+    on body size. Displacements are per full-rate frame at every level: `stride` is the number of
+    full-rate frames between two frames of the level.
     """
 
     def __init__(
@@ -99,8 +107,7 @@ class VectorKinematics(nn.Module):
         super().__init__()
         skeleton = representation.skeleton
         self.fps = fps
-        self.n_joints = len(representation.joints)
-        self.contacts = representation.layout.contacts
+        self.layout = representation.layout
         modelled = [skeleton.index(name) for name in representation.joints]
         points = representation.foot_points
         self.joints = _Places(representation, modelled)
@@ -122,26 +129,33 @@ class VectorKinematics(nn.Module):
         self.arms = [representation.joints.index(name) for name in arm_joints(skeleton)]
 
     def _sixd(self, values: Tensor) -> Tensor:
-        """(B, K, 6, T) rotations of the modelled joints."""
-        return values[:, : 6 * self.n_joints].unflatten(1, (self.n_joints, 6))
+        """Return the 6D rotations (B, K, 6, T) of the modelled joints."""
+        return values[:, self.layout.rotations].unflatten(1, (-1, 6))
 
     def _foot_places(self, values: Tensor) -> Tensor:
-        """(B, T, F, 3) of the foot points, metres, the root above the origin."""
-        return self.feet(self._sixd(values), values[:, -2])
+        """Return the foot points (B, T, F, 3), metres, with the root above the origin."""
+        return self.feet(self._sixd(values), values[:, self.layout.root_height])
 
     def places(self, values: Tensor) -> Tensor:
-        """(B, K, 3, T) where the modelled joints are, metres, the root above the origin."""
-        return self.joints(self._sixd(values), values[:, -2]).permute(0, 2, 3, 1)
+        """Return joint positions (B, K, 3, T), metres, with the root above the origin."""
+        return self.joints(self._sixd(values), values[:, self.layout.root_height]).permute(
+            0, 2, 3, 1
+        )
+
+    def _root_displacement(self, values: Tensor) -> Tensor:
+        """Return the root's horizontal displacement (B, T, 3) since the previous frame, metres."""
+        dx, dz = values[:, self.layout.root_xz].unbind(dim=1)
+        return torch.stack([dx, torch.zeros_like(dx), dz], dim=-1)
 
     def foot_velocity(self, values: Tensor, stride: float) -> Tensor:
         """Return (B, T - 1, F, 3) the velocity of the foot points, m/s, over the floor included."""
         feet = self._foot_places(values)
-        drift = _root_drift(values)
+        drift = self._root_displacement(values)
         return ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
 
     def contact_labels(self, values: Tensor) -> Tensor:
         """Return (B, T - 1, F) the contact labels of all frames but the first."""
-        return values[:, self.contacts, 1:].transpose(1, 2)
+        return values[:, self.layout.contacts, 1:].transpose(1, 2)
 
     def bend(self, values: Tensor, places: Tensor, stride: float) -> Tensor:
         """Return (B, K, 3, T - 2) the second difference of the joints' places, metres.
@@ -149,30 +163,29 @@ class VectorKinematics(nn.Module):
         It counts per full-rate frame, movement over the floor included. `places` are those of
         `values`.
         """
-        drift = _root_drift(values).transpose(1, 2)[:, None]
+        drift = self._root_displacement(values).transpose(1, 2)[:, None]
         bend = places[..., 2:] - 2 * places[..., 1:-1] + places[..., :-2]
         return bend / stride**2 + (drift[..., 2:] - drift[..., 1:-1]) / stride
 
     def arm_speed(
         self, values: Tensor, stride: float, smoothing: float = SMOOTHING_SECONDS
     ) -> Tensor:
-        """(B, T) summed angular speed of shoulders and elbows, rad/s; frame 0 copies frame 1.
+        """Return the summed angular speed (B, T) of shoulders and elbows, rad/s.
 
-        Rotations are smoothed before they are compared (a Gaussian of `smoothing` seconds), so
-        that trembling is no speed: a loss on the raw speed is met by arms that shake. Between
-        frames it is the chord of the turn, |R' - R| / sqrt 2, which is the angle for the small
-        turns of a frame and has a gradient everywhere.
+        Rotations are smoothed by a Gaussian of `smoothing` seconds, so that trembling does not
+        count as speed. The angle between frames is the chord |R' - R| / sqrt 2, which is accurate
+        for small angles and has a gradient everywhere. Frame 0 copies frame 1.
         """
         arms = self._arms(values, stride, smoothing)
         speed = _size(arms[..., 1:] - arms[..., :-1]) * (self.fps / stride)
         return torch.cat([speed[:, :1], speed], dim=1)
 
     def arm_acceleration(self, values: Tensor, stride: float, smoothing: float = 0.0) -> Tensor:
-        """(B, T) summed angular acceleration of shoulders and elbows, rad/s^2.
+        """Return the summed angular acceleration (B, T) of shoulders and elbows, rad/s^2.
 
-        |R'' - 2 R' + R| / sqrt 2 of three frames, which counts turning about another axis too; the
-        first and last frame copy their neighbours, and two frames have none. `smoothing` as in
-        `arm_speed`.
+        It is |R'' - 2 R' + R| / sqrt 2 of three frames, which includes changes of the rotation
+        axis. The first and last frame copy their neighbours; it is 0 for fewer than three frames.
+        `smoothing` as in `arm_speed`.
         """
         if values.shape[-1] < 3:
             return values.new_zeros(len(values), values.shape[-1])
@@ -182,27 +195,21 @@ class VectorKinematics(nn.Module):
         return torch.cat([bend[:, :1], bend, bend[:, -1:]], dim=1)
 
     def _arms(self, values: Tensor, stride: float, smoothing: float) -> Tensor:
-        """(B, 4, 3, 3, T) rotations of shoulders and elbows, smoothed over so many seconds."""
+        """Return smoothed rotation matrices (B, 4, 3, 3, T) of shoulders and elbows."""
         rotations = sixd_to_matrix(self._sixd(values)[:, self.arms].permute(0, 3, 1, 2))
         return smooth(rotations.movedim(1, -1), smoothing * self.fps / stride)
 
 
 def _size(change: Tensor) -> Tensor:
-    """(B, T) radians, over all joints, of changes of rotation matrices (B, J, 3, 3, T)."""
+    """Return the summed angle (B, T), radians, of differences of matrices (B, J, 3, 3, T)."""
     return (change.square().sum(dim=(2, 3)) / 2 + 1e-10).sqrt().sum(dim=1)
 
 
 def smooth(x: Tensor, sigma: float) -> Tensor:
-    """(..., T) under a Gaussian of `sigma` frames, cut at 3 sigma, mirrored at the ends."""
+    """Filter (..., T) by a Gaussian of `sigma` frames, cut at 3 sigma, reflected at the ends."""
     reach = int(3 * sigma)
     if reach == 0:
         return x
     at = torch.arange(-reach, reach + 1, device=x.device, dtype=x.dtype)
     kernel = torch.exp(-0.5 * (at / sigma) ** 2)
     return reflect(x, reach).unfold(-1, 2 * reach + 1, 1) @ (kernel / kernel.sum())
-
-
-def _root_drift(values: Tensor) -> Tensor:
-    """(B, T, 3) displacement of the root along the floor since the frame before, m."""
-    dx, dz = values[:, -3], values[:, -1]
-    return torch.stack([dx, torch.zeros_like(dx), dz], dim=-1)

@@ -1,4 +1,4 @@
-"""Training: block by block, two levels at a time, reconstruction and random steps in turn."""
+"""Training of a multires model, stage by stage: two levels at a time, the coarsest first."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.trained_model import TrainedNoise, TrainedSequence
-from gesturekit.multires.training.data import TrainingData, load_training_data
-from gesturekit.multires.training.kinematics import VectorKinematics
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
-from gesturekit.multires.training.stage import Pair
-from gesturekit.multires.training.window_cache import WindowCache
+from gesturekit.multires.training.stage import Stage
 from gesturekit.training.data.sources import described, save_sources
 from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
+from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import plan as session_plan
 from gesturekit.training.run.session import session
-from gesturekit.training.run.steps import Steps
 from gesturekit.training.run_config import UNIDENTIFIED
 from gesturekit.training.seeds import seeded
 from gesturekit.wording import counted, roughly
@@ -45,28 +44,28 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
     Under torchrun each process takes its share of every batch, and the first one writes.
 
     Args:
-        config: what to train on, and how.
-        resume: go on from the last checkpoint in `config.out`.
+        config: settings of the run.
+        resume: continue from the last checkpoint in `config.out`.
 
     Returns:
-        the model folder, `config.out / "model"`.
+        The model folder, `config.out / "model"`.
 
     Raises:
         ConfigError: `config.out` holds a run already (or none to resume), or no such device.
         CorpusError: the corpus cannot be trained on.
-        ModelError: training left the realm of numbers.
+        ModelError: the loss or a weight became NaN or infinite.
     """
     with session(config, resume=resume) as (run, device, processes):
         return Trainer(config, run, device, processes, resume=resume).run()
 
 
 def plan(config: MultiresConfig) -> None:
-    """Log what `train` would do and how long it would take; see `training.run.session`."""
+    """Log the plan of `train` and its estimated duration; see `training.run.session`."""
     session_plan(config, Trainer)
 
 
 class Trainer:
-    """A run: its data, its networks and its folder; pairs of levels are trained one by one."""
+    """A training run: its data, its network and its stages, one after another."""
 
     def __init__(
         self,
@@ -77,37 +76,35 @@ class Trainer:
         *,
         resume: bool,
     ) -> None:
-        self.config = config
         self.folder = run
-        self.device = device
         self.processes = processes
-        if self.batch < processes.count:
+        windows = config.training.windows_per_step
+        if windows < processes.count:
             raise ConfigError(
-                f"training.batch: {self.batch} window(s) a step cannot be shared by "
+                f"training.batch: {windows} window(s) a step cannot be shared by "
                 f"{processes.count} processes (whole sequences go one at a time)"
             )
-        self.data = self._read(resume)
+        self.data = read_once(
+            run,
+            processes,
+            resume=resume,
+            read=lambda: load_training_data(config),
+            load=lambda folder: TrainingData.load(folder, config),
+        )
         self.config = config = self._adapted(config)
         if self.data.unpaired_is_paired and processes.is_first:
             log.warning(
                 "The corpus has no unpaired speech: random steps draw windows of the paired speech."
             )
+        self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
+        self.unpaired_seconds = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
         self.held_out = HeldOut(
             config, run, speech=self.data.conditioner is not None, styles=self.data.styles
         )
-        self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
-        self.heard = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
-        if processes.is_first:
-            steps = sum(iterations for _, iterations in self.pairs())
-            log.info(
-                "Run folder %s: multires, %s, %d levels, %s.",
-                config.out,
-                self._mode(),
-                config.network.levels,
-                counted(steps, "iteration"),
-            )
-            log.info("Training on %s.", ", ".join(self._what()))
-            log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
+        self.loop = Loop(config, run, processes, self.held_out)
+        levels, steps = config.network.levels, sum(count for _, count in self.stages())
+        length = [f"{levels} levels", counted(steps, "iteration")]
+        self.loop.announce(["multires", self._mode(), *length], self._contents())
         self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
@@ -115,36 +112,13 @@ class Trainer:
                 self.data.n_speech + len(self.data.styles),
                 config.network,
             ),
-        ).to(self.device)
-        self.kinematics = VectorKinematics(
-            self.data.representation, config.fps, arms=config.uses_arm_speed
-        ).to(self.device)
-        self.normaliser = self.data.normaliser.to(self.device)
+        ).to(device)
+        watched = config.eval_every and processes.is_first
         convolve = choose_backend(requested_backend(config.backend), self.network).convolve
-        self.bank = WindowCache(self.data, config, self.network, convolve)
-        self.monitor = Monitor(self.data, config, convolve) if config.eval_every else None
-        self.groups = self.data.window_lengths()
-        # How often a step takes windows of each length: as often as there are frames of it.
-        self.group_frames = torch.tensor(
-            [
-                float(sum(self.data.paired[i].n_frames for i in members))
-                for members in self.groups.values()
-            ]
-        )
-
-    def _read(self, resume: bool) -> TrainingData:
-        """What to train on; a new run's is read by the first process, and the others have it."""
-        folder = self.folder.folder / "data"
-        data = None
-        if not resume and self.processes.is_first:
-            data = load_training_data(self.config)
-            data.save(folder)
-            self.folder.begin()
-        self.processes.wait()
-        return TrainingData.load(folder, self.config) if data is None else data
+        self.monitor = Monitor(self.data, config, convolve) if watched else None
 
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
-        """The configuration without losses on parts that the rig does not have, said once."""
+        """Return the settings without losses on body parts that the rig lacks; log them."""
         skeleton = self.data.representation.skeleton
         missing = unidentified(skeleton)
         if not missing:
@@ -161,19 +135,13 @@ class Trainer:
             log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
         return replace(config, losses=replace(config.losses, **off))
 
-    @property
-    def batch(self) -> int:
-        """Windows of a step, over all processes."""
-        # Whole sequences differ in length, so they go one at a time, as in the paper.
-        return self.config.training.batch if self.config.training.window is not None else 1
-
-    def _what(self) -> list[str]:
-        """What there is to train on, for people."""
+    def _contents(self) -> list[str]:
+        """Return descriptions of the training data."""
         data = self.data
         parts = [described(data.sources, self.seconds, self.config.fps)]
         if data.conditioner is not None:
             kind = "the same" if data.unpaired_is_paired else "unpaired"
-            parts.append(f"{roughly(self.heard)} of {kind} speech")
+            parts.append(f"{roughly(self.unpaired_seconds)} of {kind} speech")
             parts.append(counted(data.conditioner.dim, "feature"))
         if data.styles:
             parts.append(counted(len(data.styles), "style"))
@@ -187,17 +155,17 @@ class Trainer:
         return f"{' and '.join(given)} mode" if given else "no condition"
 
     def seconds_needed(self) -> float:
-        """Estimate how long the training takes, from a few iterations of each pair of levels.
+        """Estimate the length of the training from a few iterations of each stage.
 
         They change the networks: for a run that is not kept.
         """
         needed = 0.0
-        for first, iterations in self.pairs():
-            pair = Pair(self, first, iterations)
-            pair.iterate(0)  # compiles
+        for first, iterations in self.stages():
+            stage = self.stage(first, iterations)
+            stage.iterate(0)  # compiles
             clock = [time.monotonic()]
             for iteration in (0, 1, 2):  # number 0 fills the window cache
-                pair.iterate(iteration)
+                stage.iterate(iteration)
                 clock.append(time.monotonic())
             pace = (clock[3] - clock[1]) / 2
             refill = max(0.0, clock[1] - clock[0] - pace)
@@ -205,48 +173,55 @@ class Trainer:
             needed += refill * math.ceil(iterations / self.config.training.renew_every)
         return needed
 
-    def pairs(self) -> list[tuple[int, int]]:
-        """(first level, iterations) of each pair."""
+    def stages(self) -> list[tuple[int, int]]:
+        """Return (first level, iterations) of each stage."""
         training, levels = self.config.training, self.config.network.levels
         return [
             (first, training.first_stage if first == 0 else training.further_stages)
             for first in range(0, levels, 2)
         ]
 
+    def stage(self, first: int, iterations: int) -> Stage:
+        """Return the stage that begins with this level, its networks untrained."""
+        return Stage(self.config, self.data, self.network, self.processes, first, iterations)
+
     def run(self) -> Path:
-        """Train all pairs, or those that are left, and write the model."""
-        done, state = self.folder.checkpoints.latest() or (0, None)
+        """Train all stages, or those that are left, and write the model."""
+        done, state = self.loop.resume()
         if state is not None:
             self.network.load_state_dict(state["generator"])
-        if self.processes.is_first:
-            if state is not None:
-                log.info("Resuming after step %d.", done)
-            self.folder.forget_metrics_after(done)
-        # Nobody writes a checkpoint before all have read the one to go on from.
-        self.processes.wait()
-        pairs = self.pairs()
-        # An iteration costs what its frames cost, and a share that does not depend on them.
-        levels = self.config.network.levels
-        cost = {first: 20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in pairs}
-        stages = [(iterations, cost[first]) for first, iterations in pairs]
-        with Steps(stages, done, quiet=not self.processes.is_first) as progress:
-            start, chosen = 0, None
-            for first, iterations in pairs:
-                here = min(max(done - start, 0), iterations)
-                if here < iterations:
-                    own = state if state is not None and state["first"] == first else None
-                    pair = Pair(self, first, iterations)
-                    if self.processes.is_first and pair.backend.reason != chosen:
-                        chosen = pair.backend.reason
-                        log.info("Backend: %s (%s).", pair.backend.name, chosen)
-                    if own is not None:
-                        pair.load_state(own)
-                    pair.train(here, start, progress, cost[first])
-                start += iterations
-        return self._finish(start)
+        stages, levels = self.stages(), self.config.network.levels
+        reported = None
+
+        def begin(index: int) -> Stretch:
+            first, iterations = stages[index]
+            stage = self.stage(first, iterations)
+            nonlocal reported
+            if self.processes.is_first and stage.backend.reason != reported:
+                reported = stage.backend.reason
+                log.info("Backend: %s (%s).", stage.backend.name, reported)
+            if state is not None and state["first"] == first:
+                stage.load_state(state)
+            before = sum(count for _, count in stages[:index])
+            last = stage.indices[-1] + 1
+            return Stretch(
+                train=lambda step: stage.iterate(step - before - 1),
+                weights=stage.weights,
+                state=stage.state,
+                evaluate=lambda step: self.evaluate(step, first, last),
+                measure=lambda step: self.measure(step, last),
+                labels={"level": first + 1},
+                name=f"level {first + 1}-{last}: ",
+            )
+
+        # Part of an iteration's cost grows with its number of frames.
+        cost = [20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in stages]
+        counts = [count for _, count in stages]
+        self.loop.train(list(zip(counts, cost, strict=True)), done, begin)
+        return self._finish(sum(counts))
 
     def measure(self, step: int, levels: int) -> str:
-        """Log and return figures on held-out recordings, at the rate of the finest level so far."""
+        """Log and return metrics on held-out recordings, at the rate of the finest level so far."""
         whole = levels == self.config.network.levels
         network = copy.deepcopy(self.network)
         return self.held_out.measure(
@@ -257,7 +232,7 @@ class Trainer:
         )
 
     def evaluate(self, step: int, first: int, levels: int) -> None:
-        """Log cheap measures, write a sample, and keep the best model of the last pair."""
+        """Log cheap metrics, write a sample, and keep the best model of the last stage."""
         monitor = self.monitor
         if monitor is None:
             return
@@ -265,7 +240,7 @@ class Trainer:
         monitor.warn_of_collapse(figures, step)
         monitor.write_sample(self.folder.folder / "samples", step)
         if levels == self.config.network.levels:
-            # Of this pair alone: before it, what is measured lacks the finest levels.
+            # Models of earlier stages lack the finest levels.
             before = self.folder.evaluations(level=first + 1)
             distance = distance_from_recordings(figures)
             if all(distance < distance_from_recordings(other) for other in before):
@@ -277,15 +252,15 @@ class Trainer:
         self.folder.log(step, figures, level=first + 1, kind="evaluation")
 
     def _finish(self, steps: int) -> Path:
+        """Measure and write the model."""
         if self.processes.is_first:
             figures = self.measure(steps, self.config.network.levels)
-            last = self.folder.last_metrics()
             self._save(
                 "model",
                 self.network,
                 {
                     "Training steps": str(steps),
-                    "Last losses": ", ".join(f"{name} {value:.3g}" for name, value in last.items()),
+                    "Last losses": last_losses(self.folder),
                     **({"Measured": figures} if figures else {}),
                 },
             )
@@ -299,7 +274,7 @@ class Trainer:
             self.folder.folder / name,
             notes={
                 "Recordings": described(self.data.sources, self.seconds, self.config.fps),
-                "Unpaired speech": f"{roughly(self.heard)} in {counted(files, 'file')}"
+                "Unpaired speech": f"{roughly(self.unpaired_seconds)} in {counted(files, 'file')}"
                 if files and self.data.n_speech
                 else "none",
                 **notes,
@@ -309,7 +284,8 @@ class Trainer:
         save_sources(self.folder.folder / name, self.data.sources)
 
     def _model(self, network: MultiresGenerator) -> MultiresModel:
-        """The model of a network, which is moved to the CPU."""
+        """Return the model of a network, which is moved to the CPU."""
+        root_xz = self.data.representation.layout.root_xz
         return MultiresModel(
             fps=self.config.fps,
             representation=self.data.representation,
@@ -334,9 +310,7 @@ class Trainer:
             fastest=self.data.representation.scale
             * max(
                 fastest_second(
-                    plain_values(self.data.normaliser, sequence.motion[None])[
-                        :, self.data.representation.layout.root_xz
-                    ],
+                    plain_values(self.data.normaliser, sequence.motion[None])[:, root_xz],
                     self.config.fps,
                 )
                 for sequence in self.data.paired

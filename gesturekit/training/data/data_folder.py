@@ -1,7 +1,7 @@
-"""What a run trains on, on disk, for when it is resumed.
+"""Training data of a run on disk, from which a resumed run continues.
 
-Features and encoded motion differ in their last bits from process to process, as numpy's vector
-instructions depend on where arrays lie; a resumed run must read what it read.
+Features and encoded motion computed again would differ in their last bits, because numpy's vector
+instructions depend on the alignment of arrays.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ def load_data(folder: Path, assemble: Callable[[dict[str, Any], dict[str, Tensor
     """Read what `save_data` wrote.
 
     Args:
-        folder: where.
-        assemble: makes the data of plain values and tensors.
+        folder: as written by `save_data`.
+        assemble: build the data from plain values and tensors.
 
     Raises:
         ConfigError: the folder's data is missing or damaged.
-        WeightsError: the WavLM weights are not those that the run began with.
+        WeightsError: the WavLM weights differ from those at the start of the run.
     """
     try:
         about = json.loads((folder / "data.json").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""What a model hears: the setting, and the features of a corpus."""
+"""Speech features of a model: settings, and extraction for a corpus."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ from gesturekit.progress import Progress
 
 @dataclass(frozen=True)
 class FeatureConfig:
-    """What a model hears."""
+    """Speech features of a model."""
 
     extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
-    """Extractors by name and settings, side by side."""
+    """Extractors by name and settings; their features are concatenated."""
     weights: Path | None = None
-    """The WavLM weights, where an extractor asks for them."""
+    """Folder of the WavLM weights, if an extractor needs them."""
     align: Literal["mean", "gaussian", "linear"] = "mean"
-    """How features reach the motion's frames: mean of each frame's span, those means averaged with
-    a standard deviation of a frame, or linear in time."""
+    """Resampling of features to motion frames: the mean over each frame, those means smoothed by a
+    Gaussian of one frame, or linear interpolation."""
     normalise: Normalisation = "clip"
-    """clip brings speech to one level, and the features of each clip to zero mean and comparable
-    spread; corpus brings features to zero mean and unit variance over all training speech; none
-    takes them as they are. Without clip, quieter speech gives another motion."""
+    """Normalisation of features. `clip` normalises the loudness of speech, and the features of each
+    clip to zero mean and comparable spread; `corpus` normalises features to zero mean and unit
+    variance over all training speech; `none` does neither. Without `clip`, loudness changes the
+    motion."""
 
     def extractor(self) -> Any:
-        """The extractor.
+        """Make the extractor.
 
         Raises:
             FeatureError: an unknown extractor or setting.
@@ -44,40 +45,40 @@ class FeatureConfig:
         return af.extractor_from_spec(parts, weights=self.weights)
 
 
-def listen(
+def extract_features(
     items: Sequence[Item],
     most: Sequence[int | None],
     extractor: Any,
     fps: float,
     settings: FeatureConfig,
 ) -> tuple[SpeechConditioner, list[np.ndarray]]:
-    """What a model hears of each item, (T, S) float32, and what makes it of a wave.
+    """Return a fitted conditioner and the features (T, S), float32, of each item.
 
     Args:
-        items: with sound.
-        most: frames of each that are wanted, or None for all.
+        items: with audio.
+        most: largest number of frames of each; None for all.
         extractor: see `FeatureConfig.extractor`.
         fps: frames per second of the motion.
-        settings: how features reach the motion's frames, and whether they are normalised.
+        settings: resampling and normalisation.
 
     Raises:
         AudioError: a file cannot be read.
     """
     progress = Progress(items, desc="Extracting speech features", unit="file")
     align, level = settings.align, settings.normalise == "clip"
-    heard = [extract(item.load_wave(), extractor, fps, align, level=level) for item in progress]
-    conditioner = SpeechConditioner.fit(heard, extractor, fps, align, settings.normalise)
-    # From the first to the last, each making room for what becomes of it.
-    heard.reverse()
+    extracted = [extract(item.load_wave(), extractor, fps, align, level=level) for item in progress]
+    conditioner = SpeechConditioner.fit(extracted, extractor, fps, align, settings.normalise)
+    # Each array is released as soon as it is normalised: features of a large corpus fill memory.
+    extracted.reverse()
     speeches = []
     for n_frames in most:
-        values, active = heard.pop()
+        values, active = extracted.pop()
         speeches.append(conditioner.normalise(values[:n_frames], active[:n_frames]))
     return conditioner, speeches
 
 
 def conditioner_tensors(conditioner: SpeechConditioner | None) -> dict[str, Tensor]:
-    """What a conditioner has learnt, under the names that models and runs keep it by."""
+    """Return the statistics of a conditioner by their names in model and run folders."""
     if conditioner is None:
         return {}
     return {
@@ -87,7 +88,7 @@ def conditioner_tensors(conditioner: SpeechConditioner | None) -> dict[str, Tens
 
 
 def conditioner_values(conditioner: SpeechConditioner) -> dict[str, Any]:
-    """Return what a model's configuration holds of a conditioner; see `load_conditioner`."""
+    """Return the settings of a conditioner for a model's config.yaml."""
     return {
         "spec": conditioner.extractor.spec,
         "align": conditioner.align,
@@ -102,12 +103,12 @@ def load_conditioner(
     weights: str | Path | None,
     device: str = "cpu",
 ) -> SpeechConditioner:
-    """Return the conditioner of which these are `conditioner_values` and `conditioner_tensors`.
+    """Build a conditioner from its `conditioner_values` and `conditioner_tensors`.
 
-    The extractor's spec knows its weights. Values without `normalise` are older than the setting.
+    The extractor's spec holds the fingerprint of its weights. Older models lack `normalise`.
 
     Raises:
-        WeightsError: WavLM weights are asked for, or are not those of training.
+        WeightsError: WavLM weights are missing, or differ from those of training.
     """
     return SpeechConditioner(
         af.extractor_from_spec(values["spec"], weights=weights, device=device),

@@ -1,4 +1,4 @@
-"""Motions that a user gives a model, on the model's own rig."""
+"""Retargeting of input motions to a model's rig."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from gesturekit.motion.selection.model_joints import ModelJoints
 
 
 def on_rig(model: ModelJoints, motion: Motion) -> Motion:
-    """The motion, moved to the model's rig where it has another one.
+    """Return the motion on the model's rig, retargeted if its own rig is different.
 
     Raises:
-        ModelError: that cannot be done.
+        ModelError: the motion cannot be retargeted.
     """
     rig = model.skeleton
     if (motion.skeleton.names, motion.skeleton.parents) == (rig.names, rig.parents):
@@ -27,7 +27,7 @@ def on_rig(model: ModelJoints, motion: Motion) -> Motion:
 
 
 def _upright(model: ModelJoints) -> np.ndarray | None:
-    """(J, 4) how the rig stands: at rest, else as its recordings do on average, if that stands."""
+    """Return the standing pose (J, 4) of the mean training pose; None if that does not stand."""
     mean = Motion(model.skeleton, model.fixed_rotations[None], np.zeros((1, 3)), 1.0)
     try:
         return standing_pose(mean)

@@ -1,4 +1,4 @@
-"""What a run learns motion from: items of its corpus, of one rig."""
+"""Recorded motion of a run: items of its corpus, all of one rig."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from gesturekit.motion.skeleton import Skeleton
 log = logging.getLogger(__name__)
 
 
-def training_items(manifest: Manifest, corpus: Path, *, heard: bool) -> tuple[Item, ...]:
-    """Items of split train: pairs for a model that hears, else all that have motion.
+def training_items(manifest: Manifest, corpus: Path, *, with_audio: bool) -> tuple[Item, ...]:
+    """Return items of split train: pairs if speech is an input, else all with motion.
 
     Raises:
         CorpusError: there are none.
     """
-    if heard:
+    if with_audio:
         items = manifest.paired("train")
         if not items:
             raise CorpusError(
@@ -44,7 +44,7 @@ def training_items(manifest: Manifest, corpus: Path, *, heard: bool) -> tuple[It
 
 
 def item_styles(items: Sequence[Item], corpus: Path) -> tuple[tuple[str, ...], list[int]]:
-    """Names of the styles, in alphabetical order, and the number of each item's own.
+    """Return style names, in alphabetical order, and the style index of each item.
 
     Raises:
         CorpusError: an item without style.
@@ -62,13 +62,13 @@ def item_styles(items: Sequence[Item], corpus: Path) -> tuple[tuple[str, ...], l
 def load_motions(
     items: Sequence[Item], corpus: Path, fps: float | None, parts: Mapping[str, str]
 ) -> list[Motion]:
-    """The motion of each item at `fps`, all of one rig; `info["recorded_fps"]` is the file's rate.
+    """Return the motion of each item; `info["recorded_fps"]` is the file's frame rate.
 
     Args:
         items: with motion.
         corpus: the manifest, for messages.
-        fps: frames per second; None leaves each as it is.
-        parts: parts of the body named by hand, see `Skeleton.parts`.
+        fps: frames per second; None keeps each file's rate.
+        parts: joints of body parts, see `Skeleton.parts`.
 
     Raises:
         CorpusError: rigs that differ, or a file that is not as long as its item.
@@ -95,12 +95,12 @@ def load_motions(
 
 
 def recorded_rate(motions: Sequence[Motion]) -> float:
-    """The commonest frame rate of what `load_motions` gave, before it was resampled."""
+    """Return the most common file frame rate of motions that `load_motions` returned."""
     return Counter(motion.info["recorded_fps"] for motion in motions).most_common(1)[0][0]
 
 
 def speaker_skeletons(items: Sequence[Item], motions: Sequence[Motion]) -> dict[str, Skeleton]:
-    """A reference skeleton for each speaker that the corpus names."""
+    """Return a reference skeleton for each speaker that the corpus names."""
     own: dict[str, list[Motion]] = {}
     for item, motion in zip(items, motions, strict=True):
         if item.speaker is not None:

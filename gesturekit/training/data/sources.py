@@ -1,4 +1,4 @@
-"""The recordings that a model was trained on, kept with the run and with the model."""
+"""Record of the recordings that a model was trained on, stored with run and model."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ FILE = "trained_on.json"
 
 @dataclass(frozen=True)
 class Source:
-    """A stretch of a recording that a model was trained on.
+    """Segment of a recording that a model was trained on.
 
     Attributes:
         id: the item's id in its manifest.
         motion: fingerprint of the motion file's content.
-        audio: fingerprint of the sound file's content; None for motion alone.
-        start: where the stretch begins in the motion file, seconds.
+        audio: fingerprint of the audio file's content; None for motion alone.
+        start: start of the segment in the motion file, seconds.
         duration: its length, seconds.
         fps: frame rate of the motion file.
     """
@@ -56,18 +56,18 @@ class Source:
 
 @lru_cache(maxsize=4096)
 def fingerprint(path: Path) -> str:
-    """The first 16 hexadecimal digits of the SHA-256 of a file's content."""
+    """Return the first 16 hexadecimal digits of the SHA-256 of a file's content."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def n_recordings(sources: Iterable[Source]) -> int:
-    """The number of motion files; one that is cut into parts counts once."""
+    """Return the number of motion files; one that is cut into parts counts once."""
     return len({source.motion for source in sources})
 
 
 def rates(sources: Iterable[Source], fps: float) -> str:
-    """ "at 30 fps, trained at 25 fps", or "at 25 fps" where nothing is resampled."""
+    """Return "at 30 fps, trained at 25 fps", or "at 25 fps" without resampling."""
     own = Counter(f"{rate:.6g} fps" for _, rate in {(s.motion, s.fps) for s in sources})
     trained = f"{fps:.6g} fps"
     if not own or set(own) == {trained}:
@@ -79,7 +79,7 @@ def rates(sources: Iterable[Source], fps: float) -> str:
 
 
 def described(sources: Sequence[Source], seconds: float, fps: float) -> str:
-    """ "2 recordings in 3 parts, 14 min at 30 fps, trained at 25 fps"."""
+    """Return "2 recordings in 3 parts, 14 min at 30 fps, trained at 25 fps"."""
     count = n_recordings(sources)
     parts = f" in {len(sources)} parts" if len(sources) > count else ""
     return f"{counted(count, 'recording')}{parts}, {roughly(seconds)} {rates(sources, fps)}"
@@ -93,13 +93,13 @@ def is_trained_on(
     start: float = 0.0,
     duration: float = math.inf,
 ) -> bool:
-    """Return whether a stretch of a recording overlaps what a model was trained on.
+    """Return True if a segment of a recording overlaps a model's training recordings.
 
     Args:
         sources: of the model.
         motion: the recording's motion file; files are compared by their content.
-        audio: its sound file, which counts where the motion file is another.
-        start: where the stretch begins, seconds.
+        audio: its audio file; an equal one counts even if motion files differ.
+        start: start of the segment, seconds.
         duration: its length, seconds; of the whole recording by default.
     """
     files = {fingerprint(path) for path in (motion, audio) if path is not None}
@@ -111,12 +111,12 @@ def is_trained_on(
 
 
 def to_values(sources: Iterable[Source]) -> list[dict[str, Any]]:
-    """Plain values, ready for JSON."""
+    """Return plain values, ready for JSON."""
     return [asdict(source) for source in sources]
 
 
 def from_values(values: Iterable[dict[str, Any]]) -> tuple[Source, ...]:
-    """Inverse of `to_values`."""
+    """Return sources from the output of `to_values`."""
     return tuple(Source(**value) for value in values)
 
 
@@ -127,7 +127,7 @@ def save_sources(folder: Path, sources: Iterable[Source]) -> None:
 
 
 def load_sources(folder: Path) -> tuple[Source, ...]:
-    """Read what a model was trained on; nothing where its folder does not say."""
+    """Read `trained_on.json` of a model folder; empty if it is missing or damaged."""
     try:
         return from_values(json.loads((folder / FILE).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):

@@ -1,4 +1,4 @@
-"""Checkpoints: training state on disk, whole or not at all."""
+"""Checkpoints: training state on disk, written atomically."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _NAME = re.compile(r"step_(\d+)\.pt")
 
 
 class Checkpoints:
-    """The `checkpoints/` folder of a run: `step_00000150.pt` and the few before it.
+    """The `checkpoints/` folder of a run: the last few files such as `step_00000150.pt`.
 
-    State is tensors, numbers, strings, lists and dicts only, so that it can be read back with
-    `torch.load(weights_only=True)`.
+    The state consists of tensors, numbers, strings, lists and dicts only, so that it can be
+    read back with `torch.load(weights_only=True)`.
     """
 
     def __init__(self, folder: Path, keep: int = 2) -> None:
@@ -28,27 +28,27 @@ class Checkpoints:
         self.keep = keep
 
     def steps(self) -> list[int]:
-        """The steps that have a checkpoint, oldest first."""
+        """Return the steps that have a checkpoint, oldest first."""
         if not self.folder.is_dir():
             return []
         found = (_NAME.fullmatch(path.name) for path in self.folder.iterdir())
         return sorted(int(match[1]) for match in found if match)
 
     def path(self, step: int) -> Path:
-        """Where the checkpoint of a step lies."""
+        """Return the path of a step's checkpoint."""
         return self.folder / f"step_{step:08d}.pt"
 
     def save(self, step: int, state: dict[str, Any]) -> None:
-        """Write the state of `step`, then forget all but the last `keep`."""
+        """Write the state of `step`, then delete all but the last `keep` checkpoints."""
         with atomic_write(self.path(step)) as temporary:
             torch.save(state, temporary)
         for old in self.steps()[: -self.keep]:
             self.path(old).unlink()
 
     def latest(self) -> tuple[int, dict[str, Any]] | None:
-        """The newest checkpoint that can be read; None where there is none at all.
+        """Return step and state of the newest readable checkpoint; None without checkpoints.
 
-        A damaged one is reported and the one before it is taken.
+        A damaged one is logged, and the one before it is tried.
 
         Raises:
             ModelError: there are checkpoints, and none can be read.

@@ -1,4 +1,4 @@
-"""Where networks compute, in training and in rendering."""
+"""Device of the networks, in training and in rendering."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 
 
 def prepare_device(name: str, threads: int | None = None) -> torch.device:
-    """The device of that name, told to compute the same thing every time.
+    """Return the device of that name, set to deterministic algorithms.
 
     Args:
         name: auto (a GPU if there is one), cpu, cuda, cuda:1 ...
@@ -34,14 +34,14 @@ def prepare_device(name: str, threads: int | None = None) -> torch.device:
             reason = str(error).partition("\n")[0]
             raise ConfigError(f"device: {name!r} cannot be used here ({reason})") from None
     if device.type == "cuda":
-        # Same seed, same weights, on a GPU too; cuBLAS wants to be told before its first use.
+        # Same seed, same weights, on a GPU too; cuBLAS reads the variable at its first use.
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
     return device
 
 
 def warn_of_slow_bfloat16(device: torch.device) -> None:
-    """Warn where a processor has no bfloat16 arithmetic, and single precision is faster."""
+    """Warn if the processor has no bfloat16 arithmetic, and single precision is faster."""
     known = getattr(torch.cpu, "get_capabilities", dict)()  # newer torch alone has it
     has_bfloat16 = known.get("avx512_bf16") or known.get("amx_bf16")
     if device.type == "cpu" and known.get("avx2") and not has_bfloat16:

@@ -1,4 +1,4 @@
-"""The run folder: everything that is needed to know, continue or repeat a training."""
+"""Run folder: files to inspect, resume or repeat a training."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gesturekit.training.run.checkpoint import Checkpoints
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
-# Where a run lies and how it reports do not change what it computes.
+# These settings do not change what a run computes, so they may change when it is resumed.
 _REPORTING = ("out", "checkpoint_every", "log_every", "eval_every")
 
 
@@ -29,7 +29,7 @@ class Run:
     Args:
         folder: where the run lives.
         config: the resolved configuration as plain values.
-        resume: go on with what the folder holds. Without it the folder must hold no run yet.
+        resume: continue the run in the folder. Without it the folder must not hold a run.
 
     Raises:
         ConfigError: the folder holds a run already, holds none to resume, or holds one of
@@ -70,11 +70,11 @@ class Run:
 
     @property
     def has_begun(self) -> bool:
-        """Return True where the folder holds a run that can be resumed."""
+        """Return True if the folder holds a run that can be resumed."""
         return (self.folder / "config.yaml").is_file()
 
     def begin(self) -> None:
-        """Make the folder that of this run, once it is clear that the run can start."""
+        """Write the files that mark the folder as a run, once the training data is read."""
         self._write("command.txt", shlex.join(sys.argv) + "\n")
         self._write("versions.json", json.dumps(_versions(), indent=1) + "\n")
         # Last: a folder with a config.yaml holds a run.
@@ -85,7 +85,7 @@ class Run:
             temporary.write_text(text, encoding="utf-8")
 
     def forget_metrics_after(self, step: int) -> None:
-        """Drop lines that a killed run wrote after its last checkpoint; they come again."""
+        """Drop lines that a killed run wrote after its last checkpoint."""
         if not self._metrics.exists():
             return
         kept = []
@@ -111,7 +111,7 @@ class Run:
             self._events.add_scalar(name, value, step)
 
     def last_metrics(self) -> dict[str, float]:
-        """The losses logged last, without step, labels and timing."""
+        """Return the last logged losses, without step, labels and timing."""
         lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
         losses = [logged for logged in lines if "kind" not in logged]
         logged = losses[-1] if losses else {}
@@ -122,7 +122,7 @@ class Run:
         }
 
     def evaluations(self, level: int) -> list[dict[str, Any]]:
-        """What was logged with `kind: evaluation` for a level, oldest first."""
+        """Return the log lines with `kind: evaluation` of a level, oldest first."""
         if not self._metrics.exists():
             return []
         lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
@@ -133,7 +133,7 @@ class Run:
         ]
 
     def has(self, step: int, kind: str) -> bool:
-        """Return True where a line of this kind was logged for a step."""
+        """Return True if a line of this kind was logged for a step."""
         if not self._metrics.exists():
             return False
         lines = map(json.loads, self._metrics.read_text(encoding="utf-8").splitlines())
@@ -146,7 +146,7 @@ class Run:
 
 
 def _dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested keys as section.key, so that a difference can be named."""
+    """Return nested keys as section.key, for error messages."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         name = f"{prefix}{key}"

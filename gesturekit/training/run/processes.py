@@ -1,9 +1,8 @@
-"""Training in several processes, as torchrun starts them: who I am, my share, the mean gradient.
+"""Data-parallel training in several processes that torchrun starts.
 
-Every process builds the same networks from the same seeds and draws the same random numbers; of
-each batch it takes its share, and gradients are averaged before each optimiser step, so that all
-hold the same weights and the run is that of one process with the whole batch, up to the rounding
-of sums. The first process alone writes.
+Every process builds the same networks from the same seeds and draws the same random numbers. It
+computes its share of each batch. Gradients are averaged before each optimiser step, so that the
+result equals that of one process up to the rounding of sums. Only the first process writes.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from gesturekit.errors import ConfigError
 
 @dataclass(frozen=True)
 class Processes:
-    """The processes of a run; alone, rank 0 of 1, where torchrun did not start it.
+    """Processes of a run; rank 0 of 1 without torchrun.
 
     Attributes:
-        rank: my number, 0 for the first.
-        count: how many there are.
-        local_rank: my number on this machine, which is the number of my GPU.
+        rank: index of this process.
+        count: number of processes.
+        local_rank: index of this process on its machine, and of its GPU.
     """
 
     rank: int = 0
@@ -37,13 +36,13 @@ class Processes:
     @classmethod
     @contextmanager
     def from_environment(cls, device: str = "auto") -> Iterator[Processes]:
-        """Join the processes that torchrun started, and leave them at the end.
+        """Join the processes that torchrun started; leave them at the end.
 
         Args:
-            device: what each trains on; `cpu` (or no GPU) is joined by gloo, a GPU by NCCL.
+            device: training device; the backend is NCCL on a GPU, else gloo.
 
         Raises:
-            ConfigError: torchrun's variables are incomplete or no numbers.
+            ConfigError: torchrun's variables are incomplete or not numbers.
         """
         if "WORLD_SIZE" not in os.environ:
             yield cls()
@@ -70,15 +69,15 @@ class Processes:
 
     @property
     def is_first(self) -> bool:
-        """Whether this is the process that writes and speaks."""
+        """Return True for the process that writes and logs."""
         return self.rank == 0
 
     def share(self, n: int) -> slice:
-        """My part of n things, as equal as can be; empty where there are fewer than processes."""
+        """Return this process's share of n items; shares differ by one item at most."""
         return slice(n * self.rank // self.count, n * (self.rank + 1) // self.count)
 
     def device(self, name: str) -> str:
-        """`cuda` with my own GPU's number; other names as they are."""
+        """Return the device name, with the index of this process's GPU where it applies."""
         alone = self.count == 1 or not torch.cuda.is_available()
         return name if alone or name not in ("auto", "cuda") else f"cuda:{self.local_rank}"
 
@@ -88,9 +87,8 @@ class Processes:
         """Replace each gradient by its mean over all processes, in one exchange.
 
         Args:
-            parameters: the same, in the same order, in every process. One without a gradient
-                counts as zero.
-            weight: my share of the batch where shares differ; they sum to 1 over the processes.
+            parameters: in the same order in every process. A missing gradient counts as zero.
+            weight: this process's share of the batch, if shares differ; weights sum to 1.
         """
         if self.count == 1:
             return
@@ -107,14 +105,16 @@ class Processes:
             parameter.grad.copy_(part.view_as(parameter))
 
     def mean(self, value: Tensor) -> Tensor:
-        """The mean of a tensor over all processes, for reports."""
+        """Return the mean of a tensor over all processes."""
         if self.count == 1:
             return value
-        value = value.clone()
-        distributed.all_reduce(value)
-        return value / self.count
+        # NCCL reduces tensors on a GPU only.
+        on_gpu = distributed.get_backend() == "nccl"
+        total = value.to("cuda" if on_gpu else value.device, copy=True)
+        distributed.all_reduce(total)
+        return total.to(value.device) / self.count
 
     def wait(self) -> None:
-        """Until all have come here, such as for what the first one writes."""
+        """Wait until all processes have called this."""
         if self.count > 1:
             distributed.barrier()

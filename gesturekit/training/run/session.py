@@ -1,4 +1,4 @@
-"""A training under way: its processes, its device and its run folder, for as long as it lasts."""
+"""Processes, device and run folder of a training."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ log = logging.getLogger(__name__)
 def session(
     config: RunConfig, *, resume: bool, folder: Path | None = None
 ) -> Iterator[tuple[Run, torch.device, Processes]]:
-    """Join torchrun's processes if there are any, and open the run folder.
+    """Join torchrun's processes, if any, and open the run folder.
 
-    An interrupted run says how to go on with it.
+    After Ctrl-C it logs the command that resumes the run.
 
     Args:
         config: of the run.
-        resume: go on with what the run folder holds.
-        folder: in place of `config.out`, for a run that is not kept.
+        resume: continue the run in the folder.
+        folder: replaces `config.out` for a temporary run.
 
     Raises:
         ConfigError: `config.out` holds a run already (or none to resume), or no such device.
@@ -47,7 +47,7 @@ def session(
     ):
         device = prepare_device(processes.device(config.device), config.threads)
         run = Run(folder or config.out, to_dict(config), resume=resume)
-        # All have looked at the folder before the first one makes it that of this run.
+        # All processes check the folder before the first one writes into it.
         processes.wait()
         try:
             yield run, device, processes
@@ -60,7 +60,7 @@ def session(
 
 
 def resume_command(folder: Path, processes: Processes) -> str:
-    """The command line that goes on with a run."""
+    """Return the command line that resumes a run."""
     program = (
         ["gesturekit"]
         if processes.count == 1
@@ -70,7 +70,7 @@ def resume_command(folder: Path, processes: Processes) -> str:
 
 
 def plan(config: RunConfig, trainer: Callable[..., Any]) -> None:
-    """Log what a run would do and how long it would take, without its run folder.
+    """Log the plan and estimated duration of a run, without its run folder.
 
     The data is read and a few steps are timed in a temporary folder.
 

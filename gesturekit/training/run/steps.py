@@ -17,14 +17,14 @@ _SAID_AFTER = 3.0
 
 
 class Steps(Progress):
-    """Progress over training steps that do not cost the same.
+    """Progress bar over training steps of different cost.
 
-    Time left is the cost of the steps that are left, at the pace since the first step; that one
-    is not counted, because it compiles.
+    The time left is the cost of the remaining steps at the pace since the first step, which is not
+    counted because it compiles.
 
     Args:
-        stages: (steps, cost of one) in turn; costs are relative.
-        done: steps that were done before the training was resumed.
+        stages: (number of steps, relative cost of a step) in order.
+        done: steps before the training was resumed.
         quiet: print nothing.
     """
 
@@ -46,7 +46,7 @@ class Steps(Progress):
         )
 
     def step(self, cost: float) -> None:
-        """Count a step that has just been done."""
+        """Count a finished step."""
         self._cost_left -= cost
         if self._since is None:
             self._since = time.monotonic()
@@ -60,14 +60,14 @@ class Steps(Progress):
 
     @property
     def seconds_left(self) -> float:
-        """Estimate of the time that the remaining steps take; 0 before it is known."""
+        """Return the estimated seconds of the remaining steps; 0 before they are known."""
         if self._since is None or not self._paid:
             return 0.0
         return self._cost_left * (time.monotonic() - self._since) / self._paid
 
     @property
     def format_dict(self) -> dict[str, Any]:
-        """tqdm's values, with the rate that gives this estimate of the time left."""
+        """Return tqdm's values, with the rate that gives this estimate of the time left."""
         values = super().format_dict
         if left := self.seconds_left:
             values["rate"] = (self.total - self.n) / left

@@ -1,0 +1,172 @@
+"""Reading of a corpus into the training data of a multires run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import audio_features as af
+from gesturekit.corpus.manifest import Item, Manifest
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.errors import ConfigError, CorpusError, MotionError
+from gesturekit.motion.heading import heading
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import find_parts
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.training.data import Normaliser, PairedSequence, TrainingData
+from gesturekit.training.data.features import extract_features
+from gesturekit.training.data.recordings import (
+    item_styles,
+    load_motions,
+    recorded_rate,
+    speaker_skeletons,
+    training_items,
+)
+from gesturekit.training.data.sources import Source
+
+
+def load_training_data(config: MultiresConfig) -> TrainingData:
+    """Read the corpus of a run, extract features, and normalise.
+
+    Raises:
+        ConfigError: settings that the recordings do not allow.
+        CorpusError: no training item with what the mode needs, rigs that differ, or a file that
+            cannot be read.
+    """
+    # Wrong extractor settings are reported before any file is read.
+    extractor = None if config.features is None else config.features.extractor()
+    manifest = Manifest.load(config.corpus)
+    items = training_items(manifest, config.corpus, with_audio=config.features is not None)
+    styles: tuple[str, ...] = ()
+    style_of = [0] * len(items)
+    if config.styles is not None:
+        styles, style_of = item_styles(items, config.corpus)
+    recorded = load_motions(items, config.corpus, None, config.parts)
+    motions = [motion.resample(config.fps) for motion in recorded]
+    representation = _representation(config, motions)
+    vectors = _encode(config, items, motions, representation)
+    width = representation.n_features
+    normaliser = Normaliser(torch.zeros(width), torch.ones(width))
+    if config.normalise:
+        normaliser = Normaliser.fit(vectors, representation)
+    others = () if extractor is None else manifest.unpaired("train")
+    lengths = list(map(len, vectors))
+    conditioner, speeches, unpaired = _speech(config, items, lengths, others, extractor)
+    paired = []
+    for item, vector, speech, style in zip(items, vectors, speeches, style_of, strict=True):
+        n_frames = min(len(vector), speech.shape[-1])
+        motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
+        paired.append(
+            PairedSequence.make(
+                item.id,
+                motion,
+                speech[:, :n_frames].contiguous(),
+                config.network.levels,
+                config.seed,
+                style=style,
+                full_noise=config.z_star == "full",
+            )
+        )
+    longest, window = _longest(config, paired), config.training.window
+    frames = None if window is None else max(config.network.levels, round(window * config.fps))
+    silent = (frames or longest) + 2 * config.random_margin
+    return TrainingData(
+        paired=tuple(paired),
+        unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
+        silence=_transposed(conditioner.silence(silent)) if conditioner else torch.zeros(0, silent),
+        window=frames,
+        representation=representation,
+        conditioner=conditioner,
+        styles=styles,
+        normaliser=normaliser,
+        speakers=speaker_skeletons(items, motions),
+        unpaired_is_paired=conditioner is not None and not unpaired,
+        sources=tuple(map(Source.of, items, recorded)),
+        recorded_fps=recorded_rate(motions),
+    )
+
+
+def _representation(config: MultiresConfig, motions: Sequence[Motion]) -> MultiresRepresentation:
+    """Fit the motion representation; raise ConfigError if speech has no upper body to modulate."""
+    representation = MultiresRepresentation.fit(motions, config.joints, config.contact_threshold)
+    if config.features is not None and config.network.modulate == "upper":
+        try:
+            find_parts(representation.skeleton)
+        except MotionError as error:
+            raise ConfigError(
+                "network.modulate: speech moves the upper body, which cannot be identified: "
+                f"{error}; or let speech move all joints (network.modulate=all)"
+            ) from None
+    return representation
+
+
+def _encode(
+    config: MultiresConfig,
+    items: Sequence[Item],
+    motions: Sequence[Motion],
+    representation: MultiresRepresentation,
+) -> list[np.ndarray]:
+    """Return each recording as motion vectors (T, D)."""
+    vectors = []
+    for item, motion in zip(items, motions, strict=True):
+        try:
+            turn = -heading(motion) if config.face_forward else 0.0
+            vectors.append(representation.encode(motion, turn=turn))
+        except ValueError as error:
+            raise CorpusError(f"{config.corpus}: item {item.id}: {error}") from None
+    return vectors
+
+
+def _speech(
+    config: MultiresConfig,
+    items: Sequence[Item],
+    lengths: Sequence[int],
+    others: Sequence[Item],
+    extractor: af.Extractor | None,
+) -> tuple[SpeechConditioner | None, list[Tensor], list[Tensor]]:
+    """Extract speech features (S, T) of paired and unpaired items.
+
+    Args:
+        config: of the run.
+        items: paired items.
+        lengths: frames of their motion.
+        others: items without motion.
+        extractor: None for a model without speech input.
+
+    Returns:
+        the conditioner, and features of paired and of unpaired items; None, (0, T) and no
+        unpaired features without speech input.
+    """
+    if extractor is None or config.features is None:
+        return None, [torch.zeros(0, n_frames) for n_frames in lengths], []
+    conditioner, features = extract_features(
+        [*items, *others],
+        [*lengths, *[None] * len(others)],
+        extractor,
+        config.fps,
+        config.features,
+    )
+    # Each array is released as soon as it is converted: features of a large corpus fill memory.
+    features.reverse()
+    tensors = [_transposed(features.pop()) for _ in range(len(features))]
+    return conditioner, tensors[: len(items)], tensors[len(items) :]
+
+
+def _longest(config: MultiresConfig, paired: Sequence[PairedSequence]) -> int:
+    """Return the frames of the longest recording; raise ConfigError if that has too few."""
+    longest = max(sequence.n_frames for sequence in paired)
+    if af.level_lengths(longest, config.network.levels)[0] < 2:
+        raise ConfigError(
+            f"network.levels: {config.network.levels} levels leave one frame of the longest "
+            f"recording ({longest / config.fps:.1f} s) at the coarsest; take fewer levels"
+        )
+    return longest
+
+
+def _transposed(values: np.ndarray) -> Tensor:
+    """Return (T, S) as a contiguous (S, T) tensor."""
+    return torch.from_numpy(np.ascontiguousarray(values.T))
