@@ -25,7 +25,7 @@ from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.skeleton_conv import SLOPE
-from gesturekit.multires.sampling.tiling import CHUNK, sample
+from gesturekit.multires.sampling.tiling import TILE, sample
 
 FPS, LEVELS = 30, 7
 HOUR = 3600 * FPS
@@ -83,17 +83,17 @@ def peak_mib() -> float:
     return int(next(row for row in rows if row.startswith("VmHWM")).split()[1]) / 1024
 
 
-def hour(chunk: int) -> None:
+def hour(tile: int) -> None:
     """Measure an hour in its own process: seconds and MiB, as JSON."""
     network = pyramid()
     sample(network, *noise(10 * FPS), None)
     idle, start = peak_mib(), time.perf_counter()
-    sample(network, *noise(HOUR), None, chunk=chunk)
+    sample(network, *noise(HOUR), None, tile=tile)
     print(json.dumps([time.perf_counter() - start, peak_mib() - idle]))
 
 
-def measured_hour(chunk: int) -> tuple[float, float]:
-    command = [sys.executable, __file__, "--hour", str(chunk)]
+def measured_hour(tile: int) -> tuple[float, float]:
+    command = [sys.executable, __file__, "--hour", str(tile)]
     run = subprocess.run(command, check=True, capture_output=True, text=True)
     return tuple(json.loads(run.stdout))
 
@@ -121,7 +121,7 @@ def main() -> None:
             "ratio": seconds / row["ours"],
             "note": "the same; other: real time",
         }
-    pieces, whole = measured_hour(CHUNK), measured_hour(HOUR)
+    pieces, whole = measured_hour(TILE), measured_hour(HOUR)
     motion = HOUR * network.levels[0].layers[0].shape[1] * 4 / 2**20
     figures["sample_hour"] = {
         "ours": pieces[0],

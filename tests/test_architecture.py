@@ -66,13 +66,6 @@ KNOWN_CYCLES: list[set[str]] = [
         "gesturekit.diffusion.model",
         "gesturekit.diffusion.sampling.sdedit",
     },
-    {
-        "gesturekit.multires.model",
-        "gesturekit.multires.model_format",
-        "gesturekit.multires.sampling.pyramid",
-        "gesturekit.multires.sampling.request",
-        "gesturekit.multires.sampling.sampler",
-    },
 ]
 
 

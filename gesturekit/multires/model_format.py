@@ -1,10 +1,12 @@
-"""What a multires model folder holds: a model as plain values and tensors, and back."""
+"""Multires model folders: a model as plain values and tensors, and back."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torch import Tensor
 
@@ -13,6 +15,8 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.sampling.conditions import Conditions
+from gesturekit.multires.trained_model import TrainedModel, TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import Normaliser
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.data.features import (
@@ -20,37 +24,26 @@ from gesturekit.training.data.features import (
     conditioner_values,
     load_conditioner,
 )
-from gesturekit.training.model_folder import ModelParts
-
-if TYPE_CHECKING:
-    from gesturekit.multires.model import MultiresModel
+from gesturekit.training.model_folder import ModelParts, model_readme, rates
 
 
-@dataclass(frozen=True)
-class TrainedSequence:
-    """A training sequence, as far as its reconstruction needs it: frames, and its style."""
-
-    frames: int
-    style: str | None = None
-
-
-def model_parts(
-    model: MultiresModel,
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
-    """config.yaml, skeleton.json and model.safetensors of a model."""
+def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
+    """Return config.yaml, skeleton.json and model.safetensors of a model."""
+    conditions, noise = model.conditions, model.noise
+    conditioner = conditions.conditioner
     config = {
         "kind": model.kind,
         "fps": model.fps,
         "recorded_fps": model.recorded_fps,
         "joints": list(model.representation.joints),
         "features": None
-        if model.conditioner is None
-        else {**conditioner_values(model.conditioner), "residual": model.residual},
+        if conditioner is None
+        else {**conditioner_values(conditioner), "residual": conditions.residual},
         "styles": list(model.styles),
-        "z_star_shuffle": model.z_star_shuffle,
-        "noise_levels": model.noise_levels,
+        "z_star_shuffle": noise.z_star_shuffle,
+        "noise_levels": noise.noise_levels,
         "network": to_dict(model.network_config),
-        "sequences": {name: asdict(about) for name, about in model.sequences.items()},
+        "sequences": {name: asdict(sequence) for name, sequence in noise.sequences.items()},
         "fastest": model.fastest,
         "smooth": model.smooth,
     }
@@ -60,22 +53,22 @@ def model_parts(
         "speakers": {name: body.to_json() for name, body in model.speakers.items()},
     }
     tensors = {f"network.{k}": v.contiguous() for k, v in model.network.state_dict().items()}
-    tensors |= {f"z_star.{name}": value for name, value in model.z_star.items()}
+    tensors |= {f"z_star.{name}": value for name, value in noise.z_star.items()}
     tensors |= {
-        "sigma": model.sigma,
+        "sigma": noise.sigma,
         "motion.mean": model.normaliser.mean,
         "motion.scale": model.normaliser.scale,
-        **conditioner_tensors(model.conditioner),
+        **conditioner_tensors(conditioner),
     }
     return config, rig, tensors
 
 
 def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
-    """What `MultiresModel` is made from, of what `model_parts` gave.
+    """Return the arguments of `MultiresModel` from a model folder.
 
     Args:
-        parts: as read from a folder.
-        weights: the WavLM weights it was trained with, where it hears by WavLM.
+        parts: as read from the folder.
+        weights: the WavLM weights of training, for a model with WavLM features.
         device: where WavLM computes.
     """
     config, rig, tensors = parts.config, parts.rig, parts.tensors
@@ -86,38 +79,65 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
     features, conditioner = config["features"], None
     if features is not None:
         conditioner = load_conditioner(features, tensors, fps, weights, device)
-    styles = tuple(map(str, config.get("styles", ())))
-    n_condition = len(styles) + (0 if conditioner is None else conditioner.dim)
-    network_config = build(NetworkConfig, config["network"], where=where)
-    network = MultiresGenerator(representation, n_condition, network_config)
-    network.load_state_dict(
-        {k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")}
+    conditions = Conditions(
+        conditioner,
+        tuple(map(str, config.get("styles", ()))),
+        bool(features and features["residual"]),
     )
-    # Models of before these were kept can do all but reconstruct, and warn of no speed.
-    sequences = {
-        name: build(TrainedSequence, about, where=where)
-        for name, about in config.get("sequences", {}).items()
-    }
+    network_config = build(NetworkConfig, config["network"], where=where)
+    network = MultiresGenerator(representation, conditions.width, network_config)
+    network.load_state_dict(_under("network.", tensors))
+    # Older folders lack some values: those models cannot reconstruct, or warn of no speed.
+    noise = TrainedNoise(
+        sigma=tensors["sigma"],
+        z_star=_under("z_star.", tensors),
+        sequences={
+            name: build(TrainedSequence, values, where=where)
+            for name, values in config.get("sequences", {}).items()
+        },
+        z_star_shuffle=int(config.get("z_star_shuffle", 0)),
+        noise_levels=int(config.get("noise_levels", 1)),
+    )
     fastest, smooth = config.get("fastest"), config.get("smooth")
     recorded_fps = config.get("recorded_fps")
     return {
         "fps": fps,
         "representation": representation,
-        "conditioner": conditioner,
-        "styles": styles,
         "normaliser": Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
+        "conditions": conditions,
         "network_config": network_config,
-        "residual": bool(features and features["residual"]),
-        "z_star_shuffle": int(config.get("z_star_shuffle", 0)),
-        "noise_levels": int(config.get("noise_levels", 1)),
         "network": network.eval(),
-        "sigma": tensors["sigma"],
-        "z_star": {
-            k.removeprefix("z_star."): v for k, v in tensors.items() if k.startswith("z_star.")
-        },
-        "sequences": sequences,
+        "noise": noise,
         "speakers": {name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
         "fastest": None if fastest is None else float(fastest),
         "smooth": None if smooth is None else float(smooth),
         "recorded_fps": None if recorded_fps is None else checked_fps(recorded_fps),
     }
+
+
+def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
+    """Return the README of a model folder.
+
+    Args:
+        model: the model.
+        notes: further lines, by their heading.
+    """
+    lines = {
+        "Kind": f"multires, {model.network_config.levels} levels",
+        "Motion": f"{rates(model.fps, model.recorded_fps)}, {len(model.representation.joints)} of "
+        f"{model.skeleton.n_joints} joints modelled",
+    }
+    call = "seconds=10"
+    conditioner = model.conditions.conditioner
+    if conditioner is not None:
+        lines["Speech features"] = json.dumps(conditioner.extractor.spec)
+        call = '"speech.wav"'
+    if model.styles:
+        lines["Styles"] = ", ".join(model.styles)
+        call += f', style="{model.styles[0]}"'
+    return model_readme(lines | notes, call)
+
+
+def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return the tensors whose names begin with a prefix, named without it."""
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}

@@ -40,6 +40,7 @@ class VectorLayout:
 
     Attributes:
         rotations: 6 K columns, for each joint the first two columns of its rotation matrix.
+        root_rotation: the first six of these, the root's orientation in world coordinates.
         contacts: C columns of contact labels, about 0 or 1.
         root: three columns, displacement along x, height, displacement along z.
         root_xz: the first and last of these, metres since the previous frame.
@@ -47,6 +48,7 @@ class VectorLayout:
     """
 
     rotations: slice
+    root_rotation: slice
     contacts: slice
     root: slice
     root_xz: list[int]
@@ -104,6 +106,7 @@ class MultiresRepresentation(ModelJoints):
         root = contacts + len(self.foot_points)
         return VectorLayout(
             rotations=slice(0, contacts),
+            root_rotation=slice(0, 6),
             contacts=slice(contacts, root),
             root=slice(root, root + 3),
             root_xz=[root, root + 2],

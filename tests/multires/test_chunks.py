@@ -18,9 +18,9 @@ from gesturekit.evaluation import arm_speed
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.sampling import tiling as chunks
-from gesturekit.multires.sampling.tiling import LevelConditions, sample
-from gesturekit.multires.training.window_cache import condition_levels
+from gesturekit.multires.sampling import tiling
+from gesturekit.multires.sampling.conditions import LevelConditions, condition_levels
+from gesturekit.multires.sampling.tiling import sample
 from gesturekit.systems import bundled_speech
 
 LEVELS, FEATURES = 4, 3
@@ -62,21 +62,21 @@ def draw(n_frames: int, seed: int) -> tuple[np.ndarray, list[int], list[torch.Te
 @settings(max_examples=40, deadline=None)
 @given(
     n_frames=st.integers(1, 200),
-    chunk=st.integers(1, 120),
+    tile=st.integers(1, 120),
     residual=st.booleans(),
     listening=st.booleans(),
-    short=st.sampled_from([0, chunks.SHORT]),
+    short=st.sampled_from([0, tiling.SHORT]),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_pieces_are_the_whole(network, n_frames, chunk, residual, listening, short, seed):
+def test_pieces_are_the_whole(network, n_frames, tile, residual, listening, short, seed):
     speech, lengths, noises = draw(n_frames, seed)
     conditions = condition_levels(torch.from_numpy(speech.T.copy())[None], lengths, residual)
     # With gradients the layers run as in training: one dense convolution each.
     whole = network(noises, conditions if listening else None, lengths=lengths)[-1].detach()
     condition = LevelConditions(speech, lengths, residual) if listening else None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunks, "SHORT", short)  # by compiled kernels, or by torch alone
-        pieces = sample(network, noises, lengths, condition, chunk=chunk)
+        patch.setattr(tiling, "SHORT", short)  # by compiled kernels, or by torch alone
+        pieces = sample(network, noises, lengths, condition, tile=tile)
     assert pieces.shape == whole.shape
     torch.testing.assert_close(pieces, whole, rtol=0, atol=1e-5)
 
@@ -107,17 +107,17 @@ from gesturekit.multires.sampling.tiling import sample
 
 torch.set_num_threads(1)
 network = load("demo").network
-def make(n_frames, chunk):
+def make(n_frames, tile):
     lengths = level_lengths(n_frames, len(network.levels))
     noises = [torch.randn(1, 1, lengths[0]), *[None] * (len(lengths) - 1)]
-    return sample(network, noises, lengths, None, chunk=chunk)
+    return sample(network, noises, lengths, None, tile=tile)
 def peak():  # getrusage would count what the parent had in memory
     rows = open("/proc/self/status").read().splitlines()
     return 1024 * int(next(row for row in rows if row.startswith("VmHWM")).split()[1])
 make(1024, 1024)
 marks = [peak()]
-for chunk in (1024, 40_000):
-    motion = make(40_000, chunk)
+for tile in (1024, 40_000):
+    motion = make(40_000, tile)
     marks.append(peak())
 print(json.dumps([motion.nbytes, *marks]))
 """

@@ -19,13 +19,14 @@ from gesturekit.motion.rotations import (
     quaternion_from_rotation_vector,
     rotate_vectors,
 )
+from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.styles import (
     agreed_style,
-    asked_styles,
     level_track,
     mixed_styles,
+    requested_styles,
 )
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
@@ -139,8 +140,9 @@ def test_spans_hold_and_blend_over_a_second():
 )
 def test_what_cannot_be_asked_is_told(style, level_style, message):
     with pytest.raises(ModelError, match=message):
+        controls = MultiresControls(style=style, level_style=level_style)
         rng = torch.Generator()
-        asked_styles(("angry", "old"), style, level_style, [10, 20, 30, 40], 25.0, rng)
+        requested_styles(("angry", "old"), controls, [10, 20, 30, 40], fps=25.0, rng=rng)
 
 
 def test_nine_in_ten_random_motions_mix_two_styles_at_one_level():
@@ -205,10 +207,10 @@ def test_keyframes_that_do_not_fit_are_said(make_config, motions, tmp_path, gest
 def test_noise_enters_at_as_many_levels_as_wanted(make_config, motions):
     config = make_config(corpus=str(motions(none=[4.0])), noise_levels=2, **SINGLE)
     model = gk.load(train(config))
-    assert model.noise_levels == 2
+    assert model.noise.noise_levels == 2
 
     def made(levels, noise_levels):
-        model.noise_levels = noise_levels
+        model.noise = replace(model.noise, noise_levels=noise_levels)
         return model.generate(seconds=6.0, seed=1, levels=levels, foot_lock=False).rotations
 
     np.testing.assert_array_equal(made(1, 1), made(1, 2))
@@ -341,9 +343,9 @@ def test_finer_noise_has_its_levels_sigma(make_config, motions):
     config = make_config(corpus=str(corpus), features=None, noise_levels=4, **changes)
     model = gk.load(train(config))
     loud = model.generate(seconds=3.0)
-    model.sigma[:, 1:] = 0
+    model.noise.sigma[:, 1:] = 0
     quiet = model.generate(seconds=3.0)
-    model.noise_levels = 1
+    model.noise = replace(model.noise, noise_levels=1)
     first_alone = model.generate(seconds=3.0)
     assert np.array_equal(quiet.rotations, first_alone.rotations)
     assert not np.array_equal(quiet.rotations, loud.rotations)

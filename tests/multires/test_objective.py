@@ -14,7 +14,7 @@ from gesturekit.multires.training.kinematics import CAPTURE_SECONDS, VectorKinem
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import Trainer, train
-from gesturekit.multires.training.window_cache import Bank, random_windows
+from gesturekit.multires.training.window_cache import WindowCache, random_windows
 from gesturekit.training.run.session import session
 from gesturekit.training.seeds import rng_for
 
@@ -221,10 +221,10 @@ def bank(make_config):
     config = make_config(training={"silence": 0.0})
     data = load_training_data(config)
     network = MultiresGenerator(data.representation, data.n_speech, config.network)
-    return Bank(data, config, network)
+    return WindowCache(data, config, network)
 
 
-def noises_of(bank: Bank, first: int, count: int = 64):
+def noises_of(bank: WindowCache, first: int, count: int = 64):
     n_frames = next(iter(bank.data.window_lengths()))
     windows = bank.random(bank.data.paired, n_frames, first, count, rng_for("bank"))
     return windows.noise
@@ -233,7 +233,7 @@ def noises_of(bank: Bank, first: int, count: int = 64):
 def test_random_steps_have_noise_of_each_levels_own_sigma(bank):
     for first in (0, 2):
         for i, noise in enumerate(noises_of(bank, first)):
-            sigma = float(bank.sigma[first + i])
+            sigma = float(bank.noise.sigma[first + i])
             # Shared by all channels, drawn anew for every window and frame.
             assert noise.shape[1] == 1
             assert float(noise.std()) == pytest.approx(sigma, rel=0.15)
@@ -244,7 +244,7 @@ def test_random_windows_have_the_mean_sigma_of_the_recordings(bank):
     one, *others = (sequence.sigma.double() for sequence in bank.data.paired)
     expected = sum(others, one) / (1 + len(others))
     assert others and not torch.allclose(one, others[0])
-    torch.testing.assert_close(bank.sigma.double(), expected, rtol=1e-5, atol=0)
+    torch.testing.assert_close(bank.noise.sigma.double(), expected, rtol=1e-5, atol=0)
 
 
 def test_windows_of_recordings_begin_anywhere(bank):
@@ -282,7 +282,7 @@ def test_sampling_noise_is_scaled_by_the_first_levels_sigma(make_config):
 
     model = gk.load(train(make_config(training={"first_stage": 1, "further_stages": 1})))
     quiet = model.generate(seconds=2.0, fps=model.fps, foot_lock=False)
-    model.sigma[:, 0] *= 100
+    model.noise.sigma[:, 0] *= 100
     loud = model.generate(seconds=2.0, fps=model.fps, foot_lock=False)
     other = model.generate(seconds=2.0, fps=model.fps, foot_lock=False, seed=1)
     assert abs(loud.rotations - quiet.rotations).max() > 0.05

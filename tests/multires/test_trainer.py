@@ -21,7 +21,7 @@ from gesturekit.multires.network.torch_backend import TorchBackend
 from gesturekit.multires.training import trainer
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import train
-from gesturekit.multires.training.window_cache import Bank
+from gesturekit.multires.training.window_cache import WindowCache
 from gesturekit.training.config import dump_yaml, to_dict
 from gesturekit.training.run.checkpoint import Checkpoints
 
@@ -192,7 +192,7 @@ def test_a_bank_holds_a_whole_sequence_once(make_config):
     config = make_config(training={"window": None})
     data = trainer.load_training_data(config)
     network = MultiresGenerator(data.representation, data.conditioner.dim, config.network)
-    bank = Bank(data, config, network)
+    bank = WindowCache(data, config, network)
     for n_frames, members in data.window_lengths().items():
         sequences = [data.paired[i] for i in members]
         windows = bank.paired(sequences, n_frames, 2, 8, torch.Generator().manual_seed(0))

@@ -1,9 +1,9 @@
-"""Parts of a motion that are given, and a pyramid that fills the time between and around them."""
+"""Motion in-betweening: given clips stay unchanged, and the pyramid fills the rest."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,237 +16,273 @@ from gesturekit.motion.heading import heading
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import slerp
 from gesturekit.multires.constraints.constraint import (
-    believable_steps,
+    clamped_steps,
     normalised,
     plain_values,
     turned,
     turned_plane,
 )
-from gesturekit.multires.constraints.keyframes import ground_places, moved
+from gesturekit.multires.constraints.keyframes import ground_positions, moved
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.training.data import Normaliser
 from gesturekit.training.data.own_rig import on_rig
 
 _BLEND = 0.4
-"""Seconds over which what was made is drawn to where a given part ends."""
+"""Seconds over which generated motion is blended to the end of a clip."""
 
 
-class KeptParts:
-    """Motions with places in time. A hold (see `holding`), and what puts them back in the end.
-
-    The parts keep their places and facings in the world; where two are apart, the body travels.
+class InbetweenClips:
+    """Given clips at fixed times of a motion, with their positions and headings in the world.
 
     Args:
-        parts: motions by the second at which each begins; of the model's rig, or of another one
-            that moves like it.
+        clips: motions by the second at which each begins; of the model's rig, or of another one,
+            which is retargeted.
         representation: of the vectors.
         fps: frames per second.
 
     Raises:
-        ModelError: no parts, parts that overlap, or one that cannot be put on the rig.
+        ModelError: no clips, clips that overlap, or one that cannot be retargeted.
     """
 
     def __init__(
         self,
-        parts: Mapping[float, Motion | str | Path],
+        clips: Mapping[float, Motion | str | Path],
         representation: MultiresRepresentation,
         fps: float,
     ) -> None:
-        if not parts:
-            raise ModelError("keep names no motion")
+        if not clips:
+            raise ModelError("keep: no motion is given")
         self.representation, self.fps = representation, fps
-        self.parts: list[tuple[int, Motion]] = []
-        for second, part in sorted(parts.items()):
+        self.clips: list[tuple[int, Motion]] = []
+        for second, clip in sorted(clips.items()):
             if not (math.isfinite(second) and second >= 0):
-                raise ModelError(f"a part to keep begins at {second:g} s; expected 0 or later")
-            motion = part if isinstance(part, Motion) else Motion.load(part)
+                raise ModelError(f"keep: a clip begins at {second:g} s; expected 0 or later")
+            motion = clip if isinstance(clip, Motion) else Motion.load(clip)
             begin = math.floor(second * fps + 0.5)
             if begin < self.end:
                 raise ModelError(
-                    f"the part at {second:g} s begins before the one before it ends "
+                    f"keep: the clip at {second:g} s begins before the one before it ends "
                     f"({self.end / fps:g} s)"
                 )
-            self.parts.append((begin, on_rig(representation, motion).resample(fps)))
-        # All are turned together: what they have in common faces +Z, as recordings in training.
-        faces = [heading(part) for _, part in self.parts]
-        weight = [part.n_frames for _, part in self.parts]
-        self.facing = float(
+            self.clips.append((begin, on_rig(representation, motion).resample(fps)))
+        # All clips are turned together, so that their mean heading is +Z as in training.
+        each = [heading(clip) for _, clip in self.clips]
+        weight = [clip.n_frames for _, clip in self.clips]
+        self.heading = float(
             np.arctan2(
-                np.average(np.sin(faces), weights=weight), np.cos(faces) @ weight / sum(weight)
+                np.average(np.sin(each), weights=weight), np.cos(each) @ weight / sum(weight)
             )
         )
 
     @property
     def end(self) -> int:
-        """The frame after the last part."""
-        return self.parts[-1][0] + self.parts[-1][1].n_frames if self.parts else 0
+        """The frame after the last clip."""
+        return self.clips[-1][0] + self.clips[-1][1].n_frames if self.clips else 0
+
+    def check_end(self, n_frames: int) -> None:
+        """Raise ModelError if a clip ends after this many frames."""
+        if self.end > n_frames:
+            raise ModelError(
+                f"keep: the last clip ends at {self.end / self.fps:g} s, after the motion's end "
+                f"({n_frames / self.fps:g} s)"
+            )
 
     def fastest_gap(self) -> float:
-        """m/s that the body must travel over the ground between two parts, at the most."""
+        """Return the highest mean speed (m/s) over the ground that a gap between clips needs."""
         speeds = [0.0]
-        for (begin, part), (after, other) in zip(self.parts, self.parts[1:], strict=False):
+        for (begin, clip), (after, other) in zip(self.clips, self.clips[1:], strict=False):
             way = (
-                ground_places(self.representation, other)[0]
-                - ground_places(self.representation, part)[-1]
+                ground_positions(self.representation, other)[0]
+                - ground_positions(self.representation, clip)[-1]
             )
-            frames = after - begin - part.n_frames + 1
+            frames = after - begin - clip.n_frames + 1
             speeds.append(float(np.linalg.norm(way)) * self.fps / frames)
         return max(speeds)
 
-    def hold(self, normaliser: Normaliser, lengths: list[int], margin: int) -> PartsHold:
-        """What holds each level to the parts; `lengths` include a margin before and after."""
-        return PartsHold(self, normaliser, lengths, margin)
-
     def given(self, n_frames: int) -> np.ndarray:
-        """(T,) 1 in the parts, falling to 0 beside them, over `_BLEND`."""
-        share = np.zeros(n_frames)
-        beside = max(1, round(_BLEND * self.fps))
-        fall = _ease(1 - np.arange(1, beside) / beside)
-        for begin, part in self.parts:
-            stop = begin + part.n_frames
-            share[begin:stop] = 1
-            after, before = share[stop : stop + len(fall)], share[max(0, begin - len(fall)) : begin]
+        """Return (T,) weights: 1 in the clips, falling to 0 beside them over `_BLEND`."""
+        weight = np.zeros(n_frames)
+        fall = _ease(1 - _fractions(max(1, round(_BLEND * self.fps))))
+        for begin, clip in self.clips:
+            stop = begin + clip.n_frames
+            weight[begin:stop] = 1
+            after = weight[stop : stop + len(fall)]
+            before = weight[max(0, begin - len(fall)) : begin]
             np.maximum(after, fall[: len(after)], out=after)
             np.maximum(before, fall[::-1][len(fall) - len(before) :], out=before)
-        return share
+        return weight
 
     def placed(self, values: np.ndarray) -> Motion:
-        """What the last level made (T, D) as a motion, in the parts' world."""
-        motion = self.representation.decode(turned(values, self.facing), self.fps)
-        begin, part = self.parts[0]
+        """Return the output of the last level, (T, D), as a motion in the world of the clips."""
+        values = turned(values, self.heading, self.representation.layout)
+        motion = self.representation.decode(values, self.fps)
+        begin, clip = self.clips[0]
         missing = (
-            ground_places(self.representation, part)[0]
-            - ground_places(self.representation, motion)[begin]
+            ground_positions(self.representation, clip)[0]
+            - ground_positions(self.representation, motion)[begin]
         )
         return moved(self.representation, motion, missing)
 
     def restored(self, motion: Motion) -> Motion:
-        """With the parts as they were given, all joints of them.
+        """Return the motion with all joints of the clips as they were given.
 
-        Joints that the model does not know come to where it holds them, over `_BLEND`.
+        Joints that are not modelled are blended to the model's fixed pose over `_BLEND`.
         """
         rotations, translation = motion.rotations.copy(), motion.translation.copy()
-        moving = {name: places.copy() for name, places in motion.joint_translations.items()}
+        moving = {name: values.copy() for name, values in motion.joint_translations.items()}
         skeleton = motion.skeleton
-        known = {*self.representation.indices, *skeleton.ancestors(self.representation.root)}
-        others = [j for j in range(skeleton.n_joints) if j not in known]
-        beside = round(_BLEND * self.fps)
-        for begin, part in self.parts:
-            stop = begin + part.n_frames
-            rotations[begin:stop], translation[begin:stop] = part.rotations, part.translation
-            for name, places in moving.items():
-                still = part.skeleton.offsets[skeleton.index(name)]
-                places[begin:stop] = part.joint_translations.get(name, still)
+        modelled = {*self.representation.indices, *skeleton.ancestors(self.representation.root)}
+        others = [j for j in range(skeleton.n_joints) if j not in modelled]
+        for begin, clip in self.clips:
+            stop = begin + clip.n_frames
+            rotations[begin:stop], translation[begin:stop] = clip.rotations, clip.translation
+            for name, values in moving.items():
+                still = clip.skeleton.offsets[skeleton.index(name)]
+                values[begin:stop] = clip.joint_translations.get(name, still)
             for edge, step in ((begin, -1), (stop - 1, 1)):
-                for k in range(1, beside):
+                for k, fraction in enumerate(_fractions(round(_BLEND * self.fps)), 1):
                     frame = edge + step * k
                     if not others or not self._is_free(frame, motion.n_frames):
                         break
                     rotations[frame, others] = slerp(
                         rotations[frame, others],
                         rotations[edge, others],
-                        np.full(len(others), _ease(1 - k / beside)),
+                        np.full(len(others), _ease(1 - fraction)),
                     )
         return replace(
             motion, rotations=rotations, translation=translation, joint_translations=moving
         )
 
     def _is_free(self, frame: int, n_frames: int) -> bool:
-        inside = any(begin <= frame < begin + part.n_frames for begin, part in self.parts)
+        """Return whether a frame exists and lies in no clip."""
+        inside = any(begin <= frame < begin + clip.n_frames for begin, clip in self.clips)
         return 0 <= frame < n_frames and not inside
 
 
-class PartsHold:
-    """Holds each level to the parts (see `holding`), and draws what is beside them to their ends.
+class InbetweenConstraint:
+    """Put the clips into the output of each level, and blend the frames beside them to their ends.
 
     Args:
-        kept: the parts.
+        clips: the given clips.
         normaliser: of the vectors.
         lengths: frames of each level, margins included.
         margin: frames before the motion and after it.
     """
 
     def __init__(
-        self, kept: KeptParts, normaliser: Normaliser, lengths: list[int], margin: int
+        self, clips: InbetweenClips, normaliser: Normaliser, lengths: Sequence[int], margin: int
     ) -> None:
-        representation = kept.representation
-        self.fps, self.lengths, self.normaliser = kept.fps, lengths, normaliser
+        representation = clips.representation
+        self.layout = representation.layout
+        self.fps, self.lengths, self.normaliser = clips.fps, lengths, normaliser
         n_frames = lengths[-1]
         values = np.zeros((n_frames, representation.n_features))
         self.spans: list[tuple[int, int]] = []
-        places = []
-        for begin, part in kept.parts:
-            span = begin + margin, begin + margin + part.n_frames
-            values[slice(*span)] = representation.encode(part, turn=-kept.facing)
+        positions = []
+        for begin, clip in clips.clips:
+            span = begin + margin, begin + margin + clip.n_frames
+            values[slice(*span)] = representation.encode(clip, turn=-clips.heading)
             self.spans.append(span)
-            ground = ground_places(representation, part) / representation.scale
-            places.append(turned_plane(ground, -kept.facing))
-        # Metres (of the reference body) that the free frames between two parts must travel; a
-        # part's first frame makes the step that leads into it.
-        self.ways = [
-            after[0] - before[-1] - values[span[0], [-3, -1]]
-            for before, after, span in zip(places, places[1:], self.spans[1:], strict=False)
+            ground = ground_positions(representation, clip) / representation.scale
+            positions.append(turned_plane(ground, -clips.heading))
+        # (2,) metres of the reference body that the root must move in the free frames of each gap;
+        # the step into a clip belongs to its first frame.
+        self.displacements = [
+            after[0] - before[-1] - values[span[0], self.layout.root_xz]
+            for before, after, span in zip(positions, positions[1:], self.spans[1:], strict=False)
         ]
         at = np.concatenate([np.arange(*span) for span in self.spans])
-        right = np.searchsorted(at, np.arange(n_frames)).clip(0, len(at) - 1)
+        frames = np.arange(n_frames)
+        right = np.searchsorted(at, frames).clip(0, len(at) - 1)
         left = (right - 1).clip(0)
-        nearer = np.where(
-            np.abs(at[left] - np.arange(n_frames)) <= np.abs(at[right] - np.arange(n_frames)),
-            at[left],
-            at[right],
-        )
-        self.values = torch.from_numpy(values[nearer].T)
-        # What goes on smoothly in its change too: all but labels and steps.
-        self.smooth = np.ones(representation.n_features, bool)
-        self.smooth[representation.layout.contacts] = False
-        self.smooth[[-3, -1]] = False
+        is_left = np.abs(at[left] - frames) <= np.abs(at[right] - frames)
+        self.values = torch.from_numpy(values[np.where(is_left, at[left], at[right])].T)
+        # Columns whose velocity is continuous too: all but contact labels and root steps.
+        self.continuous = np.ones(representation.n_features, bool)
+        self.continuous[self.layout.contacts] = False
+        self.continuous[self.layout.root_xz] = False
 
-    def __call__(self, level: int, made: Tensor) -> Tensor:
-        """A level with the parts in it, and what is beside them drawn to their ends."""
-        values = plain_values(self.normaliser, made)
+    def __call__(self, level: int, output: Tensor) -> Tensor:
+        """Return the output of a level, (1, D, T_i), with the clips in it and blended to them."""
+        values = plain_values(self.normaliser, output)
         n_frames = len(values)
-        stride = self.lengths[-1] / n_frames
         given = resample(self.values, n_frames).T.numpy()
         spans = self._spans(n_frames)
-        gaps = [0, *(edge for span in spans for edge in span), n_frames]
-        blend = max(1, round(_BLEND * self.fps / stride))
+        edges = [0, *(edge for span in spans for edge in span), n_frames]
         result = values.copy()
-        for number, (begin, end) in enumerate(zip(gaps[::2], gaps[1::2], strict=True)):
-            if end <= begin:
-                continue  # a part at the very beginning or end
-            reach = min(blend, end - begin + 1) if begin and end < n_frames else blend
-            if begin:
-                before = np.arange(*spans[number - 1])
-                result[begin:end] += self._drawn(given[before], values[before], end - begin, reach)
-            if end < n_frames:
-                after = np.arange(*spans[number])[::-1]
-                drawn = self._drawn(given[after], values[after], end - begin, reach)
-                result[begin:end] += drawn[::-1]
-            if begin and end < n_frames:
-                # The way between two parts is as long as it must be; more of it in the middle.
-                share = np.sin(np.pi * (np.arange(end - begin) + 0.5) / (end - begin)) ** 2
-                missing = self.ways[number - 1] / stride - result[begin:end, [-3, -1]].sum(axis=0)
-                result[begin:end, [-3, -1]] += share[:, None] / share.sum() * missing
+        for number, gap in enumerate(zip(edges[::2], edges[1::2], strict=True)):
+            if gap[0] < gap[1]:  # else a clip is at the very beginning or end
+                self._fill(result, given, values, gap, spans, number)
         for span in spans:
             result[slice(*span)] = given[slice(*span)]
-        held = normalised(self.normaliser, result)
-        return held if level + 1 == len(self.lengths) else believable_steps(held)
+        vectors = normalised(self.normaliser, result)
+        is_finest = level + 1 == len(self.lengths)
+        return vectors if is_finest else clamped_steps(vectors, self.layout)
 
-    def _drawn(self, given: np.ndarray, made: np.ndarray, count: int, reach: int) -> np.ndarray:
-        """(count, D) to be added to the frames after a part, so that they go on from its end."""
+    def _fill(
+        self,
+        result: np.ndarray,
+        given: np.ndarray,
+        output: np.ndarray,
+        gap: tuple[int, int],
+        spans: Sequence[tuple[int, int]],
+        number: int,
+    ) -> None:
+        """Blend one gap of `result` to the clips beside it, and move the root by what is needed.
+
+        Args:
+            result: (T_i, D), changed in place.
+            given: (T_i, D) values of the clips.
+            output: (T_i, D) what the level generated.
+            gap: first frame and the frame after the last one.
+            spans: the same of each clip.
+            number: index of the gap; clip `number` - 1 is before it and clip `number` after it.
+        """
+        begin, end = gap
+        count, n_frames = end - begin, len(result)
+        stride = self.lengths[-1] / n_frames
+        between = begin > 0 and end < n_frames
+        reach = max(1, round(_BLEND * self.fps / stride))
+        reach = min(reach, count + 1) if between else reach
+        if begin:
+            before = np.arange(*spans[number - 1])
+            result[begin:end] += self._correction(given[before], output[before], count, reach)
+        if end < n_frames:
+            after = np.arange(*spans[number])[::-1]
+            result[begin:end] += self._correction(given[after], output[after], count, reach)[::-1]
+        if between:
+            share = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2  # most in the middle
+            xz = self.layout.root_xz
+            missing = self.displacements[number - 1] / stride - result[begin:end, xz].sum(axis=0)
+            result[begin:end, xz] += share[:, None] / share.sum() * missing
+
+    def _correction(
+        self, given: np.ndarray, output: np.ndarray, count: int, reach: int
+    ) -> np.ndarray:
+        """Return what to add to the frames after a clip so that they continue from its end.
+
+        Args:
+            given: (T_k, D) the clip.
+            output: (T_k, D) what the level generated in its place.
+            count: number of frames to correct.
+            reach: frames after which the correction is 0.
+
+        Returns:
+            (count, D).
+        """
         after = np.arange(1, count + 1)[:, None]
         share = _ease(np.clip(1 - after / reach, 0, 1))
-        added = share * (given[-1] - made[-1])
+        added = share * (given[-1] - output[-1])
         if len(given) > 1:
-            change = (given[-1] - given[-2]) - (made[-1] - made[-2])
-            added += after * share**2 * np.where(self.smooth, change, 0)
+            change = (given[-1] - given[-2]) - (output[-1] - output[-2])
+            added += after * share**2 * np.where(self.continuous, change, 0)
         return added
 
     def _spans(self, n_frames: int) -> list[tuple[int, int]]:
-        """The frames of a level that lie in each part, one at least.
+        """Return the first frame of each clip at a level, and the frame after its last one.
 
-        Of parts so short and near that they fall on one frame, the later ones lose it.
+        Each clip has at least one frame, unless an earlier clip takes it.
         """
         stride = self.lengths[-1] / n_frames
         centres = (np.arange(n_frames) + 0.5) * stride - 0.5
@@ -261,5 +297,11 @@ class PartsHold:
         return spans
 
 
+def _fractions(count: int) -> np.ndarray:
+    """Return 1/count ... (count - 1)/count."""
+    return np.arange(1, count) / count
+
+
 def _ease(share: np.ndarray | float) -> np.ndarray | float:
+    """Return the smoothstep 3 s^2 - 2 s^3."""
     return share * share * (3 - 2 * share)

@@ -1,8 +1,8 @@
-"""Levels of the pyramid as motion: to edit a coarse one and make its detail anew.
+"""Keyframe constraint, and levels of the pyramid as motion files for editing.
 
-Keyframe editing and style transfer are one thing (Li et al. 2022, section 4): a given motion takes
-the place of a coarse level's, and the finer levels give it the detail that they learnt. For the
-first the motion is a coarse level that was edited, for the second it is anything else.
+Keyframe editing and style transfer are the same operation (Li et al. 2022, section 4): a motion
+replaces the output of a coarse level, and the finer levels add the detail that they learnt. For
+keyframe editing the motion is an edited coarse level, for style transfer any other motion.
 """
 
 from __future__ import annotations
@@ -15,46 +15,99 @@ import numpy as np
 import torch
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
+from torch import Tensor
 
 import audio_features as af
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import rotate_vectors, slerp
+from gesturekit.multires.constraints.constraint import normalised
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.training.data import Normaliser
 from gesturekit.postprocess import lock_feet
 from gesturekit.training.data.own_rig import on_rig
 
-_EASE = 0.1
-"""Seconds; how softly a motion sets out for an edited place."""
-_UNTOUCHED = 0.01
-"""Vectors nearer than this (6D entries, labels, m) differ by the rounding of a file alone."""
-_UNMOVED = 1e-4
-"""So do steps of the root, m per frame, that are nearer than this: they add up."""
+_EASE_SECONDS = 0.1
+"""Standard deviation of the Gaussian that smooths the root's way to an edited position."""
+_SAME = 0.01
+"""Motion vectors closer than this (6D entries, labels, m) differ by the rounding of a file only."""
+_SAME_STEP = 1e-4
+"""The same for root steps, m per frame, whose errors add up."""
 _RATE_TOLERANCE = 0.01
-"""Share by which a file's frame rate may miss its level's, as rounding of the file makes it."""
+"""Relative deviation of a file's frame rate from its level's that rounding in the file explains."""
 _HELD_FRAMES = 3
-"""From so many equal frames at its end a motion is taken to go on past the end of the clip, as
-Blender writes it, whose default range is 250 frames."""
+"""Number of equal frames at the end of a motion from which it is taken to run past the end of the
+clip. Blender's default range of 250 frames causes this."""
 _EQUAL = 1e-6
 
 log = logging.getLogger(__name__)
 
 
+class KeyframeConstraint:
+    """Constrain slow movement to keyframes, and leave fast movement to the finer levels.
+
+    Contact labels are free, as edited files have none.
+
+    Args:
+        given: (T_k, D) vectors of the coarse level that was edited, in their own units.
+        edited: (T_k, D) bool, true where they were edited; see `keep_unedited`.
+        representation: of the vectors.
+        normaliser: of the vectors.
+    """
+
+    def __init__(
+        self,
+        given: np.ndarray,
+        edited: np.ndarray,
+        representation: MultiresRepresentation,
+        normaliser: Normaliser,
+    ) -> None:
+        self.given = normalised(normaliser, given)
+        self.weight = _widened(edited.any(axis=1)).to(self.given.dtype)
+        self.channels = torch.ones(given.shape[1], 1)
+        self.channels[representation.layout.contacts] = 0
+        legs = np.ones(given.shape[1], bool)
+        legs[representation.layout.contacts] = False
+        rig = representation.skeleton
+        upper = () if unidentified(rig) else upper_body(rig)
+        for name in set(representation.joints) & set(upper):
+            legs[representation.joint_columns(name)] = False
+        # If every frame is given, nobody chose where the feet are.
+        feet = edited[:, legs].any(axis=1)
+        self._feet = _widened(feet & ~feet.all())
+
+    def __call__(self, level: int, output: Tensor) -> Tensor:
+        """Return the output of a level, (1, D, T_i), moved to the keyframes where edited."""
+        n_frames = output.shape[-1]
+        wanted = (resample(self.given, n_frames) - output).numpy()
+        # Half a frame of the edited level: that level holds what is slower than this. The filter
+        # is applied twice, to leave less of the slow difference.
+        spread = 0.5 * n_frames / self.given.shape[-1]
+        missing = _smoothed(wanted, spread)
+        missing += _smoothed(wanted - missing, spread)
+        return output + resample(self.weight, n_frames) * self.channels * torch.from_numpy(missing)
+
+    def edited_feet(self, n_frames: int) -> np.ndarray:
+        """Return (T,) 1 where legs or root were edited and feet stay as given, 0 away from it."""
+        return resample(self._feet, n_frames).numpy()
+
+
 def level_motion(
     representation: MultiresRepresentation, values: np.ndarray, fps: float, n_frames: int
 ) -> Motion:
-    """A level's vectors (T_i, D) as a motion at that level's own rate.
+    """Return a level's vectors as a motion at that level's own rate.
 
     Args:
         representation: of the vectors.
-        values: in their own units.
+        values: (T_i, D) in their own units.
         fps: frames per second of the finest level.
-        n_frames: its frames.
+        n_frames: frames of the finest level.
     """
     stride = n_frames / len(values)
     values = values.copy()
     # Displacements count per full-rate frame at every level.
-    values[:, [-3, -1]] *= stride
+    values[:, representation.layout.root_xz] *= stride
     return representation.decode(values, fps / stride)
 
 
@@ -65,26 +118,26 @@ def motion_level(
     lengths: Sequence[int],
     level: int,
 ) -> np.ndarray:
-    """(T_i, D) vectors of a level, from a motion that lasts as long; inverse of `level_motion`.
+    """Return the vectors (T_i, D) of a level, from a motion of the same duration.
 
-    A motion at the level's own rate is taken frame by frame. Any other is brought to the full
-    rate, and from there to the level as training motion is.
+    The inverse of `level_motion`: a motion at the level's own rate is converted frame by frame. Any
+    other motion is resampled to the full rate and then to the level, as in training.
 
     Args:
         representation: of the vectors.
-        motion: a motion of the same rig, or of another one that moves like it.
+        motion: of the same rig, or of another one, which is retargeted.
         fps: frames per second of the finest level.
         lengths: frames of each level.
-        level: which, from 0.
+        level: index of the level.
 
     Raises:
-        ModelError: another rig that cannot be put in the place of the model's.
+        ModelError: a rig that cannot be retargeted to the model's.
     """
     n_frames = lengths[-1]
     motion = on_rig(representation, motion)
     if motion.n_frames == lengths[level] and motion.n_frames < n_frames:
         values = representation.encode(motion)
-        values[:, [-3, -1]] *= lengths[level] / n_frames
+        values[:, representation.layout.root_xz] *= lengths[level] / n_frames
         return values
     values = representation.encode(motion.resample(fps, n_frames))
     return resample(torch.from_numpy(values.T), lengths[level]).T.numpy()
@@ -102,29 +155,17 @@ def fit_keyframes(
 
     Args:
         representation: of the model.
-        motion: what was edited.
+        motion: the edited motion.
         fps: frames per second of the finest level.
-        levels: how many levels the model has.
-        level: in whose place the motion is put, from 0.
-        n_frames: of the result at `fps`; None where the keyframes give it its length.
+        levels: number of levels of the model.
+        level: index of the level that the motion replaces.
+        n_frames: frames of the result at `fps`; None if the keyframes decide the length.
 
     Raises:
-        ModelError: another rig that cannot be put in the place of the model's.
+        ModelError: a rig that cannot be retargeted to the model's.
     """
-    moves = np.diff(motion.rotations, axis=0), np.diff(motion.translation, axis=0)
-    changes = np.flatnonzero(
-        [max(np.abs(m[k]).max() for m in moves) > _EQUAL for k in range(motion.n_frames - 1)]
-    )
-    last = int(changes[-1]) + 2 if len(changes) else motion.n_frames
-    end = last if n_frames is None else af.level_lengths(n_frames, levels)[level]
-    if last <= end < motion.n_frames and motion.n_frames - last >= _HELD_FRAMES - 1:
-        log.warning(
-            "keyframes: %d equal frames at the end are left out, %d remain (Blender exports 250 "
-            "frames unless told the clip's length); to keep them give the length in seconds",
-            motion.n_frames - end,
-            end,
-        )
-        motion = motion.slice(0, end)
+    end = None if n_frames is None else af.level_lengths(n_frames, levels)[level]
+    motion = _without_held_frames(motion, end)
     own = on_rig(representation, motion)
     if own is not motion:
         log.warning(
@@ -133,8 +174,42 @@ def fit_keyframes(
             representation.skeleton.n_joints,
         )
     wanted = full_frames(motion, fps) if n_frames is None else n_frames
-    lengths = af.level_lengths(wanted, levels)
-    rates = [fps * length / wanted for length in lengths]
+    _warn_of_misfit(motion, fps, af.level_lengths(wanted, levels), level, n_frames is not None)
+    return own
+
+
+def _without_held_frames(motion: Motion, end: int | None) -> Motion:
+    """Return a motion without equal frames after `end`, or after the last change if it is None."""
+    moves = np.diff(motion.rotations, axis=0), np.diff(motion.translation, axis=0)
+    changes = np.flatnonzero(
+        [max(np.abs(m[k]).max() for m in moves) > _EQUAL for k in range(motion.n_frames - 1)]
+    )
+    last = int(changes[-1]) + 2 if len(changes) else motion.n_frames
+    end = last if end is None else end
+    if last <= end < motion.n_frames and motion.n_frames - last >= _HELD_FRAMES - 1:
+        log.warning(
+            "keyframes: %d equal frames at the end are left out, %d remain (Blender exports 250 "
+            "frames unless the clip's length is set); to keep them, give the length in seconds",
+            motion.n_frames - end,
+            end,
+        )
+        return motion.slice(0, end)
+    return motion
+
+
+def _warn_of_misfit(
+    motion: Motion, fps: float, lengths: Sequence[int], level: int, length_given: bool
+) -> None:
+    """Warn if the keyframes have another rate, or not as many frames, as the level they replace.
+
+    Args:
+        motion: the keyframes.
+        fps: frames per second of the finest level.
+        lengths: frames of each level.
+        level: index of the level that the motion replaces.
+        length_given: whether the keyframes do not decide the length.
+    """
+    rates = [fps * length / lengths[-1] for length in lengths]
     if abs(motion.fps - rates[level]) > _RATE_TOLERANCE * rates[level]:
         nearest = int(np.argmin([abs(motion.fps - rate) for rate in rates]))
         fits = abs(motion.fps - rates[nearest]) <= _RATE_TOLERANCE * rates[nearest]
@@ -147,7 +222,7 @@ def fit_keyframes(
             if fits
             else f"no level has; resampled, as {motion.duration:.2f} s of motion",
         )
-    elif n_frames is not None and motion.n_frames != lengths[level]:
+    elif length_given and motion.n_frames != lengths[level]:
         log.warning(
             "keyframes: %d frames, but level %d has %d for this length: %s",
             motion.n_frames,
@@ -157,37 +232,41 @@ def fit_keyframes(
             if motion.n_frames > lengths[level]
             else "the last pose is held to the end",
         )
-    return own
 
 
 def keep_unedited(
-    edited: np.ndarray, made: np.ndarray, read: np.ndarray
+    edited: np.ndarray,
+    generated: np.ndarray,
+    read: np.ndarray,
+    representation: MultiresRepresentation,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors (T_i, D) of an edited level, with all that nobody touched as it was made.
+    """Return the vectors of an edited level, with unedited values as the network generated them.
 
-    A file holds rotations and no labels: contacts between yes and no, and rotation columns
-    shortened by interpolation, are lost in it, and the finer levels would tell.
+    A file holds rotations only. Contact labels between 0 and 1, and rotation columns shortened by
+    interpolation, are lost in it, and the finer levels respond to both.
 
     Args:
-        edited: vectors read from the edited motion.
-        made: what the network made; `edited` comes back where no frame of it is to be found.
-        read: the same, read from the motion that was edited.
+        edited: (T_i, D) vectors read from the edited motion.
+        generated: (T_i, D) output of the network.
+        read: (T_i, D) the same, read from the motion before it was edited.
+        representation: of the vectors.
 
     Returns:
-        the vectors, and (T_i, D) bool, what of them was edited.
+        (T_i, D) vectors, and (T_i, D) bool, true where they were edited. If no frame is unedited,
+        the vectors are `edited`.
     """
-    near = np.full(edited.shape[1], _UNTOUCHED)
-    near[[-3, -1]] = _UNMOVED
-    same = np.abs(edited - read) < near
+    tolerance = np.full(edited.shape[1], _SAME)
+    tolerance[representation.layout.root_xz] = _SAME_STEP
+    same = np.abs(edited - read) < tolerance
     if not same.all(axis=1).any():
         return edited, np.ones(edited.shape, bool)
-    return np.where(same, made, edited), ~same
+    return np.where(same, generated, edited), ~same
 
 
-def lock_feet_but(
+def lock_free_feet(
     motion: Motion, contacts: np.ndarray, given: np.ndarray | None, *, keep_path: bool
 ) -> Motion:
-    """`lock_feet`, coming and going where feet are to stay as they were given.
+    """Lock feet except where a part of the motion is given, with a smooth transition between.
 
     Args:
         motion: T frames.
@@ -220,54 +299,53 @@ def lock_feet_but(
     )
 
 
-def over_keyframes(
+def root_through_keyframes(
     representation: MultiresRepresentation,
     motion: Motion,
-    led: Motion,
+    free: Motion,
     wanted: Motion,
     edited: np.ndarray,
 ) -> Motion:
-    """A motion whose root is over the ground where it was put in edited frames.
+    """Return a motion whose root is at the ground positions of the edited frames.
 
-    Finer levels and foot locking lead the root elsewhere, little by little. The whole motion is
-    moved to meet what was edited: as much before the first such frame as at it, as much after the
-    last one, and in between from one to the next.
+    Finer levels and foot locking let the root drift. The offset that corrects the drift is
+    interpolated between edited frames, and constant before the first and after the last one.
 
     Args:
-        representation: its root is the one that moves.
-        motion: T frames.
-        led: T frames, its root where it would be without keyframes.
-        wanted: T_k frames, its root where it was put.
-        edited: (T_k,) bool, in which of them; in one at least.
+        representation: defines the root.
+        motion: T frames to move.
+        free: T frames whose root drifts as without keyframes.
+        wanted: T_k frames with the root where it was edited.
+        edited: (T_k,) bool, true at edited frames; at least one.
     """
-    path, goals = ground_places(representation, led), ground_places(representation, wanted)
+    path, goals = ground_positions(representation, free), ground_positions(representation, wanted)
     frames = np.arange(len(path))
     at = ((np.arange(len(goals)) + 0.5) * len(path) / len(goals) - 0.5)[edited]
     missing = [goals[edited, i] - np.interp(at, frames, path[:, i]) for i in range(path.shape[1])]
-    offset = path - ground_places(representation, motion)
+    offset = path - ground_positions(representation, motion)
     offset += gaussian_filter1d(
-        np.stack([_through(frames, at, values) for values in missing], axis=-1),
-        _EASE * motion.fps,
+        np.stack([_interpolated(frames, at, values) for values in missing], axis=-1),
+        _EASE_SECONDS * motion.fps,
         axis=0,
         mode="nearest",
     )
     return moved(representation, motion, offset)
 
 
-def _through(frames: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """A curve through values at certain frames that never overshoots; level before and after."""
+def _interpolated(frames: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return a curve (T,) through (k,) values at (k,) frames: no overshoot, constant outside."""
     if len(at) == 1:
         return np.full(len(frames), values[0])
     return PchipInterpolator(at, values)(frames.clip(at[0], at[-1]))
 
 
-def ground_places(representation: MultiresRepresentation, motion: Motion) -> np.ndarray:
-    """(T, 2) where the model's root is over the ground, x and z, m."""
+def ground_positions(representation: MultiresRepresentation, motion: Motion) -> np.ndarray:
+    """Return x and z of the model's root, (T, 2) in m."""
     return motion.positions()[:, representation.root][:, [0, 2]]
 
 
 def moved(representation: MultiresRepresentation, motion: Motion, offset: np.ndarray) -> Motion:
-    """A decoded motion with its root moved over the ground by (2,) or (T, 2) metres."""
+    """Return a decoded motion with its root moved over the ground by (2,) or (T, 2) metres."""
     offset = np.stack([offset[..., 0], np.zeros(offset.shape[:-1]), offset[..., 1]], axis=-1)
     if representation.root == 0:
         return replace(motion, translation=motion.translation + offset)
@@ -279,5 +357,16 @@ def moved(representation: MultiresRepresentation, motion: Motion, offset: np.nda
 
 
 def full_frames(motion: Motion, fps: float) -> int:
-    """How many frames a motion has at the full rate."""
+    """Return the number of frames of a motion at the full rate."""
     return max(1, int(np.floor(motion.n_frames / motion.fps * fps + 0.5)))
+
+
+def _smoothed(values: np.ndarray, spread: float) -> np.ndarray:
+    """Return (..., T) values convolved with a Gaussian over time."""
+    return gaussian_filter1d(values, spread, axis=-1, mode="nearest")
+
+
+def _widened(where: np.ndarray) -> Tensor:
+    """Return (T,) weights from (T,) bool: 1 where true, falling to 0 in the frames beside."""
+    where = where.astype(np.float64)
+    return torch.from_numpy(np.maximum(where, _smoothed(where, 1.0)))

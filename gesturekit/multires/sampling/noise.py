@@ -1,57 +1,110 @@
-"""Noise that recalls: random motions begin with pieces of z*, in another order.
+"""Noise for random motions: Gaussian, or shuffled patches of the training recordings' z*.
 
-A recording is made from its z* alone, and a network that reads fresh noise has no reason to bring
-up all of it. Pieces shorter than what the first level sees at once bring up what they stand for,
-but always as part of something new.
+A recording is reconstructed from its z* alone. Fresh noise need not cover all that the network can
+reconstruct, and short patches of z* do: each stands for a piece of a recording, in a new context.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 
-class Recall:
-    """Puts noise together from pieces of z*, each once in chance order before any comes again.
+class ZStarPatches:
+    """Patches of z*, each drawn once in random order before any is drawn again.
 
     Args:
-        z_stars: of each recording, (T_1,) or (D, T_1) where each channel has its own.
+        z_stars: z* of each recording, (T_1,), or (D, T_1) with a value for each channel.
         styles: number of the style of each recording.
-        piece: frames of a piece at most; a new deck of pieces is cut at other places.
+        longest: frames of a patch at most. The cuts are random and differ in every round.
     """
 
-    def __init__(self, z_stars: Sequence[Tensor], styles: Sequence[int], piece: int) -> None:
-        self.rows: dict[int, list[Tensor]] = {}
-        for noise, style in zip(z_stars, styles, strict=True):
-            self.rows.setdefault(style, []).append(noise.reshape(-1, noise.shape[-1]))
-        self.piece = piece
+    def __init__(self, z_stars: Sequence[Tensor], styles: Sequence[int], longest: int) -> None:
+        self.by_style: dict[int, list[Tensor]] = {}
+        for z_star, style in zip(z_stars, styles, strict=True):
+            self.by_style.setdefault(style, []).append(z_star.reshape(-1, z_star.shape[-1]))
+        self.longest = longest
 
-    def __call__(self, styles: Sequence[int], rng: torch.Generator) -> Tensor:
-        """(1, 1 or D, T_1) noise, each piece of the style asked for at its first frame.
+    def draw(self, styles: Sequence[int], rng: torch.Generator) -> Tensor:
+        """Return (1, 1 or D, T_1) noise; each patch has the style of its first frame.
 
         Args:
             styles: (T_1,) number of the style of each frame.
-            rng: where chance comes from.
+            rng: source of the cuts and of the order.
         """
-        decks: dict[int, Iterator[Tensor]] = {}
+        rounds: dict[int, Iterator[Tensor]] = {}
         parts: list[Tensor] = []
         done = 0
         while done < len(styles):
             style = styles[done]
-            if style not in decks:
-                decks[style] = self._deck(self.rows[style], rng)
-            parts.append(next(decks[style]))
+            if style not in rounds:
+                rounds[style] = self._rounds(self.by_style[style], rng)
+            parts.append(next(rounds[style]))
             done += parts[-1].shape[-1]
         return torch.cat(parts, dim=-1)[None, :, : len(styles)]
 
-    def _deck(self, rows: Sequence[Tensor], rng: torch.Generator) -> Iterator[Tensor]:
+    def _rounds(self, z_stars: Sequence[Tensor], rng: torch.Generator) -> Iterator[Tensor]:
+        """Yield patches (1 or D, T) without end; each round cuts all of (1 or D, T_1) anew."""
         while True:
-            pieces = []
-            for row in rows:
-                first = 1 + int(torch.randint(self.piece, (), generator=rng))
-                edges = [0, *range(first, row.shape[-1], self.piece), row.shape[-1]]
-                pieces += [row[:, a:b] for a, b in zip(edges, edges[1:], strict=False)]
-            for i in torch.randperm(len(pieces), generator=rng).tolist():
-                yield pieces[i]
+            patches = []
+            for z_star in z_stars:
+                first = 1 + int(torch.randint(self.longest, (), generator=rng))
+                edges = [0, *range(first, z_star.shape[-1], self.longest), z_star.shape[-1]]
+                patches += [z_star[:, a:b] for a, b in zip(edges, edges[1:], strict=False)]
+            for i in torch.randperm(len(patches), generator=rng).tolist():
+                yield patches[i]
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseSource:
+    """Noise of random motions, in training and in generation.
+
+    Attributes:
+        sigma: (L,) standard deviation of the noise of each level.
+        levels: number of the coarsest levels that get noise.
+        patches: z* patches for the first level, or None for Gaussian noise there too.
+    """
+
+    sigma: Tensor
+    levels: int
+    patches: ZStarPatches | None
+
+    def gaussian(
+        self,
+        lengths: Sequence[int],
+        rng_of: Callable[[int], torch.Generator],
+        *,
+        first: int = 0,
+        count: int = 1,
+    ) -> list[Tensor | None]:
+        """Draw Gaussian noise (B, 1, T_i) for each level, or None for levels without noise.
+
+        Args:
+            lengths: T_i, frames of each of these levels.
+            rng_of: random generator of a level, by its index.
+            first: index of the first of these levels.
+            count: B.
+        """
+        return [
+            torch.randn(count, 1, n, generator=rng_of(i)) * self.sigma[i]
+            if i < self.levels
+            else None
+            for i, n in enumerate(lengths, first)
+        ]
+
+    def shuffled(
+        self, gaussian: Tensor, styles: Sequence[Sequence[int]], rng: torch.Generator
+    ) -> Tensor:
+        """Return the noise (B, 1 or D, T_1) of the first level: z* patches if there are any.
+
+        Args:
+            gaussian: (B, 1, T_1), returned as it is where noise is not made of patches.
+            styles: (B, T_1) number of the style of each frame.
+            rng: random generator of the patches.
+        """
+        if self.patches is None:
+            return gaussian
+        return torch.cat([self.patches.draw(row, rng) for row in styles])

@@ -1,119 +1,107 @@
-"""A trained pyramid that was told what to make: noise or a coarse level in, motion vectors out."""
+"""Sampling of one motion: noise or a coarse level in, motion vectors out."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gesturekit.errors import ModelError
-from gesturekit.multires.constraints.constraint import Hold, normalised, plain_values
-from gesturekit.multires.sampling.noise import Recall
-from gesturekit.multires.sampling.tiling import LevelConditions, sample
-
-if TYPE_CHECKING:
-    from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.constraints.constraint import Constraint, normalised, plain_values
+from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.sampling.conditions import LevelConditions
+from gesturekit.multires.sampling.noise import NoiseSource
+from gesturekit.multires.sampling.tiling import sample
+from gesturekit.multires.training.data import Normaliser
 
 
 class Pyramid:
-    """A model's levels for one motion.
+    """The levels of a trained network, for one motion.
 
     Args:
-        model: whose levels.
-        lengths: frames of each level.
-        features: (T, S) float32 of the speech at the finest level; no columns where nothing is
-            heard.
-        styles: (1, K, T_i) for each level, or none.
-        chance: where the noise of a level, counted from 0, is drawn from; None for a pyramid that
-            is only given noise.
+        network: the generators.
+        normaliser: of motion vectors.
+        lengths: T_i, frames of each level.
+        condition: conditions of each level; None for a model without any.
+        noise: source of noise; None if noise is only given.
+        rng_of: random generator of a level, by its index; a new one at each call.
     """
 
     def __init__(
         self,
-        model: MultiresModel,
+        network: MultiresGenerator,
+        normaliser: Normaliser,
         lengths: Sequence[int],
-        features: np.ndarray,
-        styles: Sequence[Tensor],
-        chance: Callable[[int], torch.Generator] | None = None,
+        condition: LevelConditions | None,
+        noise: NoiseSource | None = None,
+        rng_of: Callable[[int], torch.Generator] | None = None,
     ) -> None:
-        self.model, self.lengths, self.chance = model, lengths, chance
-        self.condition = None
-        if features.shape[1] or styles:
-            self.condition = LevelConditions(features, lengths, model.residual, styles)
+        self.network, self.normaliser, self.lengths = network, normaliser, lengths
+        self.condition, self.noise, self.rng_of = condition, noise, rng_of
 
-    def random(self, *, levels: int | None = None, hold: Hold | None = None) -> np.ndarray:
-        """(T_i, D) what the first `levels` (all of them by default) make of noise that is drawn.
-
-        Args:
-            levels: how many.
-            hold: what each of them is held to, see `holding`.
+    def random(
+        self, *, levels: int | None = None, constraint: Constraint | None = None
+    ) -> np.ndarray:
+        """Return the output (T_i, D) of the first `levels` levels, all by default, from noise.
 
         Raises:
-            ModelError: the model gives no numbers.
+            ModelError: the output is not finite.
         """
         lengths = self.lengths[:levels]
-        noises = [self._noise(), *self._finer_noise(1, len(lengths))]
-        return self._plain(sample(self.model.network, noises, lengths, self.condition, hold=hold))
+        noises = self.noise.gaussian(lengths, self.rng_of)
+        noises[0] = self.noise.shuffled(noises[0], [self._coarsest_styles()], self.rng_of(0))
+        return self._sampled(noises, lengths, constraint=constraint)
 
     def from_noise(self, noise: Tensor) -> np.ndarray:
-        """(T, D) what all levels make of noise (1, 1 or D, T_1) at the first and none above."""
-        noises = [noise, *[None] * (len(self.lengths) - 1)]
-        return self._plain(sample(self.model.network, noises, self.lengths, self.condition))
+        """Return the output (T, D) of all levels from noise (1, 1 or D, T_1) at the first only."""
+        return self._sampled([noise, *[None] * (len(self.lengths) - 1)], self.lengths)
 
-    def above(self, level: int, values: np.ndarray, hold: Hold | None = None) -> np.ndarray:
-        """(T, D) what finer levels make of the vectors (T_i, D) in the place of a level.
+    def above(
+        self, level: int, values: np.ndarray, constraint: Constraint | None = None
+    ) -> np.ndarray:
+        """Return the output (T, D) of the finer levels, given that of a level.
 
         Args:
-            level: which, from 0.
-            values: in their own units. Of the finest level they come back.
-            hold: what each finer level is held to, see `holding`.
+            level: index of the level that is given.
+            values: (T_i, D) in their own units; returned if the level is the finest.
+            constraint: applied to the output of each finer level.
 
         Raises:
-            ModelError: the model gives no numbers.
+            ModelError: the output is not finite.
         """
-        finer = self.lengths[level + 1 :]
+        first, lengths = level + 1, self.lengths[level + 1 :]
+        noises = self.noise.gaussian(lengths, self.rng_of, first=first)
+        coarser = normalised(self.normaliser, values)
+        return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
+
+    def _coarsest_styles(self) -> list[int]:
+        """Return the number of the style in each frame of the coarsest level, (T_1,)."""
+        if self.condition is None or not self.condition.styles:
+            return [0] * self.lengths[0]
+        return self.condition.styles[0][0].argmax(dim=0).tolist()
+
+    def _sampled(
+        self,
+        noises: Sequence[Tensor | None],
+        lengths: Sequence[int],
+        constraint: Constraint | None = None,
+        *,
+        first: int = 0,
+        coarser: Tensor | None = None,
+    ) -> np.ndarray:
+        """Return the finest of these levels, (T, D) in their own units; see `tiling.sample`."""
         vectors = sample(
-            self.model.network,
-            self._finer_noise(level + 1, len(self.lengths)),
-            finer,
+            self.network,
+            noises,
+            lengths,
             self.condition,
-            first=level + 1,
-            coarser=normalised(self.model.normaliser, values),
-            hold=hold,
+            first=first,
+            coarser=coarser,
+            constraint=constraint,
         )
-        return self._plain(vectors)
-
-    def _finer_noise(self, first: int, stop: int) -> list[Tensor | None]:
-        """(1, 1, T_i) for each of these levels, or none for those above `noise_levels`."""
-        model = self.model
-        return [
-            torch.randn(1, 1, self.lengths[i], generator=self.chance(i)) * model.sigma[:, i].mean()
-            if i < model.noise_levels
-            else None
-            for i in range(first, stop)
-        ]
-
-    def _noise(self) -> Tensor:
-        """(1, 1 or D, T_1) that a random motion begins with."""
-        model, n_frames, rng = self.model, self.lengths[0], self.chance(0)
-        if not model.z_star_shuffle:
-            return torch.randn(1, 1, n_frames, generator=rng) * model.sigma[:, 0].mean()
-        names = sorted(model.z_star)
-        owners, wanted = [0] * len(names), [0] * n_frames
-        if model.styles:
-            owners = [model.styles.index(model.sequences[name].style) for name in names]
-            told = self.condition(0, 0, n_frames)[0, -len(model.styles) :]
-            wanted = told.argmax(dim=0).tolist()
-        return Recall([model.z_star[name] for name in names], owners, model.z_star_shuffle)(
-            wanted, rng
-        )
-
-    def _plain(self, vectors: Tensor) -> np.ndarray:
-        """(T, 6 K + C + 3) normalised vectors (1, D, T) in their own units."""
-        values = plain_values(self.model.normaliser, vectors)
+        values = plain_values(self.normaliser, vectors)
         if not np.isfinite(values).all():
-            raise ModelError("the model gave NaN; its weights are damaged or it was trained badly")
+            raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
         return values

@@ -1,6 +1,6 @@
-"""Styles: which of them a level is told, frame by frame.
+"""Style conditions of each level and frame.
 
-They may differ from level to level: coarse levels decide posture and path, fine levels detail.
+Levels may have different styles: coarse levels decide posture and path, fine levels detail.
 """
 
 from __future__ import annotations
@@ -14,24 +14,31 @@ from torch import Tensor
 
 from gesturekit.corpus.styles import style_track
 from gesturekit.errors import ModelError
+from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.network.resampling import resample
 
 _LEVELS = re.compile(r"(?P<first>\d+)(-(?P<last>\d+))?=(?P<name>.+)")
 
 
 def style_levels(styles: Tensor, n_styles: int, lengths: Sequence[int]) -> list[Tensor]:
-    """(B, L) numbers of styles to the one-hot (B, K, T_i) of each level, the same at all times."""
+    """Return one-hot styles (B, K, T_i) of each level, constant over time.
+
+    Args:
+        styles: (B, L) number of the style of each level.
+        n_styles: K.
+        lengths: T_i, frames of each level.
+    """
     codes = F.one_hot(styles, n_styles).float()
     return [codes[:, i, :, None].expand(-1, -1, n) for i, n in enumerate(lengths)]
 
 
 def agreed_style(styles: Tensor, n_styles: int, level: int) -> Tensor:
-    """(B, K) one-hot style of motions whose levels up to this one all have it, else zeros.
+    """Return the one-hot style (B, K) that all levels up to this one share, else zeros.
 
     Args:
         styles: (B, L) numbers of styles.
         n_styles: K.
-        level: its index.
+        level: index of the level.
     """
     first = styles[:, :1]
     agreed = (styles[:, : level + 1] == first).all(dim=1)
@@ -46,17 +53,17 @@ def mixed_styles(
     mixing: float,
     rng: torch.Generator,
 ) -> Tensor:
-    """(count, L) numbers of styles for random-generation steps (section 4.2 of the paper).
+    """Draw style numbers (count, L) for random-generation steps (section 4.2 of the paper).
 
-    A share `mixing` of them has one style up to a random level and another one above it.
+    A share `mixing` of the motions has one style up to a random level and another one above it.
 
     Args:
-        coarse_shares: (K,) how often each style is drawn for the coarse levels.
-        fine_shares: the same for the levels above.
-        count: how many motions.
+        coarse_shares: (K,) relative frequency of each style at the coarse levels.
+        fine_shares: (K,) the same for the levels above.
+        count: number of motions.
         levels: L.
         mixing: share of motions with two styles.
-        rng: where chance comes from.
+        rng: random generator.
     """
     coarse, fine = (
         torch.multinomial(shares, count, replacement=True, generator=rng)
@@ -68,40 +75,40 @@ def mixed_styles(
     return torch.where(torch.arange(levels) < crossover[:, None], coarse[:, None], fine[:, None])
 
 
-def level_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> Tensor:
-    """(K, T) of `style_track`."""
-    return torch.from_numpy(style_track(names, wanted, n_frames, fps).T.copy())
+def level_track(names: Sequence[str], style: str, n_frames: int, fps: float) -> Tensor:
+    """Return the style of each frame, (K, T); see `style_track`."""
+    return torch.from_numpy(style_track(names, style, n_frames, fps).T.copy())
 
 
-def asked_styles(
+def requested_styles(
     names: Sequence[str],
-    style: str | None,
-    level_style: str | None,
+    controls: MultiresControls,
     lengths: Sequence[int],
+    *,
     fps: float,
     rng: torch.Generator,
     margin: int = 0,
 ) -> list[Tensor]:
-    """One-hot or blended styles (1, K, T_i) for each level of a motion.
+    """Return one-hot or blended styles (1, K, T_i) for each level of a motion.
 
     Args:
-        names: the K styles that the model knows.
-        style: see `style_track`; None draws one by chance.
-        level_style: styles of single levels, counted from 1, the coarsest:
-            `1-4=describe,5-8=angry`. They go before `style`.
-        lengths: frames of each level.
-        fps: frames per second of the last.
-        rng: where a style that nobody asked for is drawn from.
-        margin: frames of the last level before and after the motion; its ends hold there.
+        names: the K styles of the model.
+        controls: their `style` (see `style_track`; None draws one) and `level_style`.
+        lengths: T_i, frames of each level.
+        fps: frames per second of the finest level.
+        rng: random generator of a style that is not given.
+        margin: frames of the finest level before and after the motion, with the styles of its
+            first and last frame.
 
     Raises:
-        ModelError: an unknown style or level, or a text that cannot be read.
+        ModelError: an unknown style or level, or text that cannot be parsed.
     """
+    style, level_style = controls.style, controls.level_style
     if style is None:
         style = names[int(torch.randint(len(names), (), generator=rng))]
 
-    def with_margins(wanted: str) -> Tensor:
-        track = level_track(names, wanted, lengths[-1] - 2 * margin, fps)
+    def with_margins(style: str) -> Tensor:
+        track = level_track(names, style, lengths[-1] - 2 * margin, fps)
         return F.pad(track[None], (margin, margin), mode="replicate")[0]
 
     tracks = [with_margins(style)] * len(lengths)

@@ -11,7 +11,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.skeleton_conv import Convolve
 from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.window_cache import Bank, Windows
+from gesturekit.multires.training.window_cache import WindowCache, Windows
 from gesturekit.training.seeds import rng_for
 
 
@@ -37,7 +37,7 @@ class Batches:
         self.training = config.training
         self.seed = config.seed
         self.first = first
-        self.bank = Bank(data, config, network, convolve)
+        self.bank = WindowCache(data, config, network, convolve)
         self.size = config.training.windows_per_step
         self.sequences = {
             n_frames: [data.paired[i] for i in members]

@@ -17,8 +17,9 @@ from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second, plain_values
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.model_format import TrainedSequence
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.sampling.conditions import Conditions
+from gesturekit.multires.trained_model import TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
@@ -288,23 +289,23 @@ class Trainer:
         return MultiresModel(
             fps=self.config.fps,
             representation=self.data.representation,
-            conditioner=self.data.conditioner,
             normaliser=self.data.normaliser,
+            conditions=Conditions(self.data.conditioner, self.data.styles, self.config.residual),
             network_config=self.config.network,
-            residual=self.config.residual,
-            z_star_shuffle=self.config.z_star_shuffle,
-            noise_levels=self.config.noise_levels,
-            styles=self.data.styles,
             network=network.cpu().eval(),
-            sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
-            z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
-            sequences={
-                sequence.name: TrainedSequence(
-                    sequence.n_frames,
-                    self.data.styles[sequence.style] if self.data.styles else None,
-                )
-                for sequence in self.data.paired
-            },
+            noise=TrainedNoise(
+                sigma=torch.stack([sequence.sigma for sequence in self.data.paired]),
+                z_star={sequence.name: sequence.z_star for sequence in self.data.paired},
+                sequences={
+                    sequence.name: TrainedSequence(
+                        sequence.n_frames,
+                        self.data.styles[sequence.style] if self.data.styles else None,
+                    )
+                    for sequence in self.data.paired
+                },
+                z_star_shuffle=self.config.z_star_shuffle,
+                noise_levels=self.config.noise_levels,
+            ),
             speakers=self.data.speakers,
             fastest=self.data.representation.scale
             * max(

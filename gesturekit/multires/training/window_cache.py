@@ -1,9 +1,9 @@
-"""Windows whose coarser levels are generated beforehand.
+"""Window cache: training windows with the output of the finished coarser levels.
 
-While two levels train, all coarser ones are finished: what they generate from given noise and
-speech does not change. A bank holds it for many windows at once, so that a training step only
-runs the levels it trains. Every window is drawn from (seed, pair, renewal), so that a resumed run
-makes the same bank again.
+While a stage trains two levels, all coarser ones are finished, and their output for given noise
+and speech does not change. It is generated for many windows at once, so that a training step runs
+only the levels it trains. Random numbers depend on (seed, stage, renewal), so that a resumed run
+gets the same windows.
 """
 
 from __future__ import annotations
@@ -19,24 +19,25 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
-from gesturekit.multires.sampling.noise import Recall
+from gesturekit.multires.sampling.conditions import condition_levels
+from gesturekit.multires.sampling.noise import NoiseSource, ZStarPatches
 from gesturekit.multires.sampling.styles import mixed_styles, style_levels
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 
 
 @dataclass(frozen=True)
 class Windows:
-    """N windows of one length, ready for the levels of a pair.
+    """N windows of one length, ready for the levels of a stage.
 
     Attributes:
-        coarser: (N, D, T) what the level below the pair generated; None at the first level.
-        noise: noise for each level of the pair, (N, 1, T_i) or None for none at all.
-        conditions: (N, S + K, T_i) residual speech features and one-hot styles for each level of
-            the pair; no channels at all where there is no condition.
-        speech: (N, S, T_i) the same speech, not residual, for the arm-speed loss of random steps;
-            None where nothing asks for it.
-        targets: (N, D, T_i) recorded motion; None on random steps, which have none.
-        styles: (N, L) number of the style at each level of all; 0 where there are none.
+        coarser: (N, D, T) output of the level below the stage; None at the first level.
+        noise: (N, 1, T_i) for each level of the stage, or None for no noise.
+        conditions: (N, S + K, T_i) for each level of the stage, speech features and one-hot
+            styles; no channels without conditions.
+        speech: (N, S, T_i) the same features, not residual, for the arm-speed loss of random
+            steps; None if it is not used.
+        targets: (N, D, T_i) recorded motion; None for random steps.
+        styles: (N, L) number of the style at each level of the pyramid; 0 without styles.
     """
 
     coarser: Tensor | None
@@ -50,44 +51,23 @@ class Windows:
         return len(self.styles)
 
     def take(self, index: Tensor) -> Windows:
-        """The windows at these numbers, (B,)."""
+        """Return the windows with these numbers, (B,)."""
 
-        def rows(parts: Sequence[Tensor | None]) -> tuple:
+        def chosen(parts: Sequence[Tensor | None]) -> tuple:
             return tuple(None if part is None else part[index] for part in parts)
 
         return Windows(
             coarser=None if self.coarser is None else self.coarser[index],
-            noise=rows(self.noise),
-            conditions=rows(self.conditions),
-            speech=None if self.speech is None else rows(self.speech),
-            targets=None if self.targets is None else rows(self.targets),
+            noise=chosen(self.noise),
+            conditions=chosen(self.conditions),
+            speech=None if self.speech is None else chosen(self.speech),
+            targets=None if self.targets is None else chosen(self.targets),
             styles=self.styles[index],
         )
 
 
-def condition_levels(
-    speech: Tensor, lengths: Sequence[int], residual: bool, styles: Sequence[Tensor] = ()
-) -> list[Tensor]:
-    """(B, S, T) speech and (B, K, T_i) styles to the (B, S + K, T_i) that each level is told."""
-    heard = _speech_levels(speech, lengths, residual)
-    if not styles:
-        return heard
-    return [torch.cat(parts, dim=1) for parts in zip(heard, styles, strict=True)]
-
-
-def _speech_levels(speech: Tensor, lengths: Sequence[int], residual: bool) -> list[Tensor]:
-    batch, width, n_frames = speech.shape
-    if not residual or not width:
-        return [resample(speech, n) for n in lengths]
-    flat = speech.permute(2, 0, 1).reshape(n_frames, batch * width).numpy()
-    return [
-        torch.from_numpy(level).float().reshape(-1, batch, width).permute(1, 2, 0)
-        for level in af.residual_pyramid(flat, lengths)
-    ]
-
-
-class Bank:
-    """Makes the windows that a pair of levels trains on."""
+class WindowCache:
+    """Draw the windows that a stage trains on, and generate their coarser levels."""
 
     def __init__(
         self,
@@ -101,8 +81,7 @@ class Bank:
         self.network = network
         self.convolve = convolve
         self.device = next(network.parameters()).device
-        self.sigma = torch.stack([sequence.sigma for sequence in data.paired]).mean(dim=0)
-        self.recall = recall(data, config)
+        self.noise = noise_source(data, config, config.network.levels)
 
     def random(
         self,
@@ -112,10 +91,10 @@ class Bank:
         count: int,
         rng: torch.Generator,
     ) -> Windows:
-        """Windows for random-generation steps: unpaired speech, fresh noise, no recorded motion.
+        """Return windows for random-generation steps: unpaired speech, new noise, no targets.
 
-        They begin with a style of one of these recordings, beside which a discriminator sees them,
-        and are `random_margin` longer at either end.
+        Coarse levels have styles of these sequences, which are also the discriminator's real
+        motions. The windows are `random_margin` frames longer at both ends.
         """
         n_frames += 2 * self.config.random_margin
         training = self.config.training
@@ -123,10 +102,7 @@ class Bank:
         quiet = torch.rand(count, generator=rng) < training.silence
         speech[quiet] = self.data.silence[:, :n_frames]
         lengths = af.level_lengths(n_frames, self.config.network.levels)
-        noises = [
-            torch.randn(count, 1, n, generator=rng) * sigma
-            for n, sigma in zip(lengths, self.sigma, strict=True)
-        ]
+        noises = self.noise.gaussian(lengths, lambda _: rng, count=count)
         styles = torch.zeros(count, len(lengths), dtype=torch.long)
         if self.config.styles is not None:
             levels, mixing = self.config.network.levels, self.config.styles.mixing
@@ -138,10 +114,8 @@ class Bank:
                 mixing,
                 rng,
             )
-        if self.recall is not None:
-            noises[0] = torch.cat(
-                [self.recall([own] * lengths[0], rng) for own in styles[:, 0].tolist()]
-            )
+        coarsest = styles[:, :1].expand(-1, lengths[0]).tolist()
+        noises[0] = self.noise.shuffled(noises[0], coarsest, rng)
         return self._windows(n_frames, first, speech, styles, noises, None)
 
     def paired(
@@ -152,9 +126,9 @@ class Bank:
         count: int,
         rng: torch.Generator,
     ) -> Windows:
-        """Windows for reconstruction steps: paired speech, z*, and the recorded motion.
+        """Return `count` windows for reconstruction steps: paired speech, z*, recorded motion.
 
-        `count` of them, or every one there is where that is fewer: a whole sequence has one.
+        If there are fewer windows than that, all are returned: a whole sequence has only one.
         """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         speech, motion, z_star, styles = [], [], [], []
@@ -186,7 +160,16 @@ class Bank:
         rng: torch.Generator,
         styles: Sequence[int] | None = None,
     ) -> list[Tensor]:
-        """Recorded motion (B, D, T_i) for the discriminators of the pair, of these styles."""
+        """Return recorded motion (B, D, T_i) for the discriminator of each level of the stage.
+
+        Args:
+            sequences: recordings to draw from.
+            n_frames: length of a window.
+            first: index of the first level of the stage.
+            count: B.
+            rng: random generator.
+            styles: number of the style of each motion; None for any.
+        """
         lengths = af.level_lengths(n_frames, self.config.network.levels)[first : first + 2]
         if styles is None:
             windows = list(random_windows(sequences, n_frames, count, rng))
@@ -208,11 +191,21 @@ class Bank:
         noises: list[Tensor | None],
         motion: Tensor | None,
     ) -> Windows:
+        """Return windows with the output of the coarser levels.
+
+        Args:
+            n_frames: T.
+            first: index of the first level of the stage.
+            speech: (N, S, T).
+            styles: (N, L) number of the style of each level.
+            noises: (N, 1 or D, T_i) for each level of the pyramid, or None.
+            motion: (N, D, T) recorded motion, or None.
+        """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
-        told = []
+        one_hot = []
         if self.data.styles:
-            told = style_levels(styles, len(self.data.styles), lengths)
-        conditions = condition_levels(speech, lengths, self.config.residual, told)
+            one_hot = style_levels(styles, len(self.data.styles), lengths)
+        conditions = condition_levels(speech, lengths, self.config.residual, one_hot)
         to = self.device
         conditions = [level.to(to) for level in conditions]
         noises = [None if noise is None else noise.to(to) for noise in noises]
@@ -228,7 +221,7 @@ class Bank:
                         lengths=lengths[:first],
                         convolve=self.convolve,
                     )[-1]
-                    for part in _chunks(len(speech), self.config.training.batch)
+                    for part in _batches(len(speech), self.config.training.batch)
                 ]
             )
         here = slice(first, first + 2)
@@ -246,31 +239,35 @@ class Bank:
         )
 
 
-def recall(data: TrainingData, config: MultiresConfig) -> Recall | None:
-    """What random noise is put together from; None where it is drawn anew."""
-    if not config.z_star_shuffle:
-        return None
-    z_stars = [sequence.z_star for sequence in data.paired]
-    return Recall(z_stars, [sequence.style for sequence in data.paired], config.z_star_shuffle)
+def noise_source(data: TrainingData, config: MultiresConfig, levels: int) -> NoiseSource:
+    """Return the noise of random motions, with noise at this many of the coarsest levels."""
+    patches = None
+    if config.z_star_shuffle:
+        z_stars = [sequence.z_star for sequence in data.paired]
+        styles = [sequence.style for sequence in data.paired]
+        patches = ZStarPatches(z_stars, styles, config.z_star_shuffle)
+    sigma = torch.stack([sequence.sigma for sequence in data.paired])
+    return NoiseSource(sigma.mean(dim=0), levels, patches)
 
 
 def random_windows(
     sequences: Sequence[PairedSequence], n_frames: int, count: int, rng: torch.Generator
 ) -> Iterator[tuple[PairedSequence, int]]:
-    """Sequences and start frames of random windows, every start equally likely."""
-    room = torch.tensor([float(sequence.n_frames - n_frames + 1) for sequence in sequences])
-    for which in torch.multinomial(room, count, replacement=True, generator=rng).tolist():
-        yield sequences[which], int(torch.randint(int(room[which]), (), generator=rng))
+    """Yield sequence and start frame of random windows, every start equally likely."""
+    starts = torch.tensor([float(sequence.n_frames - n_frames + 1) for sequence in sequences])
+    for which in torch.multinomial(starts, count, replacement=True, generator=rng).tolist():
+        yield sequences[which], int(torch.randint(int(starts[which]), (), generator=rng))
 
 
 def every_window(
     sequences: Sequence[PairedSequence], n_frames: int
 ) -> Iterator[tuple[PairedSequence, int]]:
-    """Sequences and start frames of all windows, each once."""
+    """Yield sequence and start frame of all windows."""
     for sequence in sequences:
         for start in range(sequence.n_frames - n_frames + 1):
             yield sequence, start
 
 
-def _chunks(n: int, size: int) -> Iterator[slice]:
+def _batches(n: int, size: int) -> Iterator[slice]:
+    """Return slices of `size` items that cover n items."""
     return (slice(start, start + size) for start in range(0, n, size))

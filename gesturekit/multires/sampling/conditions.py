@@ -1,0 +1,114 @@
+"""Conditions of each level: speech features and one-hot styles.
+
+`condition_levels` prepares whole windows in a batch, for the window cache and the monitor, and
+`LevelConditions` one tile of a long motion at a time. The residual features of both are equal bit
+for bit. Plain resampled ones differ in the last bit (torch and numpy interpolation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import audio_features as af
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.multires.network.resampling import resample
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Inputs of a trained model beside noise.
+
+    Attributes:
+        conditioner: turns waves into speech features; None for a model without speech input.
+        styles: names of the K styles; empty for a model without styles.
+        residual: give finer levels only the detail that coarser ones lack (section 5).
+    """
+
+    conditioner: SpeechConditioner | None = None
+    styles: tuple[str, ...] = ()
+    residual: bool = False
+
+    @property
+    def width(self) -> int:
+        """S + K, the channels of a condition."""
+        return len(self.styles) + (0 if self.conditioner is None else self.conditioner.dim)
+
+    def of_motion(
+        self, speech: np.ndarray, lengths: Sequence[int], styles: Sequence[Tensor]
+    ) -> LevelConditions | None:
+        """Return the conditions of one motion, or None for a model without any.
+
+        Args:
+            speech: (T, S) float32 features at the finest level; S is 0 without speech input.
+            lengths: T_i, frames of each level.
+            styles: (1, K, T_i) for each level, or empty.
+        """
+        if not speech.shape[1] and not styles:
+            return None
+        return LevelConditions(speech, lengths, self.residual, styles)
+
+
+def condition_levels(
+    speech: Tensor, lengths: Sequence[int], residual: bool, styles: Sequence[Tensor] = ()
+) -> list[Tensor]:
+    """Return the condition (B, S + K, T_i) of each level.
+
+    Args:
+        speech: (B, S, T) features at the finest level; S is 0 without speech input.
+        lengths: T_i, frames of each level.
+        residual: give finer levels only the detail that coarser ones lack.
+        styles: (B, K, T_i) for each level, or empty.
+    """
+    batch, width, n_frames = speech.shape
+    if residual and width:
+        flat = speech.permute(2, 0, 1).reshape(n_frames, batch * width).numpy()
+        features = [
+            torch.from_numpy(level).float().reshape(-1, batch, width).permute(1, 2, 0)
+            for level in af.residual_pyramid(flat, lengths)
+        ]
+    else:
+        features = [resample(speech, n) for n in lengths]
+    if not styles:
+        return features
+    return [torch.cat(parts, dim=1) for parts in zip(features, styles, strict=True)]
+
+
+class LevelConditions:
+    """Conditions of any frames of any level, without a pyramid of the whole speech in memory.
+
+    Args:
+        speech: (T, S) float32 features at the finest level; S is 0 without speech input.
+        lengths: T_i, frames of each level.
+        residual: give finer levels only the detail that coarser ones lack.
+        styles: (1, K, T_i) for each level, or empty.
+    """
+
+    def __init__(
+        self,
+        speech: np.ndarray,
+        lengths: Sequence[int],
+        residual: bool,
+        styles: Sequence[Tensor] = (),
+    ) -> None:
+        self.speech = speech
+        self.lengths = lengths
+        self.residual = residual
+        self.styles = styles
+
+    def __call__(self, level: int, start: int, stop: int) -> Tensor:
+        """Return (1, S + K, stop - start): these frames of the condition of a level."""
+        parts = []
+        if self.speech.shape[1]:
+            if self.residual:
+                features = af.residual_level(self.speech, self.lengths, level, start, stop)
+            else:
+                features = af.resample_frames(self.speech, self.lengths[level], start, stop)
+            parts.append(torch.from_numpy(np.ascontiguousarray(features.T))[None])
+        if self.styles:
+            parts.append(self.styles[level][..., start:stop])
+        return torch.cat(parts, dim=1)
