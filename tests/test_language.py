@@ -12,13 +12,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 AVOIDED = set("of what that how whose whether which where to in by for with".split())  # noqa: SIM905
 
-# Still to be rewritten: folders and modules of gesturekit whose docstrings are not checked yet.
-# Delete an entry once its docstrings are rewritten, and the list once it is empty.
-NOT_YET = {
-    *("cli", "corpus", "diagnosis", "diffusion", "evaluation", "formats", "inspection", "motion"),
-    *("multires", "postprocess", "systems", "viewer"),
-}
-
 
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
     """Yield (line, docstring) for the module, its classes and functions, nested ones included."""
@@ -33,8 +26,7 @@ def docstrings(path: Path) -> Iterator[tuple[int, str]]:
 def test_docstrings_begin_with_a_verb_or_noun_phrase(package):
     wrong = []
     for path in sorted((ROOT / package).rglob("*.py")):
-        part = path.relative_to(ROOT / package).parts[0].removesuffix(".py")
-        if "node_modules" in path.parts or (package == "gesturekit" and part in NOT_YET):
+        if "node_modules" in path.parts:
             continue
         for line, text in docstrings(path):
             if re.match(r"\W*(\w+)", text).group(1).lower() in AVOIDED:

@@ -202,6 +202,7 @@ class DiffusionConfig(RunConfig):
     """A diffusion training run, with any combination of speech, path, events and styles."""
 
     system: Literal["diffusion"]
+    """System that is trained; `diffusion` for these settings."""
     out: Path = field(default_factory=lambda: Path("runs/diffusion"))
     fps: float = 30.0
     """Frames per second at which the network works."""
