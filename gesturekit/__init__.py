@@ -35,7 +35,7 @@ __all__ = [
     "train",
 ]
 
-_HOMES = {
+_MODULES = {
     "GestureKitError": "gesturekit.errors",
     "Model": "gesturekit.model",
     "Motion": "gesturekit.motion.motion",
@@ -50,9 +50,9 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     # Names are imported when they are first used: `gesturekit --help` needs none of them.
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'gesturekit' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    return getattr(importlib.import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:

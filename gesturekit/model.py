@@ -26,12 +26,12 @@ class Controls:
     """
 
     style: str | None = None
-    """A style that the model knows, or several over time: old@0-10,angry@10-20 (seconds)."""
+    """A style of the model, or several over time: old@0-10,angry@10-20 (seconds)."""
     path: str | Path | RootPath | Motion | None = None
     """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path to
     follow."""
     like: str | Path | Motion | None = None
-    """A motion, of any rig of a person, to redo in the style of the model's recordings."""
+    """A motion on any human rig, to be redone in the style of the model's recordings."""
     speaker: str | None = None
     """The speaker whose skeleton to use, one of the model's `speakers`."""
     foot_lock: bool = True

@@ -1,4 +1,4 @@
-"""Progress of long work: a bar on a terminal, a plain line every few seconds anywhere else."""
+"""Progress of long tasks: a bar on a terminal, otherwise a plain line every few seconds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Progress(tqdm):
 
     Takes tqdm's arguments. On a terminal the bar disappears when it is done, unless `leave` is
     set. Elsewhere a line with count and remaining time is printed every `SECONDS_BETWEEN_LINES`;
-    shorter work prints nothing.
+    shorter tasks print nothing.
     """
 
     def __init__(self, *args: Any, leave: bool = False, **options: Any) -> None:
@@ -30,7 +30,7 @@ class Progress(tqdm):
 
     @property
     def format_dict(self) -> dict[str, Any]:
-        """Return the fields of a line; outside a terminal, the unit is in the plural if needed."""
+        """Fields of the progress line; outside a terminal, the unit is pluralised."""
         values = super().format_dict
         number = self.n if self.total is None else self.total
         if not self._in_place and number != 1:

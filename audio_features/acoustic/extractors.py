@@ -15,7 +15,7 @@ from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
 BACKENDS = ("numpy", "torchaudio")
-_OCTAVE_GUARD = 7.0  # semitones
+_OCTAVE_GUARD = 7.0  # semitones; see `Liveliness`
 
 
 class AcousticExtractor(ABC):
@@ -80,7 +80,7 @@ class LogMel(AcousticExtractor):
     def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
         self.n_mels = whole_number("n_mels", n_mels, MAX_MELS)
         self.device = _device(backend, device)
-        self.spec = {"kind": "logmel", "n_mels": self.n_mels, **_named(backend)}
+        self.spec = {"kind": "logmel", "n_mels": self.n_mels, **_backend_spec(backend)}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
         self.centred = (True,) * self.n_mels
 
@@ -89,7 +89,7 @@ class LogMel(AcousticExtractor):
 
 
 class MFCC(AcousticExtractor):
-    """First `n` (1 to 40) mel-frequency cepstral coefficients, the 0th included.
+    """First `n` (1 to 40) mel-frequency cepstral coefficients, including the 0th.
 
     Orthonormal DCT-II of 40 log-mel bands in dB, no liftering (librosa's convention). Listen,
     Denoise, Action (Alexanderson et al. 2023) uses 20 for Trinity speech and 16 for ZeroEGGS,
@@ -103,7 +103,7 @@ class MFCC(AcousticExtractor):
     def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:
         self.n = whole_number("n", n, BANDS)
         self.device = _device(backend, device)
-        self.spec = {"kind": "mfcc", "n": self.n, **_named(backend)}
+        self.spec = {"kind": "mfcc", "n": self.n, **_backend_spec(backend)}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
         self.centred = (True,) * self.n
 
@@ -122,8 +122,8 @@ class Prosody(AcousticExtractor):
     - `onset`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
 
     Args:
-        f0: pitch tracker. "yin" is the default and needs no extra package; "pyin" is steadier
-            and about thirty times slower; "parselmouth" (Praat) and "pyworld" need their
+        f0: pitch tracker. "yin" is the default and needs no extra package; "pyin" is more
+            stable but about thirty times slower; "parselmouth" (Praat) and "pyworld" need their
             packages.
 
     Raises FeatureError if the tracker is unknown or its package is not installed.
@@ -135,7 +135,7 @@ class Prosody(AcousticExtractor):
     def __init__(self, f0: str = "yin") -> None:
         check_tracker(f0)
         self.f0 = f0
-        # The default is left out, so that models from before this choice keep their spec.
+        # The default is omitted, so that specs of older models stay valid.
         self.spec = {"kind": "prosody"} if f0 == "yin" else {"kind": "prosody", "f0": f0}
         self.worth_caching = f0 == "pyin"
 
@@ -168,9 +168,8 @@ class Onset(AcousticExtractor):
 def _peaks(strength: np.ndarray) -> list[int]:
     """Return the peak frames of an onset strength (T,), as librosa.util.peak_pick finds them.
 
-    Uses librosa's default waits for frames of 10 ms; a peak is 1 dB above its surroundings.
-    Written out because importing librosa takes 20 seconds of compilation when numba's cache is
-    empty.
+    Uses librosa's default window lengths, in frames of 10 ms; a peak is 1 dB above the local mean.
+    librosa itself is not imported: with an empty numba cache it compiles for 20 seconds.
     """
     highest = np.max(np.lib.stride_tricks.sliding_window_view(np.pad(strength, (3, 0)), 4), axis=1)
     around = np.ones(21)
@@ -193,7 +192,7 @@ class Liveliness(AcousticExtractor):
     - `energy_range`: the same for the energy, in dB.
 
     Both are averaged with a Gaussian whose standard deviation is `seconds`. A monotonous clip
-    stays low throughout, so its mean must not be subtracted.
+    has low values throughout, so the clip's mean must not be subtracted.
     """
 
     names = ("f0_range", "energy_range")
@@ -210,7 +209,7 @@ class Liveliness(AcousticExtractor):
 
         melody = spectrum.melody()
         sigma = self.seconds * FRAME_RATE
-        # A small constant weight keeps a few voiced frames from giving a large range.
+        # The small constant keeps the range low where only a few frames are voiced.
         weight = gaussian_filter1d(melody.voiced.astype(float), sigma, mode="constant") + 0.02
         columns = []
         for values in (np.clip(melody.semitones, -_OCTAVE_GUARD, _OCTAVE_GUARD), melody.energy):
@@ -232,13 +231,13 @@ def _device(name: str, device: str) -> str | None:
     return device
 
 
-def _named(backend: str) -> dict[str, str]:
-    """Return the backend's spec entry; the default has none, so that older specs stay valid."""
+def _backend_spec(backend: str) -> dict[str, str]:
+    """Return the backend's entry in the spec; omit the default, so that older specs stay valid."""
     return {} if backend == "numpy" else {"backend": backend}
 
 
 def whole_number(name: str, value: int, highest: int) -> int:
-    """Return the value. Raises FeatureError unless it is a whole number from 1 to `highest`."""
+    """Return `value`; raise FeatureError unless it is a whole number from 1 to `highest`."""
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
         raise FeatureError(f"{name}={value!r}: a whole number from 1 to {highest}")
     return value

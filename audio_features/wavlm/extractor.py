@@ -16,7 +16,7 @@ from audio_features.wavlm.architecture import HOP, WINDOW
 from audio_features.wavlm.options import SAMPLE_RATE, Options, check_names
 
 if TYPE_CHECKING:
-    from audio_features.wavlm.layers import Layer
+    from audio_features.wavlm.layer_selection import Layer
 
 _GPU_BATCH = 8
 
@@ -82,7 +82,7 @@ class WavLM:
 
         from audio_features.wavlm.encoder import Encoder
         from audio_features.wavlm.front_end import FrontEnd
-        from audio_features.wavlm.layers import LayerChoice
+        from audio_features.wavlm.layer_selection import LayerChoice
         from audio_features.wavlm.presets import PRESETS
         from audio_features.wavlm.weights import read_weights
 

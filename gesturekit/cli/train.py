@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     "--plan",
     "only_plan",
     is_flag=True,
-    help="Print what would be trained, on which data, where to and how long it takes, and exit.",
+    help="Print the model, data, output folder and estimated time of the run, and exit.",
 )
 @click.option(
     "--show",
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def command(
     config: Path, overrides: tuple[str, ...], resume: bool, only_plan: bool, show: bool
 ) -> None:
-    """Train the model that CONFIG describes; KEY=VALUE changes single settings (training.batch=8).
+    """Train the model that CONFIG describes; KEY=VALUE changes a setting (training.batch=8).
 
     The run folder (out=...) gets the resolved config, metrics, TensorBoard events, checkpoints,
     and at the end the model.

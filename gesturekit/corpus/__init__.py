@@ -1,12 +1,12 @@
-"""Corpora: the manifest, its preparation, and the loading of its items."""
+"""Corpus: the manifest, its preparation, and the loading of its items."""
 
 from __future__ import annotations
 
 import importlib
 from typing import Any
 
-# No module may be called like a public function: importing it would hide the function.
-_HOMES = {
+# No submodule may have the name of a public function: importing it would shadow the function.
+_MODULES = {
     "Item": "item",
     "Manifest": "manifest",
     "Problem": "problem",
@@ -14,13 +14,13 @@ _HOMES = {
     "prepare": "preparation",
 }
 
-__all__ = sorted(_HOMES)
+__all__ = sorted(_MODULES)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -6,8 +6,6 @@ trained with have no columns. A part that is not given is zero, as with conditio
 
 from __future__ import annotations
 
-import difflib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +16,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.diffusion.event_frames import event_flags
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables.events import Event
 from gesturekit.motion.root_path import RootPath
@@ -101,7 +100,7 @@ class Conditions:
         given = {
             "speech": speech,
             "path": None if path is None else self._standardised(path),
-            "events": None if events is None else self._flags(events, n_frames, fps),
+            "events": None if events is None else event_flags(events, self.events, n_frames, fps),
             "styles": style,
         }
         for name, values in given.items():
@@ -125,16 +124,6 @@ class Conditions:
 
     def _standardised(self, path: RootPath) -> np.ndarray:
         return (path.deltas() - self.path_mean) / self.path_scale
-
-    def _flags(self, events: Sequence[Event], n_frames: int, fps: float) -> np.ndarray:
-        """Return flags (T, E): 1 from the frame nearest to an event's start, at least one frame."""
-        flags = np.zeros((n_frames, len(self.events)), np.float32)
-        for event in events:
-            check_event(event, self.events)
-            start = math.floor(event.time * fps + 0.5)
-            stop = math.floor((event.time + event.duration) * fps + 0.5)
-            flags[start : max(stop, start + 1), self.events.index(event.name)] = 1
-        return flags
 
     def to_values(self) -> dict[str, Any]:
         """Return the layout as plain values for `config.yaml`."""
@@ -190,16 +179,6 @@ class Conditions:
             tuple(map(str, values["events"])),
             tuple(map(str, values["styles"])),
             **path,
-        )
-
-
-def check_event(event: Event, known: Sequence[str]) -> None:
-    """Raise ModelError for an event of an unknown name."""
-    if event.name not in known:
-        near = difflib.get_close_matches(event.name, known, n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
-        raise ModelError(
-            f"event {event.name!r}: {hint}the model knows {', '.join(known) or 'none'}"
         )
 
 

@@ -209,7 +209,7 @@ class DiffusionConfig(RunConfig):
     features: FeatureConfig | None = field(default_factory=FeatureConfig)
     """Features of speech or music; null for a model without sound input."""
     path: bool = False
-    """Condition on the path of the root: each item's `path`, or that of its own motion."""
+    """Condition on the path of the root: each item's `path`, or the path of its motion."""
     events: bool = False
     """Condition on binary event flags: each item's `events`."""
     styles: StyleConfig | None = None

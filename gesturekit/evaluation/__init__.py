@@ -6,7 +6,7 @@ import importlib
 from typing import Any
 
 # No module may be called like a public function: importing it would hide the function.
-_HOMES = {
+_MODULES = {
     "BeatResult": "metrics.rhythm",
     "Evaluation": "results",
     "FeatureModel": "metrics.frechet.feature_model",
@@ -63,13 +63,13 @@ _HOMES = {
     "write_report": "report.page",
 }
 
-__all__ = sorted(_HOMES)
+__all__ = sorted(_MODULES)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:

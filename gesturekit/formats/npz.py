@@ -5,10 +5,10 @@ end_site_offsets, rotations, translation, moving_joints, joint_translations, fps
 `parts_by_hand, part_joints, body_betas, body_pelvis, body_up, gender, model, expressions`. Files of
 SMPL rigs also have the keys of `smpl.amass`.
 
-Compatibility: the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the tools around
-BEAT2 read what is written by default. The add-on's format AMASS wants `up="z"`. aitviewer
-(`SMPLSequence.from_amass`) and readers of AMASS want `rig="smplh", up="z"`: they look for the
-fingers where SMPL-H has them.
+Compatibility: the defaults suit the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the
+tools around BEAT2. The add-on's format AMASS needs `up="z"`. aitviewer
+(`SMPLSequence.from_amass`) and AMASS readers need `rig="smplh", up="z"`, because they expect the
+finger joints in the order of SMPL-H.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def read_npz(
 
     Args:
         path: the file.
-        up: axis that points up in an AMASS-like file, "y" or "z"; "auto" uses the direction of the
-            pelvis in most frames. Native files are always Y up.
+        up: axis that points up in an AMASS-like file, "y" or "z"; "auto" takes the one that the
+            pelvis points to in most frames. Native files are always Y up.
         body_model: model of the SMPL family, or its .npz file: bones get their lengths from the
             file's `betas`, and feet get six vertices as end sites.
 
@@ -62,12 +62,12 @@ def read_npz(
         try:
             if "v_template" in archive and "poses" not in archive:
                 raise FormatError(
-                    f"{path}: a body model of the SMPL family, no motion; give it as --body-model "
-                    "(body_model= in Python) with a motion"
+                    f"{path}: a body model of the SMPL family, not a motion; give it as "
+                    "--body-model (body_model= in Python) together with a motion"
                 )
             if all(key in archive for key in ("values", "times", "spec")):
                 raise FormatError(
-                    f"{path}: features of sound (keys 'values', 'times', 'spec'), no motion"
+                    f"{path}: speech features (keys 'values', 'times', 'spec'), not a motion"
                 )
             is_native = "gk_version" in archive
             motion = _from_native(archive) if is_native else from_amass(archive, up)
@@ -91,8 +91,8 @@ def write_npz(
     Args:
         motion: the motion to write.
         path: the file, written atomically.
-        rig: rig to retarget to: "smplx", "smplh" or "smpl". By default the motion keeps its own,
-            and the pose vectors of an SMPL rig are those of SMPL-X.
+        rig: rig to retarget to: "smplx", "smplh" or "smpl". By default the rig is kept, and
+            the pose vectors of an SMPL rig are in the layout of SMPL-X.
         up: axis that points up in the SMPL keys: "y" as in BEAT2, "z" as in AMASS. Native keys are
             always Y up.
         fps: rate to resample to; by default the motion's own.
@@ -117,10 +117,10 @@ def write_npz(
         posed = motion if rig else as_smpl(motion, RIGS["smplx"])
         values |= to_amass(posed, up)
         if posed.skeleton.n_joints == RIGS["smplx"] and motion.fps % 30:
-            fate = "refuses" if motion.fps < 30 else "plays at the wrong speed"
+            effect = "refuses" if motion.fps < 30 else "plays at the wrong speed"
             warnings.warn(
-                f"{path}: the SMPL-X add-on of Blender {fate} {motion.fps:g} fps; write a multiple "
-                "of 30 (--fps 30)",
+                f"{path}: the SMPL-X add-on of Blender {effect} {motion.fps:g} fps; write a "
+                "multiple of 30 (--fps 30)",
                 stacklevel=2,
             )
     with atomic_write(path) as temporary, temporary.open("wb") as out:
@@ -128,7 +128,7 @@ def write_npz(
 
 
 def _native(motion: Motion) -> dict[str, Any]:
-    """Return the native keys and their values."""
+    """Return the arrays of the native keys."""
     skeleton = motion.skeleton
     ends = [(skeleton.index(k), site) for k, sites in skeleton.end_sites.items() for site in sites]
     moving = motion.joint_translations
@@ -152,7 +152,7 @@ def _native(motion: Motion) -> dict[str, Any]:
     for key, known in (("body_betas", "betas"), ("body_pelvis", "rest_pelvis")):
         if known in motion.info:
             values[key] = np.asarray(motion.info[known], dtype=np.float64)
-            values["body_up"] = motion.info.get("up", "y")  # of the file that they come from
+            values["body_up"] = motion.info.get("up", "y")  # up axis of the source file
     if motion.expressions is not None:
         values["expressions"] = motion.expressions
     return values
@@ -162,9 +162,9 @@ def _from_native(archive: Archive) -> Motion:
     """Return the motion in the native keys."""
     version = archive["gk_version"]
     if version.shape or version.dtype.kind not in "iu" or version != NPZ_FORMAT:
-        said = version if not version.shape else f"an array of shape {version.shape}"
+        shown = version if not version.shape else f"an array of shape {version.shape}"
         raise FormatError(
-            f"key 'gk_version' is {said}; this version of gesturekit reads motion format "
+            f"key 'gk_version' is {shown}; this version of gesturekit reads motion format "
             f"{NPZ_FORMAT}"
         )
     names = tuple(archive.texts("names", _MAX_JOINTS))
@@ -222,22 +222,22 @@ def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
     values = archive[key]
     if values.dtype.kind not in "iu" or values.ndim != 1 or len(values) > _MAX_JOINTS:
         raise FormatError(
-            f"key {key!r} has shape {values.shape} of {values.dtype}; expected a list of joints' "
-            f"indices, up to {_MAX_JOINTS}"
+            f"key {key!r} has shape {values.shape} of {values.dtype}; expected up to "
+            f"{_MAX_JOINTS} joint indices in one dimension"
         )
     if len(values) and not lowest <= int(values.min()) <= int(values.max()) < stop:
-        raise FormatError(f"key {key!r} names a joint that is not among {stop}")
+        raise FormatError(f"key {key!r} holds a joint index outside {lowest} to {stop - 1}")
     return values.tolist()
 
 
 def _by_joint(
     archive: Archive, joints_key: str, key: str, values: Any, names: tuple[str, ...]
 ) -> Iterator[tuple[str, Any]]:
-    """Yield (joint, value) for the `values` of `key`, whose joints are in `joints_key`."""
+    """Yield (joint name, value); the array `joints_key` has the joint index of each value."""
     joints = _indices(archive, joints_key, 0, len(names))
     n_values = len(values) if np.ndim(values) else None
     if n_values != len(joints):
-        said = "one number" if n_values is None else f"{n_values} entries"
-        raise FormatError(f"key {key!r} has {said} for {len(joints)} {joints_key!r}")
+        count = "one number" if n_values is None else f"{n_values} entries"
+        raise FormatError(f"key {key!r} has {count}, but {joints_key!r} has {len(joints)}")
     for joint, value in zip(joints, values):
         yield names[joint], value

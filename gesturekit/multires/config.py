@@ -82,7 +82,7 @@ class LossConfig:
     """L1 between the generated log arm speed and its prediction from speech by ridge regression,
     on random steps. Not in the paper, where it is 0."""
     arm_acceleration: float = 0.0
-    """The same for arm acceleration, which tells trembling from swinging at equal speed."""
+    """The same for arm acceleration, which distinguishes trembling from swinging at equal speed."""
     detail: float = 0.0
     """Energy distance between generated and recorded amounts of detail at each joint, on random
     steps. Detail is what the frame rate of the level below cannot represent. Not in the paper."""

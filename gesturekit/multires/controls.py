@@ -27,17 +27,17 @@ class MultiresControls(Controls):
     1-4=describe,5-8=angry."""
     levels: int | None = None
     """Stop after this many levels. The motion has the lower frame rate of that level and can be
-    edited and given back as keyframes. Only style, level_style and speech can be combined with
+    edited and passed back as keyframes. Only style, level_style and speech can be combined with
     it."""
     keyframes: str | Path | Motion | None = None
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep
-    its slow movement. If it is an edit of what this seed made with levels, unedited frames stay as
-    they were generated. A motion of another rig is retargeted."""
+    its slow movement. If it was edited from a motion made with levels and the same seed, unedited
+    frames stay as they were generated. A motion on another rig is retargeted."""
     keyframe_level: int = 1
     """The level that keyframes or like replaces, counted from 1 (coarsest)."""
     keep: Mapping[float, str | Path | Motion] | None = None
-    """Motions by the second at which each begins. They come back unchanged and in their place in
-    the world; the model generates the time before, between and after them (in-betweening)."""
+    """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
+    position; the model generates the motion before, between and after them (in-betweening)."""
 
 
 class MultiresControlArguments(ControlArguments, total=False):

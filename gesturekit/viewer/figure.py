@@ -19,8 +19,8 @@ from gesturekit.viewer.anatomy import Shape
 if TYPE_CHECKING:
     from gesturekit.motion import Motion, Skeleton
 
-_QUADRUPED = 0.5
-"""The trunk of a body that goes upright rises by more than this share of its length."""
+_UPRIGHT = 0.5
+"""A body is upright if the unit vector from pelvis to shoulders has a mean y above this."""
 SPEED_SMOOTHING = 0.1
 """Standard deviation of the Gaussian that hand speed is smoothed with, in seconds."""
 
@@ -30,12 +30,12 @@ class Limb:
     """A tapered limb between two points.
 
     Attributes:
-        ends: the two points it joins.
-        radii: metres, at either end.
-        side: MIDDLE, LEFT or RIGHT of `anatomy`.
-        across: two points that its wide axis lies along, None where it is round.
-        width: how many times wider than deep it is.
-        length: metres, the median over the clip.
+        ends: indices into `Figure.points`.
+        radii: at each end, metres.
+        side: `anatomy.MIDDLE`, `LEFT` or `RIGHT`.
+        across: indices of two points whose direction the wide axis follows; None if it is round.
+        width: ratio of width to depth.
+        length: median over the clip, metres.
     """
 
     ends: tuple[int, int]
@@ -48,7 +48,13 @@ class Limb:
 
 @dataclass(frozen=True)
 class Head:
-    """Three points that give the head's place and where it looks, and its height in metres."""
+    """Position and orientation of the head.
+
+    Attributes:
+        base, up, face: indices into `Figure.points`: head joint, top of the head, and a point in
+            front of the joint.
+        size: height of the head, metres.
+    """
 
     base: int
     up: int
@@ -62,16 +68,16 @@ class Figure:
 
     Attributes:
         points: (T, P, 3) world positions in metres: the joints in the skeleton's order, then end
-            sites, then marks that move with a joint (the face, the tip of a hand without fingers).
-        fps: frames a second.
-        limbs: what to draw between them.
-        head: None where the skeleton has no head that could be recognised.
-        hand_speed: (T,) m/s, both hands summed, relative to the root (the mean over all joints
-            where there are no hands), smoothed by a Gaussian of SPEED_SMOOTHING.
+            sites, then added points that move with a joint (face, tip of a hand without fingers).
+        fps: frames per second.
+        limbs: drawn between the points.
+        head: None if no head could be identified.
+        hand_speed: (T,) m/s, sum of both hands' speeds relative to the root, smoothed by a Gaussian
+            of SPEED_SMOOTHING; the mean over all joints if hands cannot be identified.
         speed_of: label of `hand_speed`: "hand speed" or "mean speed of all joints".
         height: of the body, metres.
         floor: height of the ground, metres.
-        front: the yaw the body faces on average, radians, 0 towards +Z and positive towards +X.
+        front: mean yaw of the facing direction, radians, 0 towards +Z and positive towards +X.
     """
 
     points: np.ndarray
@@ -86,9 +92,10 @@ class Figure:
 
     @property
     def top_speed(self) -> float:
-        """The hand speed to draw at full height, m/s.
+        """Upper limit of the hand-speed plot, m/s.
 
-        One jump, such as a T-pose in frame 0, must not flatten all the rest: it is cut off.
+        Limited to 1.5 times the 98th percentile, so that a single jump, such as a T-pose in frame
+        0, does not flatten the rest of the curve.
         """
         usual = 1.5 * float(np.quantile(self.hand_speed, 0.98))
         return max(min(float(self.hand_speed.max()), usual), 1e-6)
@@ -104,7 +111,9 @@ class Figure:
             parts = find_parts(motion.skeleton)
         except MotionError:
             parts = None
-        height = _height(motion.skeleton)  # of the rig as it is: ends that are made up tell parts
+        height = _height(
+            motion.skeleton
+        )  # before any end site is removed: all help to identify parts
         ends = real_end_sites(motion.skeleton)
         motion = replace(motion, skeleton=replace(motion.skeleton, end_sites=ends))
         points = _Points(motion)
@@ -119,7 +128,7 @@ class Figure:
             hand_speed=_hand_speed(points, parts),
             speed_of="hand speed" if parts else "mean speed of all joints",
             height=height,
-            # Feet dip into the ground in most recordings: it is where they are most of the time.
+            # A low quantile instead of the minimum: in most recordings feet dip below the ground.
             floor=float(np.quantile(drawn[:, :, 1].min(axis=1), 0.25)),
             front=_front(points, parts) if parts else 0.0,
         )
@@ -138,7 +147,7 @@ class _Points:
         self.turns = self.motion.global_rotations()
 
     def at(self, joint: str) -> np.ndarray:
-        """World positions (T, 3) of a joint."""
+        """Return the world positions (T, 3) of a joint."""
         return self.joints[:, self.skeleton.index(joint)]
 
     def add(self, positions: np.ndarray) -> int:
@@ -147,14 +156,14 @@ class _Points:
         return self.skeleton.n_joints + len(self.added) - 1
 
     def stacked(self) -> np.ndarray:
-        """Every point, (T, P, 3)."""
+        """Return all points, (T, P, 3)."""
         return np.concatenate([self.joints, *(point[:, None] for point in self.added)], axis=1)
 
     def fixed(self, joint: str, direction: np.ndarray) -> np.ndarray:
-        """Turn directions (T, 3) into one that moves rigidly with a joint.
+        """Return directions (T, 3) that move rigidly with a joint, fitted to the given ones.
 
-        The direction is averaged in the joint's own axes over the clip, so it needs no convention
-        about a rig's rest pose: a head that turns to both sides looks forward on average.
+        The fit is their mean over the clip in the joint's local axes. It assumes no rest pose: a
+        head that turns to both sides faces forward on average.
         """
         turn = self.turns[:, self.skeleton.index(joint)]
         own = _unit(rotate_vectors(invert_quaternions(turn), direction).mean(axis=0))
@@ -166,7 +175,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _height(skeleton: Skeleton) -> float:
-    """Return the height to draw a body with, metres; of a rig without bones, a millimetre."""
+    """Return the body height, metres; a millimetre for a rig without bones."""
     try:
         return body_height(skeleton)
     except MotionError:
@@ -174,11 +183,11 @@ def _height(skeleton: Skeleton) -> float:
 
 
 def _axes(points: _Points, parts: BodyParts) -> tuple[np.ndarray, np.ndarray]:
-    """The body's up and forward directions, unit, (T, 3) each."""
+    """Return the body's up and forward directions, unit vectors (T, 3) each."""
     left, right = (points.at(parts.arms[side].shoulder) for side in anatomy.SIDES)
     trunk = _unit((left + right) / 2 - points.at(parts.pelvis))
-    # Left is +X and up is +Y of a body that faces +Z.
-    if trunk[:, 1].mean() < _QUADRUPED:  # its trunk leads forward, to the head
+    # If a body faces +Z, its left is +X and its up +Y.
+    if trunk[:, 1].mean() < _UPRIGHT:  # on four legs: the trunk points forward
         return _unit(np.cross(trunk, left - right)), trunk
     return trunk, _unit(np.cross(left - right, trunk))
 
@@ -186,7 +195,7 @@ def _axes(points: _Points, parts: BodyParts) -> tuple[np.ndarray, np.ndarray]:
 def _front(points: _Points, parts: BodyParts) -> float:
     _, forward = _axes(points, parts)
     x, _, z = forward.mean(axis=0)
-    if np.hypot(x, z) < 0.2:  # it turns all round: as it starts, then
+    if np.hypot(x, z) < 0.2:  # no mean direction, as it turns around: use frame 0
         x, _, z = forward[0]
     return float(np.arctan2(x, z))
 
@@ -214,7 +223,7 @@ def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Lim
     toes = {leg.toe for leg in parts.legs.values()} if parts else set()
     for name, sites in points.motion.end_positions().items():
         shape = anatomy.tip(name, drawn, parts)
-        if name in toes:  # a foot is no bird's: one limb to the middle of its toes
+        if name in toes:  # one limb to the mean of a toe's end sites
             sites = sites.mean(axis=1, keepdims=True)
         if shape:
             joint = skeleton.index(name)

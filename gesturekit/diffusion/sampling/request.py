@@ -11,8 +11,9 @@ import numpy as np
 
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner, speech_features
-from gesturekit.diffusion.conditions import Conditions, check_event, smooth_path
+from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.event_frames import check_event
 from gesturekit.diffusion.sampling.event_times import asked_events, wants_beats
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables.events import Event

@@ -205,7 +205,7 @@ def _on_path(
     motion: Motion,
     item: Item | None = None,
 ) -> tuple[Motion, RootPath | None]:
-    """Move a motion onto its item's path, or onto the smoothed path of its own root.
+    """Move a motion onto its item's path, or onto its smoothed root path.
 
     Without path condition, return the motion as it is and no path.
     """

@@ -94,7 +94,7 @@ def _sum_windows(
         last = start + width - 1
         ends[width - 1] = distances[last]
         for up in range(1, width):
-            # Views, as numba is slow where it cannot tell that an index is not negative.
+            # Views, because numba is slow if it cannot infer that an index is not negative.
             row, above, below = distances[last - up], ends[width - 1 - up], ends[width - up, 1:]
             for column in range(n_columns - up):
                 above[column] = row[column] + below[column]

@@ -1,1 +1,1 @@
-"""Tables of paths and events."""
+"""CSV tables of root paths and events."""

@@ -65,8 +65,8 @@ def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     """Return (left, right) names of joints that are mirror images, in the order of left joints.
 
     They are found by name, or by the shape of the rig if no name has a side. Limbs specified by
-    hand (`Skeleton.parts`) take precedence, with the joints above them on either side. A joint
-    without a counterpart lies in the middle of the body.
+    hand (`Skeleton.parts`) take precedence, together with their ancestors. A joint without a
+    counterpart is in the middle of the body.
     """
     by_hand = dict(_pairs_by_hand(skeleton))
     specified = {*by_hand, *by_hand.values()}
@@ -83,7 +83,7 @@ def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
 
 
 def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
-    """Yield (left, right) of limbs specified by hand, and of their ancestors up to a common one."""
+    """Yield (left, right) of limbs specified by hand and of their ancestors up to the common one."""
     for part, name in skeleton.parts.items():
         side, _, kind = part.partition("_")
         if side != "left" or f"right_{kind}" not in skeleton.parts:
@@ -147,7 +147,7 @@ def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
 
 
 def unidentified(skeleton: Skeleton) -> str:
-    """Return which parts of a rig cannot be identified, in words; "" for a human body."""
+    """Return the limbs that cannot be identified, in words; "" if all parts are found."""
     try:
         find_parts(skeleton)
     except MotionError:
@@ -165,16 +165,18 @@ def parse_parts(texts: Iterable[str]) -> dict[str, str]:
     for text in texts:
         part, _, joint = text.partition("=")
         if part not in KNOWN_PARTS or not joint:
-            raise MotionError(f"part {text!r}; expected PART=JOINT, of {', '.join(KNOWN_PARTS)}")
+            raise MotionError(
+                f"part {text!r}; expected PART=JOINT, PART of {', '.join(KNOWN_PARTS)}"
+            )
         parts[part] = joint
     return parts
 
 
 def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return joint name to body part in words, for every joint in order.
+    """Return a map from each joint's name to its body part in words, in the order of joints.
 
-    "pelvis", "spine", "neck", "head", "left elbow" and so on; "finger", "face", "end" (marks the
-    end of a bone), "twist" (rotates about its bone), "root" (above the pelvis), "other".
+    Labels are "pelvis", "spine", "neck", "head", "left elbow" and so on, "finger", "face", "end"
+    (marks the end of a bone), "twist" (rotates about its bone), "root" (above the pelvis), "other".
 
     Raises:
         MotionError: see `find_parts`.
@@ -183,9 +185,9 @@ def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) 
 
 
 def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
-    """Return `part_labels` of the parts that can be identified, and a line about the others.
+    """Return `part_labels` of the parts that can be identified, and a message about the others.
 
-    The labels are empty if no part can be identified, the line if all can.
+    If no part can be identified, the labels are empty; if all can, the message is empty.
     """
     try:
         return part_labels(skeleton), ""
@@ -194,8 +196,8 @@ def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
     found = PartFinder.partial(skeleton)
     if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
         reason = (
-            f"cannot identify the {found.missing_limbs()}: harmless where the rig has none, else "
-            f"--part {found.missing[0]}=JOINT names a joint"
+            f"cannot identify the {found.missing_limbs()}: harmless if the rig has none; otherwise "
+            f"specify them, as in --part {found.missing[0]}=JOINT"
         )
     labels = _labels(found)
     is_body = set(labels.values()) - {"other", "root", "end", "twist"}
@@ -203,7 +205,7 @@ def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
 
 
 def _labels(found: PartFinder) -> dict[str, str]:
-    """Return joint name to body part in words; later assignments take precedence."""
+    """Return a map from joint names to body parts in words; later assignments override."""
     skeleton = found.skeleton
     labels = dict.fromkeys(range(skeleton.n_joints), "other")
     if found.pelvis is not None:
@@ -239,7 +241,7 @@ def body_joints(skeleton: Skeleton) -> tuple[str, ...]:
 
 
 def upper_body(skeleton: Skeleton) -> tuple[str, ...]:
-    """Return the names of the spine's first joint and all below it: spine, neck, head, arms."""
+    """Return the names of the first spine joint and its descendants: spine, neck, head, arms."""
     first = skeleton.index(find_parts(skeleton).spine[0])
     return tuple(skeleton.names[j] for j in (first, *skeleton.descendants(first)))
 
@@ -254,7 +256,7 @@ def leg_length(skeleton: Skeleton) -> float:
     bones: list[int] = []
     for leg in legs.values():
         ankle, hip = skeleton.index(leg.ankle), skeleton.index(leg.hip)
-        # Helper joints may split a bone, so sum over all joints between hip and ankle.
+        # Twist joints may split a bone, so add up all bones between hip and ankle.
         chain = [ankle, *skeleton.ancestors(ankle)]
         bones += chain[: chain.index(hip)]
     return float(np.linalg.norm(skeleton.offsets[bones], axis=1).sum() / 2)

@@ -1,7 +1,7 @@
-"""Keyframe constraint, and levels of the pyramid as motion files for editing.
+"""Keyframe constraint, and conversion of pyramid levels to motions that can be edited.
 
 Keyframe editing and style transfer are the same operation (Li et al. 2022, section 4): a motion
-replaces the output of a coarse level, and the finer levels add the detail that they learnt. For
+replaces the output of a coarse level, and the finer levels add learned detail. For
 keyframe editing the motion is an edited coarse level, for style transfer any other motion.
 """
 
@@ -29,16 +29,16 @@ from gesturekit.postprocess import lock_feet
 from gesturekit.training.data.own_rig import on_rig
 
 _EASE_SECONDS = 0.1
-"""Standard deviation of the Gaussian that smooths the root's way to an edited position."""
+"""Standard deviation of the Gaussian that smooths the correction of the root's path."""
 _SAME = 0.01
-"""Motion vectors closer than this (6D entries, labels, m) differ by the rounding of a file only."""
+"""Largest difference between motion vectors (6D entries, labels, m) that counts as rounding."""
 _SAME_STEP = 1e-4
-"""The same for root steps, m per frame, whose errors add up."""
+"""The same for root displacements, m per frame; smaller, because their errors accumulate."""
 _RATE_TOLERANCE = 0.01
-"""Relative deviation of a file's frame rate from its level's that rounding in the file explains."""
+"""Largest relative difference between the frame rates of file and level that counts as rounding."""
 _HELD_FRAMES = 3
-"""Number of equal frames at the end of a motion from which it is taken to run past the end of the
-clip. Blender's default range of 250 frames causes this."""
+"""Least number of equal frames at the end of a motion that is treated as padding. Blender pads a
+shorter clip to its default range of 250 frames."""
 _EQUAL = 1e-6
 
 log = logging.getLogger(__name__)
@@ -47,10 +47,10 @@ log = logging.getLogger(__name__)
 class KeyframeConstraint:
     """Constrain slow movement to keyframes, and leave fast movement to the finer levels.
 
-    Contact labels are free, as edited files have none.
+    Contact labels are not constrained, because edited files have none.
 
     Args:
-        given: (T_k, D) vectors of the coarse level that was edited, in their own units.
+        given: (T_k, D) vectors of the edited coarse level, not normalised.
         edited: (T_k, D) bool, true where they were edited; see `keep_unedited`.
         representation: of the vectors.
         normaliser: of the vectors.
@@ -73,7 +73,7 @@ class KeyframeConstraint:
         upper = () if unidentified(rig) else upper_body(rig)
         for name in set(representation.joints) & set(upper):
             legs[representation.joint_columns(name)] = False
-        # If every frame is given, nobody chose where the feet are.
+        # If every frame was edited, the foot positions were not chosen on purpose: lock them.
         feet = edited[:, legs].any(axis=1)
         self._feet = _widened(feet & ~feet.all())
 
@@ -81,15 +81,15 @@ class KeyframeConstraint:
         """Return the output of a level, (1, D, T_i), moved to the keyframes where edited."""
         n_frames = output.shape[-1]
         wanted = (resample(self.given, n_frames) - output).numpy()
-        # Half a frame of the edited level: that level holds what is slower than this. The filter
-        # is applied twice, to leave less of the slow difference.
+        # Half a frame of the edited level, which represents only slower movement. Filtering twice
+        # leaves less of the slow difference.
         spread = 0.5 * n_frames / self.given.shape[-1]
         missing = _smoothed(wanted, spread)
         missing += _smoothed(wanted - missing, spread)
         return output + resample(self.weight, n_frames) * self.channels * torch.from_numpy(missing)
 
     def edited_feet(self, n_frames: int) -> np.ndarray:
-        """Return (T,) 1 where legs or root were edited and feet stay as given, 0 away from it."""
+        """Return weights (T,): 1 where legs or root were edited, and feet must not be locked."""
         return resample(self._feet, n_frames).numpy()
 
 
@@ -106,7 +106,7 @@ def level_motion(
     """
     stride = n_frames / len(values)
     values = values.copy()
-    # Displacements count per full-rate frame at every level.
+    # Displacements are per full-rate frame at every level.
     values[:, representation.layout.root_xz] *= stride
     return representation.decode(values, fps / stride)
 
@@ -125,7 +125,7 @@ def motion_level(
 
     Args:
         representation: of the vectors.
-        motion: of the same rig, or of another one, which is retargeted.
+        motion: on any rig; retargeted if it is not the model's.
         fps: frames per second of the finest level.
         lengths: frames of each level.
         level: index of the level.
@@ -159,7 +159,7 @@ def fit_keyframes(
         fps: frames per second of the finest level.
         levels: number of levels of the model.
         level: index of the level that the motion replaces.
-        n_frames: frames of the result at `fps`; None if the keyframes decide the length.
+        n_frames: frames of the result at `fps`; None if the keyframes determine the length.
 
     Raises:
         ModelError: a rig that cannot be retargeted to the model's.
@@ -169,7 +169,7 @@ def fit_keyframes(
     own = on_rig(representation, motion)
     if own is not motion:
         log.warning(
-            "keyframes: another rig than the model's (%d joints, %d of them): retargeted",
+            "keyframes: the rig (%d joints) is not the model's (%d joints): retargeted",
             motion.skeleton.n_joints,
             representation.skeleton.n_joints,
         )
@@ -200,14 +200,14 @@ def _without_held_frames(motion: Motion, end: int | None) -> Motion:
 def _warn_of_misfit(
     motion: Motion, fps: float, lengths: Sequence[int], level: int, length_given: bool
 ) -> None:
-    """Warn if the keyframes have another rate, or not as many frames, as the level they replace.
+    """Warn if the keyframes differ from the level they replace in frame rate or length.
 
     Args:
         motion: the keyframes.
         fps: frames per second of the finest level.
         lengths: frames of each level.
         level: index of the level that the motion replaces.
-        length_given: whether the keyframes do not decide the length.
+        length_given: true if the length was given, false if the keyframes determine it.
     """
     rates = [fps * length / lengths[-1] for length in lengths]
     if abs(motion.fps - rates[level]) > _RATE_TOLERANCE * rates[level]:
@@ -218,9 +218,9 @@ def _warn_of_misfit(
             motion.fps,
             level + 1,
             rates[level],
-            f"it would fit level {nearest + 1}; resampled"
+            f"it fits level {nearest + 1}; resampled"
             if fits
-            else f"no level has; resampled, as {motion.duration:.2f} s of motion",
+            else f"no level has this rate; resampled as {motion.duration:.2f} s of motion",
         )
     elif length_given and motion.n_frames != lengths[level]:
         log.warning(
@@ -240,20 +240,20 @@ def keep_unedited(
     read: np.ndarray,
     representation: MultiresRepresentation,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vectors of an edited level, with unedited values as the network generated them.
+    """Return the vectors of an edited level, with unedited values restored to the network's output.
 
-    A file holds rotations only. Contact labels between 0 and 1, and rotation columns shortened by
-    interpolation, are lost in it, and the finer levels respond to both.
+    A motion file stores rotations only, and loses two things that the finer levels respond to:
+    contact labels between 0 and 1, and the length of rotation columns, which interpolation reduces.
 
     Args:
         edited: (T_i, D) vectors read from the edited motion.
         generated: (T_i, D) output of the network.
-        read: (T_i, D) the same, read from the motion before it was edited.
+        read: (T_i, D) `generated`, decoded to a motion and encoded again, without edits.
         representation: of the vectors.
 
     Returns:
-        (T_i, D) vectors, and (T_i, D) bool, true where they were edited. If no frame is unedited,
-        the vectors are `edited`.
+        (T_i, D) vectors, and (T_i, D) bool, true where they were edited. If every frame was
+        edited, the vectors are `edited`.
     """
     tolerance = np.full(edited.shape[1], _SAME)
     tolerance[representation.layout.root_xz] = _SAME_STEP
@@ -266,7 +266,7 @@ def keep_unedited(
 def lock_free_feet(
     motion: Motion, contacts: np.ndarray, given: np.ndarray | None, *, keep_path: bool
 ) -> Motion:
-    """Lock feet except where a part of the motion is given, with a smooth transition between.
+    """Lock feet, except where the motion is given, with smooth transitions.
 
     Args:
         motion: T frames.
@@ -306,7 +306,7 @@ def root_through_keyframes(
     wanted: Motion,
     edited: np.ndarray,
 ) -> Motion:
-    """Return a motion whose root is at the ground positions of the edited frames.
+    """Move a motion so that its root passes through the ground positions of the edited frames.
 
     Finer levels and foot locking let the root drift. The offset that corrects the drift is
     interpolated between edited frames, and constant before the first and after the last one.
@@ -314,8 +314,8 @@ def root_through_keyframes(
     Args:
         representation: defines the root.
         motion: T frames to move.
-        free: T frames whose root drifts as without keyframes.
-        wanted: T_k frames with the root where it was edited.
+        free: T frames of the same motion before foot locking.
+        wanted: T_k frames with the root at the edited positions.
         edited: (T_k,) bool, true at edited frames; at least one.
     """
     path, goals = ground_positions(representation, free), ground_positions(representation, wanted)
@@ -333,7 +333,7 @@ def root_through_keyframes(
 
 
 def _interpolated(frames: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return a curve (T,) through (k,) values at (k,) frames: no overshoot, constant outside."""
+    """Interpolate (k,) values at (k,) frames to (T,): without overshoot, and constant outside."""
     if len(at) == 1:
         return np.full(len(frames), values[0])
     return PchipInterpolator(at, values)(frames.clip(at[0], at[-1]))
@@ -345,7 +345,7 @@ def ground_positions(representation: MultiresRepresentation, motion: Motion) -> 
 
 
 def moved(representation: MultiresRepresentation, motion: Motion, offset: np.ndarray) -> Motion:
-    """Return a decoded motion with its root moved over the ground by (2,) or (T, 2) metres."""
+    """Return a decoded motion with its root displaced by (2,) or (T, 2) metres of x and z."""
     offset = np.stack([offset[..., 0], np.zeros(offset.shape[:-1]), offset[..., 1]], axis=-1)
     if representation.root == 0:
         return replace(motion, translation=motion.translation + offset)
@@ -367,6 +367,6 @@ def _smoothed(values: np.ndarray, spread: float) -> np.ndarray:
 
 
 def _widened(where: np.ndarray) -> Tensor:
-    """Return (T,) weights from (T,) bool: 1 where true, falling to 0 in the frames beside."""
+    """Return weights (T,): 1 where `where` is true, falling smoothly to 0 around it."""
     where = where.astype(np.float64)
     return torch.from_numpy(np.maximum(where, _smoothed(where, 1.0)))

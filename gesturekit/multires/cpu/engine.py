@@ -68,7 +68,7 @@ def _problem(module: nn.Module) -> str | None:
         return f"has parts that the numba engine does not know: {', '.join(extra)}"
     hooks = (module._forward_hooks, module._forward_pre_hooks, module._backward_hooks)
     if "forward" in vars(module) or any(hooks):
-        return "has a hook or a forward of its own, which the numba engine would not call"
+        return "has a hook or overrides forward, which the numba engine would not call"
     if type(module) is SkeletonConv1d and module.shape[-1] > TAPS:
         return f"has a kernel of {module.shape[-1]} frames; the numba engine computes up to {TAPS}"
     return None

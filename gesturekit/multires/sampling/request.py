@@ -175,7 +175,7 @@ def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:
     if fewer_levels and controls.speaker is not None:
         raise ModelError("speaker goes with all levels: coarse ones move the reference skeleton")
     if given == ["keep"] and controls.speaker is not None:
-        raise ModelError("keep goes without speaker: the clips have bone lengths of their own")
+        raise ModelError("keep cannot be combined with speaker: the clips set the bone lengths")
 
 
 def _own_seconds(

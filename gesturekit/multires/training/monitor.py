@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 class Monitor:
     """Compare motion generated for training speech or styles with the recordings.
 
-    It has random numbers of its own, so that a run has the same weights with and without it.
+    Uses a separate random generator, so that a run has the same weights with and without it.
     """
 
     def __init__(

@@ -1,1 +1,1 @@
-"""A run: its folder, checkpoints, processes and devices."""
+"""Training run: folder, checkpoints, processes and devices."""

@@ -140,8 +140,8 @@ class PoseWindows:
             if (lengths < shortest).any():
                 bad = self.bones[int(np.argwhere(lengths < shortest)[0][1])]
                 raise EvaluationError(
-                    f"{described(motion)}: {bad[0]!r} and {bad[1]!r} lie in one place; "
-                    "no direction leads from one to the other"
+                    f"{described(motion)}: {bad[0]!r} and {bad[1]!r} are at the same position; "
+                    "the direction between them is undefined"
                 )
             bones = bones / lengths
         return (bones.reshape(len(bones), -1) - self.mean) / self.scale
