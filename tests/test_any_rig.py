@@ -1,4 +1,4 @@
-"""Any rig is prepared, trained on and rendered: no legs, no arms, no names that say anything."""
+"""Preparation, training and rendering on any rig: without legs, arms or meaningful names."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ RIGS: dict[str, Callable[[Skeleton], Bones]] = {
 
 
 def moving(bones: Bones, seconds: float = 2.0, fps: float = 30.0, seed: int = 0) -> Motion:
-    """A motion in which every joint swings and the root goes to and fro."""
+    """Return a motion in which every joint and the root oscillate."""
     names = tuple(bones)
     parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
     rig = Skeleton(names, parents, np.array([offset for _, offset in bones.values()]))
@@ -133,7 +133,7 @@ def moving(bones: Bones, seconds: float = 2.0, fps: float = 30.0, seed: int = 0)
 
 
 def prepared(folder: Path, motions: dict[str, Motion], suffix: str = "bvh") -> Path:
-    """The manifest of motions, each of a style of its own name."""
+    """Prepare motions and return their manifest; each motion's name is also its style."""
     (folder / "clips").mkdir(parents=True)
     for name, motion in motions.items():
         motion.save(folder / "clips" / f"{name}.{suffix}")
@@ -155,11 +155,11 @@ def trained(system: str, corpus: Path, out: Path, **changes) -> Path:
 def check_all(
     folder: Path, bones: Bones, system: str, labels: bool, formats: tuple[str, ...], watch: int = 0
 ):
-    """Prepare, train and render; what came of it."""
+    """Prepare, train and render; return the model."""
     motions = {f"s{seed}": moving(bones, seed=seed) for seed in range(2)}
     corpus = prepared(folder, motions)
-    told = {"styles": {}} if labels else {}
-    model = gk.load(trained(system, corpus, folder / "run", eval_every=watch, **told))
+    styles = {"styles": {}} if labels else {}
+    model = gk.load(trained(system, corpus, folder / "run", eval_every=watch, **styles))
     assert sorted(model.skeleton.names) == sorted(bones)
     controls = {"style": "s1"} if labels else {}
     made = list(render(model, [], folder / "out", seconds=1.0, output=Output(formats), **controls))
@@ -173,7 +173,7 @@ def check_all(
 
 @pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize("name", RIGS)
-def test_a_rig_of_any_kind_trains_and_moves(name, system, skeleton, tmp_path, caplog):
+def test_any_rig_can_be_trained_and_rendered(name, system, skeleton, tmp_path, caplog):
     bones = RIGS[name](skeleton)
     with caplog.at_level(logging.INFO):
         model = check_all(
@@ -206,7 +206,7 @@ def test_recordings_of_any_rate_train(fps, system, gesture, tmp_path):
     assert (made.fps, made.n_frames) == (fps, fps / 2)
 
 
-def test_a_file_of_two_roots_is_refused_by_name(gesture, tmp_path):
+def test_a_file_with_two_roots_is_refused(gesture, tmp_path):
     (tmp_path / "clips").mkdir()
     file = tmp_path / "clips" / "two.bvh"
     gesture(2.0).save(file)
@@ -219,7 +219,7 @@ def test_a_file_of_two_roots_is_refused_by_name(gesture, tmp_path):
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_joints_of_one_name_and_names_with_blanks_train(system, gesture, tmp_path):
+def test_repeated_joint_names_and_names_with_spaces_train(system, gesture, tmp_path):
     (tmp_path / "clips").mkdir()
     file = tmp_path / "clips" / "twins.bvh"
     gesture(2.0).save(file)
@@ -231,7 +231,7 @@ def test_joints_of_one_name_and_names_with_blanks_train(system, gesture, tmp_pat
     assert model.generate(seconds=0.5).n_frames == 15
 
 
-def test_speech_that_should_move_an_upper_body_nobody_finds_names_the_way_out(
+def test_speech_modulation_without_an_identified_upper_body_suggests_a_setting(
     write_speech, tmp_path
 ):
     moving(crab(), 3.0).save(tmp_path / "a.bvh")
@@ -261,7 +261,7 @@ def scaled(motion: Motion, factor: float) -> Motion:
 
 
 def manifest_of(folder: Path, motions: dict[str, Motion]) -> Path:
-    """A manifest that no check has seen: sizes are not judged here."""
+    """Write a manifest without `prepare`, whose checks would refuse odd sizes."""
     folder.mkdir(parents=True)
     items = []
     for name, motion in motions.items():
@@ -279,7 +279,7 @@ def losses(run: Path) -> list[dict[str, float]]:
     return [
         {key: value for key, value in row.items() if "seconds" not in key and key != "time"}
         for row in rows
-        if "kind" not in row  # the figures that a training ends with
+        if "kind" not in row  # metrics on held-out data at the end of training
     ]
 
 
@@ -293,7 +293,7 @@ WAYS = {
 
 
 def at_scale(factor: float, motions: dict[str, Motion], way: str, folder: Path):
-    """Losses of two steps on motions of another size, the model, and what it makes."""
+    """Train two steps on scaled motions; return the losses, the model and a generated motion."""
     system, changes = WAYS[way]
     bodies = {name: scaled(motion, factor) for name, motion in motions.items()}
     corpus = manifest_of(folder, bodies)
@@ -326,7 +326,7 @@ def test_training_does_not_depend_on_the_size_of_the_rig(way, gesture, tmp_path)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_model_from_before_sizes_were_kept_has_lengths_in_metres(system, gesture, tmp_path):
+def test_older_models_without_a_stored_scale_use_metres(system, gesture, tmp_path):
     folder = trained(system, manifest_of(tmp_path / "c", {"a": gesture(2.0)}), tmp_path / "run")
     path = folder / "skeleton.json"
     rig = json.loads(path.read_text())
@@ -346,19 +346,19 @@ def test_a_model_from_before_sizes_were_kept_has_lengths_in_metres(system, gestu
 @pytest.mark.stress
 @pytest.mark.parametrize("factor", [0.5, 2.0, 10.0])
 @pytest.mark.parametrize("way", WAYS)
-def test_training_is_the_same_at_every_size(way, factor, gesture, tmp_path):
+def test_training_does_not_depend_on_the_size_at_other_scales(way, factor, gesture, tmp_path):
     check_scale(factor, {"a": swaying(gesture, 1), "b": swaying(gesture, 2)}, way, tmp_path)
 
 
 def swaying(gesture, seed: int) -> Motion:
-    """A gesture whose root goes to and fro."""
+    """Return a gesture whose root oscillates."""
     motion = gesture(2.0, seed=seed)
     way = [0.1, 0.02, 0.1] * np.sin(3 * motion.times[:, None] + [0.0, 1.0, 2.0])
     return replace(motion, translation=motion.translation + way)
 
 
 def recordings(folder: Path) -> list[Path]:
-    """The real motions, one of each folder that holds many."""
+    """Return the real recordings, one from each folder."""
     kinds = [sorted(folder.glob(p)) for p in ("motion/*", "paired/*", "smpl/*.npz")]
     return [
         next(iter(sorted(path.rglob("*.bvh"))), path) if path.is_dir() else path

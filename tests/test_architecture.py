@@ -102,7 +102,7 @@ def test_imports_within_gesturekit_point_downwards():
 
 
 def import_cycles(edges: dict[str, set[str]]) -> list[set[str]]:
-    """Return the groups of modules that import one another, given what each module imports."""
+    """Return the import cycles, given the imports of each module."""
     modules = sorted(edges)
     graph = np.array([[other in edges[module] for other in modules] for module in modules])
     n_groups, group = connected_components(graph, connection="strong")
@@ -111,7 +111,7 @@ def import_cycles(edges: dict[str, set[str]]) -> list[set[str]]:
 
 
 def test_no_module_imports_itself_through_others():
-    """Imports in functions and under TYPE_CHECKING count; an `__init__` is a module like others."""
+    """Forbid import cycles, including imports in functions and under TYPE_CHECKING."""
     paths = {}
     for path in [*sources("audio_features"), *sources("gesturekit")]:
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -119,7 +119,7 @@ def test_no_module_imports_itself_through_others():
     edges: dict[str, set[str]] = {module: set() for module in paths}
     for module, path in paths.items():
         for _, name in imported(path):
-            # The name may be a module, or something in the module above it.
+            # The name may be a module, or a name defined in its parent module.
             target = name if name in paths else name.rpartition(".")[0]
             edges[module] |= {target} & (paths.keys() - {module})
     found = import_cycles(edges)

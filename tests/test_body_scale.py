@@ -1,4 +1,4 @@
-"""A clip is judged alike at any size: rig and path times c, thresholds times c."""
+"""Scale invariance of checks and labels: if rig and path are scaled, results do not change."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def rig(joints: dict[str, tuple[str | None, tuple[float, float, float]]]) -> Ske
 
 
 def flawed(skeleton: Skeleton) -> Motion:
-    """Three seconds with every defect: a rest pose, a jump, pops, jitter, a stretch frozen."""
+    """Return 3 s with every defect: a rest pose, a jump, pops, jitter and frozen frames."""
     n_frames = 180
     time = np.arange(n_frames)[:, None, None] / 60
     phase = np.random.default_rng(3).uniform(0, 6, (skeleton.n_joints, 3))
@@ -67,7 +67,7 @@ def flawed(skeleton: Skeleton) -> Motion:
 
 
 def judged(motion: Motion, path: Path, **options: str) -> dict[str, object]:
-    """Everything that is decided about a motion, speeds and lengths in words left out."""
+    """Return all checks and labels of a motion, without speeds and lengths in the messages."""
     motion.save(path, **options)
     read = options if path.suffix == ".bvh" else {}
 
@@ -76,7 +76,7 @@ def judged(motion: Motion, path: Path, **options: str) -> dict[str, object]:
         return text.replace(", # on a body of #", "")
 
     problems = inspect_motion(path, **read).problems
-    # Of the option, not of the motion: that it makes a body of an odd size.
+    # "makes the body ..." depends on the unit option, not on the motion.
     found = {"inspect": [unsized(text) for text in problems if "makes the body" not in text]}
     if not read:
         recording, problems = examine(Recording(id="a", motion=path), 0.5)
@@ -118,7 +118,7 @@ def test_a_flawed_motion_has_all_defects_at_any_size(skeleton, tmp_path):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_rigs_of_any_kind_are_judged_alike_at_any_size(name, tmp_path):
+def test_rigs_of_any_kind_are_checked_alike_at_any_size(name, tmp_path):
     assert_judged_alike(flawed(rig(RIGS[name])), tmp_path)
 
 
@@ -137,13 +137,13 @@ def test_limbs_are_found_by_shape_at_any_size(skeleton):
         assert find_parts(nameless.scaled(scale)) == parts
 
 
-def test_a_quadruped_is_judged_alike_at_any_size(quadruped, tmp_path):
+def test_a_quadruped_is_checked_alike_at_any_size(quadruped, tmp_path):
     assert_judged_alike(flawed(quadruped), tmp_path)
 
 
 @settings(deadline=None, max_examples=15, derandomize=True)
 @given(scale=st.floats(0.1, 10.0))
-def test_any_scale_between(scale, skeleton, tmp_path_factory):
+def test_clips_are_checked_alike_at_random_scales(scale, skeleton, tmp_path_factory):
     folder = tmp_path_factory.mktemp("any")
     motion = flawed(skeleton)
     one, other = (judged(m, folder / "clip.npz") for m in (motion, motion.scaled(scale)))
@@ -178,13 +178,13 @@ SOME = (
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_recordings_are_judged_alike_at_any_size(name, shared_data, tmp_path):
+def test_recordings_are_checked_alike_at_any_size(name, shared_data, tmp_path):
     motion = Motion.load(shared_data / name)
     assert_judged_alike(motion.slice(0, min(motion.n_frames, 300)), tmp_path)
 
 
 @pytest.mark.stress
-def test_every_recording_is_judged_alike_at_any_size(shared_data: Path, tmp_path: Path):
+def test_every_recording_is_checked_alike_at_any_size(shared_data: Path, tmp_path: Path):
     files = [*shared_data.rglob("*.bvh"), *(shared_data / "smpl").glob("*.npz")]
     assert len(files) > 30
     for file in sorted(files):

@@ -1,4 +1,4 @@
-"""The first render after an installation compiles nothing and gives what every later one gives."""
+"""The first render after installation compiles nothing and gives the same bytes as later ones."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_short_render_compiles_nothing_and_its_bytes_do_not_depend_on_caches(t
     assert compiled == []
 
     model = gk.load("demo")
-    model.generate(seconds=60)  # by compiled kernels, which are there from now on
+    model.generate(seconds=60)  # long enough for numba kernels, which are in the cache from here on
     model.generate(tmp_path / "speech.wav").save(tmp_path / "warm.bvh")
     cold = (tmp_path / "cold" / "speech.bvh").read_bytes()
     assert cold == (tmp_path / "warm.bvh").read_bytes()

@@ -1,4 +1,4 @@
-"""The bundled model does what the first page promises."""
+"""The bundled model does what the README promises."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def speech() -> af.Wave:
 
 @pytest.fixture(scope="module")
 def say():
-    """say(pitch_range, swing): the same sentences, monotone or lively in pitch and energy."""
+    """Return say(pitch_range, swing): the same sentences, monotonous or lively in pitch and energy."""
     pytest.importorskip("espeakng_loader", reason="pip install espeakng-loader")
     sys.path.insert(0, str(RECIPE))
     from voice import Voice, speak
@@ -59,7 +59,7 @@ def test_the_model_is_small_and_says_where_it_comes_from():
     assert "synthetic" in (folder / "README.md").read_text()
 
 
-def test_as_many_frames_as_the_sound_is_long(model, speech):
+def test_the_motion_is_as_long_as_the_sound(model, speech):
     for start, duration in ((0.0, None), (0.3, 1.0), (1.0, 0.21), (0.5, 3.333)):
         part = speech.slice(start, duration or speech.duration)
         samples, rate = len(part.samples), part.sample_rate
@@ -67,7 +67,7 @@ def test_as_many_frames_as_the_sound_is_long(model, speech):
         assert model.generate(part).n_frames == expected
 
 
-def test_the_same_seed_is_the_same_file_and_another_seed_another(model, speech, tmp_path):
+def test_the_seed_determines_the_file(model, speech, tmp_path):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         model.generate(speech, seed=seed).save(tmp_path / f"{name}.bvh")
     files = {name: (tmp_path / f"{name}.bvh").read_bytes() for name in "abc"}
@@ -76,7 +76,7 @@ def test_the_same_seed_is_the_same_file_and_another_seed_another(model, speech, 
     assert np.abs(one - other).max() > 0.01
 
 
-def test_it_moves_like_a_body(model, speech):
+def test_motion_is_plausible(model, speech):
     motion = model.generate(speech)
     assert np.isfinite(motion.rotations).all() and max_speed(motion) < 10.0
     still = [
@@ -107,7 +107,7 @@ def test_silence_moves_less_than_speech(model, speech):
 
 def test_twenty_decibels_quieter_is_the_same_motion(model, speech):
     loud = model.generate(speech)
-    # As a 16-bit file would hold it.
+    # Quantised as in a 16-bit file.
     quiet = np.round(speech.samples * 0.1 * 32768) / 32768
     soft = model.generate(af.Wave(quiet.astype(np.float32), speech.sample_rate, None))
     assert np.degrees(rotation_angles(loud.rotations, soft.rotations).max()) < 2.0

@@ -1,4 +1,4 @@
-"""The call that every model answers: speech in any form, and the rate of what comes back."""
+"""`generate` of both systems: speech in any form, and the frame rate of the result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gesturekit.training.seeds import seeded
 
 
 def diffusion(gesture, **rates: float) -> DiffusionModel:
-    """A small model of random weights that takes speech."""
+    """Return a small model with speech input and random weights."""
     extractor = af.LogMel(n_mels=4)
     ears = SpeechConditioner(extractor, 30.0, "mean", np.zeros(4), np.full(4, 10.0))
     conditions = Conditions(ears)
@@ -55,7 +55,7 @@ def same(one: gk.Motion, other: gk.Motion) -> bool:
     return np.array_equal(one.positions(), other.positions()) and one.fps == other.fps
 
 
-def test_samples_in_an_array_are_speech(model, wave):
+def test_speech_can_be_an_array(model, wave):
     assert isinstance(model, gk.Model)
     of_wave, rate = model.generate(wave), wave.sample_rate
     assert same(model.generate(wave.samples, rate), of_wave)
@@ -75,7 +75,7 @@ def test_samples_in_an_array_are_speech(model, wave):
 
 
 @pytest.mark.parametrize("fps", [25.0, 60.0, 1000 / 33])
-def test_any_rate_can_be_asked_for_and_time_stays(model, wave, fps):
+def test_the_duration_is_the_same_at_any_frame_rate(model, wave, fps):
     own, other = model.generate(wave), model.generate(wave, fps=fps)
     assert (own.fps, other.fps) == (model.fps, fps)
     assert other.n_frames == int(np.floor(len(wave.samples) / wave.sample_rate * fps + 0.5))
@@ -86,9 +86,7 @@ def test_any_rate_can_be_asked_for_and_time_stays(model, wave, fps):
         model.generate(wave, fps=0)
 
 
-def test_the_recordings_rate_is_kept_and_taken_unless_another_is_asked_for(
-    model, wave, gesture, tmp_path
-):
+def test_the_default_frame_rate_is_that_of_the_recordings(model, wave, gesture, tmp_path):
     own = model.generate(wave)
     model.recorded_fps = 60.0
     model.save(tmp_path)

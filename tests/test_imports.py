@@ -1,4 +1,4 @@
-"""Light to import, light to ask for help, and every example in the help works."""
+"""Imports and help are fast, and every example in the help and on the pages works."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_public_names_are_there():
 
 
 def test_type_checkers_see_what_is_exported():
-    """Names under TYPE_CHECKING are those that are imported when they are asked for."""
+    """Names under TYPE_CHECKING are those that are imported on demand."""
     import gesturekit as gk
 
     tree = ast.parse(Path(gk.__file__).read_text(encoding="utf-8"))
@@ -68,7 +68,7 @@ def test_type_checkers_see_what_is_exported():
 
 
 @pytest.mark.parametrize("system", ["multires", "diffusion"])
-def test_models_of_every_system_have_the_interface_that_load_promises(system):
+def test_models_of_every_system_implement_the_model_protocol(system):
     import gesturekit as gk
     from gesturekit.systems import SYSTEMS
 
@@ -92,7 +92,7 @@ def test_the_program_and_the_module_are_the_same():
 
 
 def examples_of(verb: str) -> list[str]:
-    """The command lines in a verb's help."""
+    """Return the command lines in a verb's help."""
     command = cli.get_command(click.Context(cli), verb)
     shown = " ".join(command.get_help(click.Context(command, info_name=verb)).split())
     lines = [line.removeprefix("Example: ") for line in command.epilog.splitlines() if line]
@@ -101,7 +101,7 @@ def examples_of(verb: str) -> list[str]:
 
 
 def check_command_line(line: str) -> None:
-    """The verb exists and takes these options; a configuration in it exists and takes its keys."""
+    """Check that the verb has these options, and that a named config exists and has these keys."""
     program, verb, *arguments = shlex.split(line, comments=True)
     assert program == "gesturekit" and verb in VERBS, line
     command = cli.get_command(click.Context(cli), verb)

@@ -5,7 +5,7 @@ from gesturekit.progress import Progress
 
 
 def counted(seconds_per_item, items=5, **options):
-    """Return the log file after some items, on a clock of our own."""
+    """Return the log file after some items, with a simulated clock."""
     now = [0.0]
     file = io.StringIO()
     bar = Progress(iter(range(items)), file=file, unit="file", **{"total": items} | options)
@@ -28,10 +28,10 @@ def test_a_log_file_gets_no_carriage_return():
     assert "\r" not in counted(12.0)
 
 
-def test_short_work_leaves_no_trace_in_a_log_file():
+def test_short_tasks_print_nothing_to_a_log_file():
     assert counted(0.1) == ""
 
 
-def test_what_is_counted_stands_in_the_plural_where_it_is_many():
+def test_the_unit_is_pluralised():
     assert " 1 of 1 file, " in counted(16.0, items=1)
     assert counted(16.0, total=None).splitlines()[1].startswith("2 files")

@@ -1,4 +1,4 @@
-"""The functions of `import gesturekit as gk`, called as a newcomer would call them."""
+"""Functions of `import gesturekit as gk`, called as a new user would."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_prepare_takes_single_folders_and_intervals(write_pair, write_speech, tm
 
 
 @pytest.mark.parametrize("seconds", ["50-", [(50, 40)], [5, 10], [(1, 2, 3)]])
-def test_prepare_refuses_what_is_no_interval(write_pair, tmp_path, seconds):
+def test_prepare_refuses_invalid_intervals(write_pair, tmp_path, seconds):
     write_pair(tmp_path, "a", 2.0)
     if seconds == "50-":
         report = gk.prepare(tmp_path, hold_out_seconds=seconds)
@@ -108,7 +108,7 @@ def test_a_motion_is_saved_with_an_array_of_sound(demo, tmp_path, suffix):
 
 
 @pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf")])
-def test_a_body_is_not_scaled_to_nothing(demo, factor):
+def test_scale_factors_must_be_positive_and_finite(demo, factor):
     with pytest.raises(gk.GestureKitError, match="give a number above 0"):
         demo.generate(seconds=0.5).scaled(factor)
 
@@ -119,12 +119,12 @@ def test_a_seed_is_a_whole_number(demo, seed):
         demo.generate(seconds=0.5, seed=seed)
 
 
-def test_a_seed_of_numpy_is_the_same_number(demo):
+def test_numpy_integers_are_valid_seeds(demo):
     one, other = (demo.generate(seconds=0.5, seed=seed) for seed in (3, np.int64(3)))
     assert (one.rotations == other.rotations).all()
 
 
-def test_a_run_folder_stands_for_its_model(demo, tmp_path):
+def test_a_run_folder_can_be_loaded_as_a_model(demo, tmp_path):
     demo.save(tmp_path / "run" / "model")
     (tmp_path / "run" / "config.yaml").write_text("system: multires\n")
     assert gk.load(tmp_path / "run").folder == (tmp_path / "run" / "model").resolve()

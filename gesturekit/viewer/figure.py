@@ -111,9 +111,8 @@ class Figure:
             parts = find_parts(motion.skeleton)
         except MotionError:
             parts = None
-        height = _height(
-            motion.skeleton
-        )  # before any end site is removed: all help to identify parts
+        # Before end sites are removed, since all of them help to identify parts.
+        height = _height(motion.skeleton)
         ends = real_end_sites(motion.skeleton)
         motion = replace(motion, skeleton=replace(motion.skeleton, end_sites=ends))
         points = _Points(motion)

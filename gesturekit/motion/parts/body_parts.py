@@ -83,7 +83,7 @@ def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
 
 
 def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
-    """Yield (left, right) of limbs specified by hand and of their ancestors up to the common one."""
+    """Yield (left, right) of limbs specified by hand, and of their ancestors below a common one."""
     for part, name in skeleton.parts.items():
         side, _, kind = part.partition("_")
         if side != "left" or f"right_{kind}" not in skeleton.parts:
