@@ -102,7 +102,7 @@ def test_imports_within_gesturekit_point_downwards():
 
 
 def import_cycles(edges: dict[str, set[str]]) -> list[set[str]]:
-    """Return the import cycles, given the imports of each module."""
+    """Return groups of modules that import one another, given the imports of each module."""
     modules = sorted(edges)
     graph = np.array([[other in edges[module] for other in modules] for module in modules])
     n_groups, group = connected_components(graph, connection="strong")

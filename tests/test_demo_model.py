@@ -30,7 +30,7 @@ def speech() -> af.Wave:
 
 @pytest.fixture(scope="module")
 def say():
-    """Return say(pitch_range, swing): the same sentences, monotonous or lively in pitch and energy."""
+    """Return say(pitch_range, swing), which varies pitch and energy of the same sentences."""
     pytest.importorskip("espeakng_loader", reason="pip install espeakng-loader")
     sys.path.insert(0, str(RECIPE))
     from voice import Voice, speak

@@ -91,7 +91,7 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
             + rates(facts["fps"], facts["recorded_fps"])
             + (f"; not {listed(still, 4)}" if still else ""),
         ),
-        ("hears", _hears(facts["features"].get("spec"))),
+        ("speech features", _speech_features(facts["features"].get("spec"))),
         ("network", _settings(facts["network"])),
         ("parameters", f"{facts['parameters']:,}"),
     ]
@@ -103,12 +103,12 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
     return rows
 
 
-def _hears(spec: Any) -> str:
+def _speech_features(spec: Any) -> str:
     """Describe the speech features: "logmel (n_mels 24), prosody"."""
     if not isinstance(spec, dict):
-        return "nothing" if spec is None else str(spec)
+        return "none" if spec is None else str(spec)
     if spec.get("kind") == "stack":
-        return ", ".join(map(_hears, spec.get("parts", ())))
+        return ", ".join(map(_speech_features, spec.get("parts", ())))
     settings = ", ".join(f"{key} {value}" for key, value in spec.items() if key != "kind")
     return f"{spec.get('kind')}" + (f" ({settings})" if settings else "")
 

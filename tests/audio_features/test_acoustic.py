@@ -165,7 +165,7 @@ def test_liveliness_is_the_range_of_pitch_and_energy():
 
 
 @pytest.mark.parametrize("tracker", ["pyin", "parselmouth", "pyworld"])
-def test_other_pitch_trackers_hear_the_same_melody(speech, tracker):
+def test_other_pitch_trackers_find_the_same_melody(speech, tracker):
     if tracker != "pyin":
         pytest.importorskip(tracker)
     extractor = Prosody(tracker)

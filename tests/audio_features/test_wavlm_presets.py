@@ -29,7 +29,7 @@ def stretched(features, size: int):
     )[0].T.numpy()
 
 
-def test_dsg_hears_clips_with_the_eight_frames_before_them(large):
+def test_dsg_extracts_clips_with_the_eight_frames_before_them(large):
     folder, model = large
     samples = noise(9.3)
     stride, seed = 64_000, 6_400  # 80 and 8 motion frames of 800 samples

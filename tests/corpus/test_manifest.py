@@ -96,7 +96,7 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path):
         ({"id": "a\nb"}, "cannot be used"),
     ],
 )
-def test_a_bad_field_is_told_with_file_and_line(tmp_path, change, message):
+def test_an_invalid_field_is_reported_with_file_and_line(tmp_path, change, message):
     path = write(tmp_path / "m.jsonl", {**RECORD, "id": "first"}, {**RECORD, **change})
     with pytest.raises(CorpusError, match=rf"m\.jsonl:3: .*{message}"):
         Manifest.load(path)

@@ -44,7 +44,7 @@ def test_the_same_folders_give_the_same_bytes(tmp_path, write_pair):
     assert (tmp_path / "one.jsonl").read_bytes() == (tmp_path / "two.jsonl").read_bytes()
 
 
-def test_each_bad_file_is_told_once_and_the_others_are_still_done(
+def test_each_bad_file_is_reported_once_and_the_others_are_prepared(
     tmp_path, write_pair, write_speech, gesture
 ):
     write_pair(tmp_path, "fine")
@@ -188,7 +188,7 @@ def test_pops_and_jitter_are_warned_about(tmp_path, write_speech, gesture):
     assert re.search(r"shake.bvh: jitters in 9\d% of its frames", shake)
 
 
-def test_parts_that_cannot_be_told_are_noted_and_may_be_named(tmp_path, write_speech, gesture):
+def test_unidentified_parts_are_reported_and_can_be_specified(tmp_path, write_speech, gesture):
     motion = gesture(2.0)
     rig = motion.skeleton
     names = tuple(f"Joint{j}" for j in range(rig.n_joints))
@@ -307,7 +307,7 @@ def test_named_seconds_are_held_out_and_parts_fit_together(tmp_path, write_pair,
     assert sum(len(item.load_wave().samples) for item in parts) == pytest.approx(96000, abs=3)
 
 
-def test_seconds_outside_every_recording_are_told(tmp_path, write_pair):
+def test_intervals_outside_every_recording_are_reported(tmp_path, write_pair):
     write_pair(tmp_path, "a", 3.0)
     report = prepare(tmp_path, hold_out_seconds=[(50.0, 60.0)])
     assert report.manifest.items[0].split == "train"
@@ -369,7 +369,7 @@ def test_labels_come_from_names(tmp_path, write_pair):
         ({"unpaired": ["nowhere"]}, "no such folder"),
     ],
 )
-def test_wrong_arguments_are_told_before_anything_is_read(tmp_path, options, message):
+def test_invalid_arguments_are_refused_before_anything_is_read(tmp_path, options, message):
     with pytest.raises(CorpusError, match=message):
         prepare(tmp_path, **options)
 
@@ -405,7 +405,7 @@ def test_real_recordings_of_several_rigs_in_one_folder(tmp_path, shared_data):
     assert not first["audio"].startswith("/")
 
 
-def test_pipes_are_told_and_never_waited_for(tmp_path, write_pair):
+def test_pipes_are_reported_and_never_opened(tmp_path, write_pair):
     write_pair(tmp_path, "fine")
     write_pair(tmp_path, "pipe")
     (tmp_path / "pipe.bvh").unlink()

@@ -72,7 +72,7 @@ def test_events_past_the_end_are_left_out_and_the_last_frame_is_reached(conditio
     assert flags[:, conditions.columns["events"]].T.tolist() == [[0, 0, 1], [0, 0, 0]]
 
 
-def test_a_model_that_is_told_nothing_has_no_columns():
+def test_a_model_without_conditions_has_no_columns():
     assert Conditions().encode(4, FPS).shape == (4, 0)
 
 

@@ -110,7 +110,7 @@ def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(make
         load_training_data(make_config(corpus=styled, styles={"handed": ["right"]}))
 
 
-def test_what_is_dropped_is_not_told(make_config, styled):
+def test_dropped_conditions_are_zero(make_config, styled):
     told = []
     for share in ({}, {"dropout_style": 1.0}, {"dropout_condition": 1.0}, {"dropout_style": 0.5}):
         config = make_config(corpus=styled, styles={}, training={**share, "batch": 64})
@@ -124,7 +124,7 @@ def test_what_is_dropped_is_not_told(make_config, styled):
     assert 16 < kept.sum() < 48
 
 
-def test_unpaired_motion_of_another_rig_comes_along_untold(make_config, idle):
+def test_unpaired_motion_on_another_rig_is_retargeted(make_config, idle):
     config = make_config(
         unpaired={"corpus": idle, "share": 0.25}, augmentation=PLAIN, training={"batch": 200}
     )
@@ -145,7 +145,7 @@ def test_unpaired_motion_of_another_rig_comes_along_untold(make_config, idle):
         load_training_data(make_config(unpaired={}))
 
 
-def test_a_path_is_told_and_followed(make_config, tmp_path, write_pair):
+def test_a_path_is_a_condition_and_is_followed(make_config, tmp_path, write_pair):
     write_pair(tmp_path / "in", "a", 4.0)
     (tmp_path / "in" / "a.path.csv").write_text("time,x,z,heading\n0,0,0,0\n2,1,2,90\n4,3,2,90\n")
     prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)

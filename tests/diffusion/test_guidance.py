@@ -52,7 +52,7 @@ def test_two_experts_give_the_weighted_sum_of_what_they_predict(weights):
     np.testing.assert_allclose(found.numpy(), expected.detach().numpy(), atol=1e-5)
 
 
-def test_three_experts_that_are_told_different_things():
+def test_three_experts_with_different_conditions():
     """The released code, adding in place, gives the second of three weights g1 (1 - g2)."""
     narrow = Expert(network(3, n_condition=1), SCHEDULE, noise("narrow", width=1))
     experts, weights = [expert(1), expert(2, told=1), narrow], [-0.25, 1.0, 0.25]

@@ -182,7 +182,7 @@ def test_events_happen_when_they_are_asked_for(untrained, clicks, tmp_path):
         untrained().generate(seconds=1.0, events="kick@1.0")
 
 
-def test_speech_is_heard_and_its_length_kept(untrained, ears, write_speech, tmp_path):
+def test_speech_changes_the_motion_and_sets_its_length(untrained, ears, write_speech, tmp_path):
     model = untrained(conditioner=ears, styles=("old",), droppable=("all",))
     speech = write_speech(tmp_path / "a.wav", 2.0)
     spoken = model.generate(speech, style="old", steps=4)
@@ -221,7 +221,7 @@ def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
         ]
 
 
-def test_a_model_is_smoothed_as_it_was_trained_to_be_unless_told(untrained, tmp_path):
+def test_smoothing_defaults_to_the_models_setting(untrained, tmp_path):
     model = untrained()
     model.smooth = 0.3
     model.save(tmp_path / "model")
@@ -265,7 +265,7 @@ def test_a_speaker_has_a_body_and_steps_of_their_own(untrained, skeleton, tmp_pa
         model.generate(**QUICK, speaker="bob")
 
 
-def test_what_a_model_does_not_use_is_not_told_of_it(untrained, tmp_path):
+def test_settings_that_the_architecture_does_not_use_are_not_shown(untrained, tmp_path):
     for kind, used in (("conformer", True), ("diffwave", False)):
         model = untrained()
         config = replace(model.network.config, architecture=kind, dilations=(1, 2))

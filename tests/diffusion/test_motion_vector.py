@@ -146,7 +146,7 @@ def test_maps_of_a_recording_are_small_and_jump_only_where_it_does(shared_data):
     assert turns.max() > 3, "its hands flip over in single frames"
 
 
-def test_neither_place_nor_direction_of_a_motion_is_told(gesture):
+def test_vectors_do_not_depend_on_position_and_heading(gesture):
     motion = gesture(2.0)
     motion.translation[:, 2] += motion.times
     turn = quaternion_from_rotation_vector(np.array([0.0, 2.0, 0.0]))

@@ -22,9 +22,7 @@ def fights(tmp_path, gesture) -> str:
     return str(tmp_path / "f.jsonl")
 
 
-def test_a_model_that_hears_and_one_that_is_told_events_make_one_motion(
-    make_config, fights, tmp_path
-):
+def test_experts_with_speech_and_events_can_be_combined(make_config, fights, tmp_path):
     heard = train(make_config())
     told = {"corpus": fights, "features": None, "events": True}
     apart = DiffusionModel.load(train(make_config(out=str(tmp_path / "apart"), **told)))
@@ -39,7 +37,7 @@ def test_a_model_that_hears_and_one_that_is_told_events_make_one_motion(
     assert motion.n_frames == 30 and np.abs(motion.rotations - alone.rotations).max() > 1e-3
 
 
-def test_what_cannot_be_kept_is_told(make_config):
+def test_an_incompatible_moves_like_is_refused(make_config):
     model = str(train(make_config()))
     for wrong, told in (
         ({"fps": 25.0}, "moves_like: .* has 30 fps"),

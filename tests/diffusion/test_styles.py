@@ -48,6 +48,6 @@ def test_mixtures_in_spans_become_one_another():
         ("old:x,angry:0.5", "the model knows"),
     ],
 )
-def test_what_cannot_be_meant_is_told(wanted, told):
+def test_invalid_styles_are_refused(wanted, told):
     with pytest.raises(ModelError, match=told):
         style_weights(NAMES, wanted, 40, 30.0)

@@ -31,7 +31,7 @@ def test_who_is_given_no_weight_shares_what_is_left():
 
 
 @pytest.mark.parametrize("text", ["@0-4", "0.5@4", "much@0-4", "0.5@0-4,0.5", "0.5@4-2", "x:1@0-4"])
-def test_what_cannot_be_read_is_told(text):
+def test_unreadable_weights_are_refused(text):
     with pytest.raises(ModelError, match=r"weight|span"):
         weight_track(text, 60, 30.0)
     with pytest.raises(ModelError, match="one for each frame"):

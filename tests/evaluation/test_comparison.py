@@ -167,7 +167,7 @@ def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(fold
         evaluate(made, folders / "recordings")
 
 
-def test_oddities_of_a_clip_are_told(folders, tmp_path):
+def test_oddities_of_a_clip_are_reported(folders, tmp_path):
     motion = Motion.load(folders / "samples" / "clip0_s1.npz")
     rotations = motion.rotations.copy()
     rotations[50:80] = rotations[50]

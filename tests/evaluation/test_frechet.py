@@ -49,7 +49,7 @@ def motions_of(rng, n_motions, each, shift=0.0):
     return [shift + rng.normal(size=4) + 0.5 * rng.normal(size=(each, 4)) for _ in range(n_motions)]
 
 
-def test_the_interval_holds_the_figure_and_tells_how_sure_it_is():
+def test_the_confidence_interval_narrows_with_more_clips():
     rng = np.random.default_rng(3)
     reference = motions_of(rng, 60, 5)
     many = frechet_result(motions_of(rng, 60, 5, 1.0), reference)
@@ -68,7 +68,7 @@ def test_the_interval_holds_the_figure_and_tells_how_sure_it_is():
     )
 
 
-def test_small_samples_are_told():
+def test_small_samples_are_reported():
     rng = np.random.default_rng(4)
     enough = frechet_result(motions_of(rng, 20, 5), motions_of(rng, 20, 5))
     assert enough.note == "" and "[" in str(enough)

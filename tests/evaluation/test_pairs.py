@@ -36,7 +36,7 @@ def test_clips_find_their_recordings_by_path_stem_sample_and_window(touch):
     assert found.excluded == []
 
 
-def test_recordings_without_a_sound_of_their_own_are_told_once(touch):
+def test_recordings_without_sound_are_reported_once(touch):
     recordings = touch("recordings", "a.bvh", "b.bvh")
     made = touch("made", "a_s1.npz", "a_s2.npz", "b_s1.npz")
     found = find_pairs(made, recordings, audio=touch("sound", "b.wav"))

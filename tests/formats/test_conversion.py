@@ -206,7 +206,7 @@ def test_links_do_not_lead_out_of_the_folder(gesture, tmp_path):
     assert len(outcomes(folder, out, formats=["npz"])) == 1
 
 
-def test_pipes_and_missing_files_are_told(tmp_path):
+def test_pipes_and_missing_files_are_reported(tmp_path):
     os.mkfifo(tmp_path / "pipe.bvh")
     os.mkfifo(tmp_path / "pipe.npz")
     assert len(list(motions_in(tmp_path))) == 2, "looking into them would never end"
@@ -263,7 +263,7 @@ def test_another_rig_of_the_smpl_family_and_its_keys(tmp_path):
         assert file["poses"].shape == (30, 156) and len(file["names"]) == 52
 
 
-def test_joints_that_have_to_move_are_told(take, tmp_path):
+def test_bones_below_a_removed_joint_are_reported(take, tmp_path):
     names = ("Hips", "Chest", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm")
     (done,) = outcomes(take, tmp_path / "a.bvh", changes=Changes(joints=names))
     assert "Chest, LeftForeArm, RightArm: a joint above was cut" in done.warnings[0]

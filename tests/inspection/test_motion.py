@@ -37,7 +37,7 @@ def test_a_gesture(gesture, tmp_path):
     assert 1.2 < facts["height"] < 2.2 and facts["contact_share"].keys() == {"left", "right"}
 
 
-def test_what_looks_wrong_is_told_with_its_frame(gesture, tmp_path):
+def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
     motion = gesture(4.0)
     rotations = motion.rotations.copy()
     rotations[30:70] = rotations[30]

@@ -59,7 +59,7 @@ def test_sounds_with_something_wrong(tmp_path):
         assert plain(summary)["channels"] == 2 and "\n".join(summary.lines())
 
 
-def test_a_truncated_sound_is_told_with_what_is_left_of_it(write_speech, tmp_path):
+def test_a_truncated_sound_is_reported_with_its_remaining_length(write_speech, tmp_path):
     path = write_speech(tmp_path / "a.wav", 2.0)
     path.write_bytes(path.read_bytes()[:30_000])
     summary = inspect(path)
@@ -84,7 +84,7 @@ def test_features(write_speech, tmp_path):
 def test_the_bundled_model_and_its_folder():
     summary = inspect("demo")
     assert summary.kind == "model" and row(summary, "moves").startswith("22 of 22 joints at 30 fps")
-    assert "logmel (n_mels 24), prosody" in row(summary, "hears")
+    assert "logmel (n_mels 24), prosody" in row(summary, "speech features")
     assert row(summary, "licence") == "Apache-2.0" and plain(summary)["parameters"] > 100_000
     assert inspect(model_folder("demo")).rows == summary.rows
 
@@ -117,7 +117,7 @@ def test_a_manifest(corpus):
     assert row(summary, "rig").startswith("19 joints, 30 fps") and not summary.problems
 
 
-def test_missing_files_and_leaks_between_splits_are_told(write_pair, tmp_path):
+def test_missing_files_and_leaks_between_splits_are_reported(write_pair, tmp_path):
     audio, motion = write_pair(tmp_path, "a")
     item = {
         "audio_start": 0.0,
@@ -189,7 +189,7 @@ def test_a_run_that_goes_on_and_one_that_is_done(tmp_path):
 # Everything else
 
 
-def test_what_is_not_known_is_told_in_one_line(gesture, tmp_path):
+def test_unknown_files_are_reported_in_one_line(gesture, tmp_path):
     (tmp_path / "empty").mkdir()
     gesture(0.5).save(tmp_path / "a.bvh")
     shutil.copy(tmp_path / "a.bvh", tmp_path / "a.txt")

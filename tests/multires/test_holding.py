@@ -90,7 +90,7 @@ def test_the_root_follows_a_path_and_faces_along_it(model):
     assert 0.5 < spread / own < 2
 
 
-def test_a_path_too_fast_for_the_training_is_told(model, caplog):
+def test_a_path_faster_than_the_recordings_is_reported(model, caplog):
     with caplog.at_level(logging.WARNING):
         model.generate(path=RootPath(np.zeros((50, 2)), np.zeros(50), 25.0))
         assert "m/s" not in caplog.text
@@ -200,7 +200,7 @@ def test_a_body_that_was_moved_is_where_it_was_put(model, speed, tmp_path):
         ({"keep": {1e9: "clip"}}, "at most 86400"),
     ],
 )
-def test_what_cannot_be_held_is_told(model, gesture, asked, message):
+def test_invalid_constraints_are_refused(model, gesture, asked, message):
     if "keep" in asked:
         asked = asked | {"keep": {second: gesture(2.0) for second in asked["keep"]}}
     if "keyframes" in asked:

@@ -33,7 +33,7 @@ def predicted(target, loudness):
     return target(speech[None])[0].exp() - floors, movement.exp() - floors
 
 
-def test_unheard_speech_is_told_when_to_move(target):
+def test_arm_speed_of_unpaired_speech_is_predicted(target):
     for ours, real in zip(*predicted(target, 2.0), strict=True):
         assert torch.corrcoef(torch.stack([ours, real]))[0, 1] > 0.8
 

@@ -63,7 +63,7 @@ def test_styles_of_the_manifest_move_differently(make_config, motions):
     old, angry = rotations(style="old"), rotations(style="angry")
     assert np.abs(old - angry).max() > 1e-3
     rows = dict(inspect(folder).rows)
-    assert rows["hears"] == "nothing" and rows["styles"] == "angry, old"
+    assert rows["speech features"] == "none" and rows["styles"] == "angry, old"
     both = rotations(level_style="1-2=old,3-4=angry")
     assert np.abs(both - old).max() > 1e-4 and np.abs(both - angry).max() > 1e-4
     np.testing.assert_array_equal(rotations(style="angry", level_style="1-4=old"), old)
@@ -351,7 +351,7 @@ def test_finer_noise_has_its_levels_sigma(make_config, motions):
     assert not np.array_equal(quiet.rotations, loud.rotations)
 
 
-def test_recordings_are_turned_to_face_forward_unless_told_not_to(make_config, motions, tmp_path):
+def test_recordings_are_turned_to_face_forward_by_default(make_config, motions, tmp_path):
     corpus = motions(none=[4.0])
     path = corpus.parent / "none_0.bvh"
     about_y = np.array([0.0, np.sin(0.5), 0.0, np.cos(0.5)])  # by 1 radian

@@ -74,7 +74,7 @@ def test_samples_and_the_best_model_of_the_last_pair_are_kept(make_config, tmp_p
     assert (config.out / "best" / "model.safetensors").read_bytes() == whole
 
 
-def test_samples_of_one_pose_are_told(make_config, caplog):
+def test_identical_samples_are_reported(make_config, caplog):
     config = make_config(eval_every=5)
     monitor = Monitor(load_training_data(config), config)
     network = MultiresGenerator(

@@ -202,7 +202,7 @@ def test_discriminator_steps_alone_tell_recorded_from_generated(stage_of):
     assert real_after - fake_after > real - fake + 0.01
 
 
-def test_the_learning_rate_falls_to_a_tenth_where_it_is_told(make_config, monkeypatch):
+def test_the_learning_rate_falls_to_a_tenth_at_decay_at(make_config, monkeypatch):
     rates = []
     iterate = Stage._iterate
 

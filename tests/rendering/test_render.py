@@ -91,7 +91,7 @@ def test_smoothing_leaves_the_legs(model, sounds, tmp_path):
     assert not same[plain.skeleton.index("LeftArm")]
 
 
-def test_a_model_is_smoothed_as_it_was_trained_to_be_unless_told(model, sounds, tmp_path):
+def test_smoothing_defaults_to_the_models_setting(model, sounds, tmp_path):
     plain = model.generate(sounds[0])
     trained = copy.copy(model)
     trained.smooth = 0.3
@@ -122,7 +122,7 @@ def test_no_name_leads_out_of_the_folder(model, sounds, tmp_path):
     assert outcome.files[0].is_file() and len(list((tmp_path / "here").iterdir())) == 1
 
 
-def test_a_file_that_cannot_be_written_is_told_and_the_others_are_kept(model, sounds, tmp_path):
+def test_a_file_that_cannot_be_written_is_reported_and_the_others_are_kept(model, sounds, tmp_path):
     out = tmp_path / "out"
     (out / "b.npz").mkdir(parents=True)
     one, two, three = render(model, sounds, out, output=Output(formats=("bvh", "npz")))
@@ -193,9 +193,7 @@ def test_another_body_moves_as_the_models_own(model, sounds, tmp_path, gesture):
     assert legs[1] > 1.1 * legs[0]
 
 
-def test_a_rig_that_cannot_be_used_is_told_before_anything_is_done(
-    model, sounds, tmp_path, gesture
-):
+def test_an_unusable_rig_is_refused_before_anything_is_rendered(model, sounds, tmp_path, gesture):
     cases = {"none.bvh": "none.bvh", "wrong.bvh": "wrong.bvh: .*cannot be both"}
     avatar(tmp_path / "wrong.bvh", gesture(1.0), 1.0)
     for name, says in cases.items():
@@ -324,7 +322,7 @@ def test_a_killed_run_goes_on_whatever_it_left_of_its_record(model, sounds, tmp_
     assert counted(render(model, sounds, tmp_path)) == [(0, 1)] * 3
 
 
-def test_settings_are_told_apart_by_what_they_hold(tmp_path):
+def test_settings_are_compared_by_content(tmp_path):
     for name in ("one", "same", "other"):
         (tmp_path / name).write_text("other" if name == "other" else "one")
     one, same, other = (described(tmp_path / name) for name in ("one", "same", "other"))

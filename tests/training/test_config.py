@@ -98,7 +98,7 @@ def test_mistakes_are_named(tmp_path, text, overrides, says):
     assert "a.yaml" in str(caught.value) or overrides
 
 
-def test_a_setting_in_the_wrong_section_leads_to_the_right_one():
+def test_a_setting_in_the_wrong_section_is_refused_with_the_right_one():
     from gesturekit.diffusion.config import DiffusionConfig
 
     for values in ({"schedule": {"updates": 3}}, {"updates": 3}, {"network": {"updates": 3}}):

@@ -64,7 +64,7 @@ def test_shares_make_up_the_whole():
         assert [i for share in shares for i in range(n)[share]] == list(range(n))
 
 
-def test_a_half_set_environment_is_told(monkeypatch):
+def test_an_incomplete_environment_is_reported(monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "two")
     monkeypatch.setenv("RANK", "0")
     with pytest.raises(ConfigError, match="torchrun"), Processes.from_environment():
