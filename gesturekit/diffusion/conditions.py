@@ -6,7 +6,6 @@ trained with have no columns. A part that is not given is zero, as with conditio
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from gesturekit.training.data.features import (
     conditioner_values,
     load_conditioner,
 )
+from gesturekit.wording import did_you_mean
 
 PARTS = ("speech", "path", "events", "styles")
 
@@ -196,8 +196,7 @@ class Conditions:
 def check_event(event: Event, known: Sequence[str]) -> None:
     """Raise ModelError for an event of an unknown name."""
     if event.name not in known:
-        near = difflib.get_close_matches(event.name, known, n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
+        hint = did_you_mean(event.name, known, "did you mean {}? ")
         raise ModelError(
             f"event {event.name!r}: {hint}the model knows {', '.join(known) or 'none'}"
         )
