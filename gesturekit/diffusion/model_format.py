@@ -74,15 +74,9 @@ def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
 
 
 def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
-    """Return the fields of `TrainedModel` from the parts of a model folder.
+    """Return the fields of `TrainedModel` from a model folder; see `DiffusionModel.load`.
 
-    Args:
-        parts: as read from the folder.
-        weights: the WavLM weights of training, for a model with WavLM features.
-        device: where WavLM computes.
-
-    Raises:
-        KeyError, TypeError, ValueError, RuntimeError: a damaged folder.
+    Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.
     """
     config, rig, tensors = parts.config, parts.rig, parts.tensors
     where = str(parts.folder / "config.yaml")

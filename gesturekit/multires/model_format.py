@@ -56,13 +56,7 @@ def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], di
 
 
 def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
-    """Return the arguments of `MultiresModel` from a model folder.
-
-    Args:
-        parts: as read from the folder.
-        weights: the WavLM weights of training, for a model with WavLM features.
-        device: where WavLM computes.
-    """
+    """Return the fields of `TrainedModel` from a model folder; see `MultiresModel.load`."""
     config, rig, tensors = parts.config, parts.rig, parts.tensors
     where = str(parts.folder / "config.yaml")
     fps = float(config["fps"])
@@ -104,12 +98,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
 
 
 def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
-    """Return the README of a model folder.
-
-    Args:
-        model: the model.
-        notes: further lines, by their heading.
-    """
+    """Return the text of the model folder's README.md, with `notes` as further lines."""
     lines = {
         "Kind": f"multires, {model.network_config.levels} levels",
         "Motion": model.motion_row(),
