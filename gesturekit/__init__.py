@@ -9,8 +9,9 @@ motion.save("speech.bvh")
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from gesturekit.lazy import attach
 
 if TYPE_CHECKING:
     from gesturekit.corpus import prepare
@@ -35,25 +36,18 @@ __all__ = [
     "train",
 ]
 
-_MODULES = {
-    "GestureKitError": "gesturekit.errors",
-    "Model": "gesturekit.model",
-    "Motion": "gesturekit.motion.motion",
-    "Skeleton": "gesturekit.motion.skeleton",
-    "evaluate": "gesturekit.evaluation",
-    "load": "gesturekit.systems",
-    "prepare": "gesturekit.corpus",
-    "render": "gesturekit.rendering.batch",
-    "train": "gesturekit.systems",
-}
-
-
-def __getattr__(name: str) -> Any:
-    # Names are imported when they are first used: `gesturekit --help` needs none of them.
-    if name not in _MODULES:
-        raise AttributeError(f"module 'gesturekit' has no attribute {name!r}")
-    return getattr(importlib.import_module(_MODULES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+# `gesturekit --help` needs none of them.
+_, __getattr__, __dir__ = attach(
+    __name__,
+    {
+        "GestureKitError": "errors",
+        "Model": "model",
+        "Motion": "motion.motion",
+        "Skeleton": "motion.skeleton",
+        "evaluate": "evaluation",
+        "load": "systems",
+        "prepare": "corpus",
+        "render": "rendering.batch",
+        "train": "systems",
+    },
+)

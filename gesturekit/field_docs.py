@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import difflib
 import inspect
 import textwrap
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ from functools import cache
 from typing import Any, TypeVar
 
 from gesturekit.errors import GestureKitError
+from gesturekit.wording import did_you_mean
 
 Options = TypeVar("Options")
 
@@ -34,8 +34,7 @@ def build_options(schema: type[Options], keywords: Mapping[str, Any], function: 
     names = [field.name for field in dataclasses.fields(schema)]
     for name in keywords:
         if name not in names:
-            near = difflib.get_close_matches(name, names, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names)}"
+            hint = did_you_mean(name, names) or f"it has {', '.join(names)}"
             raise UnknownOptionError(f"{function} has no option {name}; {hint}")
     return schema(**keywords)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypedDict, overload, r
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from gesturekit.corpus.speech import Speech
@@ -56,8 +56,7 @@ class Controls:
         names = [field.name for field in dataclasses.fields(cls)]
         for name, value in keywords.items():
             if name not in names and value is not None:
-                near = difflib.get_close_matches(name, names, n=1, cutoff=0.75)
-                hint = f"; did you mean {near[0]}?" if near else ""
+                hint = did_you_mean(name, names, "; did you mean {}?", cutoff=0.75)
                 given = f"{name}={value!r}" if isinstance(value, str | int | float) else name
                 raise UnknownControlError(f"{given}: {kind} models have no control {name}{hint}")
         given = {name: value for name, value in keywords.items() if value is not None}

@@ -1,8 +1,9 @@
-"""Counts and lists in messages, tables and warnings."""
+"""Counts, lists and nearest names in messages, tables and warnings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Sequence
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:
@@ -14,6 +15,19 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     """Return names separated by commas; after the first `most`, only the number of others."""
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def did_you_mean(
+    name: str,
+    known: Iterable[str],
+    text: str = "did you mean {}?",
+    *,
+    most: int = 1,
+    cutoff: float = 0.6,
+) -> str:
+    """Return `text` with the known names nearest to `name`; "" if none is near."""
+    near = difflib.get_close_matches(name, list(known), most, cutoff)
+    return text.format(", ".join(near)) if near else ""
 
 
 def roughly(seconds: float) -> str:

@@ -37,6 +37,7 @@ EVERYONE_MAY_IMPORT = {
     "archive",
     "compiled",
     "field_docs",
+    "lazy",
     "progress",
     "wording",
 }
@@ -44,7 +45,6 @@ MAY_IMPORT |= {module: set() for module in EVERYONE_MAY_IMPORT}
 
 # Files in which a string may name a module that is imported on demand.
 LAZY_IMPORTS = {
-    "gesturekit/__init__.py",
     "gesturekit/cli/__init__.py",
     "gesturekit/motion/motion.py",
     "gesturekit/systems.py",

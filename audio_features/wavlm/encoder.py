@@ -173,15 +173,10 @@ def _attend(
 ) -> torch.Tensor:
     """Compute attention (H, T, D) with gated relative bias, a block of scores at a time.
 
-    Written out instead of calling scaled_dot_product_attention, which on a CPU takes 1.5 times
-    as long because each block needs a materialised mask.
-
-    Args:
-        q: (H, T, D) scaled queries.
-        k: (H, D, T) keys, reversed in time.
-        v: (H, T, D) values, reversed in time; their dtype is that of the product with them.
-        gates: (H, T).
-        bias: (H, 2T - 1), see `Encoder._bias`.
+    Written out instead of calling scaled_dot_product_attention, which on a CPU takes 1.5 times as
+    long because each block needs a materialised mask. q (H, T, D) is scaled; k (H, D, T) and v (H,
+    T, D), whose dtype is that of the product with them, are reversed in time. `gates` are (H, T),
+    `bias` (H, 2T - 1).
     """
     heads, frames, _ = q.shape
     held = _CPU_SCORES if q.device.type == "cpu" else _GPU_SCORES

@@ -6,12 +6,13 @@ start (bad usage, bad config); 130 on Ctrl-C.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import sys
 import warnings
 
 import click
+
+from gesturekit.wording import did_you_mean
 
 VERBS = (
     "demo",
@@ -49,8 +50,7 @@ class VerbGroup(click.Group):
         name = args[0]
         if name in VERBS or name.startswith("-"):
             return super().resolve_command(ctx, args)
-        near = difflib.get_close_matches(name.lower(), VERBS, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"it is one of {', '.join(VERBS)}."
+        hint = did_you_mean(name.lower(), VERBS) or f"it is one of {', '.join(VERBS)}."
         raise click.UsageError(f"{name!r} is not a command: {hint}", ctx)
 
 

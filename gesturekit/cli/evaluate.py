@@ -216,12 +216,7 @@ def _notes(found: Evaluation) -> Iterator[str]:
 
 
 def _trained_on(model: ModelResult, name: str) -> str:
-    """Return a warning if a model was trained on recordings that it is measured on, or "".
-
-    Args:
-        model: its results.
-        name: a folder of motion or a model, as given on the command line.
-    """
+    """Return a warning if `name`, a model, was trained on recordings of its evaluation, or ""."""
     from gesturekit.evaluation.pairs import Stretch
     from gesturekit.systems import model_folder
     from gesturekit.training.data.sources import is_trained_on, load_sources

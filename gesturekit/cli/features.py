@@ -193,12 +193,7 @@ def _check(wavs: tuple[Path, ...], output: _Output) -> None:
 
 
 def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
-    """Return the extractor of the command line, and print the WavLM weights that it uses.
-
-    Args:
-        kinds: value of --extractor.
-        options: weights, device and the settings of WavLM.
-    """
+    """Return the extractor of --extractor and its options; print the WavLM weights that it uses."""
     from audio_features import extractor_from_spec
 
     wavlm = dict(options)

@@ -220,12 +220,7 @@ def command(
 
 
 class _Summary:
-    """Count and print the outcomes of a run.
-
-    Args:
-        out: output folder.
-        samples: number of motions for each input.
-    """
+    """Count and print the outcomes of a run with `samples` motions for each input."""
 
     def __init__(self, out: Path, samples: int) -> None:
         self.counts = {"rendered": 0, "kept": 0, "failed": 0}

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.item import READING
@@ -89,29 +89,11 @@ class PrepareOptions:
             )
 
 
-class PrepareArguments(TypedDict, total=False):
-    """Keywords of `prepare`, for type checkers: the fields of `PrepareOptions`."""
-
-    unpaired: Folders
-    unpaired_motion: Folders
-    holdout: float
-    hold_out_seconds: str | Sequence[splits.Interval]
-    seed: int
-    speaker: str | None
-    style: str | None
-    style_pattern: str | None
-    tolerance: float
-    channel: int | None
-    parts: Mapping[str, str] | None
-    read: Mapping[str, Any] | None
-    progress: Callable[[list[Any]], Iterable[Any]]
-
-
 @gesturekit_errors()
 def prepare(
     folders: Folders,
     out: str | os.PathLike[str] | None = None,
-    **options: Unpack[PrepareArguments],
+    **options: Any,
 ) -> Report:
     """Find, check and split recordings, and write the manifest if any are usable.
 

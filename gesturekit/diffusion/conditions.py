@@ -151,18 +151,10 @@ class Conditions:
         weights: str | Path | None = None,
         device: str = "cpu",
     ) -> Conditions:
-        """Rebuild conditions from `to_values` and `to_tensors`.
+        """Rebuild conditions from `to_values` and `to_tensors`; see `DiffusionModel.load`.
 
-        Args:
-            values: of `to_values`.
-            tensors: of `to_tensors`; others are ignored.
-            fps: frames per second of the motion.
-            weights: the WavLM weights of training, for WavLM features.
-            device: where WavLM computes.
-
-        Raises:
-            KeyError, TypeError, ValueError: damaged values.
-            WeightsError: WavLM weights are needed, or are not those of training.
+        Raises KeyError, TypeError or ValueError for damaged values, and WeightsError for WavLM
+        weights that are missing or are not those of training.
         """
         features, conditioner = values["features"], None
         if features is not None:
@@ -183,11 +175,5 @@ class Conditions:
 
 
 def smooth_path(path: RootPath, fps: float, n_frames: int | None = None) -> RootPath:
-    """Resample a path to the model's frame rate and smooth it (section 4.1).
-
-    Args:
-        path: at any frame rate.
-        fps: frames per second of the motion.
-        n_frames: number of frames; by default those of the whole path.
-    """
+    """Resample a path to the model's frame rate and smooth it (section 4.1)."""
     return path.resample(fps, n_frames).smoothed()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Sequence
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables.events import Event
+from gesturekit.wording import did_you_mean
 
 
 def event_flags(
@@ -38,8 +38,7 @@ def event_flags(
 def check_event(event: Event, known: Sequence[str]) -> None:
     """Raise ModelError for an event of an unknown name."""
     if event.name not in known:
-        near = difflib.get_close_matches(event.name, known, n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
+        hint = did_you_mean(event.name, known, "did you mean {}? ")
         raise ModelError(
             f"event {event.name!r}: {hint}the model knows {', '.join(known) or 'none'}"
         )

@@ -16,10 +16,10 @@ from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.trained_model import TrainedModel
-from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.model_folder import ModelParts, model_readme, rates
+from gesturekit.training.model_folder import ModelParts, model_readme
+from gesturekit.training.trained_model import common_arguments, rig_values
 
 
 def model_parts(
@@ -27,10 +27,7 @@ def model_parts(
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
     """Return the contents of config.yaml, skeleton.json and model.safetensors."""
     config = {
-        "kind": model.kind,
-        "fps": model.fps,
-        "recorded_fps": model.recorded_fps,
-        "joints": list(model.representation.joints),
+        **model.first_values(),
         **model.conditions.to_values(),
         "droppable": list(model.droppable),
         "window": model.window,
@@ -38,14 +35,10 @@ def model_parts(
         "noise": to_dict(model.noise_config),
         "network": to_dict(model.network.config),
     }
-    rig = {
-        "skeleton": model.skeleton.to_json(),
-        "motion": model.representation.to_json(),
-        "speakers": {name: body.to_json() for name, body in model.speakers.items()},
-    }
     tensors = {f"network.{name}": value for name, value in model.network.state_dict().items()}
     tensors |= {"motion.mean": model.standardiser.mean, "motion.scale": model.standardiser.scale}
-    return config, rig, tensors | model.conditions.to_tensors()
+    tensors |= model.conditions.to_tensors()
+    return config, rig_values(model.representation, model.speakers), tensors
 
 
 def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
@@ -55,8 +48,7 @@ def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
     rows = {
         "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks{layers}, "
         f"{model.noise_config.steps} steps",
-        "Motion": f"{rates(model.fps, model.recorded_fps)}, {len(model.representation.joints)} of "
-        f"{model.skeleton.n_joints} joints modelled",
+        "Motion": model.motion_row(),
     }
     call = []
     if conditions.conditioner is not None:
@@ -82,15 +74,9 @@ def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
 
 
 def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
-    """Return the fields of `TrainedModel` from the parts of a model folder.
+    """Return the fields of `TrainedModel` from a model folder; see `DiffusionModel.load`.
 
-    Args:
-        parts: as read from the folder.
-        weights: the WavLM weights of training, for a model with WavLM features.
-        device: where WavLM computes.
-
-    Raises:
-        KeyError, TypeError, ValueError, RuntimeError: a damaged folder.
+    Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.
     """
     config, rig, tensors = parts.config, parts.rig, parts.tensors
     where = str(parts.folder / "config.yaml")
@@ -108,20 +94,14 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
     if representation.makes_root == conditions.path:
         raise ValueError("config.yaml and skeleton.json differ in whether there is a path")
     network = Denoiser(n_motion, conditions.width, network_config)
-    network.load_state_dict(
-        {k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")}
-    )
-    smooth, recorded_fps = config.get("smooth"), config.get("recorded_fps")
+    network.load_state_dict(parts.tensors_under("network."))
     return {
-        "fps": fps,
+        **common_arguments(parts),
         "representation": representation,
         "conditions": conditions,
         "standardiser": standardiser,
         "noise_config": build(NoiseConfig, config["noise"], where=where),
         "network": network,
-        "speakers": {name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
         "droppable": tuple(map(str, config["droppable"])),
         "window": int(config["window"]),
-        "smooth": None if smooth is None else float(smooth),
-        "recorded_fps": None if recorded_fps is None else checked_fps(recorded_fps),
     }

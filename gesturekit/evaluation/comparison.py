@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -103,24 +103,11 @@ class EvaluationOptions:
             raise EvaluationError(f"protocol {self.protocol!r}; expected one of {known}")
 
 
-class EvaluateArguments(TypedDict, total=False):
-    """Keywords of `evaluate`, for type checkers: the fields of `EvaluationOptions`."""
-
-    split: str | None
-    audio: str | Path | None
-    semantic: str | Path | None
-    protocol: str
-    patches: PatchOptions | None
-    features: FeatureModel | None
-    seed: int
-    progress: Progress
-
-
 @gesturekit_errors()
 def evaluate(
     generated: str | Path | Mapping[str, str | Path],
     reference: str | Path | Items,
-    **options: Unpack[EvaluateArguments],
+    **options: Any,
 ) -> Evaluation:
     """Measure generated motion against recordings, all at the frame rate of the first clip.
 

@@ -7,7 +7,6 @@ to STEM.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections import defaultdict
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import CorpusError
 from gesturekit.formats.sources import SPEECH_SUFFIXES
-from gesturekit.wording import counted, listed
+from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
     from audio_features import Wave
@@ -371,8 +370,7 @@ class _Lookup:
                 return fitting[0], index, ""
             if fitting:
                 return None, None, f"several recordings fit it: {', '.join(fitting)}"
-        near = difflib.get_close_matches(sample, self.recorded, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = did_you_mean(sample, self.recorded, "; did you mean {}?")
         return None, None, f"no recording of its name{hint}"
 
 

@@ -148,12 +148,9 @@ def _by_joint(
 ) -> np.ndarray:
     """(J,) S of lowest total cost over the tree, by dynamic programming from leaves to root.
 
-    Args:
-        skeleton: the rig.
-        rotations: (T, J, 4) local unit quaternions.
-        other: (J,) counterpart of each joint.
-        mismatch: (J, 4) metres by which each S fails to reflect the bone to a joint.
-        fixed: joints whose offset is constant over time.
+    `rotations` (T, J, 4) are local, `other` (J,) is each joint's counterpart, `mismatch` (J, 4) the
+    metres by which each S fails to reflect the bone to a joint; offsets of `fixed` joints are
+    constant.
     """
     n = skeleton.n_joints
     rotations = rotations[:: max(1, len(rotations) // _FRAMES)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.wording import did_you_mean
 
 SKELETON_FORMAT = 1
 ROTATION_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
@@ -110,8 +110,8 @@ class Skeleton:
         try:
             return self._index[name]
         except KeyError:
-            near = difflib.get_close_matches(name, self.names, n=3, cutoff=0.4)
-            hint = f"did you mean {', '.join(near)}?" if near else f"it has {_listing(self.names)}"
+            hint = did_you_mean(name, self.names, most=3, cutoff=0.4)
+            hint = hint or f"it has {_listing(self.names)}"
             raise MotionError(f"the skeleton has no joint {name!r}; {hint}") from None
 
     @cached_property

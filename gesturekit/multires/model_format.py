@@ -10,7 +10,6 @@ from typing import Any
 
 from torch import Tensor
 
-from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -24,7 +23,8 @@ from gesturekit.training.data.features import (
     conditioner_values,
     load_conditioner,
 )
-from gesturekit.training.model_folder import ModelParts, model_readme, rates
+from gesturekit.training.model_folder import ModelParts, model_readme
+from gesturekit.training.trained_model import common_arguments, rig_values
 
 
 def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
@@ -32,10 +32,7 @@ def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], di
     conditions, noise = model.conditions, model.noise
     conditioner = conditions.conditioner
     config = {
-        "kind": model.kind,
-        "fps": model.fps,
-        "recorded_fps": model.recorded_fps,
-        "joints": list(model.representation.joints),
+        **model.first_values(),
         "features": None
         if conditioner is None
         else {**conditioner_values(conditioner), "residual": conditions.residual},
@@ -47,11 +44,6 @@ def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], di
         "fastest": model.fastest,
         "smooth": model.smooth,
     }
-    rig = {
-        "skeleton": model.skeleton.to_json(),
-        "motion": model.representation.to_json(),
-        "speakers": {name: body.to_json() for name, body in model.speakers.items()},
-    }
     tensors = {f"network.{k}": v.contiguous() for k, v in model.network.state_dict().items()}
     tensors |= {f"z_star.{name}": value for name, value in noise.z_star.items()}
     tensors |= {
@@ -60,17 +52,11 @@ def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], di
         "motion.scale": model.normaliser.scale,
         **conditioner_tensors(conditioner),
     }
-    return config, rig, tensors
+    return config, rig_values(model.representation, model.speakers), tensors
 
 
 def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
-    """Return the arguments of `MultiresModel` from a model folder.
-
-    Args:
-        parts: as read from the folder.
-        weights: the WavLM weights of training, for a model with WavLM features.
-        device: where WavLM computes.
-    """
+    """Return the fields of `TrainedModel` from a model folder; see `MultiresModel.load`."""
     config, rig, tensors = parts.config, parts.rig, parts.tensors
     where = str(parts.folder / "config.yaml")
     fps = float(config["fps"])
@@ -86,11 +72,11 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
     )
     network_config = build(NetworkConfig, config["network"], where=where)
     network = MultiresGenerator(representation, conditions.width, network_config)
-    network.load_state_dict(_under("network.", tensors))
+    network.load_state_dict(parts.tensors_under("network."))
     # Older folders lack some values: those models cannot reconstruct, or warn of no speed.
     noise = TrainedNoise(
         sigma=tensors["sigma"],
-        z_star=_under("z_star.", tensors),
+        z_star=parts.tensors_under("z_star."),
         sequences={
             name: build(TrainedSequence, values, where=where)
             for name, values in config.get("sequences", {}).items()
@@ -98,34 +84,24 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         z_star_shuffle=int(config.get("z_star_shuffle", 0)),
         noise_levels=int(config.get("noise_levels", 1)),
     )
-    fastest, smooth = config.get("fastest"), config.get("smooth")
-    recorded_fps = config.get("recorded_fps")
+    fastest = config.get("fastest")
     return {
-        "fps": fps,
+        **common_arguments(parts),
         "representation": representation,
         "normaliser": Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
         "conditions": conditions,
         "network_config": network_config,
         "network": network.eval(),
         "noise": noise,
-        "speakers": {name: Skeleton.from_json(body) for name, body in rig["speakers"].items()},
         "fastest": None if fastest is None else float(fastest),
-        "smooth": None if smooth is None else float(smooth),
-        "recorded_fps": None if recorded_fps is None else checked_fps(recorded_fps),
     }
 
 
 def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
-    """Return the README of a model folder.
-
-    Args:
-        model: the model.
-        notes: further lines, by their heading.
-    """
+    """Return the text of the model folder's README.md, with `notes` as further lines."""
     lines = {
         "Kind": f"multires, {model.network_config.levels} levels",
-        "Motion": f"{rates(model.fps, model.recorded_fps)}, {len(model.representation.joints)} of "
-        f"{model.skeleton.n_joints} joints modelled",
+        "Motion": model.motion_row(),
     }
     call = "seconds=10"
     conditioner = model.conditions.conditioner
@@ -136,8 +112,3 @@ def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
         lines["Styles"] = ", ".join(model.styles)
         call += f', style="{model.styles[0]}"'
     return model_readme(lines | notes, call)
-
-
-def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return the tensors whose names begin with a prefix, named without it."""
-    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import ClassVar
 
 from torch import Tensor
 
 from gesturekit.model import Inputs
-from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource, ZStarPatches
 from gesturekit.multires.training.data import Normaliser
+from gesturekit.training.trained_model import BaseModel
 
 
 @dataclass(frozen=True)
@@ -63,52 +62,26 @@ class TrainedNoise:
 
 
 @dataclass(eq=False, kw_only=True)
-class TrainedModel:
+class TrainedModel(BaseModel):
     """Everything that a model folder holds; `MultiresModel` adds generation.
 
     Attributes:
-        fps: frames per second at which the finest level works.
-        representation: the motion vector of the rig.
         normaliser: mean and scale of motion vectors.
-        conditions: inputs of the model beside noise.
         network_config: architecture of the pyramid.
         network: the generators.
         noise: the model's noise.
-        speakers: a reference skeleton for each speaker that the corpus named.
         fastest: m/s over the ground in the fastest second of the training; None if unknown.
-        smooth: default of the control `smooth`, in seconds; None for no smoothing.
-        recorded_fps: the recordings' rate, which generated motion gets; by default `fps`.
-        folder: folder that it was loaded from; None for one that was not loaded.
     """
 
     kind: ClassVar[str] = "multires"
 
-    fps: float
     representation: MultiresRepresentation
     normaliser: Normaliser
     conditions: Conditions
     network_config: NetworkConfig
     network: MultiresGenerator
     noise: TrainedNoise
-    speakers: Mapping[str, Skeleton] = field(default_factory=dict)
     fastest: float | None = None
-    smooth: float | None = None
-    recorded_fps: float = None  # type: ignore[assignment]
-    folder: Path | None = field(default=None, init=False)
-
-    def __post_init__(self) -> None:
-        if self.recorded_fps is None:
-            self.recorded_fps = self.fps
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """The rig, with all the joints of the training files."""
-        return self.representation.skeleton
-
-    @property
-    def styles(self) -> tuple[str, ...]:
-        """Names of the styles it knows; empty for a model without styles."""
-        return self.conditions.styles
 
     @property
     def inputs(self) -> Inputs:

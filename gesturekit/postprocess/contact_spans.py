@@ -70,14 +70,8 @@ def include_landing(
     """(T,) bool, true if a point stands, lands or leaves.
 
     A foot crosses `CONTACT_SPEED` some frames after it lands and before it leaves. Up to `SHORTEST`
-    before and after are added in which the point is slow and low.
-
-    Args:
-        stands: (T,) bool.
-        positions: (T, 3) positions of the point, metres.
-        floor: height of the point when it stands.
-        fps: frames per second.
-        scale: `body_scale` of the body.
+    before and after are added in which the point is slow and low. `stands` (T,) and `floor` are
+    results of `contact_frames`, which takes the other arguments too.
     """
     low = np.abs(positions[:, 1] - floor) < NEAR / 2 * scale
     settles = stands | (low & (point_speed(positions, fps) < EDGE_SPEED * scale))

@@ -154,10 +154,8 @@ class _FootLock:
     def _goal(self, foot: Foot, stands: list[tuple[np.ndarray, float]], shift: np.ndarray) -> _Goal:
         """Return the correction that keeps heel and ball in place while they stand.
 
-        Args:
-            foot: the foot.
-            stands: contact mask (T,) and floor height of each anchor.
-            shift: (T, 3) correction of the hip path, metres.
+        `stands` holds contact mask (T,) and floor height of each anchor; `shift` (T, 3) moves the
+        hips.
         """
         ankle = self.positions[:, foot.ankle] + shift
         places = [place + shift for place in self._places(foot)]
@@ -193,11 +191,8 @@ class _FootLock:
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Return, for each anchor, its corrections (T, 3) and the weight (T, 1) of its pin.
 
-        Args:
-            places: (T, 3) world positions of each anchor, metres.
-            stands: contact mask (T,) and floor height of each anchor.
-            length: length of the foot, metres.
-            max_turn: largest turn of the foot, metres at its length.
+        `places` are each anchor's world positions (T, 3), `stands` its contact mask (T,) and floor
+        height; `max_turn` is the foot's largest turn, in metres at its length.
         """
         # Direction of the foot on the ground, also while its heel is lifted.
         level = (places[-1] - places[0]) * [1, 0, 1]
@@ -281,11 +276,8 @@ class _FootLock:
     def _turn(self, rotations: np.ndarray, world: np.ndarray, joint: int, turn: np.ndarray) -> None:
         """Set the local rotation that gives a joint its old world rotation turned by `turn` (T, 4).
 
-        Args:
-            rotations: (T, J, 4) local rotations, changed in place.
-            world: (T, J, 4) world rotations of the joints above.
-            joint: index of the joint.
-            turn: (T, 4) world rotation.
+        `rotations` (T, J, 4), local, change in place; `world` (T, J, 4) are those of the joints
+        above.
         """
         back = invert_quaternions(world[:, self.skeleton.parents[joint]])
         wanted = multiply_quaternions(turn, self.world[:, joint])
@@ -293,12 +285,9 @@ class _FootLock:
 
 
 def _shifted(motion: Motion, shift: np.ndarray, world: np.ndarray) -> Motion:
-    """Return the motion with the body moved by `shift`, at the joint that carries it.
+    """Return the motion with the body moved by `shift` (T, 3), metres, at its carrying joint.
 
-    Args:
-        motion: T frames, J joints.
-        shift: (T, 3) world translation, metres.
-        world: (T, J, 4) world rotations of the joints.
+    `world` (T, J, 4) are the joints' world rotations.
     """
     skeleton = motion.skeleton
     hips = [skeleton.index(leg.hip) for leg in find_legs(skeleton).values()]

@@ -62,11 +62,7 @@ def pin(
 def _rolled(height: np.ndarray, lands: bool, leaves: bool, fps: float) -> np.ndarray:
     """(T,) height above the floor that a point keeps in a span as it descends and rises, metres.
 
-    Args:
-        height: (T,) height of the point in the span, metres.
-        lands: the motion shows the beginning of the span.
-        leaves: the motion shows its end.
-        fps: frames per second.
+    `height` is (T,); `lands` and `leaves`: the motion shows the beginning and the end of the span.
     """
     above = np.maximum(height - np.median(height), 0)
     near = 1 - _ease(np.clip(np.arange(len(above)) / (BLEND * fps) - 1, 0, 1))
@@ -87,15 +83,8 @@ def _fill_gap(
 ) -> None:
     """Fill the gap between two spans in place, by blending to zero and back or straight across.
 
-    A gap too short for a straight blend is extended into both spans, by half of each at most.
-
-    Args:
-        offset: (T, 3) corrections, changed in place.
-        hold: (T,) weight of the pin, changed in place.
-        before: span before the gap.
-        after: span after the gap.
-        fps: frames per second.
-        fastest: largest speed of a correction, m/s.
+    Changes the corrections `offset` (T, 3) and the pin's weight `hold` (T,). A gap too short for a
+    straight blend at `fastest` m/s is extended into both spans, by half of each at most.
     """
     n_frames = len(offset)
     start, stop = before[1], after[0]

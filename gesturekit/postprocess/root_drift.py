@@ -39,10 +39,8 @@ def horizontal_drift(
 def height_error(heights: np.ndarray, stands: np.ndarray, fps: float) -> np.ndarray:
     """(T,) smoothed height above the floor that is common to the standing feet, metres.
 
-    Args:
-        heights: (T, 2) heights of the feet above their standing height, metres.
-        stands: (T, 2) bool, true if the left or right foot stands.
-        fps: frames per second.
+    `heights` (T, 2) are above the feet's standing heights, metres; `stands` as in
+    `horizontal_drift`.
     """
     standing = stands.astype(float)
     common = _common(heights[..., None] * standing[..., None], standing)

@@ -82,18 +82,8 @@ def sample_lda(
 ) -> Iterator[Path]:
     """Sample for Table 4 of Alexanderson et al. 2023: for adjacent 10 s windows of speech.
 
-    The rest of a recording after its last whole window is not used.
-
-    Args:
-        model: model from `gesturekit.load`.
-        audio: folder of the test recordings' sound.
-        out: folder to fill with `STEM_w000_s1.npz` ...
-        samples: number of samples for each window.
-        seed: seed of the first sample of each window; the others count up from it.
-        skip: keep existing samples, to continue an interrupted run.
-
-    Yields:
-        each file, as it is written.
+    The rest of a recording after its last whole window is not used. Files are `STEM_w000_s1.npz`
+    ...; `audio` is the folder of the test recordings' sound, and the rest as in `sample_multires`.
 
     Raises:
         CorpusError: an empty folder.

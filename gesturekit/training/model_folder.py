@@ -43,6 +43,10 @@ class ModelParts:
     rig: dict[str, Any]
     tensors: dict[str, Tensor]
 
+    def tensors_under(self, prefix: str) -> dict[str, Tensor]:
+        """Return the tensors whose names begin with a prefix, named without it."""
+        return {k.removeprefix(prefix): v for k, v in self.tensors.items() if k.startswith(prefix)}
+
 
 def save_model(
     folder: str | Path,

@@ -77,12 +77,7 @@ def speech_and_motion(
 ) -> None:
     """Draw speech (log-mel), hand speed over speech energy, and the figure, on one time axis.
 
-    Args:
-        motion: what to draw.
-        wave: the speech; it starts with the motion.
-        path: the .png file to write.
-        frames: how many times the figure is drawn.
-        title: the heading; the file's stem by default.
+    The speech starts with the motion; other arguments as in `contact_sheet`.
     """
     _write(motion, wave, path, frames, title)
 

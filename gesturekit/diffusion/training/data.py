@@ -19,6 +19,7 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.sources import Source, from_values, to_values
+from gesturekit.training.trained_model import read_speakers, rig_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +106,7 @@ class TrainingData:
             "sources": to_values(self.sources),
             "recorded_fps": self.recorded_fps,
             "conditions": self.conditions.to_values(),
-            "skeleton": self.representation.skeleton.to_json(),
-            "motion": self.representation.to_json(),
-            "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
+            **rig_values(self.representation, self.speakers),
         }
         save_data(folder, tensors, about)
 
@@ -143,7 +142,7 @@ class TrainingData:
                     about["conditions"], tensors, config.fps, weights
                 ),
                 standardiser=Standardiser(tensors["motion.mean"], tensors["motion.scale"]),
-                speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
+                speakers=read_speakers(about),
                 sources=from_values(about.get("sources", ())),
                 recorded_fps=about.get("recorded_fps"),
             )

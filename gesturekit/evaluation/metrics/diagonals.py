@@ -44,13 +44,10 @@ def _finish(
     b: np.ndarray,
     squared: bool,
 ) -> None:
-    """Turn inner products (L, N) into distances, in place.
+    """Turn inner products (L, N) of centred rows into distances, in place.
 
-    Args:
-        products: (L, N) inner products of centred rows; the result.
-        left, right: (L,) and (N,) squared lengths of centred rows.
-        a, b: (L, D) and (N, D) rows.
-        squared: True for squared distances.
+    `left` (L,) and `right` (N,) are squared lengths of the centred rows, `a` (L, D) and `b` (N, D)
+    the rows.
     """
     n = products.shape[1]
     for i in range(products.shape[0]):
@@ -77,16 +74,11 @@ def _finish(
 def _sum_windows(
     start: int, distances: np.ndarray, ends: np.ndarray, begins: np.ndarray, sums: np.ndarray
 ) -> None:
-    """Set sums[j] to the sum of distances[start + t, j + t] over t < w, for consecutive starts.
+    """Set sums[j] (N - w + 1) to the sum of distances[start + t, j + t] over t < w.
 
-    Rows are cut into blocks of w; a window is the end of one block and the beginning of the next.
-
-    Args:
-        start: 0 at the first call, then one more at each.
-        distances: (L, N).
-        ends: (w, N) state: sums from a row of the block down to the block's last row.
-        begins: (N + w) state, by diagonal: sums from the next block's first row downwards.
-        sums: (N - w + 1) result.
+    Called with start = 0, 1, 2 ... Rows of `distances` (L, N) are cut into blocks of w; a window is
+    the end of one block, summed in `ends` (w, N), and the beginning of the next, in `begins` (N +
+    w) by diagonal. Both are state between calls.
     """
     width, n_columns = ends.shape
     into = start % width

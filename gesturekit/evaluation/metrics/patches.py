@@ -115,14 +115,7 @@ def local_diversity(
 ) -> float:
     """Return the mean distance of generated windows to their nearest reference window (eq. 20).
 
-    Args:
-        generated: (L, D) frames.
-        reference: (N, D) frames.
-        window: frames of a window.
-        variant: see the module docstring.
-
-    Raises:
-        EvaluationError: shapes that differ, NaN, or motions too short.
+    Arguments and errors as in `coverage`.
     """
     return patch_scores(generated, reference, None, None, window, variant=variant).local_diversity
 

@@ -122,16 +122,10 @@ def _smoothed(curve: np.ndarray, fps: float) -> np.ndarray:
 
 
 def _r_by_lag_and_shift(x: np.ndarray, y: np.ndarray, lags: np.ndarray) -> np.ndarray:
-    """Return Pearson's r of x[k + lag] with y[(k - shift) mod T] over the k where x exists.
+    """Return Pearson's r (lags, T) of x[k + lag] with y[(k - shift) mod T], all shifts at once.
 
-    All shifts at once by the convolution theorem: O(lags · T log T).
-
-    Args:
-        x, y: (T,) curves.
-        lags: whole numbers of frames.
-
-    Returns:
-        (len(lags), T): r for each lag and each circular shift from 0 to T - 1.
+    x and y are (T,) curves, lags in frames; k are those where x exists. By the convolution theorem:
+    O(lags · T log T).
     """
     n = len(x)
     x, y = x - x.mean(), y - y.mean()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gesturekit.errors import FormatError
+from gesturekit.wording import did_you_mean
 
 
 def read_table(
@@ -69,8 +69,7 @@ def _names(where: str, row: list[str], columns: Sequence[str], optional: Sequenc
     expected = "expected " + ",".join([*columns, *(f"[{name}]" for name in optional)])
     for name in names:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]}? " if near else ""
+            hint = did_you_mean(name, known, "did you mean {}? ")
             raise FormatError(f"{where}: column {name[:40]!r}; {hint}{expected}")
         if names.count(name) > 1:
             raise FormatError(f"{where}: two columns {name!r}; {expected}")

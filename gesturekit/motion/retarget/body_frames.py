@@ -162,13 +162,7 @@ class BodyFrames:
 
 
 def body_frames(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> BodyFrames:
-    """Read the anatomical frames of a rig from a pose in which it stands.
-
-    Args:
-        skeleton: the rig, J joints.
-        parts: its body parts.
-        pose: (J, 4) local rotations, such as from `standing_pose.standing_pose`.
-    """
+    """Read the anatomical frames of a rig from its standing pose: local rotations (J, 4)."""
     return _Builder(skeleton, parts, pose).build()
 
 

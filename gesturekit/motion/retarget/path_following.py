@@ -66,13 +66,9 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
 
 
 def _shifted(motion: Motion, root: int, shift: np.ndarray, world: np.ndarray) -> Motion:
-    """Return the motion with joint `root` and all joints below it moved by `shift`.
+    """Return the motion with joint `root` and all joints below it moved by `shift` (T, 3), metres.
 
-    Args:
-        motion: T frames, J joints.
-        root: index of the joint.
-        shift: (T, 3) world translation, metres.
-        world: (T, J, 4) world rotations of the joints.
+    `world` (T, J, 4) are the joints' world rotations.
     """
     if root == 0:
         return replace(motion, translation=motion.translation + shift)

@@ -111,19 +111,10 @@ def _solved(
     carrier: int,
     feet: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve arms and legs.
+    """Solve arms and, if `feet`, legs; return local rotations (T, J, 4) and carrier places (T, 3).
 
-    Args:
-        motion: T frames on the source rig.
-        source: segments of the source rig.
-        targets: where hips and feet of the target belong.
-        world: (T, J, 4) world rotations of the target's joints.
-        moving: joint translations of the target, (T, 3) each.
-        carrier: joint that carries the body.
-        feet: solve the legs.
-
-    Returns:
-        (T, J, 4) local rotations, and (T, 3) world positions of the carrier.
+    `world` (T, J, 4) and `moving` {joint: (T, 3)} are world rotations and joint translations of the
+    target; `carrier` is the joint that carries its body.
     """
     target = targets.target
     skeleton = target.skeleton
@@ -215,12 +206,8 @@ def _along(
 ) -> np.ndarray:
     """(T, 4) frame of the source's spine or neck at the height of one of the target's joints.
 
-    Args:
-        source: segments of the source rig.
-        chain: its segments of the spine or neck, from below.
-        target: segments of the target rig.
-        segment: segment of the target's spine or neck.
-        frames: segment to (T, 4) anatomical frame of the source.
+    `chain` are the source's segments of the spine or neck from below, `segment` the target's, and
+    `frames` {segment: (T, 4)} the source's anatomical frames.
     """
     own = target.chain(segment.rstrip("0123456789"))
     place = _heights(target, own)[own.index(segment)]

@@ -231,13 +231,9 @@ class InbetweenConstraint:
     ) -> None:
         """Blend one gap of `result` to the clips beside it, and move the root by what is needed.
 
-        Args:
-            result: (T_i, D), changed in place.
-            given: (T_i, D) values of the clips.
-            output: (T_i, D) what the level generated.
-            gap: first frame and the frame after the last one.
-            spans: the same of each clip.
-            number: index of the gap; clip `number` - 1 is before it and clip `number` after it.
+        `result`, `given` (the clips) and `output` (of the level) are (T_i, D). `gap` and `spans`
+        are (first frame, stop) of the gap and of each clip; clip `number` - 1 precedes gap
+        `number`.
         """
         begin, end = gap
         count, n_frames = end - begin, len(result)
@@ -260,16 +256,10 @@ class InbetweenConstraint:
     def _correction(
         self, given: np.ndarray, output: np.ndarray, count: int, reach: int
     ) -> np.ndarray:
-        """Return what to add to the frames after a clip so that they continue from its end.
+        """Return (count, D) to add to the frames after a clip so that they continue from its end.
 
-        Args:
-            given: (T_k, D) the clip.
-            output: (T_k, D) what the level generated in its place.
-            count: number of frames to correct.
-            reach: frames after which the correction is 0.
-
-        Returns:
-            (count, D).
+        `given` (T_k, D) is the clip and `output` (T_k, D) what the level generated in its place;
+        the correction is 0 after `reach` frames.
         """
         after = np.arange(1, count + 1)[:, None]
         share = _ease(np.clip(1 - after / reach, 0, 1))

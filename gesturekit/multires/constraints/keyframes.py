@@ -96,13 +96,9 @@ class KeyframeConstraint:
 def level_motion(
     representation: MultiresRepresentation, values: np.ndarray, fps: float, n_frames: int
 ) -> Motion:
-    """Return a level's vectors as a motion at that level's own rate.
+    """Return a level's vectors (T_i, D), in their own units, as a motion at that level's own rate.
 
-    Args:
-        representation: of the vectors.
-        values: (T_i, D) in their own units.
-        fps: frames per second of the finest level.
-        n_frames: frames of the finest level.
+    `fps` and `n_frames` are those of the finest level.
     """
     stride = n_frames / len(values)
     values = values.copy()
@@ -200,15 +196,7 @@ def _without_held_frames(motion: Motion, end: int | None) -> Motion:
 def _warn_of_misfit(
     motion: Motion, fps: float, lengths: Sequence[int], level: int, length_given: bool
 ) -> None:
-    """Warn if the keyframes differ from the level they replace in frame rate or length.
-
-    Args:
-        motion: the keyframes.
-        fps: frames per second of the finest level.
-        lengths: frames of each level.
-        level: index of the level that the motion replaces.
-        length_given: true if the length was given, false if the keyframes determine it.
-    """
+    """Warn if the keyframes have another rate, or not as many frames, as the level they replace."""
     rates = [fps * length / lengths[-1] for length in lengths]
     if abs(motion.fps - rates[level]) > _RATE_TOLERANCE * rates[level]:
         nearest = int(np.argmin([abs(motion.fps - rate) for rate in rates]))

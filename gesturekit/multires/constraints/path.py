@@ -79,13 +79,9 @@ class PathConstraint:
         return turned(values, turn, self.layout)
 
     def _turn_and_steps(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the turn from the network's world to the path's, and steps in the path's.
+        """Return turns (T_i,) from the network's world to the path's, and its steps (T_i, 2) there.
 
-        Args:
-            values: (T_i, D) in their own units.
-
-        Returns:
-            (T_i,) radians, and (T_i, 2) metres per frame of the full rate.
+        Radians, and metres per frame of the full rate; `values` (T_i, D) are in their own units.
         """
         n_frames = len(values)
         stride = self.lengths[-1] / n_frames

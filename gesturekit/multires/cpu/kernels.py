@@ -85,17 +85,11 @@ def _accumulate_pair(
     n: int,
     reverse: bool,
 ) -> None:
-    """Add the convolution of `inputs` to n columns of two output channels.
+    """Add the convolution of `inputs` (M, 2; see `Plan`) to n columns of two output channels.
 
-    Args:
-        outputs: (>= n,) each, written from column 0.
-        signal: (C, width), read from column `start`, PADDING before the first output.
-        weight: (N,) kernels of TAPS numbers.
-        inputs: (M, 2), see `Plan`.
-        distance: between the two channels' kernels in `weight`.
-        start: see `signal`.
-        n: columns to compute.
-        reverse: apply kernels in reverse order of taps, for the gradient.
+    `signal` (C, width) is read from column `start`, PADDING before the first output. `weight` (N,)
+    holds kernels of TAPS numbers, `distance` apart for the two channels. `reverse` applies the taps
+    in reverse order, for the gradient.
     """
     one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
     first, second = outputs

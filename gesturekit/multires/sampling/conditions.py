@@ -41,13 +41,7 @@ class Conditions:
     def of_motion(
         self, speech: np.ndarray, lengths: Sequence[int], styles: Sequence[Tensor]
     ) -> LevelConditions | None:
-        """Return the conditions of one motion, or None for a model without any.
-
-        Args:
-            speech: (T, S) float32 features at the finest level; S is 0 without speech input.
-            lengths: T_i, frames of each level.
-            styles: (1, K, T_i) for each level, or empty.
-        """
+        """Return the `LevelConditions` of one motion, or None for a model without conditions."""
         if not speech.shape[1] and not styles:
             return None
         return LevelConditions(speech, lengths, self.residual, styles)
@@ -56,13 +50,10 @@ class Conditions:
 def condition_levels(
     speech: Tensor, lengths: Sequence[int], residual: bool, styles: Sequence[Tensor] = ()
 ) -> list[Tensor]:
-    """Return the condition (B, S + K, T_i) of each level.
+    """Return the condition (B, S + K, T_i) of each level from `speech` (B, S, T) at the finest one.
 
-    Args:
-        speech: (B, S, T) features at the finest level; S is 0 without speech input.
-        lengths: T_i, frames of each level.
-        residual: give finer levels only the detail that coarser ones lack.
-        styles: (B, K, T_i) for each level, or empty.
+    S is 0 without speech input; `styles` are (B, K, T_i) for each level, or empty. With `residual`,
+    finer levels get only the detail that coarser ones lack.
     """
     batch, width, n_frames = speech.shape
     if residual and width:

@@ -217,11 +217,7 @@ class Sampler:
     ) -> Motion:
         """Return the motion with locked feet, unless foot locking is off; see `lock_free_feet`.
 
-        Args:
-            motion: T frames.
-            values: (T, D) motion vectors with the contact labels.
-            given: (T,) 1 where the motion stays as it is; None for nowhere.
-            keep_path: keep the root's path.
+        `values` (T, D) hold the contact labels; `given` (T,) is 1 where the motion stays as it is.
         """
         if not self.request.controls.foot_lock:
             return motion

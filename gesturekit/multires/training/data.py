@@ -30,6 +30,7 @@ from gesturekit.training.data.features import (
 )
 from gesturekit.training.data.sources import Source, from_values, to_values
 from gesturekit.training.seeds import rng_for
+from gesturekit.training.trained_model import read_speakers, rig_values
 
 _SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
 """Smallest scale of each kind of channel (6D entries, label, m, m; on the reference body). Fixed:
@@ -206,9 +207,7 @@ class TrainingData:
             "sources": to_values(self.sources),
             "window": self.window,
             "recorded_fps": self.recorded_fps,
-            "skeleton": self.representation.skeleton.to_json(),
-            "motion": self.representation.to_json(),
-            "speakers": {name: rig.to_json() for name, rig in self.speakers.items()},
+            **rig_values(self.representation, self.speakers),
         }
         save_data(folder, tensors, about)
 
@@ -247,7 +246,7 @@ class TrainingData:
                 ),
                 styles=tuple(about["styles"]),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
-                speakers={name: Skeleton.from_json(rig) for name, rig in about["speakers"].items()},
+                speakers=read_speakers(about),
                 unpaired_is_paired=config.features is not None and not unpaired,
                 sources=from_values(about.get("sources", ())),
                 recorded_fps=about.get("recorded_fps"),

@@ -128,18 +128,9 @@ def _speech(
     others: Sequence[Item],
     extractor: af.Extractor | None,
 ) -> tuple[SpeechConditioner | None, list[Tensor], list[Tensor]]:
-    """Extract speech features (S, T) of paired and unpaired items.
+    """Return the conditioner, and speech features (S, T) of paired items and of `others`, unpaired.
 
-    Args:
-        config: of the run.
-        items: paired items.
-        lengths: frames of their motion.
-        others: items without motion.
-        extractor: None for a model without speech input.
-
-    Returns:
-        the conditioner, and features of paired and of unpaired items; None, (0, T) and no
-        unpaired features without speech input.
+    `lengths` are the frames of the paired items' motion. Without an extractor: None, (0, T), none.
     """
     if extractor is None or config.features is None:
         return None, [torch.zeros(0, n_frames) for n_frames in lengths], []

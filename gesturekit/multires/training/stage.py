@@ -194,15 +194,9 @@ class Stage:
         return kept
 
     def _descend(self, batch_of: Callable[[int], Batch]) -> dict[str, float]:
-        """Make one generator step on the losses of each level.
+        """Make one generator step on the losses of each level; return {name: sum over levels}.
 
         No gradient runs from a level into the one below, so levels are computed in parallel.
-
-        Args:
-            batch_of: return the tensors of a level from its number in the stage.
-
-        Returns:
-            {name: sum of the loss over levels}.
         """
         self.optimisers["generator"].zero_grad(set_to_none=True)
 
@@ -251,13 +245,10 @@ class Stage:
     def _discriminator_step(
         self, n_frames: int, fakes: Sequence[Tensor], styles: Tensor, rng: torch.Generator
     ) -> float:
-        """Make one discriminator step.
+        """Make one discriminator step on windows of `n_frames` at the full rate.
 
-        Args:
-            n_frames: window length at the full rate.
-            fakes: this process's share of generated motions, (B, D, T_i) of each level.
-            styles: (B, L) of the whole batch.
-            rng: random numbers.
+        `fakes` (B, D, T_i) of each level are this process's share; `styles` (B, L) are of the whole
+        batch.
         """
         batch, share = self.batches.size, self._share
         beside = styles[:, 0].tolist() if self.n_styles else None

@@ -191,15 +191,10 @@ class WindowCache:
         noises: list[Tensor | None],
         motion: Tensor | None,
     ) -> Windows:
-        """Return windows with the output of the coarser levels.
+        """Return windows of T frames with the output of the levels coarser than `first`.
 
-        Args:
-            n_frames: T.
-            first: index of the first level of the stage.
-            speech: (N, S, T).
-            styles: (N, L) number of the style of each level.
-            noises: (N, 1 or D, T_i) for each level of the pyramid, or None.
-            motion: (N, D, T) recorded motion, or None.
+        `speech` is (N, S, T), `styles` (N, L), each of `noises` (N, 1 or D, T_i), `motion` (N, D,
+        T).
         """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         one_hot = []

@@ -217,9 +217,7 @@ def _long_enough(motion: Motion) -> Motion:
 def _mean_around(values: np.ndarray, ahead: int = 0) -> np.ndarray:
     """Return (T - 1, ...) running means over i - 2 ... i + 2 for the frames i = 1 ... T - 1.
 
-    Args:
-        values: (T - 1 - ahead, ...), beginning with frame 1.
-        ahead: number of frames without values at the end.
+    `values` (T - 1 - ahead, ...) begin with frame 1; the last `ahead` frames have none.
     """
     n = len(values)
     sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
