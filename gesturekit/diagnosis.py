@@ -11,6 +11,8 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Literal
 
+from gesturekit.errors import ConfigError
+
 _LOW_DISK = 2 * 10**9
 _NEEDED = ("numpy", "scipy", "soundfile", "soxr", "librosa", "safetensors", "yaml", "matplotlib")
 
@@ -57,6 +59,8 @@ def diagnose(weights: str | os.PathLike[str] | None = None) -> Iterator[Finding]
     for name, check in checks.items():
         try:
             yield check()
+        except ConfigError as error:
+            yield Finding(name, "broken", _line(error))  # the message says what to do
         except Exception as error:  # a broken installation may raise anything
             yield Finding(name, "broken", _line(error), "install it again: make setup")
 

@@ -128,3 +128,9 @@ def test_a_run_folder_can_be_loaded_as_a_model(demo, tmp_path):
     demo.save(tmp_path / "run" / "model")
     (tmp_path / "run" / "config.yaml").write_text("system: multires\n")
     assert gk.load(tmp_path / "run").folder == (tmp_path / "run" / "model").resolve()
+
+
+@pytest.mark.parametrize("control", ["seconds", "smooth", "fps"])
+def test_a_text_in_the_place_of_a_number_is_named(demo, control):
+    with pytest.raises(gk.GestureKitError, match="two"):
+        demo.generate(**{"seconds": 1.0, control: "two"})

@@ -236,6 +236,8 @@ def speech_features(
     if seconds is None:
         wanted = "seconds" if conditioner is None else "speech, or seconds for idle motion"
         raise ModelError(f"nothing to generate from: give {wanted}")
+    if isinstance(seconds, str):
+        raise ModelError(f"seconds={seconds!r}: give a number")
     n_frames = int(np.floor(seconds * fps + 0.5)) if np.isfinite(seconds) else 0
     if n_frames < 1:
         raise ModelError(f"seconds={seconds}: must be at least one frame ({1 / fps:g} s)")

@@ -27,7 +27,7 @@ def checked_fps(fps: float) -> float:
     Raises:
         MotionError: it is outside `LOWEST_FPS` to `HIGHEST_FPS`.
     """
-    if not LOWEST_FPS <= float(fps) <= HIGHEST_FPS:
+    if isinstance(fps, str) or not LOWEST_FPS <= float(fps) <= HIGHEST_FPS:
         raise MotionError(f"fps is {fps!r}; expected {LOWEST_FPS:g} to {HIGHEST_FPS:g}")
     return float(fps)
 

@@ -23,7 +23,8 @@ def requested_backend(configured: BackendName = "auto") -> BackendName:
     """
     name = os.environ.get(VARIABLE) or configured
     if name not in get_args(BackendName):
-        raise ConfigError(f"{VARIABLE}: {name!r} is none of {', '.join(get_args(BackendName))}")
+        known = ", ".join(get_args(BackendName))
+        raise ConfigError(f"{VARIABLE}: {name!r} is none of {known}; correct or unset it")
     return name
 
 

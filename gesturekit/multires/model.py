@@ -14,6 +14,7 @@ from gesturekit.corpus.speech import Speech, as_speech, speech_features, to_outp
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
+from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
 from gesturekit.multires.model_format import model_arguments, model_parts, readme
 from gesturekit.multires.network.resampling import resample
@@ -100,7 +101,9 @@ class MultiresModel(TrainedModel):
 
         Raises:
             ModelError: a control, style, level or speaker that this model does not have.
+            ConfigError: GESTUREKIT_BACKEND names no backend.
         """
+        requested_backend()
         checked_seed(seed)
         self._check(MultiresControls.build(controls, self.kind), samples)
 

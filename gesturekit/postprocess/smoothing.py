@@ -41,7 +41,7 @@ def smooth_motion(motion: Motion, seconds: float) -> Motion:
     Raises:
         MotionError: seconds is not positive and finite.
     """
-    if not (np.isfinite(seconds) and seconds > 0):
+    if isinstance(seconds, str) or not (np.isfinite(seconds) and seconds > 0):
         raise MotionError(f"smooth {seconds}: expected a positive number of seconds")
     if unidentified(motion.skeleton):
         return motion

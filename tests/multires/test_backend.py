@@ -10,6 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 import gesturekit as gk
+from gesturekit.diagnosis import diagnose
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.multires.backend import VARIABLE, choose_backend, requested_backend
 from gesturekit.multires.config import NetworkConfig
@@ -63,6 +64,23 @@ def test_the_environment_goes_before_the_configuration(monkeypatch):
     monkeypatch.setenv(VARIABLE, "jax")
     with pytest.raises(ConfigError, match=f"{VARIABLE}: 'jax' is none of auto, torch, numba"):
         requested_backend()
+
+
+def test_a_wrong_backend_in_the_environment_leaves_no_run_folder(make_config, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "jax")
+    config = make_config()
+    with pytest.raises(ConfigError, match=VARIABLE):
+        train(config)
+    assert not (config.out / "config.yaml").exists()
+
+
+def test_a_wrong_backend_in_the_environment_stops_before_the_first_file(monkeypatch):
+    demo = gk.load("demo")
+    monkeypatch.setenv(VARIABLE, "jax")
+    with pytest.raises(ConfigError, match=f"{VARIABLE}.*unset it"):
+        demo.check_controls()
+    found = {finding.name: finding for finding in diagnose()}
+    assert found["demo model"].state == "broken" and not found["demo model"].advice
 
 
 def test_a_wrong_backend_in_the_configuration_is_refused(make_config):

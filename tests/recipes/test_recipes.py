@@ -106,7 +106,8 @@ def test_the_recipe_trains_and_its_model_moves(path, corpus, wavlm, idle, tmp_pa
     if read_chain(path).get("events"):
         corpus = with_events(corpus, tmp_path / "events.jsonl")
     config = load_config(path, CONFIG_CLASSES[system], [f"corpus={corpus}"])
-    extractors = config.features.extractors if config.features is not None else ()
+    features = getattr(config, "features", None)
+    extractors = features.extractors if features is not None else ()
     hears_wavlm = any(part["kind"] == "wavlm" for part in extractors)
     more = [f"features.weights={wavlm}"] if hears_wavlm else []
     if getattr(config, "unpaired", None) is not None:

@@ -84,6 +84,7 @@ class Trainer:
                 f"training.batch: {windows} window(s) a step cannot be shared by "
                 f"{processes.count} processes (whole sequences go one at a time)"
             )
+        requested_backend(config.backend)  # refused here, before the run folder is made
         self.data = read_once(
             run,
             processes,
