@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 # `gesturekit --help` needs none of them.
-_, __getattr__, __dir__ = attach(
+_, __getattr__, _ = attach(
     __name__,
     {
         "GestureKitError": "errors",
@@ -51,3 +51,7 @@ _, __getattr__, __dir__ = attach(
         "train": "systems",
     },
 )
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
