@@ -40,7 +40,7 @@ def main() -> None:
 
         warm = statistics.median(timed(lambda: model.generate(wav).save(bvh), runs))
         command = [sys.executable, "-m", "gesturekit", "render", str(wav)]
-        command += ["--model", "demo", "--out", folder]
+        command += ["--model", "demo", "--out", folder, "--existing", "replace"]
         cold = statistics.median(
             timed(lambda: subprocess.run(command, check=True, capture_output=True), runs)
         )
