@@ -33,7 +33,7 @@ class DiffusionControls(Controls):
     number, one number per frame, a text such as 0.2@0-10,0.8@10-20 (seconds), or None for an equal
     share of the remaining weight, which this model has too."""
     change: float = 0.5
-    """How much of `like` may change, above 0 and up to 1: the noise level from which SDEdit
+    """Share of `like` that may change, above 0 and up to 1: the noise level from which SDEdit
     starts."""
     solver: Solver | None = None
     """Solver of the reverse diffusion: ancestral (as published), ddim, or dpm (second order). The

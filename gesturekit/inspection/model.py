@@ -18,7 +18,7 @@ from gesturekit.training.model_folder import rates
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
-_TOLD = {"Kind", "Motion", "Hears", "Speech features", "Styles"}
+_SHOWN_ABOVE = {"Kind", "Motion", "Hears", "Speech features", "Styles"}
 _OF_CONFORMERS = {
     "layers",
     "heads",
@@ -99,7 +99,7 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
         rows.append(("styles", listed(facts["styles"], 12)))
     if facts["speakers"]:
         rows.append(("speakers", listed(facts["speakers"], 12)))
-    rows += [(k.lower(), v) for k, v in facts["notes"].items() if k not in _TOLD]
+    rows += [(k.lower(), v) for k, v in facts["notes"].items() if k not in _SHOWN_ABOVE]
     return rows
 
 
