@@ -37,8 +37,6 @@ _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 class DiffusionModel(TrainedModel):
     """Motion by denoising diffusion, from speech or music, a style, a path, events, or nothing."""
 
-    controls = DiffusionControls
-
     @gesturekit_errors()
     def generate(
         self,

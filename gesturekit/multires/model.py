@@ -31,8 +31,6 @@ from gesturekit.training.seeds import checked_seed
 class MultiresModel(TrainedModel):
     """Motion by a pyramid of small generators, from speech, a style, both or nothing."""
 
-    controls = MultiresControls
-
     @gesturekit_errors()
     def generate(
         self,
