@@ -59,12 +59,21 @@ def headings(world: np.ndarray, side: np.ndarray) -> np.ndarray:
         world: (T, 4) world rotations of the root.
         side: (3,) from `side_axis`.
     """
-    across = rotate_vectors(world, np.broadcast_to(side, (len(world), 3)))
-    defined = np.flatnonzero(np.hypot(across[:, 0], across[:, 2]) > _TOO_STEEP)
+    return headings_of_sides(rotate_vectors(world, np.broadcast_to(side, (len(world), 3))))
+
+
+def headings_of_sides(across: np.ndarray) -> np.ndarray:
+    """(T,) direction the body faces in each frame, radians about Y, unwrapped; see `headings`.
+
+    Args:
+        across: (T, 3) world vectors towards the body's left, of any length.
+    """
+    level, length = np.hypot(across[:, 0], across[:, 2]), np.linalg.norm(across, axis=1)
+    defined = np.flatnonzero(level > _TOO_STEEP * length)
     if not len(defined):
-        return np.zeros(len(world))
+        return np.zeros(len(across))
     angles = np.unwrap(np.arctan2(-across[defined, 2], across[defined, 0]))
-    return np.interp(np.arange(len(world)), defined, angles)
+    return np.interp(np.arange(len(across)), defined, angles)
 
 
 def _across(motion: Motion) -> np.ndarray | None:

@@ -1,0 +1,282 @@
+"""Generated against recorded windows of motion: two-sample accuracy, within reach, copying.
+
+A window is 1 s of body-centred motion (`life.body_centred`): positions of the upper-body joints,
+and their velocities times 0.2 s. The distance of two windows is the root of the mean over frames
+and joints of the squared difference of both, metres. Windows begin every 0.5 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.evaluation.metrics.diagonals import frame_distances
+from gesturekit.evaluation.metrics.life import (
+    FPS,
+    Motions,
+    as_list,
+    body_centred,
+    upper_joints,
+    velocities,
+    window_starts,
+)
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import left_right_pairs
+
+WINDOW, HOP = 1.0, 0.5
+"""Length of windows, and the time between their starts, seconds."""
+VELOCITY_SECONDS = 0.2
+"""Seconds that velocities are multiplied by, to weigh them against positions."""
+APART = 3.0
+"""Windows of one clip that begin at most this many seconds apart are not independent."""
+STRETCHES = (0.9, 1.0, 1.1)
+"""Durations, relative to the original, of the time-stretched copies of training motion."""
+DRAWS = 20
+"""Random subsamples over which the two-sample accuracy is averaged."""
+MOST_WINDOWS = 2000
+"""Largest number of windows of either set in `two_sample_accuracy` and `within_reach`."""
+LOW_QUANTILE = 0.05
+"""Quantile of the distances that shows single copied windows."""
+
+_BLOCK = 2000  # training windows that are in memory at a time
+
+
+@dataclass(frozen=True, eq=False)
+class MotionWindows:
+    """Windows of motion.
+
+    Attributes:
+        values: (N, D) positions and velocities, scaled so that the Euclidean distance of two rows
+            is the distance defined above, metres.
+        clips: (N,) index of the clip of each window.
+        starts: (N,) start within the clip, seconds.
+    """
+
+    values: np.ndarray
+    clips: np.ndarray
+    starts: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class Copying:
+    """Distances of windows to the nearest training window, metres; see `copying`.
+
+    Attributes:
+        median: median over the generated windows.
+        low: their 5 % quantile.
+        held_out_median: median over recorded windows that are not in the training set.
+        held_out_low: their 5 % quantile.
+    """
+
+    median: float
+    low: float
+    held_out_median: float
+    held_out_low: float
+
+    @property
+    def median_ratio(self) -> float:
+        """`median` over `held_out_median`; far below 1 the model copies."""
+        return self.median / self.held_out_median
+
+    @property
+    def low_ratio(self) -> float:
+        """`low` over `held_out_low`; far below 1 the model copies now and then."""
+        return self.low / self.held_out_low
+
+
+def motion_windows(motions: Motions, joints: Sequence[str] | None = None) -> MotionWindows:
+    """Cut motions into windows of 1 s that begin every 0.5 s (rounded down to frames of 25 fps).
+
+    Args:
+        motions: one motion, or several. Clips shorter than 1 s have no window.
+        joints: names of the upper-body joints to compare; None for those of the first motion.
+            Windows can only be compared with windows of the same joints.
+
+    Raises:
+        MotionError: all clips are too short, a joint is missing, or body parts cannot be
+            identified.
+    """
+    motions = as_list(motions)
+    joints = upper_joints(motions[0].skeleton) if joints is None else joints
+    values, clips, starts = [], [], []
+    for clip, motion in enumerate(motions):
+        frames = _frames(body_centred(motion, joints))
+        first = window_starts(len(frames), _WIDTH, HOP * FPS)
+        values.append(_windows(frames, first))
+        clips.append(np.full(len(first), clip))
+        starts.append(first / FPS)
+    if not any(map(len, values)):
+        raise MotionError(f"no clip is as long as a window of {WINDOW:g} s")
+    return MotionWindows(*map(np.concatenate, (values, clips, starts)))
+
+
+def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int = 0) -> float:
+    """Return the leave-one-out accuracy of a 1-nearest-neighbour classifier of two sets (1-NN).
+
+    0.5: the sets cannot be told apart; 1: no window resembles the other set. Well below 0.5 one
+    set copies the other: the nearest window is the one it was copied from. The larger set is
+    subsampled to the size of the smaller one; the accuracy is the mean over 20 seeded draws.
+    (Lopez-Paz and Oquab 2017.)
+
+    Raises:
+        MotionError: a set of fewer than 2 windows, or windows of different joints.
+    """
+    _require_same_joints(one, other)
+    size = min(len(one), len(other), MOST_WINDOWS)
+    if size < 2:
+        raise MotionError("a two-sample test needs at least 2 windows of either set")
+    rng = np.random.default_rng(seed)
+    a, b = (_subsample(windows, rng) for windows in (one, other))
+    values = np.concatenate([a.values, b.values])
+    distances = frame_distances(values, values, squared=True)
+    np.fill_diagonal(distances, np.inf)
+    draws = DRAWS if len(a) != len(b) else 1
+    label = np.arange(2 * size) < size
+    accuracies = []
+    for _ in range(draws):
+        drawn = [rng.choice(len(windows), size, replace=False) for windows in (a, b)]
+        chosen = np.concatenate([drawn[0], len(a) + drawn[1]])
+        nearest = distances[np.ix_(chosen, chosen)].argmin(axis=1)
+        accuracies.append((label[nearest] == label).mean())
+    return float(np.mean(accuracies))
+
+
+def within_reach(generated: MotionWindows, recorded: MotionWindows) -> float:
+    """Return the share of recorded windows that the generated motion comes near to.
+
+    Near is below the median distance of a recorded window to its nearest recorded neighbour that
+    begins more than 3 s away or is of another clip. The share grows with the number of generated
+    windows: compare sets of one size.
+
+    Raises:
+        MotionError: no recorded window has a neighbour more than 3 s away, or windows of different
+            joints.
+    """
+    _require_same_joints(generated, recorded)
+    rng = np.random.default_rng(0)
+    generated, recorded = _subsample(generated, rng), _subsample(recorded, rng)
+    own = frame_distances(recorded.values, recorded.values)
+    gap = np.abs(recorded.starts[:, None] - recorded.starts)
+    own[(gap <= APART) & (recorded.clips[:, None] == recorded.clips)] = np.inf
+    nearest = own.min(axis=1)
+    nearest = nearest[np.isfinite(nearest)]
+    if not len(nearest):
+        raise MotionError(f"the recordings are too short: no two windows are {APART:g} s apart")
+    found = frame_distances(recorded.values, generated.values).min(axis=1)
+    return float((found < np.median(nearest)).mean())
+
+
+def copying(
+    generated: Motions,
+    held_out: Motions,
+    training: Motions,
+    joints: Sequence[str] | None = None,
+) -> Copying:
+    """Measure whether generated motion copies training motion.
+
+    The distance of each generated window to the nearest training window, beside the same for
+    recorded windows that the model was not trained on. Training windows begin at every frame.
+    Mirrored and time-stretched (0.9 and 1.1 times the duration) training motion counts as training
+    motion.
+
+    Args:
+        generated: the model's motion.
+        held_out: recordings of the same speaker that are not in `training`.
+        training: recordings that the model was trained on.
+        joints: as for `motion_windows`; None for those of the first training motion.
+
+    Raises:
+        MotionError: clips that are too short, a missing joint, or body parts that cannot be
+            identified.
+    """
+    training = as_list(training)
+    joints = upper_joints(training[0].skeleton) if joints is None else joints
+    sets = [motion_windows(motions, joints).values for motions in (generated, held_out)]
+    queries = np.concatenate(sets)
+    nearest = np.full(len(queries), np.inf)
+    for frames in _training_copies(training, joints):
+        first = window_starts(len(frames), _WIDTH, 1.0)
+        for at in range(0, len(first), _BLOCK):
+            block = _windows(frames, first[at : at + _BLOCK])
+            nearest = np.minimum(nearest, frame_distances(queries, block).min(axis=1))
+    if not np.isfinite(nearest).all():
+        raise MotionError(f"no training clip is as long as a window of {WINDOW:g} s")
+    ours, theirs = nearest[: len(sets[0])], nearest[len(sets[0]) :]
+    return Copying(
+        *(float(q) for set_ in (ours, theirs) for q in np.quantile(set_, (0.5, LOW_QUANTILE)))
+    )
+
+
+_WIDTH = round(WINDOW * FPS)
+
+
+def _frames(paths: np.ndarray) -> np.ndarray:
+    """Return (T, 6 J) positions and velocities of body-centred paths (T, J, 3), scaled."""
+    both = np.concatenate([paths, VELOCITY_SECONDS * velocities(paths)], axis=1)
+    return both.reshape(len(paths), -1) / np.sqrt(_WIDTH * paths.shape[1])
+
+
+def _windows(frames: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Return (N, width · D) windows of frames (T, D)."""
+    return frames[starts[:, None] + np.arange(_WIDTH)].reshape(len(starts), -1)
+
+
+def _training_copies(training: Sequence[Motion], joints: Sequence[str]) -> Iterator[np.ndarray]:
+    """Yield frames of the training motions, and of mirrored and time-stretched copies."""
+    for motion in training:
+        swapped = {
+            name: other
+            for pair in left_right_pairs(motion.skeleton)
+            for name, other in (pair, pair[::-1])
+        }
+        # A mirrored joint that is not among `joints` has no place to go: leave the copy out.
+        counterparts = [swapped.get(name, name) for name in joints]
+        paths = body_centred(motion, joints)
+        copies = [paths]
+        if set(counterparts) == set(joints):
+            order = [list(joints).index(name) for name in counterparts]
+            copies.append(paths[:, order] * (-1.0, 1.0, 1.0))
+        for copy in copies:
+            for stretch in STRETCHES:
+                yield _frames(_stretched(copy, stretch))
+
+
+def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:
+    """Return paths (T, J, 3) with their duration multiplied, by cubic interpolation."""
+    from scipy.interpolate import CubicSpline
+
+    if duration == 1.0 or len(paths) < 2:
+        return paths
+    n = round((len(paths) - 1) * duration) + 1
+    return CubicSpline(np.arange(len(paths)), paths)(
+        np.arange(n) * (len(paths) - 1) / max(n - 1, 1)
+    )
+
+
+def _subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
+    """Return at most `MOST_WINDOWS` windows, chosen at random."""
+    if len(windows) <= MOST_WINDOWS:
+        return windows
+    kept = np.sort(rng.choice(len(windows), MOST_WINDOWS, replace=False))
+    return MotionWindows(windows.values[kept], windows.clips[kept], windows.starts[kept])
+
+
+def _require_same_joints(one: MotionWindows, other: MotionWindows) -> None:
+    """Raise an error for windows of different numbers of joints.
+
+    Raises:
+        MotionError: they differ.
+    """
+    if one.values.shape[1] != other.values.shape[1]:
+        per_joint = 6 * _WIDTH
+        counts = [windows.values.shape[1] // per_joint for windows in (one, other)]
+        raise MotionError(
+            f"windows of {counts[0]} and {counts[1]} joints cannot be compared; cut both with the "
+            "same joints"
+        )
