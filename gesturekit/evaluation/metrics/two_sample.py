@@ -224,7 +224,9 @@ def _frames(paths: np.ndarray) -> np.ndarray:
 
 def _windows(frames: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Return (N, width · D) windows of frames (T, D)."""
-    return frames[starts[:, None] + np.arange(_WIDTH)].reshape(len(starts), -1)
+    return frames[starts[:, None] + np.arange(_WIDTH)].reshape(
+        len(starts), _WIDTH * frames.shape[1]
+    )
 
 
 def _training_copies(training: Sequence[Motion], joints: Sequence[str]) -> Iterator[np.ndarray]:

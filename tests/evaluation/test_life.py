@@ -1,0 +1,285 @@
+"""Measures of life on motion whose hands follow known paths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gesturekit.errors import MotionError
+from gesturekit.evaluation import (
+    body_centred,
+    calm_and_lively,
+    copying,
+    hand_movement,
+    hand_speed,
+    motion_windows,
+    two_sample_accuracy,
+    within_reach,
+)
+from gesturekit.evaluation.metrics.two_sample import MotionWindows
+from gesturekit.motion import Motion, Skeleton
+
+FPS = 25.0
+
+
+@pytest.fixture
+def reaching(skeleton: Skeleton):
+    """reaching(left, right): hands (T, 3) metres from their elbows, on a body that stands."""
+
+    def make(left: np.ndarray, right: np.ndarray | None = None, fps: float = FPS) -> Motion:
+        rotations = np.zeros((len(left), skeleton.n_joints, 4))
+        rotations[..., 3] = 1.0
+        moving = {"LeftHand": left, "RightHand": np.zeros_like(left) if right is None else right}
+        still = np.tile([0.0, 0.9, 0.0], (len(left), 1))
+        return Motion(skeleton, rotations, still, fps, joint_translations=moving)
+
+    return make
+
+
+def along_x(speed: np.ndarray) -> np.ndarray:
+    """(T, 3) path with the given speed (T,) in m/s, to and fro along x."""
+    x = np.cumsum(speed * np.where(np.arange(len(speed)) // 250 % 2, -1.0, 1.0)) / FPS
+    return np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
+
+
+def wandering(n: int, seed: int) -> np.ndarray:
+    """(T, 3) smooth random path."""
+    from scipy.ndimage import gaussian_filter1d
+
+    noise = np.random.default_rng(seed).standard_normal((n, 3))
+    return 0.6 * gaussian_filter1d(noise, 6.0, axis=0)
+
+
+@pytest.fixture
+def talker(reaching):
+    """talker(seed, seconds): both hands on their own random paths."""
+    return lambda seed, seconds=20.0: reaching(
+        wandering(round(seconds * FPS), 2 * seed), wandering(round(seconds * FPS), 2 * seed + 1)
+    )
+
+
+def elsewhere(motion: Motion, seed: int = 0) -> Motion:
+    """The same movement of a body that walks about and turns."""
+    n = motion.n_frames
+    yaw = Rotation.from_rotvec(np.outer(np.linspace(0.3, 7.0, n), [0.0, 1.0, 0.0]))
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = (yaw * Rotation.from_quat(rotations[:, 0])).as_quat()
+    return replace(motion, rotations=rotations, translation=wandering(n, seed) + 3.0)
+
+
+def test_a_hand_on_a_circle_has_its_speed(turning):
+    # 2 rad/s at 0.25 m: 0.5 m/s, less what central differences and the Gaussian take (0.4 %).
+    speed = hand_speed(turning({"LeftForeArm": np.full(100, 2.0)}))
+    step = 2.0 / FPS
+    expected = 0.25 * np.sin(step) * FPS * np.exp(-(step**2) / 2)
+    assert speed[5:-5, 0] == pytest.approx(np.full(90, expected), rel=1e-3)
+    assert expected == pytest.approx(0.5, rel=0.01)
+    assert speed[:, 1] == pytest.approx(np.zeros(100), abs=1e-9)
+
+
+def test_hand_speed_at_the_ends_is_not_damped(reaching):
+    speed = hand_speed(reaching(np.outer(np.arange(50) / FPS, [0.3, 0.4, 0.0])))
+    assert speed[:, 0] == pytest.approx(np.full(50, 0.5))
+
+
+def test_walking_and_turning_is_no_hand_movement(talker):
+    motion = talker(0)
+    assert body_centred(elsewhere(motion)) == pytest.approx(body_centred(motion), abs=1e-9)
+    assert hand_movement(elsewhere(motion)).reach == pytest.approx(hand_movement(motion).reach)
+
+
+def test_body_centred_motion_faces_forward(talker):
+    shoulders = body_centred(elsewhere(talker(0)), ["LeftArm", "RightArm", "Hips"])
+    assert (shoulders[:, 0] - shoulders[:, 1])[:, 2] == pytest.approx(0.0, abs=1e-9)
+    assert np.all(shoulders[:, 0, 0] > 0.1)  # the left one is on the left
+    assert shoulders[:, 2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_body_that_bends_sideways_keeps_its_heading(talker):
+    # Bent by more than 90 degrees, the shoulders are upright on the way: no heading there.
+    motion = talker(0)
+    rotations = motion.rotations.copy()
+    bend = np.outer(np.linspace(0.0, np.pi / 2, motion.n_frames), [0.0, 0.0, 1.0])
+    rotations[:, motion.skeleton.index("Spine")] = Rotation.from_rotvec(bend).as_quat()
+    hips = body_centred(replace(motion, rotations=rotations), ["LeftUpLeg"])
+    assert hips[:, 0] == pytest.approx(np.tile([0.1, -0.05, 0.0], (motion.n_frames, 1)), abs=1e-9)
+
+
+def test_quantiles_and_rests(reaching):
+    # The left hand moves at 0.5 m/s for 60 of 100 s, then drifts at 0.05; the right one is still.
+    speed = np.where(np.arange(2500) < 1500, 0.5, 0.05)
+    found = hand_movement(reaching(along_x(speed)))
+    assert found.q10 == pytest.approx(0.0, abs=1e-6)
+    assert found.q90 == found.q99 == pytest.approx(0.5, abs=1e-6)
+    assert found.rest == pytest.approx(0.7, abs=0.01)
+    assert found.near_still == pytest.approx(0.5, abs=0.01)
+
+
+def test_reach_is_the_size_of_the_covariance(reaching):
+    rng = np.random.default_rng(0)
+    left = rng.multivariate_normal(np.ones(3), np.diag([0.01, 0.04, 0.09]), 40_000)
+    turned = left @ Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix().T
+    # (0.1 · 0.2 · 0.3)^(1/3) for either hand.
+    both = hand_movement(reaching(left, turned)).reach
+    assert both == pytest.approx(2 * 0.006 ** (1 / 3), rel=0.02)
+    assert hand_movement(reaching(left)).reach == pytest.approx(both / 2, rel=0.02)
+
+
+def test_range_is_the_contrast_of_calm_and_lively(reaching):
+    # Half of the time 0.2 m/s, half of it 0.6: mean 0.4, standard deviation 0.2.
+    path = along_x(np.where(np.arange(20_000) // 5000 % 2, 0.2, 0.6))
+    assert hand_movement(reaching(path, path)).range == pytest.approx(0.5, abs=0.02)
+    level = along_x(np.full(2000, 0.4))
+    assert hand_movement(reaching(level, level)).range < 0.05
+    assert np.isnan(hand_movement(reaching(level[:60])).range)
+
+
+def test_clips_are_pooled_by_frame_and_never_joined(reaching):
+    fast, slow = (reaching(along_x(np.full(n, v))) for n, v in ((600, 0.5), (200, 0.05)))
+    assert hand_movement([fast, slow]).rest == pytest.approx(5 / 8, abs=0.01)
+    jump = reaching(np.full((50, 3), 5.0)), reaching(np.zeros((50, 3)))
+    assert hand_movement(jump).q99 == pytest.approx(0.0, abs=1e-9)
+
+
+def test_thresholds_grow_with_the_body(reaching):
+    motion = reaching(0.2 * wandering(500, 0), 0.1 * wandering(500, 1))
+    small, giant = hand_movement(motion), hand_movement(motion.scaled(10.0))
+    assert 0.05 < small.rest < 0.95
+    assert (giant.rest, giant.near_still, giant.range) == pytest.approx(
+        (small.rest, small.near_still, small.range)
+    )
+    assert (giant.q50, giant.reach) == pytest.approx((10 * small.q50, 10 * small.reach))
+
+
+def test_the_frame_rate_does_not_matter(talker):
+    motion = talker(1)
+    at_25, at_60 = hand_movement(motion), hand_movement(motion.resample(60.0))
+    assert at_60.q50 == pytest.approx(at_25.q50, rel=0.03)
+    assert at_60.reach == pytest.approx(at_25.reach, rel=0.03)
+
+
+def test_calm_and_lively_has_the_slope_and_the_sign(reaching):
+    speed = 0.4 + 0.3 * np.sin(np.arange(2500) / 200)
+    recorded = reaching(along_x(speed), along_x(speed))
+    half = reaching(along_x(speed / 2), along_x(speed / 2))
+    found = calm_and_lively(recorded, [half])
+    assert (found.r, found.slope) == pytest.approx((1.0, 0.5), abs=0.01)
+    assert found.n == 39  # (100 - 5) / 2.5 + 1
+    opposite = reaching(along_x(0.8 - speed), along_x(0.8 - speed))
+    assert calm_and_lively(recorded, [opposite]).r == pytest.approx(-1.0, abs=0.01)
+    # Two samples are averaged: half as fast and one and a half times as fast.
+    lively = reaching(along_x(1.5 * speed), along_x(1.5 * speed))
+    assert calm_and_lively(recorded, [[half, lively]]).slope == pytest.approx(1.0, abs=0.01)
+    still = reaching(np.zeros((2500, 3)))
+    assert calm_and_lively(recorded, [still]).r == 0.0
+    with pytest.raises(MotionError, match="at least 3 windows"):
+        calm_and_lively(recorded.slice(0, 200), [half])
+
+
+def test_rigs_without_arms_or_wrists_are_errors(turning, skeleton):
+    legs = Skeleton(
+        ("Hips", "LeftLeg", "LeftFoot", "RightLeg", "RightFoot"),
+        (-1, 0, 1, 0, 3),
+        np.array([[0, 0, 0], [0.1, 0, 0], [0, -0.8, 0], [-0.1, 0, 0], [0, -0.8, 0]], float),
+    )
+    walking = Motion(legs, np.tile([0.0, 0, 0, 1], (50, 5, 1)), np.zeros((50, 3)), FPS)
+    with pytest.raises(MotionError, match="arm"):
+        hand_movement(walking)
+    with pytest.raises(MotionError, match="2 are needed"):
+        hand_speed(turning({"LeftArm": np.ones(1)}))
+    with pytest.raises(MotionError, match="no motion"):
+        hand_movement([])
+
+
+def test_windows_lie_half_a_second_apart(talker):
+    windows = motion_windows([talker(0, 3.0), talker(1, 0.8), talker(2, 1.0)])
+    assert windows.starts == pytest.approx([0.0, 0.48, 1.0, 1.48, 2.0, 0.0])
+    assert windows.clips.tolist() == [0, 0, 0, 0, 0, 2]
+    with pytest.raises(MotionError, match="no clip is as long"):
+        motion_windows(talker(1, 0.8))
+
+
+def test_the_distance_of_windows_is_in_metres(reaching):
+    # One of 2 compared joints is 0.3 m away in every frame: root mean square 0.3 / √2.
+    near, far = (reaching(np.full((25, 3), (x, 0.0, 0.0))) for x in (0.0, 0.3))
+    a, b = (motion_windows(m, ["LeftHand", "RightHand"]).values for m in (near, far))
+    assert np.linalg.norm(a - b) == pytest.approx(0.3 / np.sqrt(2))
+    # A constant 1 m/s of both adds 0.2 m of velocity.
+    path = np.outer(np.arange(25) / FPS, [1.0, 0.0, 0.0])
+    moving = motion_windows(reaching(path, path), ["LeftHand", "RightHand"]).values
+    expected = np.sqrt(0.2**2 + np.mean(path[:, 0] ** 2))
+    assert np.linalg.norm(moving - a) == pytest.approx(expected)
+
+
+def test_two_sample_accuracy_is_that_of_scikit_learn(talker):
+    from sklearn.model_selection import LeaveOneOut, cross_val_score
+    from sklearn.neighbors import KNeighborsClassifier
+
+    one, other = motion_windows(talker(0)), motion_windows(talker(1))
+    values = np.concatenate([one.values, other.values])
+    labels = np.repeat([0, 1], [len(one), len(other)])
+    expected = cross_val_score(KNeighborsClassifier(1), values, labels, cv=LeaveOneOut()).mean()
+    assert two_sample_accuracy(one, other) == pytest.approx(expected)
+
+
+def test_two_sample_accuracy_of_one_distribution_of_copies_and_of_other_movement(talker):
+    recorded = motion_windows(talker(0, 120.0))
+    same, copied = motion_windows(talker(1, 120.0)), motion_windows(talker(0, 120.0))
+    assert two_sample_accuracy(same, recorded) == pytest.approx(0.5, abs=0.12)
+    assert two_sample_accuracy(copied, recorded) < 0.05
+    other = motion_windows(talker(1, 120.0).scaled(3.0))
+    assert two_sample_accuracy(other, recorded) > 0.95
+
+
+def test_two_sample_accuracy_takes_equal_numbers(talker):
+    # Of 20 s and 200 s, all would be classified as the larger set.
+    short, long = motion_windows(talker(0, 20.0)), motion_windows(talker(1, 200.0))
+    found = two_sample_accuracy(short, long, seed=3)
+    assert 0.35 < found < 0.8
+    assert found == two_sample_accuracy(short, long, seed=3)
+    with pytest.raises(MotionError, match="2 windows"):
+        two_sample_accuracy(motion_windows(talker(0, 1.0)), long)
+    with pytest.raises(MotionError, match=r"of 1 and \d+ joints"):
+        two_sample_accuracy(motion_windows(talker(0), ["Head"]), long)
+
+
+def test_within_reach_counts_windows_that_have_a_near_one():
+    def windows(x: list[float], starts: list[float]) -> MotionWindows:
+        return MotionWindows(np.array(x)[:, None], np.zeros(len(x), int), np.array(starts))
+
+    # Nearest more than 3 s away: 0 -> 1.0, 0.1 -> 0.9, 1 -> 0.9, 3 -> 2.0; median 0.95.
+    recorded = windows([0.0, 0.1, 1.0, 3.0], [0.0, 0.5, 4.0, 8.0])
+    assert within_reach(windows([0.9], [0.0]), recorded) == 3 / 4
+    assert within_reach(windows([2.1], [0.0]), recorded) == 1 / 4
+    assert within_reach(windows([9.0], [0.0]), recorded) == 0.0
+    with pytest.raises(MotionError, match="too short"):
+        within_reach(recorded, windows([0.0, 1.0], [0.0, 3.0]))
+
+
+def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
+    training, held_out = talker(0, 60.0), talker(1, 20.0)
+    new = copying(talker(2, 20.0), held_out, training)
+    assert 0.8 < new.median_ratio < 1.25
+    assert 0.7 < new.low_ratio < 1.4
+    cut = training.slice(107, 407)
+    for copy, far in (
+        (cut, 1e-6),
+        (cut.mirror(), 1e-6),
+        (replace(cut, fps=FPS * 1.1), 0.2),
+        (replace(cut.mirror(), fps=FPS / 1.1), 0.2),
+    ):
+        found = copying(copy, held_out, training)
+        assert found.median_ratio < far
+        assert found.held_out_median == new.held_out_median
+    # One copied second in twenty shows in the 5 % quantile alone.
+    mixed = copying([talker(2, 18.0), training.slice(107, 207)], held_out, training)
+    assert mixed.median_ratio > 0.8
+    assert mixed.low_ratio < 0.1
+
+
+def test_copying_needs_training_motion_of_a_window(talker):
+    with pytest.raises(MotionError, match="no training clip"):
+        copying(talker(0), talker(1), talker(2, 0.9))
