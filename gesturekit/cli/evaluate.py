@@ -106,7 +106,7 @@ def command(
 
     Clips are matched with recordings by name; STEM_s1, STEM_s2 ... are samples for STEM. With
     --compare, each further folder is another model. Without --audio, speech metrics are left out.
-    Prints a table; --out and --json write all results. Held-out recordings:
+    Prints a verdict in words and a table; --out and --json write all results. Held-out recordings:
 
     \b
     gesturekit render --corpus corpus.jsonl --split test --model M --out rendered
@@ -136,7 +136,7 @@ def command(
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
     folders = _folders((generated, *others), reference, options)
     found = _evaluated(folders, recordings, options)
-    for line in _table(found):
+    for line in (*found.verdicts(), *_table(found)):
         click.echo(line)
     for line in _notes(found):
         click.echo(line, err=True)

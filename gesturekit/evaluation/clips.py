@@ -11,15 +11,22 @@ import numpy as np
 from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.evaluation.frame_rate import at_rate
+from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair, Stretch
 from gesturekit.evaluation.semantic_track import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.skeleton import Skeleton
 
 MATCHED = 0.5
 """Rigs match if at least this fraction of the recording's body joints is found by name."""
+
+LENGTH_TOLERANCE = 0.1
+"""Largest difference in length between a clip and its recording without a note, seconds."""
+STILL = 1e-4
+"""m/s on the reference body; a frame stands still if no joint is faster."""
 
 _CACHED = 8  # files of each kind kept in memory; samples of one recording are consecutive
 
@@ -94,6 +101,30 @@ def load_clip(pair: Pair, fps: float | None = None) -> Clip:
     if len(joints) < known:
         notes.append(f"{known - len(joints)} of {known} body joints are not in the generated rig")
     return Clip(pair, generated, recording, joints, semantic, tuple(notes))
+
+
+def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
+    """Return notes on a clip: another length than expected, frames that stand still, jumps.
+
+    Args:
+        clip: a generated clip and its recording.
+        wanted: expected length of the clip relative to its recording.
+    """
+    notes = []
+    fps = clip.generated.fps
+    gap = clip.generated.duration - wanted * clip.recording.duration
+    if abs(gap) > max(LENGTH_TOLERANCE, 1.5 / fps):
+        what = "its recording" if wanted == 1.0 else f"{wanted:g} times its recording"
+        notes.append(f"{abs(gap):.2f} s {'longer' if gap > 0 else 'shorter'} than {what}")
+    scale = body_scale(clip.generated.skeleton)
+    fastest = joint_speed(clip.generated, clip.joints).max(axis=1)
+    still = float((fastest < STILL * scale).mean())
+    if still > 0.05:
+        notes.append(f"stands still in {100 * still:.0f} % of its frames")
+    if fastest.max() > (limit := MAX_SPEED * scale):
+        at, speed = fastest.argmax() / fps, format_speed(fastest.max())
+        notes.append(f"jumps at {at:.2f} s ({speed}, {speed_limit(limit)})")
+    return notes
 
 
 def load_recording(path: Path | Stretch, fps: float) -> Motion:

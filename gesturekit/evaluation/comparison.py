@@ -13,11 +13,12 @@ import numpy as np
 from audio_features import AudioFeaturesError
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics, load_sound
-from gesturekit.evaluation.clips import Clip, load_clip
+from gesturekit.evaluation.clips import LENGTH_TOLERANCE, Clip, clip_notes, load_clip
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
     GROUPS,
+    LIFE,
     MOVEMENT,
     PATCHES,
     SPEECH,
@@ -25,8 +26,9 @@ from gesturekit.evaluation.definitions import (
 )
 from gesturekit.evaluation.frame_rate import RULE
 from gesturekit.evaluation.intervals import Interval, interval_of
+from gesturekit.evaluation.life.pooled import LifeMetrics, TrainingMotion
+from gesturekit.evaluation.life.verdict import verdict
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
-from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
@@ -40,8 +42,6 @@ from gesturekit.evaluation.results import ClipResult, Evaluation, MetricResult, 
 from gesturekit.evaluation.set_metrics import SetMetrics, pooled, speeds_of, thinned, wrists_of
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
-from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
 from gesturekit.wording import listed
 
 if TYPE_CHECKING:
@@ -61,10 +61,6 @@ LDA_SAMPLES = 3
 
 MISMATCHED = 3
 """Number of other recordings that a clip is also compared with, for the mismatched level."""
-LENGTH_TOLERANCE = 0.1
-"""Largest difference in length between a clip and its recording without a note, seconds."""
-STILL = 1e-4
-"""m/s on the reference body; a frame stands still if no joint is faster."""
 
 Window = tuple[str, int | None]
 """A recording and the index of its 10 s window; None for the whole recording."""
@@ -101,6 +97,15 @@ class EvaluationOptions:
         if self.protocol not in PROTOCOLS:
             known = ", ".join(filter(None, PROTOCOLS))
             raise EvaluationError(f"protocol {self.protocol!r}; expected one of {known}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the settings of the report as plain values."""
+        return {
+            "seed": self.seed,
+            "audio": None if self.audio is None else str(self.audio),
+            "semantic": None if self.semantic is None else str(self.semantic),
+            "features": self.features and self.features.fingerprint,
+        }
 
 
 @gesturekit_errors()
@@ -143,21 +148,19 @@ def evaluate(
     fps = _frame_rate(next(iter(found.values())))
     statistics = ReferenceStatistics.of(recordings(reference), fps)
     patches = chosen.patches or PatchOptions()
-    run = _Comparison(ClipMetrics(statistics, PROTOCOLS[chosen.protocol], patches), fps, chosen)
+    measure = ClipMetrics(statistics, PROTOCOLS[chosen.protocol], patches)
+    run = _Comparison(measure, fps, chosen, reference)
     models = [run.model(label, folders[label], pairs) for label, pairs in found.items()]
-    models[0].excluded += statistics.excluded
+    models[0].excluded += [*statistics.excluded, *run.training.excluded]
     return Evaluation(
         models=models,
         reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
         protocol=chosen.protocol,
         settings={
-            "seed": chosen.seed,
-            "audio": None if audio is None else str(audio),
+            **chosen.to_json(),
             "split": split,
-            "semantic": None if semantic is None else str(semantic),
             "patches": asdict(patches),
-            "features": chosen.features and chosen.features.fingerprint,
             "mismatched": MISMATCHED,
             "resampling": RULE,
         },
@@ -196,8 +199,17 @@ def _frame_rate(pairs: Pairs) -> float:
 class _Comparison:
     """Measures models against the same recordings."""
 
-    def __init__(self, measure: ClipMetrics, fps: float, options: EvaluationOptions) -> None:
+    def __init__(
+        self,
+        measure: ClipMetrics,
+        fps: float,
+        options: EvaluationOptions,
+        reference: Path | Items,
+    ) -> None:
         self.measure = measure
+        self.training = TrainingMotion()
+        if LIFE in measure.groups:
+            self.training = TrainingMotion.of(reference, options.seed)
         self.fps = fps
         self.seed = options.seed
         self.protocol = options.protocol
@@ -215,7 +227,7 @@ class _Comparison:
             EvaluationError: no clip can be measured.
         """
         result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
-        clip_set = SetMetrics(self.measure, self.seed)
+        clip_set = SetMetrics(self.measure, self.seed, LifeMetrics(self.training, self.seed))
         problems: dict[tuple[str, str], list[str]] = {}
         for pair in self.progress(found.pairs, label):
             try:
@@ -235,7 +247,7 @@ class _Comparison:
                     figures,
                     self._recording_metrics[window],
                     self._mismatched(clip, found.pairs),
-                    (*clip.notes, *self._clip_notes(clip)),
+                    (*clip.notes, *clip_notes(clip, self._length())),
                 )
             )
             clip_set.add(clip, self._speeds[window])
@@ -284,23 +296,9 @@ class _Comparison:
             figures |= self.measure.mismatched_motion(clip, recordings[other])
         return figures
 
-    def _clip_notes(self, clip: Clip) -> list[str]:
-        """Return notes on a measured clip: another length, frames that stand still, jumps."""
-        notes = []
-        wanted = MULTIRES_LENGTH if self.protocol == "multires" else 1.0
-        gap = clip.generated.duration - wanted * clip.recording.duration
-        if abs(gap) > max(LENGTH_TOLERANCE, 1.5 / self.fps):
-            what = "its recording" if wanted == 1.0 else f"{wanted:g} times its recording"
-            notes.append(f"{abs(gap):.2f} s {'longer' if gap > 0 else 'shorter'} than {what}")
-        scale = body_scale(clip.generated.skeleton)
-        fastest = joint_speed(clip.generated, clip.joints).max(axis=1)
-        still = float((fastest < STILL * scale).mean())
-        if still > 0.05:
-            notes.append(f"stands still in {100 * still:.0f} % of its frames")
-        if fastest.max() > (limit := MAX_SPEED * scale):
-            at, speed = fastest.argmax() / self.fps, format_speed(fastest.max())
-            notes.append(f"jumps at {at:.2f} s ({speed}, {speed_limit(limit)})")
-        return notes
+    def _length(self) -> float:
+        """Return the length of a clip relative to its recording."""
+        return MULTIRES_LENGTH if self.protocol == "multires" else 1.0
 
     def _summarise(self, result: ModelResult, clip_set: SetMetrics) -> None:
         clips = result.clips
@@ -318,6 +316,8 @@ class _Comparison:
                 note="" if len(has) == len(clips) else f"{len(has)} of {len(clips)} clips",
             )
         result.figures |= clip_set.pooled()
+        if LIFE in self.measure.groups:
+            result.verdict = verdict(result.figures)
         if FRECHET in self.measure.groups:
             full = list(self.measure.statistics.recordings.values())
             whole = {(key, None) for key in self.measure.statistics.recordings}

@@ -13,9 +13,10 @@ from typing import Any, Literal
 
 from gesturekit.evaluation.metrics.patches import THRESHOLD
 
-SPEECH, MOVEMENT, SIMILARITY, PATCHES, FRECHET = GROUPS = (
+SPEECH, MOVEMENT, LIFE, SIMILARITY, PATCHES, FRECHET = GROUPS = (
     "Speech",
     "Movement",
+    "Life: all clips pooled",
     "Similarity",
     "Patches",
     "Fréchet distances and diversity",

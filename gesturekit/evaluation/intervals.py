@@ -95,6 +95,11 @@ def interval_of_statistic(
     return Interval(value, low, high, len(everything), len(members), over)
 
 
+def whole_set(value: float, n: int) -> Interval:
+    """Return the value of a whole set of n clips, without an interval."""
+    return Interval(value, None, None, n, 1, "the whole set")
+
+
 def _bootstrap(
     n: int,
     statistic: Callable[..., Any],

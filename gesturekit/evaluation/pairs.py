@@ -75,12 +75,14 @@ class Items:
         items: the recordings.
         aside: reason not to measure clips of other items of the manifest, by id: "no motion", or
             "split train".
+        training: items with motion of the manifest's training split, if `split` is another one.
     """
 
     path: Path
     split: str
     items: tuple[ManifestItem, ...]
     aside: Mapping[str, str] = field(default_factory=dict)
+    training: tuple[ManifestItem, ...] = ()
 
     @classmethod
     def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
@@ -107,7 +109,8 @@ class Items:
         items = manifest.in_split(split, str(path))
         aside = {item.id: f"split {item.split}" for item in manifest if item.split != split}
         aside |= {item.id: "no motion" for item in manifest if item.motion is None}
-        return cls(path, split, items, aside)
+        training = [i for i in manifest if i.split == "train" != split and i.motion is not None]
+        return cls(path, split, items, aside, tuple(training))
 
     @cached_property
     def stretches(self) -> dict[str, Stretch]:

@@ -69,6 +69,7 @@ class ModelResult:
     Attributes:
         label: name of the model.
         path: its folder.
+        verdict: the result in words, one line; "" without measures of life and sync.
         figures: {key of `definitions`: result}.
         by_recording: {recording: {key: interval over its samples}} of the patch metrics.
         clips: results of each clip.
@@ -80,6 +81,7 @@ class ModelResult:
 
     label: str
     path: Path
+    verdict: str = ""
     figures: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)
@@ -129,6 +131,11 @@ class Evaluation:
         """True if no clip was left out."""
         return not any(item.what == "clip" for model in self.models for item in model.excluded)
 
+    def verdicts(self) -> list[str]:
+        """Return the verdict of each model that has one; several models are named."""
+        named = len(self.models) > 1
+        return [f"{m.label}: {m.verdict}" if named else m.verdict for m in self.models if m.verdict]
+
     def definitions(self) -> list[Definition]:
         """Return the definitions of all metrics that at least one model has."""
         keys = {key for model in self.models for key in model.figures}
@@ -159,6 +166,7 @@ def _model(model: ModelResult) -> dict[str, Any]:
     return {
         "label": model.label,
         "path": str(model.path),
+        "verdict": model.verdict,
         "figures": {
             key: {
                 **asdict(figure.interval),

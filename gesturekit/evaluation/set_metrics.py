@@ -10,8 +10,14 @@ import numpy as np
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.clip_metrics import ClipMetrics
 from gesturekit.evaluation.clips import Clip
-from gesturekit.evaluation.definitions import FRECHET, PATCHES, SIMILARITY
-from gesturekit.evaluation.intervals import Interval, interval_of, interval_of_statistic
+from gesturekit.evaluation.definitions import FRECHET, LIFE, PATCHES, SIMILARITY
+from gesturekit.evaluation.intervals import (
+    Interval,
+    interval_of,
+    interval_of_statistic,
+    whole_set,
+)
+from gesturekit.evaluation.life.pooled import LifeMetrics
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import (
@@ -42,11 +48,13 @@ class SetMetrics:
     Args:
         measure: the metrics of single clips.
         seed: seed of the intervals.
+        life: the measures of life.
     """
 
-    def __init__(self, measure: ClipMetrics, seed: int) -> None:
+    def __init__(self, measure: ClipMetrics, seed: int, life: LifeMetrics) -> None:
         self.measure = measure
         self.seed = seed
+        self.life = life
         self.motions: list[Motion] = []
         self.histograms: list[SpeedHistogram] = []
         self.recorded: list[SpeedHistogram] = []
@@ -72,6 +80,8 @@ class SetMetrics:
         self.histograms.append(SpeedHistogram.of([speeds_of(clip.generated, clip.joints)]))
         self.recorded.append(recorded)
         self.wrists.append(wrists_of(clip.generated))
+        if LIFE in groups:
+            self.life.add(clip)
         if FRECHET in groups:
             self.motions.append(clip.generated)
             known = clip.joints if self._shared is None else self._shared
@@ -93,6 +103,9 @@ class SetMetrics:
         if self._inter:
             interval = interval_of(list(self._inter.values()), list(self._inter), self.seed)
             figures["inter_diversity"] = MetricResult("inter_diversity", interval)
+        if LIFE in self.measure.groups:
+            figures |= self.life.pooled()
+            self.problems += self.life.problems
         return figures
 
     def frechet(
@@ -139,7 +152,7 @@ class SetMetrics:
                 key,
                 lambda diversity=diversity, key=key: MetricResult(
                     key,
-                    _plain(diversity(self.motions), len(self.motions)),
+                    whole_set(diversity(self.motions), len(self.motions)),
                     recording=diversity(full if compared is None else compared),
                 ),
             )
@@ -166,7 +179,7 @@ class SetMetrics:
         ours, theirs = (np.concatenate(side) for side in zip(*self._poses, strict=True))
         stride = -(-len(ours) // _CCA_FRAMES)
         r = similarity.cca(ours[::stride], theirs[::stride])
-        return MetricResult("cca_global", _plain(r, len(self._poses)))
+        return MetricResult("cca_global", whole_set(r, len(self._poses)))
 
     def _compare_samples(self, clip: Clip) -> None:
         if len(self._samples) >= INTER_SAMPLES:
@@ -210,11 +223,6 @@ def _pooled(histograms: Sequence[SpeedHistogram], drawn: Sequence[int]) -> Speed
         whole.counts += histograms[i].counts
         whole.beyond += histograms[i].beyond
     return whole
-
-
-def _plain(value: float, n: int) -> Interval:
-    """Return the value of a whole set, without an interval."""
-    return Interval(value, None, None, n, 1, "the whole set")
 
 
 def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None) -> MetricResult:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -36,11 +38,17 @@ def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_p
     )  # fmt: skip
     assert done.status == 0, done.err
     lines = done.out.splitlines()
-    assert lines[0].split() == ["ours", "baseline", "recording"]
+    assert lines[0].startswith("ours: ") and lines[1].startswith("baseline: ")
+    assert lines[2].split() == ["ours", "baseline", "recording"]
+    assert any(re.match(r"Reach, m  +0\.\d+  +0\.\d+  +0\.\d+$", line) for line in lines)
     assert any(line.startswith("Sync  ") and "[" in line for line in lines)
     found = json.loads((tmp_path / "r.json").read_text())
     assert [model["label"] for model in found["models"]] == ["ours", "baseline"]
-    assert "ours, baseline against recordings" in (tmp_path / "r.html").read_text()
+    page = (tmp_path / "r.html").read_text()
+    assert "ours, baseline against recordings" in page
+    for line, model in zip(lines, found["models"]):
+        assert line == f"{model['label']}: {model['verdict']}"
+        assert html.escape(line) in page
 
 
 def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
@@ -222,7 +230,7 @@ def test_columns_stay_under_their_headers_beside_wide_characters(gesturekit, fol
     made.mkdir()
     (made / "clip0.npz").write_bytes((folders / "ours" / "clip0.npz").read_bytes())
     done = gesturekit("evaluate", made, folders / "recordings")
-    header, *lines = done.out.splitlines()
+    _, header, *lines = done.out.splitlines()  # the first line is the verdict
     (speed,) = (line for line in lines if line.startswith("Arm speed, rad/s"))
     end = disp_len(header[: header.index("recording")])
     assert speed[:end].endswith("  ") and speed[end] != " "

@@ -8,18 +8,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import (
     body_centred,
     calm_and_lively,
     copying,
+    evaluate,
     hand_movement,
     hand_speed,
     motion_windows,
     two_sample_accuracy,
     within_reach,
 )
+from gesturekit.evaluation.intervals import whole_set
+from gesturekit.evaluation.life.verdict import verdict
 from gesturekit.evaluation.metrics.two_sample import MotionWindows
+from gesturekit.evaluation.results import MetricResult, ModelResult
 from gesturekit.motion import Motion, Skeleton
 
 FPS = 25.0
@@ -283,3 +288,98 @@ def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
 def test_copying_needs_training_motion_of_a_window(talker):
     with pytest.raises(MotionError, match="no training clip"):
         copying(talker(0), talker(1), talker(2, 0.9))
+
+
+def judged(made: Motion, recorded: Motion, tmp_path, **options) -> ModelResult:
+    """Evaluate a motion against one recording."""
+    for folder, motion in (("made", made), ("recorded", recorded)):
+        (tmp_path / folder).mkdir()
+        motion.save(tmp_path / folder / "talk.npz")
+    return evaluate(tmp_path / "made", tmp_path / "recorded", **options).models[0]
+
+
+@pytest.fixture
+def gesturing(reaching):
+    """gesturing(size, rests): 60 s; random paths of a size, interrupted by rests if `rests`."""
+
+    def make(size: float = 1.0, rests: bool = True) -> Motion:
+        moving = ((np.arange(1500) % 200) < 120) | (not rests)
+        clock = np.cumsum(moving)  # time stands still while the hands rest
+        return reaching(*(size * wandering(1600, seed)[clock] for seed in (1, 2)))
+
+    return make
+
+
+def test_the_report_has_the_recordings_value_beside_the_models(gesturing, tmp_path):
+    found = judged(gesturing(0.5, rests=False), gesturing(), tmp_path).figures
+    own = hand_movement(gesturing())
+    assert found["reach"].recording == pytest.approx(own.reach, rel=1e-3)
+    assert found["rest"].recording == pytest.approx(100 * own.rest, rel=0.01)
+    assert found["hand_q90"].recording == pytest.approx(own.q90, rel=1e-3)
+    assert found["reach"].interval.value == pytest.approx(0.5 * own.reach, rel=0.1)
+    assert found["one_nn"].note == found["copying"].note == "recording: one half against the other"
+    assert found["calm_lively_r"].note == "23 windows"
+
+
+def test_the_verdict_names_half_of_the_reach_and_missing_rests(gesturing, tmp_path):
+    text = judged(gesturing(0.5, rests=False), gesturing(), tmp_path).verdict
+    assert text.startswith("Half of the speaker's reach, fast gestures at half of the speaker's")
+    assert "hardly ever at rest" in text
+
+
+def test_the_verdict_of_frozen_and_of_copied_motion(gesturing, reaching, tmp_path):
+    (tmp_path / "frozen").mkdir()
+    still = judged(reaching(np.zeros((1500, 3))), gesturing(), tmp_path / "frozen").verdict
+    assert still.startswith("Next to nothing of the speaker's reach")
+    assert "hands frozen in 100 % of the time" in still
+    copied = judged(gesturing(), gesturing(), tmp_path).verdict
+    assert copied == (
+        "The speaker's reach, at rest as often as the speaker, mostly copied from recordings."
+    )
+
+
+def result(key: str, value: float, recording: float, **levels: float) -> dict[str, MetricResult]:
+    return {key: MetricResult(key, whole_set(value, 1), recording, **levels)}
+
+
+@pytest.mark.parametrize(
+    ("figures", "said"),
+    [
+        (result("sync", 0.6, 0.7, chance=0.1), "In time with the speech."),
+        (result("sync", 0.4, 0.7, chance=0.1), "Loosely in time with the speech."),
+        (result("sync", 0.2, 0.7, mismatched=0.1), "Not in time with the speech."),
+        (result("sync", 0.2, 0.15, chance=0.1), "Speech that hardly moves the speaker's arms"),
+        (result("reach", 0.45, 0.2), "Twice the speaker's reach."),
+        (result("reach", 0.15, 0.2), "Three quarters of the speaker's reach."),
+        (result("rest", 20.0, 32.0), "Seldom at rest."),
+        (result("rest", 60.0, 32.0), "At rest more often than the speaker."),
+        (result("rest", 0.0, 1.0), ""),
+        (result("copying_low", 0.05, 0.1), "Copied from recordings now and then."),
+        (result("calm_lively_r", 0.1, 1.0), "Calm and lively in other places than the speaker."),
+        (result("hand_q90", 1.0, 1.0), ""),
+    ],
+)
+def test_the_verdict_goes_by_named_thresholds(figures, said):
+    assert verdict(figures).startswith(said) and bool(verdict(figures)) == bool(said)
+
+
+def test_a_training_split_is_what_copies_are_copies_of(talker, tmp_path):
+    items = []
+    for name, seed in (("day", 0), ("night", 1), ("held", 2)):
+        talker(seed).save(tmp_path / f"{name}.npz")
+        split = "test" if name == "held" else "train"
+        motion = tmp_path / f"{name}.npz"
+        items.append(Item(id=name, audio=None, motion=motion, duration=20.0, split=split))
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    made = tmp_path / "made"
+    made.mkdir()
+    talker(1).mirror().save(made / "held.npz")
+    (model,) = evaluate(made, tmp_path / "corpus.jsonl").models
+    found = model.figures
+    expected = copying(talker(1).mirror(), talker(2), [talker(0), talker(1)])
+    assert found["copying"].interval.value == pytest.approx(expected.median, abs=1e-4)
+    assert found["copying"].recording == pytest.approx(expected.held_out_median, rel=1e-3)
+    assert found["copying"].note == "recording: against the training split"
+    own = [motion_windows(motion) for motion in (talker(2), [talker(0), talker(1)])]
+    assert found["one_nn"].recording == pytest.approx(two_sample_accuracy(*own), abs=0.05)
+    assert "mostly copied" in model.verdict

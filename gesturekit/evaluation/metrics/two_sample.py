@@ -35,9 +35,9 @@ APART = 3.0
 STRETCHES = (0.9, 1.0, 1.1)
 """Durations, relative to the original, of the time-stretched copies of training motion."""
 DRAWS = 20
-"""Random subsamples over which the two-sample accuracy is averaged."""
+"""Random subsamples, over which two-sample accuracy and share within reach are averaged."""
 MOST_WINDOWS = 2000
-"""Largest number of windows of either set in `two_sample_accuracy` and `within_reach`."""
+"""Largest number of windows of either set that are compared; more are subsampled."""
 LOW_QUANTILE = 0.05
 """Quantile of the distances that shows single copied windows."""
 
@@ -147,19 +147,20 @@ def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int =
     return float(np.mean(accuracies))
 
 
-def within_reach(generated: MotionWindows, recorded: MotionWindows) -> float:
+def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int = 0) -> float:
     """Return the share of recorded windows that the generated motion comes near to.
 
     Near is below the median distance of a recorded window to its nearest recorded neighbour that
-    begins more than 3 s away or is of another clip. The share grows with the number of generated
-    windows: compare sets of one size.
+    begins more than 3 s away or is of another clip. If there are more generated than recorded
+    windows, the share is the mean over 20 seeded draws of as many, because more samples would
+    come near to more windows.
 
     Raises:
         MotionError: no recorded window has a neighbour more than 3 s away, or windows of different
             joints.
     """
     _require_same_joints(generated, recorded)
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     generated, recorded = _subsample(generated, rng), _subsample(recorded, rng)
     own = frame_distances(recorded.values, recorded.values)
     gap = np.abs(recorded.starts[:, None] - recorded.starts)
@@ -168,8 +169,17 @@ def within_reach(generated: MotionWindows, recorded: MotionWindows) -> float:
     nearest = nearest[np.isfinite(nearest)]
     if not len(nearest):
         raise MotionError(f"the recordings are too short: no two windows are {APART:g} s apart")
-    found = frame_distances(recorded.values, generated.values).min(axis=1)
-    return float((found < np.median(nearest)).mean())
+    distances = frame_distances(recorded.values, generated.values)
+    size = len(recorded)
+    found = (
+        [
+            distances[:, rng.choice(len(generated), size, replace=False)].min(axis=1)
+            for _ in range(DRAWS)
+        ]
+        if len(generated) > size
+        else [distances.min(axis=1)]
+    )
+    return float((np.stack(found) < np.median(nearest)).mean())
 
 
 def copying(
@@ -177,6 +187,8 @@ def copying(
     held_out: Motions,
     training: Motions,
     joints: Sequence[str] | None = None,
+    *,
+    seed: int = 0,
 ) -> Copying:
     """Measure whether generated motion copies training motion.
 
@@ -190,6 +202,7 @@ def copying(
         held_out: recordings of the same speaker that are not in `training`.
         training: recordings that the model was trained on.
         joints: as for `motion_windows`; None for those of the first training motion.
+        seed: seed of the subsample, if there are more than 2,000 windows.
 
     Raises:
         MotionError: clips that are too short, a missing joint, or body parts that cannot be
@@ -197,7 +210,10 @@ def copying(
     """
     training = as_list(training)
     joints = upper_joints(training[0].skeleton) if joints is None else joints
-    sets = [motion_windows(motions, joints).values for motions in (generated, held_out)]
+    rng = np.random.default_rng(seed)
+    sets = [
+        _subsample(motion_windows(motions, joints), rng).values for motions in (generated, held_out)
+    ]
     queries = np.concatenate(sets)
     nearest = np.full(len(queries), np.inf)
     for frames in _training_copies(training, joints):

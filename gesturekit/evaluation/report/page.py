@@ -57,6 +57,9 @@ def write_report(
         "title": html.escape(heading),
         "style": (_HERE / "style.css").read_text(encoding="utf-8"),
         "facts": "".join(f"<span>{html.escape(fact)}</span>" for fact in _facts(evaluation)),
+        "verdicts": "".join(
+            f'<p class="verdict">{html.escape(line)}</p>' for line in evaluation.verdicts()
+        ),
         "warnings": "".join(
             f'<p class="warning">{html.escape(w)}</p>' for w in _warnings(evaluation)
         ),

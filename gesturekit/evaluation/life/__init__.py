@@ -1,0 +1,1 @@
+"""Measures of life of sets of clips, and the verdict in words."""
