@@ -10,6 +10,7 @@ import click
 
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
+    comma_separated,
     existing_option,
     is_left,
     read_from,
@@ -32,6 +33,12 @@ if TYPE_CHECKING:
 @click.argument("reference", type=click.Path(path_type=Path), required=False)
 @click.argument("others", nargs=-1, metavar="[MODEL]...")
 @click.option("--compare", is_flag=True, help="Compare with the models given last.")
+@click.option(
+    "--baseline",
+    metavar="NAMES",
+    help="Compare with motion made from the recordings: mean_pose (their mean pose, held still), "
+    "other_utterance (the recording of another utterance), or both, comma-separated.",
+)
 @click.option(
     "--corpus",
     type=click.Path(path_type=Path),
@@ -170,6 +177,7 @@ def _evaluated(
             semantic=options["semantic"],
             protocol=options["protocol"] or "",
             patches=PatchOptions(options["variant"], options["threshold"]),
+            baselines=comma_separated(options["baseline"]),
             features=None if features is None else FeatureModel.load(features),
             seed=options["seed"],
             progress=lambda pairs, label: Progress(pairs, desc=label, unit="clip"),

@@ -12,6 +12,7 @@ import numpy as np
 
 from audio_features import AudioFeaturesError
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
+from gesturekit.evaluation.baselines import baseline_pairs
 from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics, load_sound
 from gesturekit.evaluation.clips import LENGTH_TOLERANCE, Clip, clip_notes, load_clip
 from gesturekit.evaluation.definitions import (
@@ -88,8 +89,10 @@ class EvaluationOptions:
     """Settings of the patch metrics."""
     features: FeatureModel | None = None
     """The feature extractor of `gesturekit fit-features`; without it, FGD is left out."""
+    baselines: Sequence[str] = ()
+    """Baselines to compare with, made from the recordings: "mean_pose" and "other_utterance"."""
     seed: int = 0
-    """Seed of the bootstrap intervals."""
+    """Seed of the bootstrap intervals and of subsamples."""
     progress: Progress = lambda pairs, label: pairs
     """Wraps the pairs of each model, such as in a progress bar."""
 
@@ -102,6 +105,7 @@ class EvaluationOptions:
         """Return the settings of the report as plain values."""
         return {
             "seed": self.seed,
+            "baselines": list(self.baselines),
             "audio": None if self.audio is None else str(self.audio),
             "semantic": None if self.semantic is None else str(self.semantic),
             "features": self.features and self.features.fingerprint,
@@ -136,21 +140,23 @@ def evaluate(
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
     reference = _recordings(reference, chosen.split)
-    split = (reference.split or None) if isinstance(reference, Items) else None
+    split = reference.split or None if isinstance(reference, Items) else None
     if split and chosen.audio is not None:
         raise EvaluationError(f"{reference.path} says where the sound is: leave audio out")
-    audio = None if chosen.audio is None else Path(chosen.audio)
-    semantic = None if chosen.semantic is None else Path(chosen.semantic)
+    audio, semantic = (p if p is None else Path(p) for p in (chosen.audio, chosen.semantic))
     found = {
         label: find_pairs(folder, reference, audio=audio, semantic=semantic)
         for label, folder in folders.items()
     }
     fps = _frame_rate(next(iter(found.values())))
+    found |= baseline_pairs(chosen.baselines, found, reference, fps)
     statistics = ReferenceStatistics.of(recordings(reference), fps)
     patches = chosen.patches or PatchOptions()
     measure = ClipMetrics(statistics, PROTOCOLS[chosen.protocol], patches)
     run = _Comparison(measure, fps, chosen, reference)
-    models = [run.model(label, folders[label], pairs) for label, pairs in found.items()]
+    models = [
+        run.model(label, folders.get(label, Path(label)), pairs) for label, pairs in found.items()
+    ]
     models[0].excluded += [*statistics.excluded, *run.training.excluded]
     return Evaluation(
         models=models,

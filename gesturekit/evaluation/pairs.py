@@ -151,7 +151,7 @@ class Pair:
         name: the generated clip's key: its path within the folder, without extension.
         stem: the key of its recording.
         window: index of the 10 s window of the recording; None for the whole.
-        generated: its file.
+        generated: its file, or a baseline's motion.
         reference: the recording's motion, a file or an interval.
         audio: the recording's sound, a file or an interval, or None.
         semantic: the recording's semantic track, or None.
@@ -160,7 +160,7 @@ class Pair:
     name: str
     stem: str
     window: int | None
-    generated: Path
+    generated: Path | Stretch
     reference: Path | Stretch
     audio: Path | Stretch | None = None
     semantic: Path | None = None

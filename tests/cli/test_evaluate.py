@@ -51,6 +51,17 @@ def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_p
         assert html.escape(line) in page
 
 
+def test_baselines_are_columns_of_the_table(gesturekit, folders):
+    done = gesturekit(
+        "evaluate", folders / "ours", folders / "recordings",
+        "--baseline", "mean_pose, other_utterance",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    lines = done.out.splitlines()
+    assert lines[3].split() == ["ours", "mean_pose", "other_utterance", "recording"]
+    assert "9 clips measured, 0 left out" in lines[-1]
+
+
 def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
     made = tmp_path / "made"
     made.mkdir()
@@ -69,6 +80,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["ours", "empty"], "empty: no motion files"),
         (["ours", "recordings", "baseline"], "Add --compare"),
         (["ours", "recordings", "--compare"], "needs folders"),
+        (["ours", "recordings", "--baseline", "median"], "baseline 'median'; expected one of"),
         (["ours", "recordings", "--compare", "ours"], "is named twice"),
         (["ours", "recordings", "--audio", "ours"], "no sound files"),
         (["ours", "recordings", "--features", "ours"], "ours"),

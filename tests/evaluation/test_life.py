@@ -140,6 +140,7 @@ def test_range_is_the_contrast_of_calm_and_lively(reaching):
     level = along_x(np.full(2000, 0.4))
     assert hand_movement(reaching(level, level)).range < 0.05
     assert np.isnan(hand_movement(reaching(level[:60])).range)
+    assert np.isnan(hand_movement(reaching(np.zeros((2000, 3)))).range)
 
 
 def test_clips_are_pooled_by_frame_and_never_joined(reaching):
@@ -328,10 +329,13 @@ def test_the_verdict_names_half_of_the_reach_and_missing_rests(gesturing, tmp_pa
 
 
 def test_the_verdict_of_frozen_and_of_copied_motion(gesturing, reaching, tmp_path):
-    (tmp_path / "frozen").mkdir()
-    still = judged(reaching(np.zeros((1500, 3))), gesturing(), tmp_path / "frozen").verdict
-    assert still.startswith("Next to nothing of the speaker's reach")
-    assert "hands frozen in 100 % of the time" in still
+    for folder in ("still", "frozen"):
+        (tmp_path / folder).mkdir()
+    still = judged(reaching(np.zeros((1500, 3))), gesturing(), tmp_path / "still").verdict
+    assert still == "The hands hardly move."
+    half = np.where(np.arange(1500) < 750, 1.0, 0.0)[:, None] * wandering(1500, 1)
+    frozen = judged(reaching(half, half), gesturing(rests=False), tmp_path / "frozen").verdict
+    assert "hands frozen in 50 % of the time" in frozen
     copied = judged(gesturing(), gesturing(), tmp_path).verdict
     assert copied == (
         "The speaker's reach, at rest as often as the speaker, mostly copied from recordings."

@@ -21,6 +21,8 @@ FEW_RESTS = 2.0
 """Recordings with a smaller share of rests, %, say nothing about rests."""
 FROZEN = 5.0
 """Hands that are nearly still in this share of frames, %, more than the recording's are frozen."""
+MOTIONLESS = 90.0
+"""From this share of frames with hands that are nearly still, %, nothing else is worth saying."""
 IN_TIME = 0.7
 """Share of the recording's sync above chance from which motion is in time with the speech."""
 BY_CHANCE = 0.3
@@ -53,6 +55,9 @@ def verdict(figures: Mapping[str, MetricResult]) -> str:
     Args:
         figures: results of a model by key of `definitions`, each with the recording's value.
     """
+    still = figures.get("near_still")
+    if still is not None and still.interval.value >= MOTIONLESS:
+        return "The hands hardly move."
     phrases = [*_movement(figures), *_rests(figures), *_timing(figures), *_copying(figures)]
     text = ", ".join(phrases)
     return f"{text[0].upper()}{text[1:]}." if text else ""

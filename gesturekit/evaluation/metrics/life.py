@@ -38,6 +38,8 @@ RANGE_WINDOW, RANGE_HOP = 2.0, 1.0
 CALM_WINDOW, CALM_HOP = 5.0, 2.5
 """Windows of `calm_and_lively`, seconds."""
 
+_NO_MOVEMENT = 1e-6  # m/s; less is rounding
+
 Motions = Motion | Sequence[Motion]
 
 
@@ -176,7 +178,8 @@ def hand_movement(motions: Motions) -> HandMovement:
     )
     q10, q50, q90, q99 = map(float, np.quantile(pooled, (0.1, 0.5, 0.9, 0.99)))
     means = np.concatenate([_window_means(speed, RANGE_WINDOW, RANGE_HOP) for speed in speeds])
-    contrast = means.std() / means.mean() if len(means) > 1 and means.mean() > 0 else np.nan
+    moves = len(means) > 1 and means.mean() > _NO_MOVEMENT
+    contrast = means.std() / means.mean() if moves else np.nan
     return HandMovement(
         q10,
         q50,

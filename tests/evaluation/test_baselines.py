@@ -1,0 +1,105 @@
+"""Baselines made from recordings, as models of a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gesturekit.corpus import Item, Manifest
+from gesturekit.errors import EvaluationError
+from gesturekit.evaluation import evaluate, hand_movement
+from gesturekit.evaluation.clips import load_clip
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import mean_quaternion
+
+BOTH = ("mean_pose", "other_utterance")
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory, gesture) -> Path:
+    """Three recordings of different length, and two samples of other motion for two of them."""
+    root = tmp_path_factory.mktemp("baselines")
+    for folder in ("recordings", "made"):
+        (root / folder).mkdir()
+    for i, seconds in enumerate((5.0, 6.0, 4.0)):
+        gesture(seconds, 25.0, seed=i).save(root / "recordings" / f"clip{i}.npz")
+        for sample in (1, 2) if i else ():
+            gesture(seconds, 25.0, seed=9 * i + sample).save(
+                root / "made" / f"clip{i}_s{sample}.npz"
+            )
+    return root
+
+
+def test_baselines_are_models_with_one_clip_a_recording(folders):
+    found = evaluate(folders / "made", folders / "recordings", baselines=BOTH)
+    assert [model.label for model in found.models] == ["generated", *BOTH]
+    assert found.settings["baselines"] == list(BOTH)
+    for model in found.models[1:]:
+        assert [clip.pair.name for clip in model.clips] == ["clip1", "clip2"]
+        assert model.figures["reach"].recording == found.models[0].figures["reach"].recording
+        assert model.verdict
+
+
+def test_the_mean_pose_is_held_in_every_frame(folders):
+    found = evaluate(folders / "made", folders / "recordings", baselines=["mean_pose"])
+    clips = [load_clip(clip.pair, 25.0) for clip in found.models[1].clips]
+    assert [clip.generated.n_frames for clip in clips] == [150, 100]
+    recorded = [Motion.load(folders / "recordings" / f"clip{i}.npz") for i in range(3)]
+    joint = recorded[0].skeleton.index("LeftArm")
+    expected = mean_quaternion(np.concatenate([motion.rotations[:, joint] for motion in recorded]))
+    for clip in clips:
+        assert clip.generated.rotations[:, joint] == pytest.approx(
+            np.tile(expected, (clip.generated.n_frames, 1)), abs=1e-6
+        )
+    assert found.models[1].figures["near_still"].interval.value == 100.0
+    assert found.models[1].verdict == "The hands hardly move."
+
+
+def test_the_other_utterance_is_the_next_recording_cut_to_length(folders):
+    found = evaluate(folders / "made", folders / "recordings", baselines=["other_utterance"])
+    one, two = (load_clip(clip.pair, 25.0).generated for clip in found.models[1].clips)
+    recorded = [Motion.load(folders / "recordings" / f"clip{i}.npz") for i in range(3)]
+    assert one.rotations == pytest.approx(recorded[2].rotations)  # 4 s for a recording of 6 s
+    assert two.rotations == pytest.approx(recorded[0].rotations[:100])  # 4 of its 5 s
+    assert any("2.00 s shorter" in note for note in found.models[1].clips[0].notes)
+
+
+def test_a_single_held_out_item_is_compared_with_training_recordings(folders, tmp_path):
+    items = [
+        Item(
+            id=f"clip{i}", audio=None, motion=folders / "recordings" / f"clip{i}.npz",
+            duration=4.0, split="test" if i == 1 else "train",
+        )
+        for i in range(3)
+    ]  # fmt: skip
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    made = tmp_path / "made"
+    made.mkdir()
+    Motion.load(folders / "made" / "clip1_s1.npz").slice(0, 100).save(made / "clip1.npz")
+    found = evaluate(made, tmp_path / "corpus.jsonl", baselines=BOTH)
+    other = load_clip(found.models[2].clips[0].pair, 25.0).generated
+    assert hand_movement(other) == hand_movement(items[0].load_motion())
+
+
+@pytest.mark.parametrize(
+    ("models", "baselines", "said"),
+    [
+        ({"a": "made"}, ["median_pose"], "expected one of mean_pose, other_utterance"),
+        ({"mean_pose": "made"}, ["mean_pose"], "label of a model"),
+    ],
+)
+def test_baselines_that_cannot_be_made_are_errors(folders, models, baselines, said):
+    folders_of = {label: folders / name for label, name in models.items()}
+    with pytest.raises(EvaluationError, match=said):
+        evaluate(folders_of, folders / "recordings", baselines=baselines)
+
+
+def test_another_utterance_needs_a_second_recording(folders):
+    with pytest.raises(EvaluationError, match="needs a second recording; there is only 'clip1'"):
+        evaluate(
+            folders / "made" / "clip1_s1.npz",
+            folders / "recordings" / "clip1.npz",
+            baselines=["other_utterance"],
+        )
