@@ -125,7 +125,7 @@ def test_quantiles_and_rests(reaching):
 
 def test_reach_is_the_size_of_the_covariance(reaching):
     rng = np.random.default_rng(0)
-    left = rng.multivariate_normal(np.ones(3), np.diag([0.01, 0.04, 0.09]), 40_000)
+    left = rng.multivariate_normal(np.ones(3), np.diag([0.01, 0.04, 0.09]), 20_000)
     turned = left @ Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix().T
     # (0.1 · 0.2 · 0.3)^(1/3) for either hand.
     both = hand_movement(reaching(left, turned)).reach
@@ -224,7 +224,7 @@ def test_two_sample_accuracy_is_that_of_scikit_learn(talker):
     from sklearn.model_selection import LeaveOneOut, cross_val_score
     from sklearn.neighbors import KNeighborsClassifier
 
-    one, other = motion_windows(talker(0)), motion_windows(talker(1))
+    one, other = motion_windows(talker(0, 8.0)), motion_windows(talker(1, 8.0))
     values = np.concatenate([one.values, other.values])
     labels = np.repeat([0, 1], [len(one), len(other)])
     expected = cross_val_score(KNeighborsClassifier(1), values, labels, cv=LeaveOneOut()).mean()
@@ -301,29 +301,31 @@ def judged(made: Motion, recorded: Motion, tmp_path, **options) -> ModelResult:
 
 @pytest.fixture
 def gesturing(reaching):
-    """gesturing(size, rests): 60 s; random paths of a size, interrupted by rests if `rests`."""
+    """gesturing(size, rests): 24 s; random paths of a size, interrupted by rests if `rests`."""
 
     def make(size: float = 1.0, rests: bool = True) -> Motion:
-        moving = ((np.arange(1500) % 200) < 120) | (not rests)
+        moving = ((np.arange(600) % 200) < 120) | (not rests)
         clock = np.cumsum(moving)  # time stands still while the hands rest
-        return reaching(*(size * wandering(1600, seed)[clock] for seed in (1, 2)))
+        return reaching(*(size * wandering(700, seed)[clock] for seed in (1, 2)))
 
     return make
 
 
 def test_the_report_has_the_recordings_value_beside_the_models(gesturing, tmp_path):
-    found = judged(gesturing(0.5, rests=False), gesturing(), tmp_path).figures
+    found = judged(gesturing(0.42, rests=False), gesturing(), tmp_path).figures
     own = hand_movement(gesturing())
     assert found["reach"].recording == pytest.approx(own.reach, rel=1e-3)
     assert found["rest"].recording == pytest.approx(100 * own.rest, rel=0.01)
     assert found["hand_q90"].recording == pytest.approx(own.q90, rel=1e-3)
-    assert found["reach"].interval.value == pytest.approx(0.5 * own.reach, rel=0.1)
+    made = hand_movement(gesturing(0.42, rests=False))
+    assert found["reach"].interval.value == pytest.approx(made.reach, rel=1e-3)
+    assert found["rest"].interval.value == pytest.approx(100 * made.rest, rel=0.01)
     assert found["one_nn"].note == found["copying"].note == "recording: one half against the other"
-    assert found["calm_lively_r"].note == "23 windows"
+    assert found["calm_lively_r"].note == "8 windows"
 
 
 def test_the_verdict_names_half_of_the_reach_and_missing_rests(gesturing, tmp_path):
-    text = judged(gesturing(0.5, rests=False), gesturing(), tmp_path).verdict
+    text = judged(gesturing(0.42, rests=False), gesturing(), tmp_path).verdict
     assert text.startswith("Half of the speaker's reach, fast gestures at half of the speaker's")
     assert "hardly ever at rest" in text
 
@@ -331,9 +333,9 @@ def test_the_verdict_names_half_of_the_reach_and_missing_rests(gesturing, tmp_pa
 def test_the_verdict_of_frozen_and_of_copied_motion(gesturing, reaching, tmp_path):
     for folder in ("still", "frozen"):
         (tmp_path / folder).mkdir()
-    still = judged(reaching(np.zeros((1500, 3))), gesturing(), tmp_path / "still").verdict
+    still = judged(reaching(np.zeros((600, 3))), gesturing(), tmp_path / "still").verdict
     assert still == "The hands hardly move."
-    half = np.where(np.arange(1500) < 750, 1.0, 0.0)[:, None] * wandering(1500, 1)
+    half = np.where(np.arange(600) < 300, 1.0, 0.0)[:, None] * wandering(600, 1)
     frozen = judged(reaching(half, half), gesturing(rests=False), tmp_path / "frozen").verdict
     assert "hands frozen in 50 % of the time" in frozen
     copied = judged(gesturing(), gesturing(), tmp_path).verdict

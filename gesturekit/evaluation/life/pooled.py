@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from gesturekit.evaluation.metrics.life import (
     upper_joints,
 )
 from gesturekit.evaluation.metrics.two_sample import (
-    Copying,
     copying,
     motion_windows,
     two_sample_accuracy,
@@ -174,17 +173,19 @@ class LifeMetrics:
         return results
 
     def _copying(self) -> dict[str, MetricResult]:
-        joints = self._upper_joints()
-        generated = self._all_generated()
-        found = [
-            asdict(copying(generated, held, others, joints, seed=self.seed))
-            for held, others in self._splits()
-        ]
-        mean = Copying(**{name: float(np.mean([one[name] for one in found])) for name in found[0]})
+        joints, recorded = self._upper_joints(), self._all_recorded()
+        among = self.training.motions or recorded
+        ours = copying(self._all_generated(), recorded, among, joints, seed=self.seed)
+        own = [ours]
+        if not self.training.motions:
+            own = [copying(a, a, b, joints, seed=self.seed) for a, b in self._splits()]
         note = f"recording: {self._compared()}"
+        pairs = (
+            ("copying", ours.median, [one.held_out_median for one in own]),
+            ("copying_low", ours.low, [one.held_out_low for one in own]),
+        )
         return {
-            "copying": self._result("copying", mean.median, mean.held_out_median, note),
-            "copying_low": self._result("copying_low", mean.low, mean.held_out_low, note),
+            key: self._result(key, value, float(np.mean(owns)), note) for key, value, owns in pairs
         }
 
     def _splits(self) -> list[tuple[list[Motion], list[Motion]]]:
