@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from audio_features.acoustic.effort import Effort
 from audio_features.acoustic.extractors import (
     MFCC,
     AcousticExtractor,
@@ -28,6 +29,7 @@ LIGHT = {
     "prosody": Prosody,
     "onset": Onset,
     "liveliness": Liveliness,
+    "effort": Effort,
     "music": Music,
 }
 """Extractors that need no weights, by kind."""

@@ -43,12 +43,14 @@ class Melody:
         voicing: (T,) 0 to 1, periodicity at the fundamental; 0 in frames too quiet.
         energy: (T,) dB of the RMS over 50 ms, relative to active speech, at least -60.
         voiced: (T,) bool, true where `voicing` is high enough for a pitch to be meaningful.
+        f0: (T,) fundamental frequency, Hz; meaningful where voiced.
     """
 
     semitones: np.ndarray
     voicing: np.ndarray
     energy: np.ndarray
     voiced: np.ndarray
+    f0: np.ndarray
 
 
 class ShortTimeSpectrum:
@@ -86,7 +88,7 @@ class ShortTimeSpectrum:
         semitones = np.zeros_like(f0)
         if voiced.any():
             semitones[voiced] = 12.0 * np.log2(f0[voiced] / np.median(f0[voiced]))
-        return Melody(semitones, voicing, energy, voiced)
+        return Melody(semitones, voicing, energy, voiced, f0)
 
     @cached_property
     def power(self) -> np.ndarray:

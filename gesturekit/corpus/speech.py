@@ -115,6 +115,12 @@ class SpeechConditioner:
         """S, the number of features."""
         return self.extractor.dim
 
+    @property
+    def effort(self) -> tuple[int, ...]:
+        """Columns of vocal effort (`af.Effort`); empty without that extractor."""
+        names = self.extractor.names
+        return tuple(i for i, name in enumerate(names) if name.startswith("effort_"))
+
     def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
         """Return (T, S) float32 normalised features; T from the wave's length by default."""
         level = self.normalisation == "clip"

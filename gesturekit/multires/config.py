@@ -202,6 +202,36 @@ class StyleConfig:
             raise ConfigError(f"mixing: {self.mixing} must be between 0 and 1")
 
 
+@dataclass(frozen=True)
+class RecallConfig:
+    """Recall by speech: pieces of the training recordings, chosen by the speech, replace a level.
+
+    Not in the papers.
+    """
+
+    level: int = 4
+    """Level that is replaced, counted from 1 (coarsest); even, as levels are trained in pairs. The
+    finest level gives recorded motion alone (retrieval)."""
+    piece: float = 2.0
+    """Length of a piece, seconds."""
+    overlap: float = 0.4
+    """Length of the cross-fade between two pieces, seconds."""
+    parts: Literal["arms", "body"] = "arms"
+    """Choose pieces for each arm and for the rest of the body separately, or for the whole body."""
+    own_movement: float = 0.6
+    """Share of the recalled pieces' own arm movement in the targets of `losses.arm_speed` and
+    `losses.arm_acceleration`; the rest is what the speech predicts."""
+
+    def __post_init__(self) -> None:
+        check_positive(level=self.level, piece=self.piece, overlap=self.overlap)
+        if self.level % 2:
+            raise ConfigError(f"recall.level: {self.level} must be even: levels train in pairs")
+        if self.overlap >= self.piece:
+            raise ConfigError(f"recall.overlap: {self.overlap} must be below piece ({self.piece})")
+        if not 0 <= self.own_movement <= 1:
+            raise ConfigError(f"recall.own_movement: {self.own_movement} must be from 0 to 1")
+
+
 @dataclass(frozen=True, kw_only=True)
 class MultiresConfig(RunConfig):
     """Settings of a multires training run, with or without speech and style conditions."""
@@ -234,6 +264,9 @@ class MultiresConfig(RunConfig):
     """Style conditions; null trains a model without."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Generators and discriminators."""
+    recall: RecallConfig | None = None
+    """Recall by speech; null generates all levels, as in the papers. The model folder then holds
+    the training motion at that level."""
     losses: LossConfig = field(default_factory=LossConfig)
     """Weights of the losses."""
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -256,6 +289,10 @@ class MultiresConfig(RunConfig):
         super().__post_init__()
         check_not_negative(z_star_shuffle=self.z_star_shuffle)
         check_positive(noise_levels=self.noise_levels, contact_threshold=self.contact_threshold)
+        if self.recall is not None and self.recall.level > self.network.levels:
+            raise ConfigError(
+                f"recall.level: {self.recall.level} is above network.levels {self.network.levels}"
+            )
 
     @property
     def uses_arm_speed(self) -> bool:

@@ -38,6 +38,12 @@ class MultiresControls(Controls):
     keep: Mapping[float, str | Path | Motion] | None = None
     """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
     position; the model generates the motion before, between and after them (in-betweening)."""
+    recall: bool | None = None
+    """Recall pieces of the training recordings, chosen by the speech (--no-recall: generate all
+    levels from noise). By default a model recalls if it was trained to."""
+    liveliness: float = 1.0
+    """Amount of hand movement that is asked for: below 1 calmer, above 1 livelier than the speech
+    asks for, about from 0.5 to 1.5. For models that recall."""
 
 
 class MultiresControlArguments(ControlArguments, total=False):
@@ -48,3 +54,5 @@ class MultiresControlArguments(ControlArguments, total=False):
     keyframes: str | Path | Motion | None
     keyframe_level: int
     keep: Mapping[float, str | Path | Motion] | None
+    recall: bool | None
+    liveliness: float

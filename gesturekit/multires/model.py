@@ -84,6 +84,7 @@ class MultiresModel(TrainedModel):
             conditions=self.conditions,
             noise=self.noise.source(self.styles),
             fastest=self.fastest,
+            library=None if asked.recall is False else self.library,
         )
         # One at a time: batching changes the order of sums, and the last digits of a sample would
         # depend on the number of samples.

@@ -14,6 +14,11 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.recall.library_format import (
+    library_tensors,
+    library_values,
+    load_library,
+)
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.trained_model import TrainedModel, TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import Normaliser
@@ -41,6 +46,7 @@ def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], di
         "noise_levels": noise.noise_levels,
         "network": to_dict(model.network_config),
         "sequences": {name: asdict(sequence) for name, sequence in noise.sequences.items()},
+        "recall": None if model.library is None else library_values(model.library),
         "fastest": model.fastest,
         "smooth": model.smooth,
     }
@@ -51,6 +57,7 @@ def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], di
         "motion.mean": model.normaliser.mean,
         "motion.scale": model.normaliser.scale,
         **conditioner_tensors(conditioner),
+        **({} if model.library is None else library_tensors(model.library)),
     }
     return config, rig_values(model.representation, model.speakers), tensors
 
@@ -69,6 +76,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         conditioner,
         tuple(map(str, config.get("styles", ()))),
         bool(features and features["residual"]),
+        bool(config.get("recall")),
     )
     network_config = build(NetworkConfig, config["network"], where=where)
     network = MultiresGenerator(representation, conditions.width, network_config)
@@ -93,6 +101,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         "network_config": network_config,
         "network": network.eval(),
         "noise": noise,
+        "library": load_library(config, parts, representation, network_config.levels),
         "fastest": None if fastest is None else float(fastest),
     }
 

@@ -12,6 +12,7 @@ from gesturekit.model import Inputs
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource, ZStarPatches
 from gesturekit.multires.training.data import Normaliser
@@ -70,6 +71,7 @@ class TrainedModel(BaseModel):
         network_config: architecture of the pyramid.
         network: the generators.
         noise: the model's noise.
+        library: recordings that are recalled; None for a model without recall.
         fastest: m/s over the ground in the fastest second of the training; None if unknown.
     """
 
@@ -81,6 +83,7 @@ class TrainedModel(BaseModel):
     network_config: NetworkConfig
     network: MultiresGenerator
     noise: TrainedNoise
+    library: RecallLibrary | None = None
     fastest: float | None = None
 
     @property

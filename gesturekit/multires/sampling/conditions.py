@@ -27,16 +27,26 @@ class Conditions:
         conditioner: turns waves into speech features; None for a model without speech input.
         styles: names of the K styles; empty for a model without styles.
         residual: give finer levels only the detail that coarser ones lack (section 5).
+        recalls: columns of vocal effort are for recall only, and not for the network.
     """
 
     conditioner: SpeechConditioner | None = None
     styles: tuple[str, ...] = ()
     residual: bool = False
+    recalls: bool = False
 
     @property
     def width(self) -> int:
         """S + K, the channels of a condition."""
-        return len(self.styles) + (0 if self.conditioner is None else self.conditioner.dim)
+        return len(self.styles) + len(self.columns)
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of the speech features that the network gets."""
+        if self.conditioner is None:
+            return []
+        hidden = self.conditioner.effort if self.recalls else ()
+        return [i for i in range(self.conditioner.dim) if i not in hidden]
 
     def of_motion(
         self, speech: np.ndarray, lengths: Sequence[int], styles: Sequence[Tensor]
@@ -44,7 +54,7 @@ class Conditions:
         """Return the `LevelConditions` of one motion, or None for a model without conditions."""
         if not speech.shape[1] and not styles:
             return None
-        return LevelConditions(speech, lengths, self.residual, styles)
+        return LevelConditions(speech[:, self.columns], lengths, self.residual, styles)
 
 
 def condition_levels(

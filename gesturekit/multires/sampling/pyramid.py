@@ -11,6 +11,7 @@ from torch import Tensor
 from gesturekit.errors import ModelError
 from gesturekit.multires.constraints.constraint import Constraint, normalised, plain_values
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.conditions import LevelConditions
 from gesturekit.multires.sampling.noise import NoiseSource
 from gesturekit.multires.sampling.tiling import sample
@@ -27,6 +28,9 @@ class Pyramid:
         condition: conditions of each level; None for a model without any.
         noise: source of noise; None if noise is only given.
         rng_of: random generator of a level, by its index; a new one at each call.
+        recalled: (1, D, T_i) normalised motion that replaces a level in random motions; None to
+            generate all levels.
+        recalled_level: index of that level.
     """
 
     def __init__(
@@ -37,22 +41,42 @@ class Pyramid:
         condition: LevelConditions | None,
         noise: NoiseSource | None = None,
         rng_of: Callable[[int], torch.Generator] | None = None,
+        recalled: Tensor | None = None,
+        recalled_level: int = 0,
     ) -> None:
         self.network, self.normaliser, self.lengths = network, normaliser, lengths
         self.condition, self.noise, self.rng_of = condition, noise, rng_of
+        self.recalled, self.recalled_level = recalled, recalled_level
 
     def random(
         self, *, levels: int | None = None, constraint: Constraint | None = None
     ) -> np.ndarray:
-        """Return the output (T_i, D) of the first `levels` levels, all by default, from noise.
+        """Return the output (T_i, D) of the first `levels` levels, all by default.
+
+        The first level gets noise, or a coarse level is recalled.
 
         Raises:
             ModelError: the output is not finite.
         """
         lengths = self.lengths[:levels]
+        if self.recalled is not None:
+            return self._above_recalled(lengths, constraint)
         noises = self.noise.gaussian(lengths, self.rng_of)
         noises[0] = self.noise.shuffled(noises[0], [self._coarsest_styles()], self.rng_of(0))
         return self._sampled(noises, lengths, constraint=constraint)
+
+    def _above_recalled(
+        self, lengths: Sequence[int], constraint: Constraint | None
+    ) -> np.ndarray:
+        """Return the output (T_i, D) of the last of these levels, above the recalled one."""
+        first, coarser = self.recalled_level + 1, self.recalled
+        if len(lengths) < first:
+            return plain_values(self.normaliser, resample(coarser, lengths[-1]))
+        if constraint is not None:
+            coarser = constraint(self.recalled_level, coarser)
+        lengths = lengths[first:]
+        noises = self.noise.gaussian(lengths, self.rng_of, first=first)
+        return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
 
     def from_noise(self, noise: Tensor) -> np.ndarray:
         """Return the output (T, D) of all levels from noise (1, 1 or D, T_1) at the first only."""

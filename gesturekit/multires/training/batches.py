@@ -10,6 +10,7 @@ from torch import Tensor
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.skeleton_conv import Convolve
+from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.window_cache import WindowCache, Windows
 from gesturekit.training.seeds import rng_for
@@ -24,6 +25,7 @@ class Batches:
         network: its levels below the stage generate what the stage upsamples.
         first: index of the stage's coarser level.
         convolve: convolution of the backend.
+        library: recordings that are recalled; None without recall.
     """
 
     def __init__(
@@ -33,11 +35,12 @@ class Batches:
         network: MultiresGenerator,
         first: int,
         convolve: Convolve,
+        library: RecallLibrary | None = None,
     ) -> None:
         self.training = config.training
         self.seed = config.seed
         self.first = first
-        self.bank = WindowCache(data, config, network, convolve)
+        self.bank = WindowCache(data, config, network, convolve, library)
         self.size = config.training.windows_per_step
         self.sequences = {
             n_frames: [data.paired[i] for i in members]

@@ -22,6 +22,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
     conditioner_tensors,
@@ -98,6 +99,7 @@ class PairedSequence:
         z_star: noise at level 1 from which this recording is reconstructed, (T_1,), or (D, T_1)
             with separate noise for each channel.
         style: index among the corpus's styles; 0 without styles.
+        speaker: its speaker; None if the corpus names none.
     """
 
     TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star")
@@ -108,6 +110,7 @@ class PairedSequence:
     sigma: Tensor
     z_star: Tensor
     style: int = 0
+    speaker: str | None = None
 
     @property
     def n_frames(self) -> int:
@@ -124,6 +127,7 @@ class PairedSequence:
         seed: int,
         *,
         style: int = 0,
+        speaker: str | None = None,
         full_noise: bool = False,
     ) -> PairedSequence:
         """Make a sequence; its noise depends on the seed and the name only."""
@@ -134,7 +138,7 @@ class PairedSequence:
             noise = torch.randn(len(motion), n_coarsest, generator=rng)
         else:
             noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
-        return cls(name, motion, speech, sigma, noise, style)
+        return cls(name, motion, speech, sigma, noise, style, speaker)
 
     def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
         """Return the noise (1 or D, T_1) of the window that starts at this full-rate frame."""
@@ -204,6 +208,7 @@ class TrainingData:
             "features": None if self.conditioner is None else conditioner_values(self.conditioner),
             "styles": list(self.styles),
             "style_of": [sequence.style for sequence in self.paired],
+            "speaker_of": [sequence.speaker for sequence in self.paired],
             "sources": to_values(self.sources),
             "window": self.window,
             "recorded_fps": self.recorded_fps,
@@ -221,14 +226,17 @@ class TrainingData:
         """
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
+            # Runs of older versions have no speakers of recordings.
+            speakers = about.get("speaker_of", [None] * len(about["names"]))
             paired = tuple(
                 PairedSequence(
                     name,
                     *(tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS),
                     style,
+                    speaker,
                 )
-                for i, (name, style) in enumerate(
-                    zip(about["names"], about["style_of"], strict=True)
+                for i, (name, style, speaker) in enumerate(
+                    zip(about["names"], about["style_of"], speakers, strict=True)
                 )
             )
             unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
@@ -258,6 +266,11 @@ class TrainingData:
     def n_speech(self) -> int:
         """Return S, the number of speech features; 0 without speech input."""
         return self.silence.shape[0]
+
+    def conditions(self, config: MultiresConfig) -> Conditions:
+        """Return the inputs of the model beside noise."""
+        recalls = config.recall is not None
+        return Conditions(self.conditioner, self.styles, config.residual, recalls)
 
     def style_shares(self, sequences: Sequence[PairedSequence]) -> Tensor:
         """Return the frames of each style (K,) in these sequences: its weight in random draws."""

@@ -68,6 +68,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
                 config.network.levels,
                 config.seed,
                 style=style,
+                speaker=item.speaker,
                 full_noise=config.z_star == "full",
             )
         )

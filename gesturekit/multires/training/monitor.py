@@ -103,6 +103,7 @@ class Monitor:
         if self.data.styles:
             same = torch.full((1, len(lengths)), sequence.style)
             styles = style_levels(same, len(self.data.styles), lengths)
+        speech = speech[:, self.data.conditions(self.config).columns]
         conditions = condition_levels(speech, lengths, self.config.residual, styles)
         rng = rng_for(self.config.seed, "monitor", number)
         noises = self.noise.gaussian(lengths[:levels], lambda _: rng)

@@ -17,7 +17,13 @@ from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.styles import agreed_style
-from gesturekit.multires.training.arm_speed import ArmTarget, arm_targets, log_movement
+from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.training.arm_speed import (
+    ArmTarget,
+    arm_targets,
+    log_movement,
+    recorded_movement,
+)
 from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.detail import DetailTarget, detail_targets
@@ -37,6 +43,7 @@ class Stage:
         processes: that share each batch.
         first: index of the coarser level.
         iterations: of this stage.
+        library: recordings that are recalled; None without recall.
     """
 
     def __init__(
@@ -47,6 +54,7 @@ class Stage:
         processes: Processes,
         first: int,
         iterations: int,
+        library: RecallLibrary | None = None,
     ) -> None:
         self.config = config
         self.network = network
@@ -68,7 +76,7 @@ class Stage:
         ).to(self.device)
         requested = requested_backend(config.backend)
         self.backend = choose_backend(requested, self.generators, self.discriminators)
-        self.batches = Batches(data, config, network, first, self.backend.convolve)
+        self.batches = Batches(data, config, network, first, self.backend.convolve, library)
         rate, betas = config.training.learning_rate, config.training.betas
         self.optimisers = {
             name: torch.optim.Adam(networks.parameters(), lr=rate, betas=betas, fused=True)
@@ -278,6 +286,12 @@ class Stage:
         if self.targets:
             pairs = zip(self.targets, windows.speech, strict=True)
             aims = self._within([target(speech) for target, speech in pairs], n_frames)
+            if windows.recalled is not None:
+                share = self.config.recall.own_movement
+                for i, motion in enumerate(self._within(windows.recalled, n_frames)):
+                    values, stride = self.normaliser.inverse(motion), n_frames / motion.shape[-1]
+                    own = recorded_movement(self.kinematics, values, stride)
+                    aims[i] = share * own + (1 - share) * aims[i]
 
         def of_level(i: int) -> Batch:
             motion, level = within[i], self.first + i

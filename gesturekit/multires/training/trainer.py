@@ -18,7 +18,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second, plain_values
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.sampling.conditions import Conditions
+from gesturekit.multires.recall.building import build_library
 from gesturekit.multires.trained_model import TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
@@ -110,10 +110,11 @@ class Trainer:
             (config.seed, "generator"),
             lambda: MultiresGenerator(
                 self.data.representation,
-                self.data.n_speech + len(self.data.styles),
+                self.data.conditions(config).width,
                 config.network,
             ),
         ).to(device)
+        self.library = build_library(self.data, config)
         watched = config.eval_every and processes.is_first
         convolve = choose_backend(requested_backend(config.backend), self.network).convolve
         self.monitor = Monitor(self.data, config, convolve) if watched else None
@@ -184,7 +185,7 @@ class Trainer:
 
     def stage(self, first: int, iterations: int) -> Stage:
         """Return the stage that begins with this level, its networks untrained."""
-        return Stage(self.config, self.data, self.network, self.processes, first, iterations)
+        return Stage(self.config, self.data, self.network, self.processes, first, iterations, self.library)
 
     def run(self) -> Path:
         """Train all stages, or those that are left, and write the model."""
@@ -291,7 +292,8 @@ class Trainer:
             fps=self.config.fps,
             representation=self.data.representation,
             normaliser=self.data.normaliser,
-            conditions=Conditions(self.data.conditioner, self.data.styles, self.config.residual),
+            conditions=self.data.conditions(self.config),
+            library=self.library,
             network_config=self.config.network,
             network=network.cpu().eval(),
             noise=TrainedNoise(

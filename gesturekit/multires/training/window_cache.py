@@ -19,6 +19,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
+from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
 from gesturekit.multires.sampling.conditions import condition_levels
 from gesturekit.multires.sampling.noise import NoiseSource, ZStarPatches
 from gesturekit.multires.sampling.styles import mixed_styles, style_levels
@@ -38,6 +39,8 @@ class Windows:
             steps; None if it is not used.
         targets: (N, D, T_i) recorded motion; None for random steps.
         styles: (N, L) number of the style at each level of the pyramid; 0 without styles.
+        recalled: (N, D, T_i) recorded motion of the pieces that were recalled, for random steps;
+            None at levels without recall.
     """
 
     coarser: Tensor | None
@@ -46,6 +49,7 @@ class Windows:
     speech: tuple[Tensor, ...] | None
     targets: tuple[Tensor, ...] | None
     styles: Tensor
+    recalled: tuple[Tensor, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.styles)
@@ -63,6 +67,7 @@ class Windows:
             speech=None if self.speech is None else chosen(self.speech),
             targets=None if self.targets is None else chosen(self.targets),
             styles=self.styles[index],
+            recalled=None if self.recalled is None else chosen(self.recalled),
         )
 
 
@@ -75,13 +80,16 @@ class WindowCache:
         config: MultiresConfig,
         network: MultiresGenerator,
         convolve: Convolve = convolve_dense,
+        library: RecallLibrary | None = None,
     ) -> None:
         self.data = data
+        self.library = library
         self.config = config
         self.network = network
         self.convolve = convolve
         self.device = next(network.parameters()).device
         self.noise = noise_source(data, config, config.network.levels)
+        self.columns = data.conditions(config).columns
 
     def random(
         self,
@@ -116,7 +124,24 @@ class WindowCache:
             )
         coarsest = styles[:, :1].expand(-1, lengths[0]).tolist()
         noises[0] = self.noise.shuffled(noises[0], coarsest, rng)
-        return self._windows(n_frames, first, speech, styles, noises, None)
+        recalled = None
+        if self.library is not None and first >= self.library.level:
+            recalled = self._recalled(speech, styles, rng)
+        return self._windows(n_frames, first, speech, styles, noises, None, recalled)
+
+    def _recalled(
+        self, speech: Tensor, styles: Tensor, rng: torch.Generator
+    ) -> list[RecalledMotion]:
+        """Return the recalled pieces for windows of speech (N, S, T) with styles (N, L)."""
+        level = self.library.level
+        wanted = [None] * len(speech)
+        if self.data.styles:
+            n = af.level_lengths(speech.shape[-1], self.config.network.levels)[level - 1]
+            wanted = styles[:, level - 1, None].expand(-1, n).numpy()
+        return [
+            self.library.recall(window.numpy(), lambda _: rng, styles=own)
+            for window, own in zip(speech, wanted, strict=True)
+        ]
 
     def paired(
         self,
@@ -190,17 +215,19 @@ class WindowCache:
         styles: Tensor,
         noises: list[Tensor | None],
         motion: Tensor | None,
+        recalled: Sequence[RecalledMotion] | None = None,
     ) -> Windows:
         """Return windows of T frames with the output of the levels coarser than `first`.
 
         `speech` is (N, S, T), `styles` (N, L), each of `noises` (N, 1 or D, T_i), `motion` (N, D,
-        T).
+        T). `recalled` (N) or the recorded `motion` replaces the recalled level.
         """
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         one_hot = []
         if self.data.styles:
             one_hot = style_levels(styles, len(self.data.styles), lengths)
-        conditions = condition_levels(speech, lengths, self.config.residual, one_hot)
+        heard = speech[:, self.columns]
+        conditions = condition_levels(heard, lengths, self.config.residual, one_hot)
         to = self.device
         conditions = [level.to(to) for level in conditions]
         noises = [None if noise is None else noise.to(to) for noise in noises]
@@ -208,17 +235,22 @@ class WindowCache:
         if first and motion is not None and self.config.losses.rec_input == "real":
             coarser = resample(motion.to(to), lengths[first - 1])
         elif first:
-            coarser = torch.cat(
-                [
-                    self.network(
-                        [None if noise is None else noise[part] for noise in noises[:first]],
-                        [level[part] for level in conditions[:first]],
-                        lengths=lengths[:first],
-                        convolve=self.convolve,
-                    )[-1]
-                    for part in _batches(len(speech), self.config.training.batch)
-                ]
-            )
+            start, given = self._start(first, lengths, motion, recalled)
+            coarser = given
+            if start < first:
+                coarser = torch.cat(
+                    [
+                        self.network(
+                            [None if n is None else n[part] for n in noises[start:first]],
+                            [level[part] for level in conditions[start:first]],
+                            first=start,
+                            coarser=None if given is None else given[part],
+                            lengths=lengths[start:first],
+                            convolve=self.convolve,
+                        )[-1]
+                        for part in _batches(len(speech), self.config.training.batch)
+                    ]
+                )
         here = slice(first, first + 2)
         return Windows(
             coarser=coarser,
@@ -231,6 +263,34 @@ class WindowCache:
             if motion is None
             else tuple(resample(motion.to(to), n) for n in lengths[here]),
             styles=styles.to(to),
+            recalled=None if recalled is None else self._recorded(recalled, lengths[here]),
+        )
+
+    def _start(
+        self,
+        first: int,
+        lengths: Sequence[int],
+        motion: Tensor | None,
+        recalled: Sequence[RecalledMotion] | None,
+    ) -> tuple[int, Tensor | None]:
+        """Return the first level to generate, and what replaces the level below it, if anything."""
+        if self.library is None or first < self.library.level:
+            return 0, None
+        level = self.library.level
+        if motion is not None:
+            return level, resample(motion.to(self.device), lengths[level - 1])
+        recordings = [recording.motion for recording in self.library.recordings]
+        vectors = [choice.vectors(recordings, lengths[level - 1]) for choice in recalled]
+        return level, torch.stack(vectors).to(self.device)
+
+    def _recorded(
+        self, recalled: Sequence[RecalledMotion], lengths: Sequence[int]
+    ) -> tuple[Tensor, ...]:
+        """Return recalled pieces as recorded, (N, D, T_i) for each length."""
+        motions = [sequence.motion for sequence in self.data.paired]
+        return tuple(
+            torch.stack([choice.vectors(motions, n) for choice in recalled]).to(self.device)
+            for n in lengths
         )
 
 

@@ -1,0 +1,82 @@
+"""Building of the recall library from the training recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+import audio_features as af
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary, averaged
+from gesturekit.multires.recall.parts import motion_parts, movements
+from gesturekit.multires.recall.wanted import WantedMovement, slow_part
+from gesturekit.multires.training.data import TrainingData
+
+
+def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary | None:
+    """Return the recall library of a run; None without `recall`."""
+    settings, fps, levels = config.recall, config.fps, config.network.levels
+    if settings is None:
+        return None
+    representation, sequences = data.representation, data.paired
+    parts = motion_parts(representation, settings.parts == "arms")
+    moved = [
+        movements(
+            parts, representation, fps, data.normaliser.inverse(sequence.motion[None])[0]
+        )
+        for sequence in sequences
+    ]
+    every = [np.mean(of_parts, axis=0) for of_parts in moved]
+    goals = [np.concatenate(curves) for curves in _with_slow(every, fps)]
+    mean = float(goals[0].mean())
+    spread = np.array([max(goal.std(), 1e-3) for goal in goals])
+    goals = [(goal - mean) / width for goal, width in zip(goals, spread, strict=True)]
+    profiles: list[list[np.ndarray]] = [[] for _ in sequences]
+    for i in range(len(parts)):
+        for curves, goal in zip(_with_slow([m[i] for m in moved], fps), goals, strict=True):
+            own = np.concatenate(curves)
+            for of_sequence, curve in zip(profiles, curves, strict=True):
+                of_sequence.append(_mapped(curve, own, goal))
+    recordings = []
+    for sequence, rows in zip(sequences, profiles, strict=True):
+        n = af.level_lengths(sequence.n_frames, levels)[settings.level - 1]
+        recordings.append(
+            RecalledRecording(
+                resample(sequence.motion[None], n)[0].contiguous(),
+                torch.from_numpy(averaged(np.stack(rows), n)).float(),
+                sequence.speaker,
+                sequence.style,
+            )
+        )
+    wanted = None
+    if data.conditioner is not None:
+        speeches = [sequence.speech.numpy() for sequence in sequences]
+        wanted = WantedMovement.fit(speeches, every, fps, data.conditioner.effort)
+    return RecallLibrary(
+        settings.level,
+        levels,
+        fps,
+        settings.piece,
+        settings.overlap,
+        parts,
+        tuple(recordings),
+        spread,
+        mean,
+        wanted,
+    )
+
+
+def _with_slow(
+    curves: Sequence[np.ndarray], fps: float
+) -> tuple[Sequence[np.ndarray], Sequence[np.ndarray]]:
+    """Return movement curves (T_k,) and their slow parts."""
+    return curves, [slow_part(curve, fps) for curve in curves]
+
+
+def _mapped(curve: np.ndarray, own: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Map a curve from the distribution of `own` values to that of `goal`, by quantiles."""
+    shares = np.linspace(0, 1, 101)
+    return np.interp(curve, np.quantile(own, shares), np.quantile(goal, shares))

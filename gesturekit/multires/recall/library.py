@@ -1,0 +1,175 @@
+"""Recall library: training recordings at one level, and the choice of their pieces for speech."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import audio_features as af
+from gesturekit.multires.recall.parts import MotionPart
+from gesturekit.multires.recall.pieces import Pieces
+from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
+from gesturekit.multires.recall.wanted import WantedMovement
+
+_LIVELINESS = 1.0
+"""Slow movement, a log speed, asked for at liveliness e above that at liveliness 1."""
+
+
+@dataclass(frozen=True)
+class RecalledRecording:
+    """A training recording as it is recalled.
+
+    Attributes:
+        motion: (D, T_l) normalised motion vectors at the recalled level.
+        profiles: (2 P, T_l) movement of each part and its slow part, in standard deviations.
+        speaker: its speaker; None if the corpus names none.
+        style: number of its style; 0 without styles.
+    """
+
+    motion: Tensor
+    profiles: Tensor
+    speaker: str | None = None
+    style: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class RecalledMotion:
+    """The pieces of each part of the body, for one motion.
+
+    Attributes:
+        parts: of the body.
+        pieces: of each part.
+        lengths: frames of each recording at the recalled level.
+    """
+
+    parts: tuple[MotionPart, ...]
+    pieces: tuple[Pieces, ...]
+    lengths: tuple[int, ...]
+
+    def vectors(self, motions: Sequence[Tensor], n_frames: int) -> Tensor:
+        """Return motion vectors (D, n_frames) from those of the recordings, (D, T_k) at any rate."""
+        result = motions[0].new_zeros(len(motions[0]), n_frames)
+        for part, pieces in zip(self.parts, self.pieces, strict=True):
+            chosen = [motion[part.columns] for motion in motions]
+            result[part.columns] = pieces.blend(chosen, self.lengths, n_frames)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class RecallLibrary:
+    """Training recordings at the recalled level, and what speech asks for.
+
+    Attributes:
+        level: that is recalled, counted from 1 (coarsest).
+        levels: L, of the pyramid.
+        fps: frames per second of the finest level.
+        piece: length of a piece, seconds.
+        overlap: length of the cross-fade between two pieces, seconds.
+        parts: of the body, recalled separately.
+        recordings: at least one.
+        spread: (2,) standard deviation of movement and of its slow part, log m/s.
+        mean: mean movement, log m/s.
+        wanted: prediction of movement from speech; None for a model without speech input.
+        weights: of the choice.
+    """
+
+    level: int
+    levels: int
+    fps: float
+    piece: float
+    overlap: float
+    parts: tuple[MotionPart, ...]
+    recordings: tuple[RecalledRecording, ...]
+    spread: np.ndarray
+    mean: float
+    wanted: WantedMovement | None
+    weights: ChoiceWeights = ChoiceWeights()
+
+    @cached_property
+    def lengths(self) -> tuple[int, ...]:
+        """Frames of each recording at the recalled level."""
+        return tuple(recording.motion.shape[-1] for recording in self.recordings)
+
+    @cached_property
+    def level_fps(self) -> float:
+        """Frames per second of the recalled level."""
+        return self.fps * 0.75 ** (self.levels - self.level)
+
+    @cached_property
+    def searches(self) -> tuple[PieceSearch, ...]:
+        """One search for each part."""
+        piece = max(2, round(self.piece * self.level_fps))
+        overlap = max(1, round(self.overlap * self.level_fps))
+        return tuple(
+            PieceSearch(
+                [recording.motion[part.columns].T.numpy() for recording in self.recordings],
+                [recording.profiles[2 * i : 2 * i + 2].T.numpy() for recording in self.recordings],
+                piece,
+                overlap,
+                self.weights,
+            )
+            for i, part in enumerate(self.parts)
+        )
+
+    def recall(
+        self,
+        speech: np.ndarray,
+        rng_of: Callable[[str], torch.Generator],
+        *,
+        liveliness: float = 1.0,
+        speaker: str | None = None,
+        styles: np.ndarray | None = None,
+    ) -> RecalledMotion:
+        """Choose the pieces of a motion.
+
+        Args:
+            speech: (S, T) features at the finest level; S is 0 without speech input.
+            rng_of: random generator of a part, by its name.
+            liveliness: 1 asks for the movement that the speech predicts; e for a log more.
+            speaker: of whose recordings pieces are taken, if there are any; None for all.
+            styles: (T_l,) number of the style in each frame of the level; None for any.
+        """
+        n_frames = af.level_lengths(speech.shape[1], self.levels)[self.level - 1]
+        profile = np.full((n_frames, 2), np.nan)
+        if self.wanted is not None:
+            asked = self.wanted(speech) + _LIVELINESS * math.log(liveliness)
+            profile = averaged((asked - self.mean) / self.spread[:, None], n_frames).T
+        elif liveliness != 1.0:
+            profile[:, 1] = _LIVELINESS * math.log(liveliness) / self.spread[1]
+        allowed = self._allowed(n_frames, speaker, styles)
+        pieces = [
+            search.choose(profile, rng_of(part.name), allowed)
+            for part, search in zip(self.parts, self.searches, strict=True)
+        ]
+        return RecalledMotion(self.parts, tuple(pieces), self.lengths)
+
+    def _allowed(
+        self, n_frames: int, speaker: str | None, styles: np.ndarray | None
+    ) -> np.ndarray | None:
+        """Return (T, K) the recordings allowed in each frame; None for all."""
+        long_enough = np.array(self.lengths) >= self.searches[0].piece
+        allowed = np.ones((n_frames, len(self.recordings)), bool)
+        if styles is not None:
+            own = np.array([recording.style for recording in self.recordings])
+            allowed &= own == np.asarray(styles)[:, None]
+        if speaker is not None:
+            theirs = np.array([recording.speaker == speaker for recording in self.recordings])
+            if (theirs & long_enough).any():
+                allowed &= theirs
+        # A style without a recording as long as a piece is recalled from all.
+        allowed[~(allowed & long_enough).any(axis=1)] = True
+        return None if allowed.all() else allowed
+
+
+def averaged(curves: np.ndarray, n_frames: int) -> np.ndarray:
+    """Return curves (C, T) averaged over each of `n_frames` equal parts of their duration."""
+    total = np.concatenate([np.zeros((len(curves), 1)), np.cumsum(curves, axis=1)], axis=1)
+    edges = np.linspace(0, curves.shape[1], n_frames + 1)
+    at = np.arange(curves.shape[1] + 1)
+    return np.stack([np.diff(np.interp(edges, at, row)) for row in total]) / np.diff(edges)

@@ -1,0 +1,101 @@
+"""Recall library in a model folder: plain values and tensors, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
+from gesturekit.multires.recall.parts import motion_parts
+from gesturekit.multires.recall.wanted import Regression, WantedMovement
+from gesturekit.training.model_folder import ModelParts
+
+_VALUES = ("level", "piece", "overlap", "mean")
+_CURVES = ("motion", "profiles")
+_REGRESSION = ("mean", "weights", "offset", "predicted", "recorded", "r")
+_DISTRIBUTION = ("predicted", "recorded")
+
+
+def library_values(library: RecallLibrary) -> dict[str, Any]:
+    """Return the plain values of a library."""
+    wanted = library.wanted
+    return {
+        **{name: getattr(library, name) for name in _VALUES},
+        "separate": len(library.parts) > 1,
+        "recordings": [[part.speaker, part.style] for part in library.recordings],
+        "effort": None if wanted is None else list(wanted.effort),
+    }
+
+
+def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
+    """Return the tensors of a library by name."""
+    tensors = {"recall.spread": torch.from_numpy(library.spread)}
+    for i, recording in enumerate(library.recordings):
+        for name in _CURVES:
+            tensors[f"recall.{i}.{name}"] = getattr(recording, name).contiguous()
+    wanted = library.wanted
+    if wanted is None:
+        return tensors
+    if wanted.basis is not None:
+        tensors["recall.basis"] = torch.from_numpy(np.ascontiguousarray(wanted.basis))
+    for name in _DISTRIBUTION:
+        tensors[f"recall.{name}"] = _tensor(getattr(wanted, name))
+    for part in ("fast", "slow"):
+        for name in _REGRESSION:
+            tensors[f"recall.{part}.{name}"] = _tensor(getattr(getattr(wanted, part), name))
+    return tensors
+
+
+def load_library(
+    config: Mapping[str, Any],
+    parts: ModelParts,
+    representation: MultiresRepresentation,
+    levels: int,
+) -> RecallLibrary | None:
+    """Read what `library_values` and `library_tensors` wrote; None for a model without recall."""
+    values = config.get("recall")
+    # Models of earlier versions have a number here: the length of z* patches.
+    if not isinstance(values, dict):
+        return None
+    tensors, fps = parts.tensors, float(config["fps"])
+    recordings = tuple(
+        RecalledRecording(*(tensors[f"recall.{i}.{name}"] for name in _CURVES), speaker, int(style))
+        for i, (speaker, style) in enumerate(values["recordings"])
+    )
+    wanted = None
+    if values["effort"] is not None:
+        basis = tensors.get("recall.basis")
+        wanted = WantedMovement(
+            fps,
+            tuple(map(int, values["effort"])),
+            None if basis is None else basis.numpy(),
+            _regression(tensors, "fast"),
+            _regression(tensors, "slow"),
+            *(tensors[f"recall.{name}"].numpy() for name in _DISTRIBUTION),
+        )
+    return RecallLibrary(
+        level=int(values["level"]),
+        levels=levels,
+        fps=fps,
+        piece=float(values["piece"]),
+        overlap=float(values["overlap"]),
+        parts=motion_parts(representation, bool(values["separate"])),
+        recordings=recordings,
+        spread=tensors["recall.spread"].numpy(),
+        mean=float(values["mean"]),
+        wanted=wanted,
+    )
+
+
+def _regression(tensors: Mapping[str, Tensor], part: str) -> Regression:
+    arrays = {name: tensors[f"recall.{part}.{name}"].numpy() for name in _REGRESSION}
+    return Regression(**{**arrays, "offset": float(arrays["offset"]), "r": float(arrays["r"])})
+
+
+def _tensor(value: Any) -> Tensor:
+    return torch.from_numpy(np.array(value, dtype=np.float64))

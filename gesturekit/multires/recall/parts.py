@@ -1,0 +1,128 @@
+"""Parts of the body that are recalled separately, and how much each moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.ndimage import gaussian_filter1d
+from torch import Tensor
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.parts import SIDES, find_parts
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.training.kinematics import VectorKinematics
+
+_FLOOR = 0.05
+"""Added to speeds before the logarithm, m/s on the reference body."""
+_SMOOTHING_SECONDS = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPart:
+    """Part of the body that is recalled on its own.
+
+    Attributes:
+        name: left, right, rest or body.
+        columns: (C,) columns of the motion vector.
+        joints: names of all the rig's joints that belong to it.
+        moving: names of the modelled joints whose speed is the part's movement.
+    """
+
+    name: str
+    columns: np.ndarray
+    joints: tuple[str, ...]
+    moving: tuple[str, ...]
+
+
+def motion_parts(representation: MultiresRepresentation, separate: bool) -> tuple[MotionPart, ...]:
+    """Return the parts of a rig: both arms and the rest, or the whole body.
+
+    Args:
+        representation: of the motion vectors.
+        separate: recall each arm on its own, where the arms are known and modelled.
+    """
+    skeleton, every = representation.skeleton, np.arange(representation.n_features)
+    hands = _hands(representation)
+    whole = MotionPart("body", every, tuple(skeleton.names), hands or representation.joints)
+    if not separate or len(hands) < 2:
+        return (whole,)
+    arms = []
+    for side, hand in zip(SIDES, hands, strict=True):
+        joints = _limb(skeleton, find_parts(skeleton).arms, side)
+        own = [representation.joint_columns(n) for n in representation.joints if n in joints]
+        columns = np.concatenate([every[part] for part in own])
+        arms.append(MotionPart(side, columns, joints, (hand,)))
+    taken = {name for arm in arms for name in arm.joints}
+    columns = np.setdiff1d(every, np.concatenate([arm.columns for arm in arms]))
+    others = tuple(name for name in skeleton.names if name not in taken)
+    return (*arms, MotionPart("rest", columns, others, hands))
+
+
+def _hands(representation: MultiresRepresentation) -> tuple[str, ...]:
+    """Return the last modelled joint of each arm; none if the arms are not known or modelled."""
+    try:
+        arms = find_parts(representation.skeleton).arms
+    except MotionError:
+        return ()
+    hands = []
+    for side in SIDES:
+        chain = [arms[side].wrist, arms[side].elbow]
+        known = [name for name in chain if name in representation.joints]
+        if not known or arms[side].shoulder not in representation.joints:
+            return ()
+        hands.append(known[0])
+    return tuple(hands)
+
+
+def _limb(skeleton: Skeleton, arms: dict, side: str) -> tuple[str, ...]:
+    """Return the joints of an arm: from the last joint that both arms hang on, downwards."""
+    ancestors = [
+        _ancestors(skeleton, skeleton.index(arms[other].shoulder)) for other in SIDES if other != side
+    ]
+    top = skeleton.index(arms[side].shoulder)
+    while skeleton.parents[top] >= 0 and skeleton.parents[top] not in ancestors[0]:
+        top = skeleton.parents[top]
+    return tuple(
+        name
+        for joint, name in enumerate(skeleton.names)
+        if joint == top or top in _ancestors(skeleton, joint)
+    )
+
+
+def _ancestors(skeleton: Skeleton, joint: int) -> set[int]:
+    found = set()
+    while (joint := skeleton.parents[joint]) >= 0:
+        found.add(joint)
+    return found
+
+
+def movements(
+    parts: Sequence[MotionPart],
+    representation: MultiresRepresentation,
+    fps: float,
+    values: Tensor,
+) -> list[np.ndarray]:
+    """Return each part's movement (T,): the smoothed log speed of its hands, relative to the root.
+
+    Args:
+        parts: of the rig.
+        representation: of the motion vectors.
+        fps: frames per second.
+        values: (D, T) motion vectors in their own units.
+    """
+    kinematics = VectorKinematics(representation, fps, arms=False)
+    with torch.no_grad():
+        places = kinematics.places(values[None])[0].double().numpy()
+    places = places - places[:1]
+    if places.shape[-1] > 1:
+        velocity = gaussian_filter1d(np.gradient(places, 1 / fps, axis=-1), 1.0, axis=-1)
+    else:
+        velocity = np.zeros_like(places)
+    speed = np.log(np.linalg.norm(velocity, axis=1) + _FLOOR)
+    smooth = gaussian_filter1d(speed, _SMOOTHING_SECONDS * fps, axis=-1, mode="nearest")
+    joints = representation.joints
+    return [smooth[[joints.index(name) for name in part.moving]].mean(axis=0) for part in parts]

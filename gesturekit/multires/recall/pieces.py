@@ -1,0 +1,76 @@
+"""Pieces of recordings, in the order and at the times at which they make up a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Consecutive pieces of recordings, each cross-faded into the next.
+
+    All numbers are in frames of the recalled level.
+
+    Attributes:
+        recordings: (N,) index of each piece's recording.
+        starts: (N,) first frame of each piece in its recording.
+        hop: frames from the start of one piece to the start of the next.
+        overlap: frames of the cross-fade between two pieces.
+        n_frames: length of the motion, at most `N * hop + overlap`.
+    """
+
+    recordings: np.ndarray
+    starts: np.ndarray
+    hop: int
+    overlap: int
+    n_frames: int
+
+    def borders(self) -> np.ndarray:
+        """Return (N - 1,) frames, fractional, in the middle of each cross-fade."""
+        return np.arange(1, len(self.starts)) * self.hop + self.overlap / 2
+
+    def blend(self, curves: Sequence[Tensor], lengths: Sequence[int], n_frames: int) -> Tensor:
+        """Return the curves (C, n_frames) of this motion.
+
+        Args:
+            curves: (C, T_k) of each recording, at any frame rate.
+            lengths: frames of each recording at the recalled level.
+            n_frames: frames of the result, at any frame rate.
+        """
+        # Every rate divides the duration into equal frames (`af.level_lengths`).
+        time = (np.arange(n_frames) + 0.5) * (self.n_frames / n_frames) - 0.5
+        piece = np.clip(np.floor(time / self.hop).astype(int), 0, len(self.starts) - 1)
+        into = time - piece * self.hop
+        weight = np.ones(n_frames)
+        if self.overlap:
+            fading = piece > 0
+            weight[fading] = np.clip((into[fading] + 0.5) / self.overlap, 0.0, 1.0)
+        result = self._sampled(curves, lengths, piece, into)
+        fading = np.flatnonzero(weight < 1.0)
+        if len(fading):
+            before = self._sampled(curves, lengths, piece[fading] - 1, into[fading] + self.hop)
+            share = torch.from_numpy(weight[fading]).to(result.dtype)
+            result[:, fading] = share * result[:, fading] + (1 - share) * before
+        return result
+
+    def _sampled(
+        self, curves: Sequence[Tensor], lengths: Sequence[int], piece: np.ndarray, into: np.ndarray
+    ) -> Tensor:
+        """Return the curves (C, M) at `into` (M,) frames after the start of each `piece` (M,)."""
+        result = curves[0].new_empty(len(curves[0]), len(piece))
+        owner = self.recordings[piece]
+        for k in np.unique(owner):
+            here = np.flatnonzero(owner == k)
+            curve = curves[k]
+            at = self.starts[piece[here]] + into[here] + 0.5
+            at = np.clip(at * (curve.shape[-1] / lengths[k]) - 0.5, 0, curve.shape[-1] - 1)
+            low = np.minimum(at.astype(int), max(0, curve.shape[-1] - 2))
+            high = np.minimum(low + 1, curve.shape[-1] - 1)
+            part = torch.from_numpy(at - low).to(result.dtype)
+            result[:, here] = (1 - part) * curve[:, low] + part * curve[:, high]
+        return result

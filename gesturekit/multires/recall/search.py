@@ -1,0 +1,178 @@
+"""Choice of recorded pieces: a beam search over the whole utterance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from gesturekit.multires.recall.pieces import Pieces
+
+BEAM = 48
+"""Sequences of pieces that the search follows at a time."""
+_STEPS_AT_ONCE = 64
+"""Pieces whose distances to all recorded frames are in memory at once."""
+_SHRINKAGE = 0.7
+"""Weight of the recorded square in the squared difference from what is wanted. A plain difference
+prefers pieces that vary little, because what speech asks for is only a prediction."""
+_FORGETTING = 0.95
+"""Factor of the use counts after each piece, so that long motions may repeat what is long ago."""
+
+
+@dataclass(frozen=True)
+class ChoiceWeights:
+    """Weights of what counts in the choice of a piece.
+
+    Attributes:
+        movement: squared difference of wanted and recorded movement, in standard deviations.
+        slow: the same for its slow part.
+        continuity: mean squared difference of the normalised vectors over the cross-fade.
+        used: how often the recorded frames were used shortly before.
+        chance: scale of the Gumbel noise that makes seeds differ.
+    """
+
+    movement: float = 8.0
+    slow: float = 1.0
+    continuity: float = 2.0
+    used: float = 0.25
+    chance: float = 0.3
+
+
+class PieceSearch:
+    """Search for the pieces of recordings that fit a movement profile.
+
+    Args:
+        vectors: (T_k, C) normalised motion of each recording at the recalled level.
+        profiles: (T_k, 2) movement of each recording and its slow part, in standard deviations.
+        piece: frames of a piece; no more than the longest recording has.
+        overlap: frames of the cross-fade.
+        weights: of the choice.
+    """
+
+    def __init__(
+        self,
+        vectors: Sequence[np.ndarray],
+        profiles: Sequence[np.ndarray],
+        piece: int,
+        overlap: int,
+        weights: ChoiceWeights,
+    ) -> None:
+        self.piece = max(1, min(piece, max(map(len, vectors))))
+        self.overlap = max(0, min(overlap, self.piece - 1))
+        self.hop = self.piece - self.overlap
+        self.weights = weights
+        usable = [max(0, len(vector) - self.piece + 1) for vector in vectors]
+        self.recording = np.repeat(np.arange(len(vectors)), usable)
+        self.start = np.concatenate([np.arange(count) for count in usable])
+        first = np.cumsum([0, *map(len, vectors)])
+        self.frame = first[self.recording] + self.start
+        self.vectors = np.concatenate(vectors).astype(np.float32)
+        self.scale = np.sqrt(np.array([weights.movement, weights.slow]) / self.piece)
+        self.profiles = np.concatenate(
+            [
+                self._windows(profile)
+                for profile, count in zip(profiles, usable, strict=True)
+                if count
+            ]
+        )
+        self.squares = np.square(self.profiles)
+        # Frames of the recordings in bins of a piece's length, in which uses are counted.
+        self.bins = np.stack([self.frame, self.frame + self.piece - 1]) // self.piece
+        self.n_bins = int(self.bins.max()) + 1
+
+    def _windows(self, profile: np.ndarray) -> np.ndarray:
+        """Return the weighted profile (N, 2 * piece) of every window of (T, 2)."""
+        scaled = (profile * self.scale).astype(np.float32)
+        windows = np.lib.stride_tricks.sliding_window_view(scaled, self.piece, axis=0)
+        return windows.reshape(len(windows), -1)
+
+    def choose(
+        self,
+        wanted: np.ndarray,
+        rng: torch.Generator,
+        allowed: np.ndarray | None = None,
+    ) -> Pieces:
+        """Return the pieces for a wanted profile.
+
+        Args:
+            wanted: (T, 2) movement and its slow part, in standard deviations; NaN where anything fits.
+            rng: random numbers.
+            allowed: (T, K) bool, the recordings that may be used in each frame; None for all.
+        """
+        n_frames = len(wanted)
+        count = max(1, -(-(n_frames - self.overlap) // self.hop))
+        missing = max(0, count * self.hop + self.overlap - n_frames)
+        asked = self._windows(np.pad(wanted, ((0, missing), (0, 0)), mode="edge"))
+        asked = asked[:: self.hop][:count]
+        known = ~np.isnan(asked)
+        asked = np.where(known, asked, 0.0)
+        middle = np.minimum(np.arange(count) * self.hop + self.piece // 2, n_frames - 1)
+        states = np.empty((count, min(BEAM, len(self.start))), int)
+        before = np.empty_like(states)
+        cost = np.zeros(states.shape[1], np.float32)
+        used = np.zeros((states.shape[1], self.n_bins), np.float32)
+        for first in range(0, count, _STEPS_AT_ONCE):
+            part = slice(first, first + _STEPS_AT_ONCE)
+            distances = (
+                np.square(asked[part]).sum(axis=1)[:, None]
+                - 2 * asked[part] @ self.profiles.T
+                + _SHRINKAGE * (known[part] @ self.squares.T)
+            )
+            for n, distance in enumerate(distances, first):
+                if allowed is not None:
+                    distance = np.where(allowed[middle[n]][self.recording], distance, np.inf)
+                states[n], before[n], cost, used = self._step(
+                    distance - self._chance(rng), states[n - 1] if n else None, cost, used
+                )
+        best = int(cost.argmin())
+        chosen = np.empty(count, int)
+        for n in reversed(range(count)):
+            chosen[n] = states[n, best]
+            best = before[n, best]
+        return Pieces(
+            self.recording[chosen], self.start[chosen], self.hop, self.overlap, n_frames
+        )
+
+    def _step(
+        self, distance: np.ndarray, last: np.ndarray | None, cost: np.ndarray, used: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Extend every sequence by a piece.
+
+        Args:
+            distance: (S,) cost of each start, beside the pieces before.
+            last: (B,) starts of the last pieces; None at the first.
+            cost: (B,) of each sequence so far.
+            used: (B, bins) uses of each part of the recordings.
+
+        Returns:
+            New `last`, the sequence that each extends, and new `cost` and `used`.
+        """
+        size = len(cost)
+        starts = np.argpartition(distance, size - 1)[:size]
+        total = np.repeat(cost[:, None], size, axis=1)
+        if last is not None:
+            total += self.weights.continuity * self._differences(last, starts)
+            total += self.weights.used * used[:, self.bins[:, starts]].mean(axis=1)
+        origin = total.argmin(axis=0)
+        own = np.arange(size)
+        used = _FORGETTING * used[origin]
+        for bins in self.bins[:, starts]:
+            used[own, bins] += 0.5
+        return starts, origin, total[origin, own] + distance[starts], used
+
+    def _differences(self, last: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (B, B') the mean squared difference between ends and beginnings of pieces."""
+        if not self.overlap:
+            return np.zeros((len(last), len(starts)), np.float32)
+        span = np.arange(self.overlap)
+        ends = self.vectors[self.frame[last][:, None] + self.hop + span].reshape(len(last), -1)
+        heads = self.vectors[self.frame[starts][:, None] + span].reshape(len(starts), -1)
+        squares = np.square(ends).sum(axis=1)[:, None] + np.square(heads).sum(axis=1)
+        return np.maximum(squares - 2 * ends @ heads.T, 0.0) / ends.shape[1]
+
+    def _chance(self, rng: torch.Generator) -> np.ndarray:
+        """Return Gumbel noise (S,)."""
+        uniform = torch.rand(len(self.start), generator=rng, dtype=torch.float64).numpy()
+        return self.weights.chance * -np.log(-np.log(np.clip(uniform, 1e-12, 1 - 1e-12)))

@@ -1,0 +1,238 @@
+"""Prediction of hand movement from speech, for the choice of recorded pieces.
+
+Movement is the logarithm of the hand speed. Its slow part (calm or lively) is predicted from vocal
+effort, its fast part (when the hands move) from the speech features around each frame, both by ridge
+regression. Predictions vary less than the recordings, so they are mapped to the recorded
+distribution, quantile by quantile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+
+# Fixed, as they describe speech and gestures, not a corpus.
+SLOW_SECONDS = 2.0
+"""Standard deviation of the Gaussian that separates slow from fast movement."""
+_BIN_SECONDS = 0.16
+_BINS = 5
+"""Speech features are averaged over this many bins around a frame."""
+_SLOW_INPUT_SECONDS = 1.0
+_MOST_FEATURES = 64
+"""Wider speech features are reduced to this many principal components."""
+_RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Ridge penalties to choose from, relative to the mean variance of the inputs."""
+_FOLDS = 4
+_GAP_SECONDS = 1.0
+_CREDIBLE = 0.3
+"""Correlation of left-out predictions from which the slow part is trusted in full."""
+_QUANTILES = np.linspace(0.01, 0.99, 50)
+
+
+def slow_part(movement: np.ndarray, fps: float) -> np.ndarray:
+    """Return the slow part (..., T) of movement (..., T)."""
+    return gaussian_filter1d(movement, SLOW_SECONDS * fps, axis=-1, mode="nearest")
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """Ridge regression of one curve, with the distribution of its left-out predictions.
+
+    Attributes:
+        mean: (P,) of the inputs.
+        weights: (P,).
+        offset: mean of the curve.
+        predicted: (Q,) quantiles of the left-out predictions.
+        recorded: (Q,) the same quantiles of the recordings.
+        r: correlation of left-out predictions and recordings.
+        left_out: (T,) the left-out predictions of all recordings, one after another; empty in a
+            loaded model.
+    """
+
+    mean: np.ndarray
+    weights: np.ndarray
+    offset: float
+    predicted: np.ndarray
+    recorded: np.ndarray
+    r: float
+    left_out: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
+
+    @classmethod
+    def fit(cls, inputs: Sequence[np.ndarray], curves: Sequence[np.ndarray], gap: int) -> Regression:
+        """Fit to inputs (T_k, P) and curves (T_k,) of each recording.
+
+        The penalty is the one with the best predictions of left-out quarters. `gap` frames beside a
+        left-out quarter are left out as well.
+        """
+        x, y = np.concatenate(inputs).astype(float), np.concatenate(curves).astype(float)
+        mean, offset = x.mean(axis=0), y.mean()
+        left_out = [_predictions_of(x, y, *fold) for fold in _folds(list(map(len, curves)), gap)]
+        predictions = np.concatenate(left_out, axis=0) + offset
+        scores = [_correlation(row, y) for row in predictions.T]
+        best = int(np.argmax(scores))
+        weights = _ridge(x - mean, y - offset)[:, best]
+        return cls(
+            mean,
+            weights,
+            float(offset),
+            np.quantile(predictions[:, best], _QUANTILES),
+            np.quantile(y, _QUANTILES),
+            scores[best],
+            predictions[:, best],
+        )
+
+    def __call__(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the predicted curve (T,) from inputs (T, P)."""
+        return (inputs - self.mean) @ self.weights + self.offset
+
+
+    def mapped(self, predictions: np.ndarray) -> np.ndarray:
+        """Map predictions (T,) to the recorded distribution."""
+        return _mapped(predictions, self.predicted, self.recorded)
+
+    def trusted(self, predictions: np.ndarray) -> np.ndarray:
+        """Draw predictions (T,) towards their mean, as far as left-out ones were wrong."""
+        within = np.clip(predictions, self.recorded[0], self.recorded[-1])
+        return self.offset + np.clip(self.r / _CREDIBLE, 0.0, 1.0) * (within - self.offset)
+
+
+def _mapped(values: np.ndarray, own: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Map values by the quantiles `own` and `goal` (Q,) of two distributions."""
+    # Quantiles of a constant prediction do not increase.
+    return np.interp(values, own + 1e-9 * np.arange(len(own)), goal)
+
+
+def _ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the weights (P, R) for each penalty."""
+    values, vectors = np.linalg.eigh(x.T @ x)
+    values = np.maximum(values, 0.0)
+    penalties = np.array(_RIDGES) * max(values.mean(), 1e-9)
+    return vectors @ ((vectors.T @ (x.T @ y))[:, None] / (values[:, None] + penalties))
+
+
+def _predictions_of(x: np.ndarray, y: np.ndarray, out: slice, near: slice) -> np.ndarray:
+    """Return (M, R) predictions of the frames `out`, from all but those in `near`."""
+    kept = np.ones(len(y), bool)
+    kept[near] = False
+    if kept.sum() < 2:
+        kept[:] = True
+    mean = x[kept].mean(axis=0)
+    weights = _ridge(x[kept] - mean, y[kept] - y[kept].mean())
+    return (x[out] - mean) @ weights + (y[kept].mean() - y.mean())
+
+
+def _folds(lengths: Sequence[int], gap: int) -> list[tuple[slice, slice]]:
+    """Return slices of all frames, about `_FOLDS`, and the same with `gap` frames at each side."""
+    size = sum(lengths) / _FOLDS
+    folds, first = [], 0
+    for length in lengths:
+        edges = np.linspace(first, first + length, max(1, round(length / size)) + 1).astype(int)
+        for start, stop in zip(edges[:-1], edges[1:], strict=True):
+            near = slice(max(first, start - gap), min(first + length, stop + gap))
+            folds.append((slice(start, stop), near))
+        first += length
+    return folds
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = np.sqrt((a @ a) * (b @ b))
+    return float(a @ b / size) if size > 1e-12 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class WantedMovement:
+    """Regressions from speech features to fast and slow movement.
+
+    Attributes:
+        fps: frames per second of the speech features.
+        effort: columns of the features with vocal effort; empty if there are none.
+        basis: (S', M) principal components of the other features; None for the features themselves.
+        fast: regression of the fast part.
+        slow: regression of the slow part.
+        predicted: (Q,) quantiles of the movement predicted for left-out recordings.
+        recorded: (Q,) the same quantiles of recorded movement.
+    """
+
+    fps: float
+    effort: tuple[int, ...]
+    basis: np.ndarray | None
+    fast: Regression = field(repr=False)
+    slow: Regression = field(repr=False)
+    predicted: np.ndarray = field(repr=False)
+    recorded: np.ndarray = field(repr=False)
+
+    @classmethod
+    def fit(
+        cls,
+        speeches: Sequence[np.ndarray],
+        movements: Sequence[np.ndarray],
+        fps: float,
+        effort: Sequence[int],
+    ) -> WantedMovement:
+        """Fit to speech features (S, T_k) and movement (T_k,) of each recording."""
+        others = _without(speeches[0].shape[0], effort)
+        basis = None
+        if len(others) > _MOST_FEATURES:
+            x = np.concatenate([speech[others] for speech in speeches], axis=1).astype(float)
+            basis = np.linalg.eigh(np.cov(x))[1][:, -_MOST_FEATURES:]
+        slow = [slow_part(movement, fps) for movement in movements]
+        fast = [movement - part for movement, part in zip(movements, slow, strict=True)]
+        gap = round(_GAP_SECONDS * fps)
+        effort = tuple(effort)
+        of_fast = Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, gap)
+        of_slow = Regression.fit([slow_inputs(s, effort, basis, fps) for s in speeches], slow, gap)
+        left_out = of_fast.mapped(of_fast.left_out) + of_slow.trusted(of_slow.left_out)
+        return cls(
+            fps,
+            effort,
+            basis,
+            of_fast,
+            of_slow,
+            np.quantile(left_out, _QUANTILES),
+            np.quantile(np.concatenate(movements), _QUANTILES),
+        )
+
+    def __call__(self, speech: np.ndarray) -> np.ndarray:
+        """Return the movement (2, T) that speech features (S, T) ask for: all of it, its slow part."""
+        slow = self.slow.trusted(
+            self.slow(slow_inputs(speech, self.effort, self.basis, self.fps))
+        )
+        fast = self.fast.mapped(self.fast(fast_inputs(speech, self.effort, self.basis, self.fps)))
+        movement = _mapped(fast + slow, self.predicted, self.recorded)
+        return np.stack([movement, slow_part(movement, self.fps)])
+
+
+def fast_inputs(
+    speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None, fps: float
+) -> np.ndarray:
+    """Return (T, 5 M) means of the speech features (S, T) in five bins around each frame."""
+    features = _reduced(speech, effort, basis)
+    width = max(1, round(_BIN_SECONDS * fps))
+    means = uniform_filter1d(features, width, axis=0, mode="nearest")
+    n_frames, half = len(means), _BINS // 2
+    padded = np.pad(means, ((half * width, half * width), (0, 0)), mode="edge")
+    return np.concatenate([padded[i * width : i * width + n_frames] for i in range(_BINS)], axis=1)
+
+
+def slow_inputs(
+    speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None, fps: float
+) -> np.ndarray:
+    """Return (T, E) vocal effort or, without it, slow means of the speech features (T, M)."""
+    if effort:
+        columns = speech[list(effort)].T.astype(float)
+        return gaussian_filter1d(columns, _SLOW_INPUT_SECONDS * fps, axis=0, mode="nearest")
+    return slow_part(_reduced(speech, effort, basis).T, fps).T
+
+
+def _without(count: int, columns: Sequence[int]) -> list[int]:
+    return [i for i in range(count) if i not in set(columns)]
+
+
+def _reduced(speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None) -> np.ndarray:
+    """Return (T, M) features without vocal effort, as principal components if there is a basis."""
+    features = speech[_without(len(speech), effort)].T.astype(float)
+    return features if basis is None else features @ basis
