@@ -20,6 +20,7 @@ _EXPORTS = {
     "FeatureCache": "cache",
     "FeatureError": "errors",
     "FeatureTrack": "track",
+    "HuggingFace": "huggingface.extractor",
     "Liveliness": "acoustic.extractors",
     "LogMel": "acoustic.extractors",
     "MFCC": "acoustic.extractors",
