@@ -21,6 +21,7 @@ from audio_features.acoustic.spectrum import ShortTimeSpectrum
 from audio_features.errors import FeatureError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
+from audio_features.word_features import Words
 
 LIGHT = {
     "logmel": LogMel,
@@ -29,6 +30,7 @@ LIGHT = {
     "onset": Onset,
     "liveliness": Liveliness,
     "music": Music,
+    "words": Words,
 }
 """Extractors that need no weights, by kind."""
 

@@ -25,6 +25,7 @@ KINDS = {
     "onset": None,
     "liveliness": "seconds",
     "music": "n_chroma",
+    "words": None,
     "wavlm": None,
     "hf": "path",
 }
