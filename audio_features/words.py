@@ -40,7 +40,7 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
     - SRT and VTT: the words of a caption share its time, in proportion to their letters;
     - JSON: a list of {"word", "start", "end"}, alone, under "words", "word_segments", or in
       "segments" (Whisper's output);
-    - tsv: lines of start, end, word.
+    - tsv: lines of start, end, word, separated by tabs; # begins a mark of laughter.
 
     Empty intervals and an aligner's marks of silence are left out.
 
@@ -155,7 +155,8 @@ def _tsv(path: Path, text: str) -> Entries:
                 raise FeatureError(
                     f"{path}, line {number}: expected start, end and word, with tabs"
                 )
-            yield f"line {number}", *cells[:3]
+            if not cells[2].strip().startswith("#"):  # laughter, in GENEA's transcripts
+                yield f"line {number}", *cells[:3]
 
 
 def _captions(path: Path, text: str) -> Entries:

@@ -123,6 +123,8 @@ def split_items(
 ) -> tuple[list[Item], list[Problem]]:
     """Assign recordings to splits and turn them into items.
 
+    A recording's own split counts, except where `intervals` are given.
+
     Args:
         recordings: examined recordings, paired and unpaired.
         holdout: fraction to hold out.
@@ -134,7 +136,7 @@ def split_items(
     """
     paired = [recording for recording in recordings if recording.audio and recording.motion]
     alone = [recording for recording in recordings if not (recording.audio and recording.motion)]
-    if holdout > 0 and not intervals and len(paired) == 1:
+    if holdout > 0 and not intervals and len(paired) == 1 and paired[0].split is None:
         only = paired[0]
         intervals = [(only.stop - TAIL * (only.stop - only.start), math.inf)]
     items: list[Item] = []
@@ -155,14 +157,14 @@ def split_items(
                     part = replace(part, id=f"{recording.id}@{start:.2f}-{stop:.2f}")
                 items.append(_item(part, split))
     else:
-        chosen = held_out((r.id for r in paired), holdout, seed, at_least=1)
-        items += [_item(recording, chosen[recording.id]) for recording in paired]
+        chosen = held_out((r.id for r in paired if not r.split), holdout, seed, at_least=1)
+        items += [_item(recording, recording.split or chosen[recording.id]) for recording in paired]
     for group in (
         [recording for recording in alone if recording.audio],
         [recording for recording in alone if recording.motion],
     ):
-        chosen = held_out((r.id for r in group), holdout, seed)
-        items += [_item(recording, chosen[recording.id]) for recording in group]
+        chosen = held_out((r.id for r in group if not r.split), holdout, seed)
+        items += [_item(recording, recording.split or chosen[recording.id]) for recording in group]
     return items, problems
 
 
@@ -184,7 +186,7 @@ def _item(recording: Recording, split: str) -> Item:
         id=recording.id,
         audio=recording.audio and absolute(recording.audio),
         motion=recording.motion and absolute(recording.motion),
-        audio_start=start if recording.audio else 0.0,
+        audio_start=round(start + recording.audio_offset, 6) if recording.audio else 0.0,
         motion_start=start if recording.motion else 0.0,
         # Rounded down: an item never reaches past the end of its files.
         duration=math.floor((recording.stop - start) * 1e6 + 1e-3) / 1e6,
@@ -194,4 +196,5 @@ def _item(recording: Recording, split: str) -> Item:
         channel=recording.channel if recording.audio else None,
         conditions={name: absolute(file) for name, file in recording.conditions.items()},
         reading=recording.reading,
+        audible=recording.audible,
     )
