@@ -39,7 +39,8 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
     - CTM: lines of file, channel, start, duration, word;
     - SRT and VTT: the words of a caption share its time, in proportion to their letters;
     - JSON: a list of {"word", "start", "end"}, alone, under "words", "word_segments", or in
-      "segments" (Whisper's output);
+      "segments" (Whisper's output) or "metadata:transcript" (Seamless Interaction), where the
+      words of a segment share its time if they have none;
     - tsv: lines of start, end, word, separated by tabs; # begins a mark of laughter.
 
     Empty intervals and an aligner's marks of silence are left out.
@@ -174,11 +175,8 @@ def _captions(path: Path, text: str) -> Entries:
             if not following.strip():
                 break
             said += re.sub(r"<[^>]*>|\{[^}]*\}", " ", following).split()
-        letters, at = sum(map(len, said)), start
-        for word in said:
-            stop = at + (end - start) * len(word) / letters
-            yield where, at, stop, word
-            at = stop
+        for word in _shared(said, start, end):
+            yield where, *word
     if not found and text.strip() not in ("", "WEBVTT"):
         raise FeatureError(f"{path}: no caption in it: expected lines such as 00:00:01,000 --> …")
 
@@ -197,16 +195,34 @@ def _json(path: Path, text: str) -> Entries:
     except (ValueError, RecursionError) as error:
         raise FeatureError(f"{path}: not JSON: {error}") from error
     if isinstance(values, dict):
-        segments = values.get("segments", [])
+        segments = values.get("segments") or values.get("metadata:transcript") or []
         values = (
             values.get("words")
             or values.get("word_segments")
-            or [word for segment in segments for word in segment.get("words", [])]
+            or [word for segment in segments for word in segment.get("words") or _spread(segment)]
         )
     for number, word in enumerate(values, start=1):
         said = word["word"] if "word" in word else word["text"]
         if "start" in word:  # WhisperX leaves the times of numerals out
             yield f"word {number}", word["start"], word["end"], said
+
+
+def _spread(segment: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the words of a segment without times of its own."""
+    said = str(segment.get("text") or segment.get("transcript") or "").split()
+    start, end = float(segment["start"]), float(segment["end"])
+    return [
+        {"word": word, "start": at, "end": stop} for at, stop, word in _shared(said, start, end)
+    ]
+
+
+def _shared(said: list[str], start: float, end: float) -> Iterator[tuple[float, float, str]]:
+    """Yield (start, end, word) with the time shared in proportion to letters."""
+    letters, at = sum(map(len, said)), start
+    for word in said:
+        stop = at + (end - start) * len(word) / letters
+        yield at, stop, word
+        at = stop
 
 
 _READERS: dict[str, Callable[[Path, str], Entries]] = {

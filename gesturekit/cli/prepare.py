@@ -27,8 +27,8 @@ from gesturekit.cli.options import (
 @click.option(
     "--layout",
     metavar="NAME",
-    help="FOLDER is a public corpus as published: beat2, zeggs, genea2023, motorica, 100style or "
-    "trinity. Its splits, speakers, styles and side files are used.",
+    help="FOLDER is a public corpus as published: beat2, zeggs, genea2023, motorica, 100style, "
+    "trinity or seamless. Its splits, speakers, styles and side files are used.",
 )
 @click.option(
     "--unpaired",

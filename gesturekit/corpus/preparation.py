@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.corpus import checks, splits
-from gesturekit.corpus.hold_out import HoldOut
 from gesturekit.corpus.item import READING
 from gesturekit.corpus.layouts.listing import Listing
 from gesturekit.corpus.layouts.table import read_layout
@@ -49,7 +48,7 @@ class PrepareOptions:
 
     layout: str | None = None
     """Public corpus in whose published form the folder is: beat2, zeggs, genea2023, motorica,
-    100style or trinity. Its splits, speakers, styles and side files are used."""
+    100style, trinity or seamless. Its splits, speakers, styles and side files are used."""
     unpaired: Folders = ()
     """Folders of speech to use alone. Files that are part of a pair stay in it."""
     unpaired_motion: Folders = ()
@@ -90,12 +89,12 @@ class PrepareOptions:
     progress: Callable[[list[Any]], Iterable[Any]] = iter
     """Wraps the list of recordings while they are checked, as tqdm does."""
 
-    def hold_out(self) -> HoldOut:
+    def hold_out(self) -> splits.HoldOut:
         """Return the recordings to hold out by name."""
         speakers = self.hold_out_speakers
         speakers = speakers.split(",") if isinstance(speakers, str) else speakers
         names = tuple(name.strip() for name in speakers if name.strip())
-        return HoldOut(self.hold_out_pattern, self.hold_out_list, names)
+        return splits.HoldOut(self.hold_out_pattern, self.hold_out_list, names)
 
     def __post_init__(self) -> None:
         if self.hold_out() and self.hold_out_seconds:

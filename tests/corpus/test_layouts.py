@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from audio_features import load_words
 from gesturekit.corpus import Manifest, Report, prepare
 from gesturekit.errors import CorpusError
 
@@ -336,12 +338,53 @@ def test_trinity(tmp_path, write_bvh, write_speech):
         prepare(tmp_path / "raw", layout="trinity")
 
 
+def test_seamless(tmp_path, write_speech):
+    def make(split: str, name: str, valid: np.ndarray | None = None, seed: int = 0) -> Path:
+        stem = tmp_path / "improvised" / split / "0000" / "0001" / name
+        write_speech(stem.with_suffix(".wav"), 3.0, 48_000)
+        said = [{"start": 0.5, "end": 1.0, "text": "well yes"}]
+        write(stem.with_suffix(".json"), json.dumps({"metadata:transcript": said}))
+        body = 0.1 * np.sin(np.arange(90)[:, None, None] / 9 + np.arange(63).reshape(21, 3) + seed)
+        body[:, 15, 2], body[:, 16, 2] = -1.2, 1.2  # the arms hang
+        hands = {f"smplh:{s}_hand_pose": np.zeros((90, 15, 3)) for s in ("left", "right")}
+        camera = {"smplh:global_orient": np.tile([np.pi, 0, 0], (90, 1))}
+        camera["smplh:translation"] = np.tile([0.0, 0.3, 4.0], (90, 1))
+        valid = np.ones(90, bool) if valid is None else valid
+        arrays = {"smplh:body_pose": body, "smplh:is_valid": valid, **hands, **camera}
+        np.savez(stem.with_suffix(".npz"), **arrays)
+        return stem
+
+    gap = ~np.isin(np.arange(90), [*range(40, 45), 70])
+    one = make("train", "V00_S0809_I00000582_P0947")
+    two = make("train", "V00_S0809_I00000582_P0951", gap, 1)
+    three = make("dev", "V00_S0810_I00000001_P0947", seed=2)
+    report = prepare(tmp_path, layout="seamless")
+    at = "improvised/train/0000/0001"
+    assert summary(report) == {
+        (f"{at}/{one.name}", "train", "P0947", "improvised", True, True),
+        (f"{at}/{two.name}@0.00-1.33", "train", "P0951", "improvised", True, True),
+        (f"{at.replace('train', 'dev')}/{three.name}", "valid", "P0947", "improvised", True, True),
+    }
+    assert "6 of 90 frames are marked invalid" in told(report, "note")
+    (item,) = (item for item in report.manifest if item.id == f"{at}/{one.name}")
+    assert item.conditions["partner_motion"] == two.with_suffix(".npz")
+    assert [word.text for word in load_words(item.conditions["words"])] == ["well", "yes"]
+    motion = item.load_motion()
+    positions = motion.positions()
+    head, foot = motion.skeleton.index("head"), motion.skeleton.index("left_foot")
+    assert (positions[:, head, 1] - positions[:, foot, 1]).min() > 1.0  # upright
+    np.savez(three.with_suffix(".npz"), **{"smplh:body_pose": np.zeros((90, 20, 3))})
+    one.with_suffix(".wav").unlink()
+    errors = told(prepare(tmp_path, layout="seamless"), "error")
+    assert f"{three.name}.npz" in errors and f"1 wav file: {one.name}.wav" in errors
+
+
 def test_layouts_that_cannot_be_used(tmp_path):
     with pytest.raises(CorpusError, match="did you mean beat2"):
         prepare(tmp_path, layout="beat")
     with pytest.raises(CorpusError, match="2 folders"):
         prepare([tmp_path, tmp_path], layout="zeggs")
-    for layout in ("beat2", "zeggs", "genea2023", "motorica", "100style", "trinity"):
+    for layout in ("beat2", "zeggs", "genea2023", "motorica", "100style", "trinity", "seamless"):
         with pytest.raises(CorpusError, match="nowhere: no such folder"):
             prepare(tmp_path / "nowhere", layout=layout)
 

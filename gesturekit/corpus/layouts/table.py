@@ -8,6 +8,7 @@ from gesturekit.corpus.layouts.beat2 import read_beat2
 from gesturekit.corpus.layouts.genea2023 import read_genea2023
 from gesturekit.corpus.layouts.listing import Layout, Listing
 from gesturekit.corpus.layouts.motion_corpora import read_100style, read_motorica, read_trinity
+from gesturekit.corpus.layouts.seamless import read_seamless
 from gesturekit.corpus.layouts.zeggs import read_zeggs
 from gesturekit.errors import CorpusError
 from gesturekit.wording import did_you_mean
@@ -19,6 +20,7 @@ LAYOUTS: dict[str, Layout] = {
     "motorica": read_motorica,
     "100style": read_100style,
     "trinity": read_trinity,
+    "seamless": read_seamless,
 }
 """Readers of public corpora by name."""
 

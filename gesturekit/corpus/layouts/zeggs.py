@@ -75,16 +75,20 @@ def read_zeggs(folder: Path) -> Listing:
     else:
         text = "without info.csv there is no published split: recordings are held out as usual"
         listing.problems.append(Problem("note", root, text))
-    used = {one.audio for one in listing.recordings} | {
-        inside / name.replace(".bvh", ".wav") for name in copies
-    }
+    listing.left_over += _unused(inside, copies, listing)
+    return listing
+
+
+def _unused(inside: Path, copies: list[str], listing: Listing) -> list[Path]:
+    """Return the sounds that belong to no recording, copy or failed motion."""
+    used = {one.audio for one in listing.recordings}
+    used |= {(inside / name).with_suffix(".wav") for name in copies}
     failed = {problem.file for problem in listing.problems}
-    listing.left_over += [
+    return [
         file
         for file in sorted(inside.glob("*.wav"))
         if file not in used and file.with_suffix(".bvh") not in failed
     ]
-    return listing
 
 
 def _root(folder: Path) -> Path:
