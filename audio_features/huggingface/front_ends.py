@@ -205,7 +205,10 @@ class LogMelFrames:
     def sound(self, samples: torch.Tensor) -> _LogMel:
         """Prepare a sound; see `FrontEnd`."""
         n_frames = math.ceil(len(samples) / self.hop)
-        padded = np.zeros(max(n_frames, self.longest) * self.hop, np.float32)
+        # transformers pads to the length of the window; a longer sound ends in a frame of silence,
+        # as the spectrogram mirrors the sound at its end.
+        n_padded = self.longest if n_frames <= self.longest else n_frames + 1
+        padded = np.zeros(n_padded * self.hop, np.float32)
         padded[: len(samples)] = samples.cpu().numpy()
         mel = self._extract(
             padded, sampling_rate=SAMPLE_RATE, truncation=False, padding=False

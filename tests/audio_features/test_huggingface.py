@@ -154,6 +154,19 @@ def test_sounds_longer_than_whisper_takes(encoder):
         assert len(af.HuggingFace(folder).extract(short).values) in (1, 2)
 
 
+def test_a_window_past_the_end_of_the_sound_holds_silence(tmp_path, write_encoder):
+    from audio_features.huggingface.front_ends import front_end
+    from audio_features.huggingface.weights import read_encoder
+
+    write_encoder(tmp_path, "whisper")
+    front = front_end(*read_encoder(tmp_path))
+    for level in (1.0, 1e-5):  # loud: 8 decades below the maximum; quiet: the lowest value
+        samples = torch.from_numpy(level * sound(3.5))
+        longer = torch.cat([samples, torch.zeros(16_000 * 6)])
+        ours = front.sound(samples).window(100, 175)
+        torch.testing.assert_close(ours, front.sound(longer).window(100, 175), atol=1e-5, rtol=0)
+
+
 def test_a_spec_needs_the_weights_it_was_made_with(encoder, tmp_path, write_encoder):
     name, folder, _ = encoder
     wave = af.Wave(sound(0.5), 16_000)
