@@ -109,9 +109,9 @@ def command(
     """Pair speech (wav, flac, mp3, ogg, opus, aiff) with motion (bvh, npz) and write a manifest.
 
     Files are paired by path within FOLDER without extension, then by unique name. Tables beside a
-    recording belong to it: STEM.events.csv (time,name[,duration]: events) and STEM.path.csv
-    (time,x,z[,heading]: path of the root), and word lists such as STEM.TextGrid. Every recording is checked; each problem is reported
-    with its file and never stops the others.
+    recording belong to it: STEM.events.csv (time,name[,duration]: events), STEM.path.csv
+    (time,x,z[,heading]: path of the root) and word lists (STEM.TextGrid, .ctm, .srt and others).
+    Every recording is checked; each problem is reported with its file and never stops the others.
 
     Exit codes: 0 everything is used; 1 some files are left out; 2 nothing is usable.
     """
