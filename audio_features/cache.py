@@ -111,12 +111,11 @@ class FeatureCache:
 
     def extract(self, extractor: Extractor, wave: Wave) -> FeatureTrack:
         """Return `extractor.extract(wave)`, values (T, D), from the cache if possible."""
-        from audio_features.acoustic.extractors import AcousticExtractor
         from audio_features.extractor import Stack
 
         if isinstance(extractor, Stack):
             return extractor.extract(wave, self.extract)
-        if isinstance(extractor, AcousticExtractor) and not extractor.worth_caching:
+        if not getattr(extractor, "worth_caching", True):
             return extractor.extract(wave)
         path = self._path(extractor, wave)
         track = self._read(path, extractor)

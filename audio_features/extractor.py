@@ -22,6 +22,7 @@ from audio_features.acoustic.spectrum import ShortTimeSpectrum
 from audio_features.errors import FeatureError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
+from audio_features.word_features import Words
 
 LIGHT = {
     "logmel": LogMel,
@@ -31,6 +32,7 @@ LIGHT = {
     "liveliness": Liveliness,
     "effort": Effort,
     "music": Music,
+    "words": Words,
 }
 """Extractors that need no weights, by kind."""
 
@@ -125,8 +127,9 @@ def extractor_from_spec(
 
     Args:
         spec: value of `Extractor.spec`, as stored in feature files and models.
-        weights: folder or file of the WavLM weights, if the spec contains WavLM.
-        device: "cpu" or "cuda", for WavLM and torchaudio.
+        weights: folder or file of the WavLM weights, or folder of the Hugging Face encoder, if
+            the spec contains one and does not name its path.
+        device: "cpu" or "cuda", for WavLM, Hugging Face encoders and torchaudio.
 
     Raises FeatureError for an unknown kind or a setting that the kind does not have, and
     WeightsError if weights are missing or have another fingerprint than the spec.
@@ -137,13 +140,17 @@ def extractor_from_spec(
         from audio_features.wavlm import WavLM
 
         return WavLM.from_spec(settings, weights, device)
+    if kind == "hf":
+        from audio_features.huggingface.extractor import HuggingFace
+
+        return HuggingFace.from_spec(settings, weights, device)
     if kind == "stack":
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
         return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
     if kind not in LIGHT:
-        known = ", ".join([*LIGHT, "wavlm", "stack"])
+        known = ", ".join([*LIGHT, "wavlm", "hf", "stack"])
         raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
     if settings.get("backend") == "torchaudio":
         settings["device"] = device

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 
@@ -56,6 +56,8 @@ class Wave:
         samples: (N,) floats, full scale is ±1; stored as float32.
         sample_rate: Hz, 4,000 to 768,000.
         source: origin of the sound for messages, usually a path.
+        offset: time of the first sample in `source`, seconds.
+        words: file with the words of `source`; None for the one beside it, see `load_words`.
 
     Raises AudioError if the samples are not one finite channel of at least 25 ms.
     """
@@ -63,6 +65,8 @@ class Wave:
     samples: np.ndarray
     sample_rate: int
     source: str | None = None
+    offset: float = 0.0
+    words: str | os.PathLike[str] | None = None
 
     def __post_init__(self) -> None:
         name = self.source or "samples"
@@ -113,7 +117,7 @@ class Wave:
             return _segment(name, n, _checked_rate(rate, name), start, duration, max_seconds)
 
         samples, rate = read_sound(name, segment, channel)
-        return cls(samples, rate, name)
+        return cls(samples, rate, name, float(start))
 
     @classmethod
     def from_array(
@@ -160,7 +164,7 @@ class Wave:
         # soxr's length may differ by one from the ceiling; frame counts must not depend on that.
         n = -(-len(self.samples) * sample_rate // self.sample_rate)
         samples = np.pad(samples[:n], (0, max(0, n - len(samples))))
-        return Wave(samples, sample_rate, self.source)
+        return replace(self, samples=samples, sample_rate=sample_rate)
 
     def slice(self, start: float, duration: float | None = None) -> Wave:
         """Cut out `duration` seconds from `start`, or up to the end of the sound."""
@@ -168,7 +172,8 @@ class Wave:
         first, count = _segment(
             name, len(self.samples), self.sample_rate, start, duration, math.inf
         )
-        return Wave(self.samples[first : first + count], self.sample_rate, self.source)
+        part = self.samples[first : first + count]
+        return replace(self, samples=part, offset=self.offset + first / self.sample_rate)
 
     def rms(self, times: np.ndarray, window: float = 0.05) -> np.ndarray:
         """Compute the root mean square around given times, about the clip's mean (no DC offset).
@@ -249,7 +254,7 @@ class Wave:
         gain = 10.0 ** ((dbfs - self._level) / 20.0)
         samples = self.samples * np.float32(gain)
         samples -= np.float32(gain * self._mean)
-        return Wave(samples, self.sample_rate, self.source)
+        return replace(self, samples=samples)
 
     @cached_property
     def digest(self) -> str:

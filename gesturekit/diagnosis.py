@@ -39,7 +39,8 @@ def diagnose(weights: str | os.PathLike[str] | None = None) -> Iterator[Finding]
     """Run all checks, one after the other; errors become findings.
 
     Args:
-        weights: WavLM weights to read; by default those in the usual folders are listed.
+        weights: WavLM weights or a Hugging Face speech encoder to read; by default the WavLM
+            weights in the usual folders are listed.
     """
     checks: dict[str, Callable[[], Finding]] = {
         "gesturekit": _program,
@@ -208,9 +209,12 @@ def _weights(weights: str | os.PathLike[str] | None) -> Finding:
     from audio_features.errors import AudioFeaturesError
 
     if weights is not None:
+        from audio_features.huggingface.weights import is_encoder_folder, read_encoder
         from audio_features.wavlm.weights import read_weights
 
         try:
+            if is_encoder_folder(weights):
+                return Finding("encoder", "ok", read_encoder(weights)[0].describe())
             return Finding("WavLM", "ok", read_weights(weights)[0].describe())
         except AudioFeaturesError as error:
             return Finding("WavLM", "broken", str(error))

@@ -229,6 +229,68 @@ def write_wavlm() -> Callable[..., Any]:
     return write
 
 
+_TRANSFORMER = {
+    "hidden_size": 32,
+    "num_hidden_layers": 3,
+    "num_attention_heads": 4,
+    "intermediate_size": 64,
+}
+_CONVOLUTIONS = {
+    **_TRANSFORMER,
+    "conv_dim": [16] * 7,
+    "num_conv_pos_embeddings": 16,
+    "num_conv_pos_embedding_groups": 4,
+}
+_DATA2VEC = {"num_conv_pos_embeddings": 2, "conv_pos_kernel_size": 5}
+_WHISPER = {
+    "d_model": 32,
+    "encoder_layers": 3,
+    "encoder_attention_heads": 4,
+    "encoder_ffn_dim": 64,
+    "decoder_layers": 1,
+    "decoder_attention_heads": 4,
+    "decoder_ffn_dim": 32,
+    "vocab_size": 60,
+    "max_source_positions": 150,
+    "num_mel_bins": 80,
+    **{f"{name}_token_id": 1 for name in ("pad", "bos", "eos", "decoder_start")},
+}
+# Classes of transformers and settings, by name; "-layer" is the front end of Large models.
+ENCODERS = {
+    "hubert": ("Hubert", "Model", _CONVOLUTIONS),
+    "wav2vec2": ("Wav2Vec2", "ForCTC", {**_CONVOLUTIONS, "vocab_size": 8}),
+    "data2vec-audio": ("Data2VecAudio", "Model", {**_CONVOLUTIONS, **_DATA2VEC}),
+    "wavlm": (
+        "WavLM",
+        "Model",
+        {**_CONVOLUTIONS, "feat_extract_norm": "layer", "do_stable_layer_norm": True},
+    ),
+    "wav2vec2-bert": ("Wav2Vec2Bert", "Model", _TRANSFORMER),
+    "whisper": ("Whisper", "Model", _WHISPER),
+}
+
+
+@pytest.fixture(scope="session")
+def write_encoder() -> Callable[..., Any]:
+    """write_encoder(folder, name, seed=0): a tiny speech encoder of random weights in which every
+    tensor counts, as Hugging Face saves it. Returns transformers' model."""
+    import torch
+    import transformers
+
+    def write(folder: Path, name: str, seed: int = 0) -> Any:
+        stem, head, settings = ENCODERS[name]
+        torch.manual_seed(seed)
+        config = getattr(transformers, f"{stem}Config")(**settings)
+        model = getattr(transformers, f"{stem}{head}")(config).eval()
+        with torch.no_grad():
+            for parameter in model.parameters():
+                parameter.add_(0.1 * torch.randn_like(parameter))
+        model.save_pretrained(folder)
+        return model
+
+    return write
+
+
 @pytest.fixture
 def no_network(monkeypatch) -> None:
     """Any attempt to reach the network fails the test."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from audio_features.errors import FeatureError, WeightsError
+from audio_features.inference import checked_device, chunk_slices, normalized
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.wavlm.architecture import HOP, WINDOW
@@ -45,6 +45,8 @@ class WavLM:
             takes a weighted mean (weights are scaled to sum to 1).
         dtype: "fp32", or "bf16" for matrix products in bfloat16: faster if the processor
             supports it, with a small error.
+        implementation: "fast", or "transformers" for transformers' own network (fp32 only), which
+            the fast one is tested against.
         preset: "dsg" or "dsg+", see `audio_features.wavlm.presets`; fixes layer and options.
         fingerprint: fingerprint of the weights, as in a spec; other weights are refused.
         device: "cpu" or "cuda"; not part of the spec.
@@ -73,6 +75,7 @@ class WavLM:
         layer: Layer = "last",
         *,
         dtype: str = "fp32",
+        implementation: str = "fast",
         preset: str | None = None,
         fingerprint: str | None = None,
         device: str = "cpu",
@@ -84,14 +87,19 @@ class WavLM:
         from audio_features.wavlm.front_end import FrontEnd
         from audio_features.wavlm.layer_selection import LayerChoice
         from audio_features.wavlm.presets import PRESETS
+        from audio_features.wavlm.reference import reference
         from audio_features.wavlm.weights import read_weights
 
         kinds = {"fp32": torch.float32, "bf16": torch.bfloat16}
         if dtype not in kinds:
             raise FeatureError(f"dtype={dtype!r}: 'fp32' or 'bf16'")
+        if implementation not in ("fast", "transformers"):
+            raise FeatureError(f"implementation={implementation!r}: 'fast' or 'transformers'")
+        if implementation == "transformers" and dtype != "fp32":
+            raise FeatureError(f"dtype={dtype!r}: the implementation of transformers uses fp32")
         check_names(options)
         self._options = Options(**options)
-        self._device = _checked_device(device)
+        self._device = checked_device(device)
         self.weights, tensors = read_weights(weights)
         if fingerprint not in (None, self.fingerprint):
             raise WeightsError(
@@ -99,7 +107,7 @@ class WavLM:
                 f"the features were made with {fingerprint}: give the weights that the model was "
                 "trained on"
             )
-        self.dtype, self.preset = dtype, preset
+        self.dtype, self.preset, self.implementation = dtype, preset, implementation
         shape = self.weights.architecture
         self._choice = LayerChoice(layer, self._options.final_norm, shape.layers)
         self.normalize = self._options.eps(self.weights.normalize)
@@ -112,8 +120,12 @@ class WavLM:
                 )
             self.normalize = PRESETS[preset].eps(self.weights.normalize)
         tensors = {name: tensor.to(self._device) for name, tensor in tensors.items()}
-        self._front = FrontEnd(shape, tensors, kinds[dtype])
-        self._encoder = Encoder(shape, tensors, max(self._choice.indices), kinds[dtype])
+        top = max(self._choice.indices)
+        if implementation == "transformers":
+            self._front, self._encoder = reference(shape, tensors, top)
+        else:
+            self._front = FrontEnd(shape, tensors, kinds[dtype])
+            self._encoder = Encoder(shape, tensors, top, kinds[dtype])
 
     @classmethod
     def from_spec(
@@ -157,6 +169,8 @@ class WavLM:
     def spec(self) -> dict[str, Any]:
         """Kind, every setting that affects the values, and the weights' fingerprint."""
         made_by: dict[str, Any] = {"kind": "wavlm"}
+        if self.implementation != "fast":
+            made_by["implementation"] = self.implementation
         if self.preset is not None:
             made_by["preset"] = self.preset
         else:
@@ -200,29 +214,22 @@ class WavLM:
 
     def normalized(self, samples: np.ndarray) -> np.ndarray:
         """Normalise a waveform (N,) float32 as the network expects it."""
-        if self.normalize is None:
-            return samples
-        # In float32, as in all three code bases: Large normalises frames one by one, which would
-        # amplify the rounding difference of another precision in near silence.
-        scale = np.sqrt(samples.var() + np.float32(self.normalize))
-        return (samples - samples.mean()) / scale
+        return normalized(samples, self.normalize)
 
     def hidden_states(self, samples: np.ndarray) -> np.ndarray:
         """Compute (T, D) float32 from (N,) samples at 16 kHz, without normalising them."""
         import torch
 
-        from audio_features.wavlm.front_end import SoundFrames
-
         n_frames = (len(samples) - WINDOW) // HOP + 1
         values = np.empty((n_frames, self.dim), dtype=np.float32)
         full, chunk, context = self._options.frames
-        chunks = list(_chunks(n_frames, n_frames if n_frames <= full else chunk, context))
+        chunks = list(chunk_slices(n_frames, n_frames if n_frames <= full else chunk, context))
         size = 1 if self._device.type == "cpu" else _GPU_BATCH
         before, after = self._encoder.reach
         # By default a GPU would round convolutions to TF32.
         with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
             sound = torch.from_numpy(np.ascontiguousarray(samples)).to(self._device)
-            frames = SoundFrames(self._front, sound)
+            frames = self._front.sound(sound)
             for at in range(0, len(chunks), size):
                 batch = chunks[at : at + size]
                 inputs = [frames.window(c.start - before, c.stop + after) for c, _ in batch]
@@ -234,32 +241,3 @@ class WavLM:
 
     def __repr__(self) -> str:
         return f"WavLM({self.weights.path!r}, {self.spec})"
-
-
-def _chunks(n_frames: int, longest: int, context: int) -> Iterator[tuple[slice, slice]]:
-    """Yield (input frames, output frames) of as few chunks as possible, all of one length.
-
-    The output frames are contiguous and leave out a chunk's context, except at the start and the
-    end of the sound.
-    """
-    count = max(1, -(-(n_frames - 2 * context) // (longest - 2 * context)))
-    length = min(n_frames, -(-(n_frames + (count - 1) * 2 * context) // count))
-    done = 0
-    while done < n_frames:
-        start = min(max(0, done - context), n_frames - length)
-        stop = start + length
-        keep = slice(done, n_frames if stop == n_frames else stop - context)
-        yield slice(start, stop), keep
-        done = keep.stop
-
-
-def _checked_device(name: str) -> Any:
-    import torch
-
-    try:
-        device = torch.device(name)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError, TypeError) as error:
-        reason = str(error).splitlines()[0]
-        raise FeatureError(f"device={name!r} cannot be used: {reason}: give 'cpu'") from error
-    return device

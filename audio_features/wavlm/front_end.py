@@ -78,6 +78,10 @@ class FrontEnd:
         # The convolution's own bias cancels with the mean.
         return (exact * scale).float(), (shift - scale * (mean @ exact)).float()
 
+    def sound(self, samples: torch.Tensor) -> SoundFrames:
+        """Prepare a sound: (N,) float32 at 16 kHz, normalised as the network expects."""
+        return SoundFrames(self, samples)
+
     def frames(
         self,
         samples: torch.Tensor,

@@ -64,7 +64,8 @@ class Options:
 
 
 _SECONDS = ("full_context", "chunk", "context")
-_NAMED = ("layer", "dtype", "preset", "fingerprint")  # parameters of WavLM that a spec may hold
+# Parameters of WavLM that a spec may hold.
+_NAMED = ("layer", "dtype", "implementation", "preset", "fingerprint")
 
 
 def check_names(settings: Mapping[str, Any]) -> None:

@@ -11,7 +11,9 @@ MARKS = {"ok": "ok", "note": "note", "broken": "BROKEN"}
 
 @click.command(epilog="Example: gesturekit doctor --weights wavlm-base-plus/")
 @click.option(
-    "--weights", type=click.Path(path_type=Path), help="WavLM weights to read: folder or file."
+    "--weights",
+    type=click.Path(path_type=Path),
+    help="WavLM weights (folder or file) or Hugging Face speech encoder (folder) to read.",
 )
 def command(weights: Path | None) -> int:
     """Check torch, GPU, threads, torchaudio, transformers, ffmpeg, disk, cache and weights.

@@ -82,7 +82,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="Folder for motion sampled from model folders.",
 )
-@click.option("--weights", type=click.Path(path_type=Path), help="WavLM weights for model folders.")
+@click.option(
+    "--weights",
+    type=click.Path(path_type=Path),
+    help="Weights for model folders.",
+)
 @click.option(
     "--variant",
     type=click.Choice(["ganimator", "paper"]),

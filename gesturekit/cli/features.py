@@ -25,8 +25,15 @@ KINDS = {
     "onset": None,
     "liveliness": "seconds",
     "music": "n_chroma",
+    "words": None,
     "wavlm": None,
+    "hf": "path",
 }
+_NETWORKS = {
+    **dict.fromkeys(("weights", "layer", "full_context"), ("wavlm", "hf")),
+    **dict.fromkeys(("preset", "dtype", "implementation"), ("wavlm",)),
+}
+"""Extractors that each option of networks applies to."""
 
 
 @click.command(
@@ -39,7 +46,8 @@ KINDS = {
     show_default=True,
     metavar="LIST",
     help=f"One or more of {', '.join(KINDS)}, separated by commas and concatenated. A "
-    "colon gives a size or method: logmel:64, mfcc:16, prosody:pyin, music:1.",
+    "colon gives a size, method or folder: logmel:64, mfcc:16, prosody:pyin, music:1, "
+    "hf:hubert-base/.",
 )
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
@@ -59,12 +67,13 @@ KINDS = {
 @click.option(
     "--weights",
     type=click.Path(path_type=Path),
-    help="WavLM weights: Hugging Face's folder, Microsoft's .pt or a torchaudio state dict.",
+    help="WavLM weights: Hugging Face's folder, Microsoft's .pt or a torchaudio state dict; or the "
+    "Hugging Face folder of hf.",
 )
 @click.option(
     "--layer",
-    help="WavLM layer: a number from 0, last, mean, several concatenated (6,9,12) or their "
-    "weighted mean (6:1,9:3).  [default: last]",
+    help="Layer of WavLM or hf: a number from 0, last, mean, several concatenated (6,9,12) or "
+    "their weighted mean (6:1,9:3).  [default: last]",
 )
 @click.option(
     "--preset",
@@ -81,9 +90,15 @@ KINDS = {
     "--full-context",
     type=click.FloatRange(min=0),
     metavar="SECONDS",
-    help="Longest sound that WavLM processes whole; longer ones are split.  [default: 300]",
+    help="Longest sound that WavLM or hf processes whole; longer ones are split.  [default: 300, "
+    "of hf 30]",
 )
-@click.option("--device", default="cpu", show_default=True, help="Device of WavLM.")
+@click.option(
+    "--implementation",
+    type=click.Choice(["fast", "transformers"]),
+    help="Implementation of WavLM: ours, or transformers' own.  [default: fast]",
+)
+@click.option("--device", default="cpu", show_default=True, help="Device of WavLM and hf.")
 @click.option(
     "--cache",
     type=click.Choice(["fp32", "fp16", "off"]),
@@ -193,13 +208,13 @@ def _check(wavs: tuple[Path, ...], output: _Output) -> None:
 
 
 def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
-    """Return the extractor of --extractor and its options; print the WavLM weights that it uses."""
+    """Return the extractor of --extractor and its options; print the weights that it uses."""
     from audio_features import extractor_from_spec
 
-    wavlm = dict(options)
-    weights, device = wavlm.pop("weights"), wavlm.pop("device")
-    if wavlm["layer"] is not None:
-        wavlm["layer"] = _layer(wavlm["layer"])
+    weights, device = options.pop("weights"), options.pop("device")
+    given = {name: value for name, value in options.items() if value is not None}
+    if "layer" in given:
+        given["layer"] = _layer(given["layer"])
 
     specs = []
     for item in filter(None, map(str.strip, kinds.split(","))):
@@ -207,12 +222,12 @@ def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
         if kind not in KINDS or (value and KINDS[kind] is None):
             raise click.UsageError(f"--extractor {item!r}: one or more of {', '.join(KINDS)}")
         specs.append({"kind": kind} | ({KINDS[kind]: _number(value)} if value else {}))
-        if kind == "wavlm":
-            specs[-1] |= {key: value for key, value in wavlm.items() if value is not None}
-    given = [name for name, value in {"weights": weights, **wavlm}.items() if value is not None]
-    if given and all(spec["kind"] != "wavlm" for spec in specs):
-        option = given[0].replace("_", "-")
-        raise click.UsageError(f"--{option} requires WavLM: give --extractor wavlm as well")
+        specs[-1] |= {name: given[name] for name in given if kind in _NETWORKS.get(name, ())}
+    kinds = {spec["kind"] for spec in specs}
+    for name in [*(["weights"] if weights is not None else []), *given]:
+        if kinds.isdisjoint(_NETWORKS[name]):
+            option, network = name.replace("_", "-"), " or ".join(_NETWORKS[name])
+            raise click.UsageError(f"--{option} requires --extractor {network}")
     spec = specs[0] if len(specs) == 1 else {"kind": "stack", "parts": specs}
     extractor = extractor_from_spec(spec, weights=weights, device=device)
     for part in getattr(extractor, "parts", (extractor,)):

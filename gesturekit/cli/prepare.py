@@ -25,6 +25,12 @@ from gesturekit.cli.options import (
     "--out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The manifest."
 )
 @click.option(
+    "--layout",
+    metavar="NAME",
+    help="FOLDER is a public corpus as published: beat2, zeggs, genea2023, motorica, 100style, "
+    "trinity or seamless. Its splits, speakers, styles and side files are used.",
+)
+@click.option(
     "--unpaired",
     multiple=True,
     type=click.Path(path_type=Path),
@@ -50,6 +56,20 @@ from gesturekit.cli.options import (
     "--hold-out-seconds",
     metavar="START-END,...",
     help="Hold out these seconds of each pair instead, as test. Without END, to its end.",
+)
+@click.option(
+    "--hold-out-pattern",
+    metavar="REGEX",
+    help="Hold out the recordings whose path within FOLDER it matches instead, as test.",
+)
+@click.option(
+    "--hold-out-list",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Hold out the recordings named in this text file instead, one a line.",
+)
+@click.option(
+    "--hold-out-speakers", metavar="NAME,...", help="Hold out these speakers' recordings instead."
 )
 @click.option(
     "--seed",
@@ -82,15 +102,16 @@ def command(
     out: Path,
     existing: str,
     hold_out_seconds: str | None,
+    hold_out_speakers: str | None,
     parts: tuple[str, ...],
     **options: object,
 ) -> int:
     """Pair speech (wav, flac, mp3, ogg, opus, aiff) with motion (bvh, npz) and write a manifest.
 
     Files are paired by path within FOLDER without extension, then by unique name. Tables beside a
-    recording belong to it: STEM.events.csv (time,name[,duration]: events) and STEM.path.csv
-    (time,x,z[,heading]: path of the root). Every recording is checked; each problem is reported
-    with its file and never stops the others.
+    recording belong to it: STEM.events.csv (time,name[,duration]: events), STEM.path.csv
+    (time,x,z[,heading]: path of the root) and word lists (STEM.TextGrid, .ctm, .srt and others).
+    Every recording is checked; each problem is reported with its file and never stops the others.
 
     Exit codes: 0 everything is used; 1 some files are left out; 2 nothing is usable.
     """
@@ -106,6 +127,7 @@ def command(
         folders,
         out,
         hold_out_seconds=hold_out_seconds or (),
+        hold_out_speakers=hold_out_speakers or (),
         parts=parse_parts(parts),
         read=read_from({name: options.pop(name) for name in RECORDING_OPTIONS}),
         progress=lambda tasks: Progress(tasks, unit="file", desc="checking"),

@@ -91,7 +91,7 @@ GROUPS = {
 @channel_option
 @click.option("--speaker", cls=ControlOption)
 @click.option(
-    "--weights", type=click.Path(path_type=Path), help="WavLM weights the model was trained with."
+    "--weights", type=click.Path(path_type=Path), help="Weights the model was trained with."
 )
 @click.option(
     "--rig",

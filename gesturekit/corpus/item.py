@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from gesturekit.errors import CorpusError
 
@@ -46,10 +48,14 @@ class Item:
         mirror: True to mirror the motion, left for right.
         conditions: further files of the whole recording, {name: absolute path}: `events`, a table
             of timed events (`formats.tables.events`), and `path`, the path of the root
-            (`formats.tables.root_path`; by default that of the motion).
+            (`formats.tables.root_path`; by default that of the motion). `words` is a word list
+            (`audio_features.load_words`), `semantics` BEAT's table of gestures with their semantic
+            scores; `partner_audio`, `partner_motion` and `partner_words` are the interlocutor's.
         reading: options for reading the motion file that replace detection: `unit`, the axes `up`
             and `forward`, the true `fps`, the `height` in metres to scale the body to, and the
             body `parts` assigned by hand that the height depends on.
+        audible: intervals (start, end) of the sound file, seconds, in which the recorded person
+            speaks; the rest is muted. Empty where all of the sound is used.
 
     Raises:
         CorpusError: a field has an invalid value.
@@ -69,6 +75,7 @@ class Item:
     conditions: Mapping[str, Path] = field(default_factory=dict)
     channel: int | None = None
     reading: Mapping[str, Any] = field(default_factory=dict)
+    audible: Sequence[tuple[float, float]] = ()
 
     def __post_init__(self) -> None:
         _check_id(self.id)
@@ -87,6 +94,9 @@ class Item:
                 )
             if not isinstance(value, READING[name]) or isinstance(value, bool):
                 raise CorpusError(f"item {self.id!r}: reading.{name} is {value!r}")
+        for interval in self.audible:
+            if not (len(interval) == 2 and 0 <= interval[0] <= interval[1] < math.inf):
+                raise CorpusError(f"item {self.id!r}: audible has {interval}, no START, END")
         if self.split not in SPLITS:
             raise CorpusError(
                 f"item {self.id!r}: split is {self.split!r}; it must be one of {', '.join(SPLITS)}"
@@ -98,7 +108,7 @@ class Item:
         return self.audio is not None and self.motion is not None
 
     def load_wave(self) -> Wave:
-        """Read the item's interval of its sound file.
+        """Read the item's interval of its sound file, muted outside `audible`.
 
         Raises:
             CorpusError: the item is motion alone.
@@ -108,9 +118,12 @@ class Item:
             raise CorpusError(f"item {self.id!r} has no audio: it is motion alone")
         from audio_features import Wave
 
-        return Wave.load(
+        wave = Wave.load(
             self.audio, start=self.audio_start, duration=self.duration, channel=self.channel
         )
+        if "words" in self.conditions:
+            wave = replace(wave, words=self.conditions["words"])
+        return muted(wave, self.audible) if self.audible else wave
 
     def load_motion(self, parts: Mapping[str, str] | None = None) -> Motion:
         """Read the item's interval of its motion file; mirror it if the item says so.
@@ -184,6 +197,16 @@ class Item:
         path = load_root_path(self.conditions["path"], scale)
         path = path.resample(fps, n_frames, start=begins)
         return path.mirror() if self.mirror else path
+
+
+def muted(wave: Wave, audible: Iterable[tuple[float, float]]) -> Wave:
+    """Return the sound with silence outside of the intervals, seconds of its file."""
+    samples = np.zeros_like(wave.samples)
+    for interval in audible:
+        first, last = (round((time - wave.offset) * wave.sample_rate) for time in interval)
+        part = slice(max(first, 0), max(last, 0))
+        samples[part] = wave.samples[part]
+    return replace(wave, samples=samples)
 
 
 def _check_id(name: str) -> None:

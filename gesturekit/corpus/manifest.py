@@ -186,7 +186,7 @@ def _check_header(record: dict[str, Any], where: str) -> None:
 
 _FIELDS = tuple(f.name for f in fields(Item))
 # Left out of lines that do not need them: manifests from before there was a choice stay valid.
-_OPTIONAL = ("channel", "reading")
+_OPTIONAL = ("channel", "reading", "audible")
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "id": ((str,), "a string"),
     "audio": ((str, type(None)), "a path or null"),
@@ -202,6 +202,7 @@ _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "conditions": ((dict,), "an object {name: path}"),
     "channel": ((int, type(None)), "a whole number or null"),
     "reading": ((dict,), "an object {unit, up, forward, fps, height}"),
+    "audible": ((list, tuple), "a list of [start, end] in seconds"),
 }
 
 
@@ -242,6 +243,10 @@ def _item_from_record(record: dict[str, Any], *, folder: Path, where: str) -> It
     values["conditions"] = {
         name: resolved(f"conditions[{name!r}]", text) for name, text in record["conditions"].items()
     }
+    try:
+        values["audible"] = tuple((float(a), float(b)) for a, b in record.get("audible", ()))
+    except (TypeError, ValueError):
+        raise CorpusError(f"{where}: audible must be a list of [start, end] in seconds") from None
     try:
         return Item(**values)
     except CorpusError as error:

@@ -14,6 +14,8 @@ from typing import Any
 
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.item import READING
+from gesturekit.corpus.layouts.listing import Listing
+from gesturekit.corpus.layouts.table import read_layout
 from gesturekit.corpus.manifest import Manifest, absolute
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.problem import Problem
@@ -44,6 +46,9 @@ class PrepareOptions:
         CorpusError: a value out of range, or an entry of `read` that a manifest cannot store.
     """
 
+    layout: str | None = None
+    """Public corpus in whose published form the folder is: beat2, zeggs, genea2023, motorica,
+    100style, trinity or seamless. Its splits, speakers, styles and side files are used."""
     unpaired: Folders = ()
     """Folders of speech to use alone. Files that are part of a pair stay in it."""
     unpaired_motion: Folders = ()
@@ -54,6 +59,13 @@ class PrepareOptions:
     hold_out_seconds: str | Sequence[splits.Interval] = ()
     """Intervals of each paired recording to hold out as "test" instead: `"10-15,50-"` or
     `[(10, 15), (50, math.inf)]`."""
+    hold_out_pattern: str | None = None
+    """Regular expression to search for in each id: hold out the recordings that it matches, as
+    "test", instead of a fraction or a published split."""
+    hold_out_list: str | os.PathLike[str] | None = None
+    """Text file with one id, or last part of an id, a line: hold out these recordings instead."""
+    hold_out_speakers: str | Sequence[str] = ()
+    """Speakers whose recordings to hold out instead."""
     seed: int = 0
     """Seed of the choice of recordings to hold out."""
     speaker: str | None = None
@@ -77,7 +89,16 @@ class PrepareOptions:
     progress: Callable[[list[Any]], Iterable[Any]] = iter
     """Wraps the list of recordings while they are checked, as tqdm does."""
 
+    def hold_out(self) -> splits.HoldOut:
+        """Return the recordings to hold out by name."""
+        speakers = self.hold_out_speakers
+        speakers = speakers.split(",") if isinstance(speakers, str) else speakers
+        names = tuple(name.strip() for name in speakers if name.strip())
+        return splits.HoldOut(self.hold_out_pattern, self.hold_out_list, names)
+
     def __post_init__(self) -> None:
+        if self.hold_out() and self.hold_out_seconds:
+            raise CorpusError("hold out seconds, or recordings by name, not both")
         splits.as_intervals(self.hold_out_seconds)
         if not 0 <= self.holdout < 1:
             raise CorpusError(f"holdout is {self.holdout}; it must be a fraction from 0 to below 1")
@@ -115,14 +136,21 @@ def prepare(
     chosen = build_options(PrepareOptions, options, "prepare")
     label = _labeller(chosen.style, chosen.style_pattern)
     unpaired, unpaired_motion = _several(chosen.unpaired), _several(chosen.unpaired_motion)
-    tasks, left_over, problems = _find(_several(folders), unpaired, unpaired_motion)
+    listing = _published(chosen.layout, _several(folders))
+    here = [] if listing else _several(folders)
+    tasks, left_over, problems = _find(here, unpaired, unpaired_motion)
+    if listing:
+        tasks = [(recording, False) for recording in listing.recordings] + tasks
+        left_over, problems = left_over + listing.left_over, problems + listing.problems
     recordings, found = _examined(tasks, chosen, label)
     recordings, odd = _of_one_skeleton(recordings)
     left_out = {problem.file for problem in odd}
     problems = [
         one for one in problems + found if one.file not in left_out or one.severity == "error"
     ]
-    problems += odd + _corpus_notes(recordings)
+    problems += odd + _corpus_notes(recordings) + _other_rates(recordings, listing)
+    if hold_out := chosen.hold_out():
+        recordings = hold_out.apply(recordings)
     items, cut = splits.split_items(
         recordings, chosen.holdout, splits.as_intervals(chosen.hold_out_seconds), chosen.seed
     )
@@ -164,6 +192,26 @@ def _examined(
         )
         problems.append(Problem("warning", None, text))
     return recordings, problems
+
+
+def _published(layout: str | None, folders: list[Any]) -> Listing | None:
+    """Read the folder of a public corpus; None without a layout."""
+    if layout is None:
+        return None
+    if len(folders) != 1:
+        raise CorpusError(f"layout {layout}: {len(folders)} folders; give the corpus's one folder")
+    return read_layout(layout, Path(folders[0]))
+
+
+def _other_rates(recordings: list[Recording], listing: Listing | None) -> list[Problem]:
+    """Note recordings that have another frame rate than the published ones."""
+    if listing is None:
+        return []
+    return [
+        Problem("note", one.motion, f"{one.fps:.6g} fps; published at {listing.fps:g} fps")
+        for one in recordings
+        if one.fps is not None and abs(one.fps - listing.fps) > 0.01 * listing.fps
+    ]
 
 
 def _several(folders: Folders) -> list[str | os.PathLike[str]]:
@@ -227,7 +275,12 @@ def _find(
 def _labeller(style: str | None, pattern: str | None) -> Labeller:
     """Return a function that labels recordings by the pattern where it matches."""
     if pattern is None:
-        return lambda recording, speaker: (replace(recording, speaker=speaker, style=style), [])
+        return lambda recording, speaker: (
+            replace(
+                recording, speaker=speaker or recording.speaker, style=style or recording.style
+            ),
+            [],
+        )
     try:
         compiled = re.compile(pattern)
     except re.error as error:
@@ -243,8 +296,8 @@ def _labeller(style: str | None, pattern: str | None) -> Labeller:
         groups = match.groupdict() if match else {}
         labelled = replace(
             recording,
-            style=groups.get("style") or style,
-            speaker=groups.get("speaker") or speaker,
+            style=groups.get("style") or style or recording.style,
+            speaker=groups.get("speaker") or speaker or recording.speaker,
         )
         if match:
             return labelled, []

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from audio_features import AudioFeaturesError, Wave
+from audio_features import AudioFeaturesError, Wave, load_words
+from audio_features.words import words_beside
 from gesturekit.corpus import checks
 from gesturekit.corpus.item import CONDITIONS
 from gesturekit.corpus.problem import Problem
@@ -20,6 +21,7 @@ from gesturekit.formats.conversion import load
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
+from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.body_size import body_height
 from gesturekit.wording import counted
@@ -34,8 +36,14 @@ _TIMES_SHOWN = 5
 class Recording:
     """The files of a recording, their used interval, and their properties.
 
-    `start` and `stop` are seconds in both files, which begin together; with motion, `start` is the
-    time of a frame. `examine` fills in all fields except the files.
+    `start` and `stop` are seconds of the motion, without one of the sound; with motion, `start` is
+    the time of a frame. `examine` fills in these and the properties of the files.
+
+    Attributes:
+        split: published split, or None.
+        limits: interval to use, in the seconds of `start`.
+        audio_offset: time in the sound file at which the motion file begins.
+        audible: intervals of the sound file in which the recorded person speaks; () for all.
     """
 
     id: str
@@ -51,6 +59,10 @@ class Recording:
     style: str | None = None
     conditions: Mapping[str, Path] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
+    split: str | None = None
+    limits: tuple[float, float] = (0.0, math.inf)
+    audio_offset: float = 0.0
+    audible: tuple[tuple[float, float], ...] = ()
 
     @property
     def file(self) -> Path:
@@ -83,11 +95,11 @@ def examine(
     problems: list[Problem] = []
     wave, motion = _loaded(recording, parts or {}, problems)
     recording = replace(recording, conditions=_conditions(recording, problems))
-    if problems:
+    if any(problem.severity == "error" for problem in problems):
         return None, problems
     start, stop = 0.0, math.inf
     if wave is not None:
-        stop = wave.duration
+        stop = wave.duration - recording.audio_offset
         recording = replace(recording, sample_rate=wave.sample_rate)
         problems += [Problem("warning", recording.audio, fault) for fault in wave.faults()]
     if motion is not None:
@@ -99,7 +111,7 @@ def examine(
             Problem("warning", recording.motion, text)
             for text in plausibility_warnings(motion, recording.reading)
         ]
-        if wave is not None:
+        if wave is not None and recording.limits == (0.0, math.inf):
             _check_lengths(wave.duration, motion, recording.motion, tolerance, problems)
         stop = min(stop, motion.duration)
         if any(problem.severity == "error" for problem in problems):
@@ -110,9 +122,20 @@ def examine(
         first, end = _check_motion(motion, recording.motion, problems)
         start, motion_stop = first / motion.fps, end / motion.fps
         stop = min(stop, motion_stop)
+    start, stop = _limited(recording, start, stop)
     if stop - start < MIN_DURATION:
         return None, [*problems, _too_short(recording, stop - start)]
     return replace(recording, start=start, stop=stop), problems
+
+
+def _limited(recording: Recording, start: float, stop: float) -> tuple[float, float]:
+    """Return the part of an interval that lies within the limits, from the time of a frame."""
+    first = max(start, recording.limits[0])
+    if recording.audio is not None:
+        first = max(first, -recording.audio_offset)
+    if recording.fps is not None:
+        first = math.ceil(first * recording.fps - 1e-6) / recording.fps
+    return first, min(stop, recording.limits[1])
 
 
 def _too_short(recording: Recording, seconds: float) -> Problem:
@@ -138,20 +161,39 @@ def _loaded(
 
 
 def _conditions(recording: Recording, problems: list[Problem]) -> dict[str, Path]:
-    """Return the tables beside the recording: STEM.events.csv and STEM.path.csv."""
-    found = {}
+    """Return the side files of the recording: given ones, STEM.events.csv, STEM.path.csv, words.
+
+    Broken words or semantics are a warning, and left out; other broken tables are an error.
+    """
+    found = dict(recording.conditions)
+    for file in filter(None, (recording.audio, recording.motion)):
+        if "words" not in found and (words := words_beside(file)):
+            found["words"] = words
     for name in CONDITIONS:
         for file in filter(None, (recording.motion, recording.audio)):
             table = file.with_suffix(f".{name}.csv")
             if table.exists():
                 found[name] = table
                 break
-    for name, table in found.items():
+    for name, table in list(found.items()):
+        if name not in _TABLES:
+            continue
+        read, severity = _TABLES[name]
         try:
-            load_events(table) if name == "events" else load_root_path(table)
-        except FormatError as error:
-            problems.append(Problem("error", table, str(error)))
+            read(table)
+        except (FormatError, AudioFeaturesError) as error:
+            problems.append(Problem(severity, table, str(error)))
+            del found[name]
     return found
+
+
+_TABLES: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "events": (load_events, "error"),
+    "path": (load_root_path, "error"),
+    "words": (load_words, "warning"),
+    "semantics": (load_semantics, "warning"),
+}
+"""Readers of side files, and the severity of a problem with them."""
 
 
 def _check_lengths(

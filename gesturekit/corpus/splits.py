@@ -9,18 +9,23 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import absolute
 from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import MIN_DURATION, Recording
 from gesturekit.errors import CorpusError
+from gesturekit.wording import counted, listed
 
 TAIL = 0.2
 """Fraction of a single recording that is held out, at its end."""
+
+_MOST_BYTES = 16 << 20  # of a list of names
 
 Interval = tuple[float, float]
 """Start and end in seconds; the end may be infinite."""
@@ -45,6 +50,88 @@ def held_out(
     for i, name in enumerate(ranked[: max(count, 0)]):
         splits[name] = "valid" if i % 2 else "test"
     return splits
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """Recordings to hold out as "test"; all others are "train".
+
+    Attributes:
+        pattern: regular expression to search for in ids.
+        file: text file with one id, or stem of an id, a line.
+        speakers: names of speakers.
+    """
+
+    pattern: str | None = None
+    file: str | os.PathLike[str] | None = None
+    speakers: Sequence[str] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.pattern or self.file or self.speakers)
+
+    def apply(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Return the recordings with their splits.
+
+        Raises:
+            CorpusError: a pattern, a name or a speaker that fits no recording, or all of them.
+        """
+        wanted: set[str] = set()
+        ids = [recording.id for recording in recordings]
+        if self.pattern:
+            wanted |= self._matching(ids)
+        if self.file:
+            wanted |= self._listed(ids)
+        known = {recording.speaker for recording in recordings}
+        if unknown := sorted(set(self.speakers) - known):
+            there = listed(sorted(filter(None, known))) or "none is named"
+            raise CorpusError(f"hold-out: no recording of speaker {unknown[0]!r}; there: {there}")
+        wanted |= {one.id for one in recordings if one.speaker in self.speakers}
+        if recordings and len(wanted) == len(recordings):
+            raise CorpusError(
+                f"all {counted(len(recordings), 'recording')} would be held out, and "
+                "none trained on"
+            )
+        return [replace(one, split="test" if one.id in wanted else "train") for one in recordings]
+
+    def _matching(self, ids: list[str]) -> set[str]:
+        try:
+            found = {name for name in ids if re.search(self.pattern, name)}
+        except re.error as error:
+            raise CorpusError(
+                f"hold-out pattern {self.pattern} is no regular expression: {error}"
+            ) from error
+        if ids and not found:
+            raise CorpusError(
+                f"hold-out pattern {self.pattern} matches none of {counted(len(ids), 'recording')},"
+                f" such as {ids[0]}"
+            )
+        return found
+
+    def _listed(self, ids: list[str]) -> set[str]:
+        path = Path(self.file)
+        try:
+            if path.stat().st_size > _MOST_BYTES:
+                raise CorpusError(f"{path}: too large for a list of names")
+            lines = path.read_text(encoding="utf-8-sig").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise CorpusError(f"{path}: cannot read the list of recordings: {error}") from error
+        by_name: dict[str, set[str]] = {}
+        for name in ids:
+            for key in {name, name.rsplit("/", 1)[-1]}:
+                by_name.setdefault(key, set()).add(name)
+        found: set[str] = set()
+        unknown = []
+        for line in filter(None, map(str.strip, lines)):
+            names = by_name.get(line) or by_name.get(str(Path(line).with_suffix("").as_posix()))
+            found |= names or set()
+            if not names:
+                unknown.append(line)
+        if unknown:
+            raise CorpusError(
+                f"{path}: {counted(len(unknown), 'name')} of no usable recording: "
+                f"{listed(unknown, 10)}"
+            )
+        return found
 
 
 def as_intervals(wanted: str | Sequence[Interval]) -> list[Interval]:
@@ -123,6 +210,8 @@ def split_items(
 ) -> tuple[list[Item], list[Problem]]:
     """Assign recordings to splits and turn them into items.
 
+    A recording's own split counts, except where `intervals` are given.
+
     Args:
         recordings: examined recordings, paired and unpaired.
         holdout: fraction to hold out.
@@ -134,7 +223,7 @@ def split_items(
     """
     paired = [recording for recording in recordings if recording.audio and recording.motion]
     alone = [recording for recording in recordings if not (recording.audio and recording.motion)]
-    if holdout > 0 and not intervals and len(paired) == 1:
+    if holdout > 0 and not intervals and len(paired) == 1 and paired[0].split is None:
         only = paired[0]
         intervals = [(only.stop - TAIL * (only.stop - only.start), math.inf)]
     items: list[Item] = []
@@ -155,14 +244,14 @@ def split_items(
                     part = replace(part, id=f"{recording.id}@{start:.2f}-{stop:.2f}")
                 items.append(_item(part, split))
     else:
-        chosen = held_out((r.id for r in paired), holdout, seed, at_least=1)
-        items += [_item(recording, chosen[recording.id]) for recording in paired]
+        chosen = held_out((r.id for r in paired if not r.split), holdout, seed, at_least=1)
+        items += [_item(recording, recording.split or chosen[recording.id]) for recording in paired]
     for group in (
         [recording for recording in alone if recording.audio],
         [recording for recording in alone if recording.motion],
     ):
-        chosen = held_out((r.id for r in group), holdout, seed)
-        items += [_item(recording, chosen[recording.id]) for recording in group]
+        chosen = held_out((r.id for r in group if not r.split), holdout, seed)
+        items += [_item(recording, recording.split or chosen[recording.id]) for recording in group]
     return items, problems
 
 
@@ -184,7 +273,7 @@ def _item(recording: Recording, split: str) -> Item:
         id=recording.id,
         audio=recording.audio and absolute(recording.audio),
         motion=recording.motion and absolute(recording.motion),
-        audio_start=start if recording.audio else 0.0,
+        audio_start=round(start + recording.audio_offset, 6) if recording.audio else 0.0,
         motion_start=start if recording.motion else 0.0,
         # Rounded down: an item never reaches past the end of its files.
         duration=math.floor((recording.stop - start) * 1e6 + 1e-3) / 1e6,
@@ -194,4 +283,5 @@ def _item(recording: Recording, split: str) -> Item:
         channel=recording.channel if recording.audio else None,
         conditions={name: absolute(file) for name, file in recording.conditions.items()},
         reading=recording.reading,
+        audible=recording.audible,
     )

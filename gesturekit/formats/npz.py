@@ -25,6 +25,7 @@ from gesturekit.archive import Archive, open_archive
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.smpl.amass import body_info, from_amass, to_amass, with_expressions
+from gesturekit.formats.smpl.seamless import from_seamless
 from gesturekit.formats.smpl.skeleton import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.motion import Motion
@@ -40,7 +41,7 @@ def read_npz(
     up: str = "auto",
     body_model: BodyModel | str | os.PathLike[str] | None = None,
 ) -> Motion:
-    """Read a motion npz: native, or with the keys `poses` and `trans` of AMASS and BEAT2.
+    """Read a motion npz: native, or with the keys of AMASS, BEAT2 or Seamless Interaction.
 
     Without a body model, an SMPL rig has the proportions of an average adult. Data about the body
     is kept in `info` (`betas`, `gender`) and written again.
@@ -69,8 +70,12 @@ def read_npz(
                 raise FormatError(
                     f"{path}: speech features (keys 'values', 'times', 'spec'), not a motion"
                 )
-            is_native = "gk_version" in archive
-            motion = _from_native(archive) if is_native else from_amass(archive, up)
+            if "gk_version" in archive:
+                motion = _from_native(archive)
+            elif "smplh:body_pose" in archive:
+                motion = from_seamless(archive)
+            else:
+                motion = from_amass(archive, up)
         except (TypeError, ValueError, IndexError, OverflowError) as error:
             text = str(error)
             raise FormatError(text if text.startswith(str(path)) else f"{path}: {text}") from None

@@ -94,6 +94,29 @@ def test_values_are_those_of_transformers(network, seconds):
     assert distance(af.WavLM(folder, layer=below).extract(wave).values, states[below]) < 1e-5
 
 
+def test_both_implementations_agree(network, microsoft, tmp_path):
+    wave = af.Wave(sound(3.0), 16_000)
+    for settings in ({}, {"layer": [0, 2], "final_norm": False}, {"layer": "mean"}):
+        ours = af.WavLM(network[0], **settings)
+        theirs = af.WavLM(network[0], **settings, implementation="transformers")
+        assert distance(ours.extract(wave).values, theirs.extract(wave).values) < 1e-5
+        assert ours.fingerprint == theirs.fingerprint and ours.names == theirs.names
+    spec = theirs.spec
+    assert spec.pop("implementation") == "transformers" and spec == ours.spec
+    again = af.extractor_from_spec(theirs.spec, weights=network[0])
+    assert again.implementation == "transformers"
+    long = {"full_context": 0.5, "chunk": 2.5, "context": 1.0}
+    ours = af.WavLM(network[0], **long).extract(wave).values
+    theirs = af.WavLM(network[0], **long, implementation="transformers").extract(wave).values
+    assert distance(ours, theirs) < 0.05
+    torch.save(microsoft(network[0]), tmp_path / "WavLM-Tiny.pt")
+    of_microsoft = af.WavLM(tmp_path / "WavLM-Tiny.pt", implementation="transformers")
+    assert of_microsoft.fingerprint == again.fingerprint
+    for wrong in ({"implementation": "slow"}, {"implementation": "transformers", "dtype": "bf16"}):
+        with pytest.raises(af.FeatureError, match="transformers"):
+            af.WavLM(network[0], **wrong)
+
+
 @pytest.mark.parametrize("n", [400, 719, 720, 721, 1040, 16_000 + 79])
 def test_the_shortest_sounds_and_the_edges_between_frame_counts(network, n):
     folder, model, large = network
@@ -143,14 +166,14 @@ def test_what_enters_the_transformer_is_exact_in_chunks(network):
 
 
 def test_chunks_follow_each_other_and_see_their_context():
-    from audio_features.wavlm.extractor import _chunks
+    from audio_features.inference import chunk_slices
 
     rng = np.random.default_rng(0)
     for _ in range(500):
         context = int(rng.integers(0, 20))
         longest = 2 * context + int(rng.integers(1, 60))
         n = int(rng.integers(1, 400))
-        chunks = list(_chunks(n, longest, context))
+        chunks = list(chunk_slices(n, longest, context))
         assert len({seen.stop - seen.start for seen, _ in chunks}) == 1
         assert [f for _, keep in chunks for f in range(keep.start, keep.stop)] == list(range(n))
         for seen, keep in chunks:

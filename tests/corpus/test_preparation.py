@@ -36,6 +36,20 @@ def test_pairs_become_items_of_a_manifest_that_loads(tmp_path, write_pair):
         assert item.load_wave().n_frames(30) == item.load_motion().n_frames == 120
 
 
+def test_words_beside_a_recording_become_features_on_motion_frames(tmp_path, write_pair):
+    import audio_features as af
+    from gesturekit.corpus.speech import extract
+
+    write_pair(tmp_path / "in", "take", 4.0)
+    (tmp_path / "in" / "take.ctm").write_text("take 1 0.5 0.3 so\ntake 1 2.5 0.2 well\n")
+    report = prepare(tmp_path / "in", tmp_path / "corpus.jsonl", hold_out_seconds="2-")
+    assert report.is_complete
+    for item, onset in zip(Manifest.load(tmp_path / "corpus.jsonl"), (15, 15), strict=True):
+        assert item.conditions["words"] == tmp_path / "in" / "take.ctm"
+        values, _ = extract(item.load_wave(), af.Words(), 30.0, "mean")
+        np.testing.assert_array_equal(np.flatnonzero(values[:, 1]), [onset])
+
+
 def test_the_same_folders_give_the_same_bytes(tmp_path, write_pair):
     for name in ("b", "a", "c"):
         write_pair(tmp_path / "in", name, 1.0)

@@ -118,7 +118,7 @@ class TrainingData:
             ConfigError: the folder's data is missing or damaged.
             WeightsError: the WavLM weights are not those of the start of the run.
         """
-        weights = None if config.features is None else config.features.weights
+        weights = None if config.features is None else config.features.weights_path
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             paired, unpaired = about["seconds"]

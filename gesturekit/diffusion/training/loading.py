@@ -148,7 +148,7 @@ def _takes(
 def _start(config: DiffusionConfig) -> DiffusionModel | None:
     if config.start_from is None:
         return None
-    weights = None if config.features is None else config.features.weights
+    weights = None if config.features is None else config.features.weights_path
     start = DiffusionModel.load(config.start_from, weights=weights)
     for name, known in (("network", start.network.config), ("noise", start.noise_config)):
         known, wanted = to_dict(known), to_dict(getattr(config, name))
@@ -165,7 +165,7 @@ def _like(config: DiffusionConfig) -> DiffusionModel | None:
     """Load the model of `moves_like`, whose motion vectors this run uses."""
     if config.moves_like is None:
         return None
-    weights = None if config.features is None else config.features.weights
+    weights = None if config.features is None else config.features.weights_path
     like = DiffusionModel.load(config.moves_like, weights=weights)
     if like.representation.makes_root == config.path:
         follows = "follows a path" if config.path else "moves its root itself"

@@ -130,7 +130,7 @@ class _Trainer:
         )
         if self.config.start_from is not None and not resume:
             features = self.config.features
-            weights = None if features is None else features.weights
+            weights = None if features is None else features.weights_path
             start = DiffusionModel.load(self.config.start_from, weights=weights)
             network.load_state_dict(start.network.state_dict())
         return network

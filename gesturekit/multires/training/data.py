@@ -250,7 +250,7 @@ class TrainingData:
                 conditioner=None
                 if config.features is None
                 else load_conditioner(
-                    about["features"], tensors, config.fps, config.features.weights
+                    about["features"], tensors, config.fps, config.features.weights_path
                 ),
                 styles=tuple(about["styles"]),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),

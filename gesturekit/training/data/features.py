@@ -16,6 +16,8 @@ from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract
 from gesturekit.progress import Progress
 
+_WITH_WEIGHTS = ("wavlm", "hf")
+
 
 @dataclass(frozen=True)
 class FeatureConfig:
@@ -24,7 +26,7 @@ class FeatureConfig:
     extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
     """Extractors by name and settings; their features are concatenated."""
     weights: Path | None = None
-    """Folder of the WavLM weights, if an extractor needs them."""
+    """Folder or file of the WavLM weights, or folder of a Hugging Face encoder without `path`."""
     align: Literal["mean", "gaussian", "linear"] = "mean"
     """Resampling of features to motion frames: the mean over each frame, those means smoothed by a
     Gaussian of one frame, or linear interpolation."""
@@ -34,6 +36,12 @@ class FeatureConfig:
     variance over all training speech; `none` does neither. Without `clip`, loudness changes the
     motion."""
 
+    @property
+    def weights_path(self) -> Path | None:
+        """Path of the weights: that of a Hugging Face encoder, or `weights`."""
+        paths = [spec["path"] for spec in self.extractors if spec.get("path")]
+        return Path(paths[0]) if paths else self.weights
+
     def extractor(self) -> Any:
         """Make the extractor.
 
@@ -41,6 +49,12 @@ class FeatureConfig:
             FeatureError: an unknown extractor or setting.
             WeightsError: weights that are missing or cannot be read.
         """
+        kinds = [spec.get("kind") for spec in self.extractors]
+        if sum(kind in _WITH_WEIGHTS for kind in kinds) > 1:
+            raise af.FeatureError(
+                f"features.extractors: {', '.join(map(str, kinds))}: at most one of them may need "
+                "weights: a model is rendered with the weights of one network"
+            )
         parts = {"kind": "stack", "parts": list(self.extractors)}
         return af.extractor_from_spec(parts, weights=self.weights)
 
@@ -108,7 +122,7 @@ def load_conditioner(
     The extractor's spec holds the fingerprint of its weights. Older models lack `normalise`.
 
     Raises:
-        WeightsError: WavLM weights are missing, or differ from those of training.
+        WeightsError: the weights are missing, or differ from those of training.
     """
     return SpeechConditioner(
         af.extractor_from_spec(values["spec"], weights=weights, device=device),

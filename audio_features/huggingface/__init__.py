@@ -1,0 +1,1 @@
+"""Hugging Face speech encoders in local folders; nothing is downloaded."""

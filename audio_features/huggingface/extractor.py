@@ -1,0 +1,213 @@
+"""Hidden states of any supported Hugging Face speech encoder as features."""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from audio_features.errors import AudioError, FeatureError, WeightsError
+from audio_features.inference import checked_device, chunk_slices, normalized
+from audio_features.track import FeatureTrack
+from audio_features.wave import Wave
+from audio_features.wavlm.options import SAMPLE_RATE, Options
+
+if TYPE_CHECKING:
+    from audio_features.wavlm.layer_selection import Layer
+
+_SECONDS = {"full_context": 30.0, "chunk": 30.0, "context": 5.0}
+_KNOWN = ("layer", "normalize", *_SECONDS, "fingerprint", "model")
+
+
+class HuggingFace:
+    """Hidden states of a speech encoder in a local folder, computed by transformers in float32.
+
+    HuBERT, wav2vec 2.0, data2vec-audio, WavLM, w2v-BERT 2.0 and the encoder of Whisper are
+    supported; all published ones give 50 frames per second. Frame t is centred at
+    `first + hop · t`: 0.0125 + 0.02t s for encoders of waveforms, 0.0175 + 0.02t s for w2v-BERT
+    2.0, 0.02t s for Whisper. Nothing is downloaded and no code in the folder is run.
+
+    Sounds of up to `full_context` seconds are processed whole and have transformers' values. In
+    longer sounds, what depends on the whole sound (normalisation of waveform, first convolution
+    and mel bins, Whisper's dynamic range) is computed over the whole sound; the layers process
+    overlapping chunks, and the frames within `context` seconds of a chunk's edges are taken from
+    its neighbours. Whisper takes 30 s at most.
+
+    Args:
+        weights: folder with config.json, the weights and, if the model has one,
+            preprocessor_config.json. Without that file a waveform is normalised only where
+            `feat_extract_norm` is `layer`. Tokenisers are not needed.
+        layer: see `WavLM`: a number counts transformers' `hidden_states`, "last" is the encoder's
+            output (before any adapter), and there are "mean", [6, 9] and {6: 1, 9: 3}.
+        fingerprint: fingerprint of the weights, as in a spec; other weights are refused.
+        device: "cpu" or "cuda"; not part of the spec.
+        options: any of
+            normalize: None normalises the waveform as the folder says; False leaves it unchanged;
+                a number is added to the variance. Only for encoders of waveforms.
+            full_context: longest sound that is processed whole, in seconds (30).
+            chunk: longest chunk of longer sounds, in seconds (30).
+            context: part of a chunk that is context on either side, in seconds (5). Where the
+                encoder takes less than a chunk, at most a quarter of what it takes.
+
+    Attributes:
+        weights: description of the encoder; `weights.describe()` summarises it in one line.
+        normalize: number added to the waveform's variance; None if it is not normalised.
+
+    Raises WeightsError if the folder cannot be used, FeatureError for an invalid setting.
+    """
+
+    def __init__(
+        self,
+        weights: str | os.PathLike[str],
+        layer: Layer = "last",
+        *,
+        fingerprint: str | None = None,
+        device: str = "cpu",
+        **options: bool | float | None,
+    ) -> None:
+        from audio_features.huggingface.front_ends import front_end
+        from audio_features.huggingface.layers import Layers
+        from audio_features.huggingface.weights import read_encoder
+        from audio_features.wavlm.layer_selection import LayerChoice
+
+        _check_names(options)
+        self._options = Options(**{**_SECONDS, **options})
+        self._device = checked_device(device)
+        self.weights, network = read_encoder(weights)
+        if fingerprint not in (None, self.fingerprint):
+            raise WeightsError(
+                f"{os.fspath(weights)}: these weights have fingerprint {self.fingerprint}, "
+                f"the features were made with {fingerprint}: give the weights that the model was "
+                "trained on"
+            )
+        if self.weights.family.inputs != "waveform" and self._options.normalize is not None:
+            raise FeatureError(
+                f"normalize={self._options.normalize!r}: {self.weights.family.title} takes no "
+                "waveform: leave it out"
+            )
+        self.normalize = self._options.eps(self.weights.normalize)
+        self._choice = LayerChoice(layer, None, self.weights.layers)
+        network = network.to(self._device)
+        self._front = front_end(self.weights, network)
+        self._layers = Layers(network, max(self._choice.indices))
+
+    @classmethod
+    def from_spec(
+        cls,
+        settings: dict[str, Any],
+        weights: str | os.PathLike[str] | None,
+        device: str = "cpu",
+    ) -> HuggingFace:
+        """Build the extractor that a spec describes, with the weights of its fingerprint.
+
+        Args:
+            settings: the spec without its kind; `path` names the folder, and `model` and
+                `fingerprint` the encoder that it must hold.
+            weights: folder, if `path` is missing.
+            device: "cpu" or "cuda".
+
+        Raises FeatureError for unknown settings, WeightsError if weights are missing or are not
+        those of the spec.
+        """
+        settings = dict(settings)
+        folder = settings.pop("path", None) or weights
+        _check_names(settings)
+        model = settings.pop("model", None)
+        if folder is None:
+            wanted = settings.get("fingerprint")
+            which = f" with fingerprint {wanted}" if wanted else ""
+            raise WeightsError(
+                f"weights of {model or 'a Hugging Face speech encoder'}{which} are needed: name "
+                "their folder (path: FOLDER in the config to train, else --weights FOLDER)"
+            )
+        return cls(folder, **settings, device=device)
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the weights, see `EncoderWeights`."""
+        return self.weights.fingerprint
+
+    @property
+    def layer(self) -> Any:
+        """Layer or layers, as in the spec."""
+        return self._choice.spec
+
+    @property
+    def centred(self) -> tuple[bool, ...]:
+        """D flags, all true: a clip's mean depends on voice and recording conditions."""
+        return (True,) * self.dim
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """Kind, every setting that affects the values, and the weights' fingerprint."""
+        spec = {"kind": "hf", "model": self.weights.model_type, "layer": self.layer}
+        if self.weights.family.inputs == "waveform":
+            spec["normalize"] = False if self.normalize is None else self.normalize
+        return {**spec, **self._options.seconds, "fingerprint": self.fingerprint}
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns: hubert_0 …; hubert_LAYER_0 … if there are several layers."""
+        stem = self.weights.model_type.replace("-", "_")
+        width = range(self.weights.width)
+        if not self._choice.is_list:
+            return tuple(f"{stem}_{i}" for i in width)
+        return tuple(f"{stem}_{layer}_{i}" for layer in self._choice.indices for i in width)
+
+    @property
+    def dim(self) -> int:
+        """Number of columns D: the encoder's width for each layer."""
+        return len(self.names)
+
+    def extract(self, wave: Wave) -> FeatureTrack:
+        """Extract the hidden states of a sound at any sample rate: values (T, D).
+
+        Raises AudioError for a sound shorter than one frame.
+        """
+        values = self.hidden_states(normalized(wave.resample(SAMPLE_RATE).samples, self.normalize))
+        if len(values) == 0:
+            raise AudioError(
+                f"{wave.source or 'the sound'}: {wave.duration:.4f} s is shorter than one frame of "
+                f"{self.weights.family.title}: give a longer sound"
+            )
+        times = (self._front.first + self._front.hop * np.arange(len(values))) / SAMPLE_RATE
+        return FeatureTrack(values, times, self.spec, self.names)
+
+    def hidden_states(self, samples: np.ndarray) -> np.ndarray:
+        """Compute (T, D) float32 from (N,) samples at 16 kHz, without normalising them."""
+        import torch
+
+        with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
+            tensor = torch.from_numpy(np.ascontiguousarray(samples)).to(self._device)
+            sound = self._front.sound(tensor)
+            values = np.empty((sound.n_frames, self.dim), dtype=np.float32)
+            if sound.n_frames == 0:
+                return values
+            for chunk, keep in self._chunks(sound.n_frames):
+                states = self._layers.states(sound.window(chunk.start, chunk.stop)[None])
+                picked = self._choice.pick(self._layers, states)[0]
+                values[keep] = picked[keep.start - chunk.start : keep.stop - chunk.start].cpu()
+        return values
+
+    def _chunks(self, n_frames: int) -> list[tuple[slice, slice]]:
+        rate = SAMPLE_RATE / self._front.hop
+        full, chunk, context = (round(s * rate) for s in self._options.seconds.values())
+        longest = self._front.longest
+        if longest is not None:
+            if chunk > longest:
+                context = min(context, longest // 4)
+            full, chunk = min(full, longest), min(chunk, longest)
+        longest = n_frames if n_frames <= full else max(chunk, 2 * context + 1)
+        return list(chunk_slices(n_frames, longest, context))
+
+    def __repr__(self) -> str:
+        return f"HuggingFace({self.weights.path!r}, {self.spec})"
+
+
+def _check_names(settings: dict[str, Any]) -> None:
+    unknown = sorted(settings.keys() - set(_KNOWN))
+    if unknown:
+        known = ", ".join(("path", *_KNOWN))
+        raise FeatureError(f"HuggingFace: unknown setting {unknown[0]!r}; there are {known}")

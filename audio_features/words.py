@@ -1,0 +1,235 @@
+"""Word lists with times: TextGrid, CTM, SRT, VTT, JSON and tab-separated files."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from audio_features.errors import FeatureError
+
+SUFFIXES = (".TextGrid", ".ctm", ".words.json", ".srt", ".vtt", ".tsv")
+"""Suffixes of the word lists that `words_beside` finds, in order of preference."""
+
+_MAX_BYTES = 32 << 20
+_LONGEST = 7 * 24 * 3600.0
+_TOKEN = re.compile(r'"(?:[^"]|"")*"|(?<!\S)(?:-?\d[\d.eE+-]*|<exists>)(?!\S)')
+_CUE = re.compile(r"\s*([\d:.,]+)\s+-->\s+([\d:.,]+)")
+_SILENCES = {"", "sil", "sp", "spn", "<eps>", "<sil>", "<unk>"}  # of aligners; nothing is said
+
+
+@dataclass(frozen=True, order=True)
+class Word:
+    """A spoken word: seconds from the beginning of the recording, and its text."""
+
+    start: float
+    end: float
+    text: str
+
+
+def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
+    """Read the words of a recording, in order of time.
+
+    - TextGrid: the interval tier named "words" or "word", else the first interval tier;
+    - CTM: lines of file, channel, start, duration, word;
+    - SRT and VTT: the words of a caption share its time, in proportion to their letters;
+    - JSON: a list of {"word", "start", "end"}, alone, under "words", "word_segments", or in
+      "segments" (Whisper's output) or "metadata:transcript" (Seamless Interaction), where the
+      words of a segment share its time if they have none;
+    - tsv: lines of start, end, word, separated by tabs; # begins a mark of laughter.
+
+    Empty intervals and an aligner's marks of silence are left out.
+
+    Raises FeatureError if the file is missing, too large, or not such a list; with its line.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise FeatureError(f"{path}: not a word list: give one of {', '.join(SUFFIXES)}")
+    words = []
+    try:
+        for where, start, end, text in reader(path, _text(path)):
+            begin, stop = _seconds(path, where, start), _seconds(path, where, end)
+            if stop < begin:
+                raise FeatureError(f"{path}, {where}: ends at {stop} s, before {begin} s")
+            if str(text).strip().lower() not in _SILENCES:
+                words.append(Word(begin, stop, str(text).strip()))
+    except (KeyError, IndexError, TypeError, AttributeError) as error:
+        raise FeatureError(
+            f"{path}: not a list of words with times ({error!r}): write it again"
+        ) from error
+    return tuple(sorted(words))
+
+
+def words_beside(path: str | os.PathLike[str]) -> Path | None:
+    """Return the word list beside a recording, STEM with one of `SUFFIXES`, or None."""
+    path = Path(path)
+    names = {suffix.lower(): path.with_suffix(suffix) for suffix in SUFFIXES}
+    for suffix in names:
+        for spelling in (names[suffix], path.with_suffix(suffix), path.with_suffix(suffix.upper())):
+            if spelling.is_file():
+                return spelling
+    return None
+
+
+def _text(path: Path) -> str:
+    if not path.is_file():
+        raise FeatureError(f"{path}: no such file: give a word list")
+    if path.stat().st_size > _MAX_BYTES:
+        raise FeatureError(f"{path}: over {_MAX_BYTES >> 20} MB, too large for a word list")
+    data = path.read_bytes()
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise FeatureError(f"{path}: not text ({error.reason}): save it as UTF-8") from error
+
+
+def _seconds(path: Path, where: str, value: Any) -> float:
+    try:
+        seconds = float(value)
+    except (TypeError, ValueError):
+        seconds = math.nan
+    if not 0 <= seconds <= _LONGEST:
+        raise FeatureError(f"{path}, {where}: time is {str(value)[:40]!r}: expected seconds from 0")
+    return seconds
+
+
+Entries = Iterator[tuple[str, Any, Any, Any]]
+"""Place in the file, start, end, text."""
+
+
+def _textgrid(path: Path, text: str) -> Entries:
+    tokens = [token.strip('"') if token[0] == '"' else token for token in _TOKEN.findall(text)]
+    if tokens[:2] != ["ooTextFile", "TextGrid"]:
+        raise FeatureError(f"{path}: not a TextGrid in Praat's text format: save it as text")
+    numbers = iter(tokens[2:])
+
+    def take() -> str:
+        token = next(numbers, None)
+        if token is None:
+            raise FeatureError(f"{path}: ends in the middle of a tier: save it again")
+        return token
+
+    def count() -> int:
+        token = take()
+        if not token.isdecimal():
+            raise FeatureError(f"{path}: {token[:40]!r} instead of a number of intervals or tiers")
+        return int(token)
+
+    take(), take(), take()  # start, end, <exists>
+    tiers: list[tuple[str, list]] = []
+    for _ in range(count()):
+        kind, name, _, _ = take(), take(), take(), take()
+        size = 3 if kind == "IntervalTier" else 2
+        rows = [[take() for _ in range(size)] for _ in range(count())]
+        if size == 3:
+            tiers.append((name, rows))
+    if not tiers:
+        raise FeatureError(f"{path}: no interval tier in it: words have a start and an end")
+    named = [rows for name, rows in tiers if name.strip().lower() in ("words", "word")]
+    for number, (start, end, mark) in enumerate((named or [tiers[0][1]])[0], start=1):
+        yield f"interval {number}", start, end, mark.replace('""', '"')
+
+
+def _ctm(path: Path, text: str) -> Entries:
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.startswith(";;"):
+            continue
+        where, cells = f"line {number}", line.split()
+        if len(cells) < 5:
+            raise FeatureError(f"{path}, {where}: expected file, channel, start, duration and word")
+        start = _seconds(path, where, cells[2])
+        yield where, start, start + _seconds(path, where, cells[3]), cells[4]
+
+
+def _tsv(path: Path, text: str) -> Entries:
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip():
+            cells = line.split("\t")
+            if len(cells) < 3:
+                raise FeatureError(
+                    f"{path}, line {number}: expected start, end and word, with tabs"
+                )
+            if not cells[2].strip().startswith("#"):  # laughter, in GENEA's transcripts
+                yield f"line {number}", *cells[:3]
+
+
+def _captions(path: Path, text: str) -> Entries:
+    lines = text.splitlines()
+    found = False
+    for number, line in enumerate(lines, start=1):
+        cue = _CUE.match(line)
+        if cue is None:
+            continue
+        found = True
+        where = f"line {number}"
+        start, end = (_clock(path, where, time) for time in cue.groups())
+        said = []
+        for following in lines[number:]:
+            if not following.strip():
+                break
+            said += re.sub(r"<[^>]*>|\{[^}]*\}", " ", following).split()
+        for word in _shared(said, start, end):
+            yield where, *word
+    if not found and text.strip() not in ("", "WEBVTT"):
+        raise FeatureError(f"{path}: no caption in it: expected lines such as 00:00:01,000 --> …")
+
+
+def _clock(path: Path, where: str, text: str) -> float:
+    """Return the seconds of [hours:]minutes:seconds, with a comma or a point."""
+    seconds = 0.0
+    for part in text.replace(",", ".").split(":"):
+        seconds = 60 * seconds + _seconds(path, where, part)
+    return seconds
+
+
+def _json(path: Path, text: str) -> Entries:
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FeatureError(f"{path}: not JSON: {error}") from error
+    if isinstance(values, dict):
+        segments = values.get("segments") or values.get("metadata:transcript") or []
+        values = (
+            values.get("words")
+            or values.get("word_segments")
+            or [word for segment in segments for word in segment.get("words") or _spread(segment)]
+        )
+    for number, word in enumerate(values, start=1):
+        said = word["word"] if "word" in word else word["text"]
+        if "start" in word:  # WhisperX leaves the times of numerals out
+            yield f"word {number}", word["start"], word["end"], said
+
+
+def _spread(segment: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the words of a segment without times of its own."""
+    said = str(segment.get("text") or segment.get("transcript") or "").split()
+    start, end = float(segment["start"]), float(segment["end"])
+    return [
+        {"word": word, "start": at, "end": stop} for at, stop, word in _shared(said, start, end)
+    ]
+
+
+def _shared(said: list[str], start: float, end: float) -> Iterator[tuple[float, float, str]]:
+    """Yield (start, end, word) with the time shared in proportion to letters."""
+    letters, at = sum(map(len, said)), start
+    for word in said:
+        stop = at + (end - start) * len(word) / letters
+        yield at, stop, word
+        at = stop
+
+
+_READERS: dict[str, Callable[[Path, str], Entries]] = {
+    ".textgrid": _textgrid,
+    ".ctm": _ctm,
+    ".srt": _captions,
+    ".vtt": _captions,
+    ".json": _json,
+    ".tsv": _tsv,
+}

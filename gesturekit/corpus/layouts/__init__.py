@@ -1,0 +1,1 @@
+"""Layouts of public corpora: where their files lie, and their splits, speakers and styles."""

@@ -1,0 +1,291 @@
+"""Hugging Face encoders: transformers' values on the true time base, from local folders only."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import audio_features as af
+
+torch = pytest.importorskip("torch")
+transformers = pytest.importorskip("transformers")
+
+ENCODERS = ("hubert", "wav2vec2", "data2vec-audio", "wavlm", "wav2vec2-bert", "whisper")
+FIRST = {"wav2vec2-bert": 0.0175, "whisper": 0.0}  # centre of frame 0 in seconds; else 0.0125
+
+
+@pytest.fixture(autouse=True)
+def _no_sockets(monkeypatch) -> None:
+    def refuse(*args: object, **kwargs: object) -> None:
+        raise AssertionError("a socket was opened")
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+
+
+@pytest.fixture(scope="module", params=ENCODERS)
+def encoder(request, tmp_path_factory, write_encoder) -> tuple[str, Path, Any]:
+    """Name, folder with preprocessor_config.json, and transformers' model."""
+    folder = tmp_path_factory.mktemp(request.param)
+    model = write_encoder(folder, request.param)
+    preprocessor(request.param).save_pretrained(folder)
+    return request.param, folder, model
+
+
+@pytest.fixture
+def copy(encoder, tmp_path) -> Path:
+    """The folder again, to be changed."""
+    return shutil.copytree(encoder[1], tmp_path / "copy")
+
+
+def preprocessor(name: str) -> Any:
+    if name == "wav2vec2-bert":
+        return transformers.SeamlessM4TFeatureExtractor()
+    if name == "whisper":
+        return transformers.WhisperFeatureExtractor(chunk_length=3)
+    return transformers.Wav2Vec2FeatureExtractor(do_normalize=True)
+
+
+def sound(seconds: float, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    times = np.arange(round(seconds * 16_000)) / 16_000
+    noise = rng.standard_normal(len(times)) + 3 * np.sin(2 * np.pi * 150 * times)
+    return (0.1 * noise * (1.05 + np.sin(2 * np.pi * 1.5 * times)) + 0.01).astype(np.float32)
+
+
+def of_transformers(name: str, model: Any, samples: np.ndarray) -> tuple[np.ndarray, list]:
+    """Return the output (T, D) and all hidden states of transformers' own pipeline."""
+    inputs = preprocessor(name)(samples, sampling_rate=16_000, return_tensors="pt")
+    network = {"whisper": lambda: model.encoder, "wav2vec2": lambda: model.wav2vec2}
+    network = network.get(name, lambda: model)()
+    with torch.no_grad():
+        out = network(**inputs, output_hidden_states=True)
+    return out.last_hidden_state[0].numpy(), [state[0].numpy() for state in out.hidden_states]
+
+
+def distance(values: np.ndarray, truth: np.ndarray) -> float:
+    assert values.shape == truth.shape
+    return float(np.linalg.norm(values - truth) / np.linalg.norm(truth))
+
+
+def test_values_are_those_of_transformers(encoder):
+    name, folder, model = encoder
+    samples = sound(1.73)
+    last, states = of_transformers(name, model, samples)
+    wave = af.Wave(samples, 16_000)
+    track = af.HuggingFace(folder, layer="last").extract(wave)
+    n = {"whisper": -(-len(samples) // 320), "wav2vec2-bert": (len(samples) - 240) // 320}
+    n_frames = n.get(name, (len(samples) - 400) // 320 + 1)
+    assert track.values.shape == (n_frames, 32)
+    assert distance(track.values, last[:n_frames]) < 1e-5
+    every = af.HuggingFace(folder, layer=[0, 1, 2, 3]).extract(wave)
+    for index, ours in enumerate(np.split(every.values, 4, axis=1)):
+        assert distance(ours, states[index][:n_frames]) < 1e-5, index
+        single = af.HuggingFace(folder, layer=index).extract(wave).values
+        assert distance(single, states[index][:n_frames]) < 1e-5, index
+    weighted = af.HuggingFace(folder, layer={1: 1.0, 3: 3.0}).extract(wave).values
+    assert distance(weighted, (0.25 * states[1] + 0.75 * states[3])[:n_frames]) < 1e-5
+    mean = af.HuggingFace(folder, layer="mean").extract(wave).values
+    assert distance(mean, np.mean(states, axis=0)[:n_frames]) < 1e-5
+    assert len(set(every.names)) == every.values.shape[1] == 128
+
+
+def test_a_click_lands_in_its_frame(encoder):
+    name, folder, _ = encoder
+    extractor = af.HuggingFace(folder, layer=0)
+    plain = 0.1 * np.random.default_rng(1).standard_normal(16_000 * 2)
+    before = extractor.extract(af.Wave(plain, 16_000))
+    np.testing.assert_allclose(
+        before.times, FIRST.get(name, 0.0125) + 0.02 * np.arange(len(before.times))
+    )
+    errors = []
+    for at in range(3_000, 27_000, 1_111):
+        clicked = plain.copy()
+        clicked[at : at + 3] += [0.4, -0.8, 0.4]
+        change = np.abs(extractor.extract(af.Wave(clicked, 16_000)).values - before.values)
+        loudest = before.times[np.argmax(change.sum(axis=1))]
+        errors.append(loudest - (at + 1) / 16_000)
+    assert np.abs(errors).max() < 0.016
+    assert abs(np.mean(errors)) < 0.005
+
+
+def test_long_sounds_are_processed_in_chunks_with_context(encoder, copy):
+    """What enters the layers is exact; their outputs differ a little, less with more context."""
+    if encoder[0] == "whisper":  # its positions count from the start of a chunk
+        without_positions(copy)
+    wave = af.Wave(sound(2.9), 16_000)
+    last = {"wav2vec2-bert": 0.1, "whisper": 0.25}.get(encoder[0], 0.03)
+    for layer, bound in ((0, 1e-5), ("last", last)):
+        whole = af.HuggingFace(copy, layer).extract(wave)
+        errors = []
+        for chunk, context in ((0.8, 0.2), (2.6, 1.0)):
+            settings = {"full_context": 1.0, "chunk": chunk, "context": context}
+            chunked = af.HuggingFace(copy, layer, **settings).extract(wave)
+            np.testing.assert_array_equal(chunked.times, whole.times)
+            errors.append(distance(chunked.values, whole.values))
+        assert errors[1] < bound
+        assert layer == 0 or errors[1] < errors[0]
+
+
+def without_positions(folder: Path) -> None:
+    from safetensors.torch import load_file, save_file
+
+    tensors = load_file(folder / "model.safetensors")
+    tensors["encoder.embed_positions.weight"].zero_()
+    save_file(tensors, folder / "model.safetensors")
+
+
+def test_sounds_longer_than_whisper_takes(encoder):
+    name, folder, _ = encoder
+    samples = sound(7.01)
+    track = af.HuggingFace(folder).extract(af.Wave(samples, 16_000))
+    assert abs(track.times[-1] - 7.01) < 0.05 and np.isfinite(track.values).all()
+    short = af.Wave(sound(0.03), 16_000)
+    if name == "wav2vec2-bert":
+        with pytest.raises(af.AudioError, match="shorter than one frame"):
+            af.HuggingFace(folder).extract(short)
+    else:
+        assert len(af.HuggingFace(folder).extract(short).values) in (1, 2)
+
+
+def test_a_window_past_the_end_of_the_sound_holds_silence(tmp_path, write_encoder):
+    from audio_features.huggingface.front_ends import front_end
+    from audio_features.huggingface.weights import read_encoder
+
+    write_encoder(tmp_path, "whisper")
+    front = front_end(*read_encoder(tmp_path))
+    for level in (1.0, 1e-5):  # loud: 8 decades below the maximum; quiet: the lowest value
+        samples = torch.from_numpy(level * sound(3.5))
+        longer = torch.cat([samples, torch.zeros(16_000 * 6)])
+        ours = front.sound(samples).window(100, 175)
+        torch.testing.assert_close(ours, front.sound(longer).window(100, 175), atol=1e-5, rtol=0)
+
+
+def test_a_spec_needs_the_weights_it_was_made_with(encoder, tmp_path, write_encoder):
+    name, folder, _ = encoder
+    wave = af.Wave(sound(0.5), 16_000)
+    first = af.extractor_from_spec({"kind": "hf", "path": str(folder), "layer": 2})
+    spec = json.loads(json.dumps(first.spec))
+    assert "path" not in spec and str(folder) not in str(spec)
+    again = af.extractor_from_spec(spec, weights=shutil.copytree(folder, tmp_path / "moved"))
+    np.testing.assert_array_equal(again.extract(wave).values, first.extract(wave).values)
+    with pytest.raises(af.WeightsError, match=f"{spec['fingerprint']} are needed.*--weights"):
+        af.extractor_from_spec(spec)
+    write_encoder(tmp_path / "other", name, seed=1)
+    with pytest.raises(af.WeightsError, match="fingerprint .* made with"):
+        af.extractor_from_spec(spec, weights=tmp_path / "other")
+    with pytest.raises(af.FeatureError, match="unknown setting 'layers'"):
+        af.extractor_from_spec({**spec, "layers": 3}, weights=folder)
+
+
+def test_a_folder_with_code_of_its_own_is_refused(copy):
+    proof = copy.parent / "ran"
+    (copy / "modeling.py").write_text(f"open({str(proof)!r}, 'w')")
+    with pytest.raises(af.WeightsError, match="modeling.py.*never run"):
+        af.HuggingFace(copy)
+    (copy / "modeling.py").unlink()
+    config = json.loads((copy / "config.json").read_text())
+    config["auto_map"] = {"AutoModel": "modeling.Own"}
+    (copy / "config.json").write_text(json.dumps(config))
+    with pytest.raises(af.WeightsError, match="auto_map in config.json.*trust_remote_code"):
+        af.HuggingFace(copy)
+    assert not proof.exists()
+
+
+def test_the_same_weights_in_other_files_have_the_same_fingerprint(copy):
+    from safetensors.torch import load_file, save_file
+
+    print_of = af.HuggingFace(copy).fingerprint
+    tensors = load_file(copy / "model.safetensors")
+    (copy / "model.safetensors").unlink()
+    old = {
+        name.replace("parametrizations.weight.original0", "weight_g").replace(
+            "parametrizations.weight.original1", "weight_v"
+        ): tensor
+        for name, tensor in tensors.items()
+    }
+    torch.save(old, copy / "pytorch_model.bin")
+    assert af.HuggingFace(copy).fingerprint == print_of
+    (copy / "pytorch_model.bin").unlink()
+    names = sorted(tensors)
+    parts = {"a.safetensors": names[::2], "b.safetensors": names[1::2]}
+    for file, inside in parts.items():
+        save_file({name: tensors[name] for name in inside}, copy / file)
+    index = copy / "model.safetensors.index.json"
+    index.write_text(json.dumps({"weight_map": {n: f for f, ns in parts.items() for n in ns}}))
+    assert af.HuggingFace(copy).fingerprint == print_of
+    (copy / "b.safetensors").unlink()
+    with pytest.raises(af.WeightsError, match="b.safetensors is missing"):
+        af.HuggingFace(copy)
+    index.write_text(json.dumps({"weight_map": {"x": "../a.safetensors"}}))
+    with pytest.raises(af.WeightsError, match="files of this folder"):
+        af.HuggingFace(copy)
+
+
+def test_broken_folders_are_told_by_name(copy, tmp_path):
+    from safetensors.torch import load_file, save_file
+
+    with pytest.raises(af.WeightsError, match="nowhere: no such folder"):
+        af.HuggingFace(tmp_path / "nowhere")
+    tensors = load_file(copy / "model.safetensors")
+    name = next(name for name in sorted(tensors) if "layers.1." in name and "decoder" not in name)
+    save_file({key: value for key, value in tensors.items() if key != name}, copy / "x")
+    (copy / "x").replace(copy / "model.safetensors")
+    with pytest.raises(af.WeightsError, match="1 tensors are missing .*layers.1"):
+        af.HuggingFace(copy)
+    config = json.loads((copy / "config.json").read_text())
+    for changes, complaint in (
+        ({"model_type": "bert"}, "model_type is 'bert', expected one of hubert"),
+        ({"hidden_size": 10**8, "d_model": 10**8}, "not a speech encoder's size"),
+    ):
+        (copy / "config.json").write_text(json.dumps({**config, **changes}))
+        with pytest.raises(af.WeightsError, match=complaint):
+            af.HuggingFace(copy)
+    (copy / "config.json").write_text("{")
+    with pytest.raises(af.WeightsError, match="config.json: not a configuration file"):
+        af.HuggingFace(copy)
+
+
+def test_a_pickle_is_not_loaded(copy):
+    class Evil:
+        def __reduce__(self):
+            return print, ("ran",)
+
+    (copy / "model.safetensors").unlink()
+    torch.save({"x": Evil()}, copy / "pytorch_model.bin")
+    with pytest.raises(af.WeightsError, match="could run code and is not read"):
+        af.HuggingFace(copy)
+
+
+def test_the_waveform_is_normalised_as_the_folder_says(tmp_path, write_encoder):
+    wave = af.Wave(sound(0.5) * 0.1, 16_000)
+    for norm in ("hubert", "wavlm"):  # feat_extract_norm group and layer
+        folder = tmp_path / norm
+        write_encoder(folder, norm)
+        found = af.HuggingFace(folder).normalize
+        assert found == (1e-7 if norm == "wavlm" else None)
+        for normalize in (True, False):
+            settings = {"do_normalize": normalize, "sampling_rate": 16_000}
+            (folder / "preprocessor_config.json").write_text(json.dumps(settings))
+            assert af.HuggingFace(folder).normalize == (1e-7 if normalize else None)
+        plain = af.HuggingFace(folder).extract(wave).values
+        forced = af.HuggingFace(folder, normalize=1e-7).extract(wave).values
+        assert distance(forced, plain) > 1e-4
+    settings["sampling_rate"] = 8_000
+    (folder / "preprocessor_config.json").write_text(json.dumps(settings))
+    with pytest.raises(af.WeightsError, match="sampling_rate 8000"):
+        af.HuggingFace(folder)
+
+
+def test_random_numbers_of_the_caller_stay_as_they_are(encoder):
+    torch.manual_seed(7)
+    expected = torch.rand(3)
+    torch.manual_seed(7)
+    af.HuggingFace(encoder[1])
+    assert torch.equal(torch.rand(3), expected)

@@ -1,0 +1,419 @@
+"""Public corpora by name: tiny folders in their shapes, beside lists written by hand."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from audio_features import load_words
+from gesturekit.corpus import Manifest, Report, prepare
+from gesturekit.errors import CorpusError
+
+WORDS = """File type = "ooTextFile"
+Object class = "TextGrid"
+
+0
+2
+<exists>
+1
+"IntervalTier"
+"words"
+0
+2
+1
+0.5
+0.8
+"hello"
+"""
+
+
+def told(report: Report, severity: str) -> str:
+    return "\n".join(p.text for p in report.problems if p.severity == severity)
+
+
+def summary(report: Report) -> set[tuple]:
+    """Return (id, split, speaker, style, has sound, has motion) of each item."""
+    return {
+        (i.id, i.split, i.speaker, i.style, i.audio is not None, i.motion is not None)
+        for i in report.manifest
+    }
+
+
+def write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+@pytest.fixture
+def write_bvh(gesture) -> Callable[..., Path]:
+    def make(path: Path, seconds: float = 1.0, fps: float = 30.0, seed: int = 0) -> Path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        gesture(seconds, fps, seed=seed).save(path)
+        return path
+
+    return make
+
+
+def write_smplx(path: Path, seconds: float, seed: int) -> None:
+    rng, n = np.random.default_rng(seed), round(30 * seconds)
+    phase = rng.uniform(0, 6, 165) + np.arange(n)[:, None] / 10
+    poses = 0.1 * np.sin(phase)
+    poses[:, 3 * 16 + 2] -= 1.2  # the arms hang
+    poses[:, 3 * 17 + 2] += 1.2
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez(
+        path,
+        poses=poses,
+        trans=np.tile([0.0, 1.2, 0.0], (n, 1)),
+        expressions=np.zeros((n, 100)),
+        betas=np.zeros(300),
+        gender="neutral",
+        model="smplx2020",
+        mocap_frame_rate=30,
+    )
+
+
+@pytest.fixture
+def beat2(tmp_path, write_speech) -> Path:
+    root = tmp_path / "BEAT2" / "beat_english_v2.0.0"
+    ids = {
+        "2_scott_0_1_1": "train",
+        "2_scott_0_65_65": "val",
+        "1_wayne_0_86_87": "test",
+        "1_wayne_0_103_103": "train",
+        "30_katya_1_9_9": "additional",
+    }
+    for seed, name in enumerate(ids):
+        write_smplx(root / "smplxflame_30" / f"{name}.npz", 1.5, seed)
+        write_speech(root / "wave16k" / f"{name}.wav", 2.0)
+        write(root / "textgrid" / f"{name}.TextGrid", WORDS)
+        write(root / "sem" / f"{name}.txt", "beat_align\t0.2\t0.9\t0.7\t0.4\thello\n")
+    rows = "".join(f"{name},{split}\n" for name, split in ids.items())
+    write(root / "train_test_split.csv", f"id,type\n{rows}")
+    return root
+
+
+def test_beat2(beat2, tmp_path):
+    report = prepare(beat2.parent, tmp_path / "corpus.jsonl", layout="beat2")
+    assert summary(report) == {
+        ("2_scott_0_1_1", "train", "scott", "neutral", True, True),
+        ("2_scott_0_65_65", "valid", "scott", "happiness", True, True),
+        ("1_wayne_0_86_87", "test", "wayne", "sadness", True, True),
+        ("1_wayne_0_103_103", "train", "wayne", "fear", True, True),
+    }
+    assert report.is_complete
+    assert "additional, in no split and left out: 1: 30_katya_1_9_9" in told(report, "note")
+    item = Manifest.load(tmp_path / "corpus.jsonl").in_split("test")[0]
+    assert item.conditions["words"].name == "1_wayne_0_86_87.TextGrid"
+    assert item.conditions["semantics"] == beat2 / "sem" / "1_wayne_0_86_87.txt"
+    assert item.load_motion().n_frames == 45 and item.duration == 1.5
+    assert item.load_wave().words == item.conditions["words"]
+
+
+def test_what_beat2_lacks_and_what_is_broken_in_it_is_told_by_name(beat2):
+    (beat2 / "wave16k" / "2_scott_0_1_1.wav").unlink()
+    (beat2 / "smplxflame_30" / "1_wayne_0_103_103.npz").write_bytes(b"no npz")
+    write(beat2 / "sem" / "1_wayne_0_86_87.txt", "beat\tx\n")
+    write(beat2 / "textgrid" / "1_wayne_0_86_87.TextGrid", WORDS[:-20])
+    (beat2 / "textgrid" / "2_scott_0_65_65.TextGrid").unlink()
+    shutil.copy(beat2 / "wave16k" / "2_scott_0_65_65.wav", beat2 / "wave16k" / "9_new_0_1_1.wav")
+    report = prepare(beat2, layout="beat2")
+    assert {item.id for item in report.manifest} == {"2_scott_0_65_65", "1_wayne_0_86_87"}
+    errors = told(report, "error")
+    assert "not there: 1 wav file: 2_scott_0_1_1.wav" in errors
+    assert "1_wayne_0_103_103.npz" in errors
+    warnings = told(report, "warning")
+    assert "sem/1_wayne_0_86_87.txt: line 1" in warnings
+    assert "textgrid/1_wayne_0_86_87.TextGrid" in warnings
+    assert "1 TextGrid: 2_scott_0_65_65.TextGrid" in told(report, "note")
+    (item,) = report.manifest.in_split("test")
+    assert not item.conditions and report.left_over == (beat2 / "wave16k" / "9_new_0_1_1.wav",)
+    index = beat2 / "train_test_split.csv"
+    for text, complaint in (
+        ("id,type\n2_scott_0_1_1,training\n", "line 2: type is 'training'"),
+        ("id,type\n2_scott_0_1_1,train\n2_scott_0_1_1,test\n", "line 3: .*listed twice"),
+        ("name,split\n", "column 'name'"),
+    ):
+        index.write_text(text)
+        with pytest.raises(CorpusError, match=f"train_test_split.csv, {complaint}|{complaint}"):
+            prepare(beat2, layout="beat2")
+    index.unlink()
+    with pytest.raises(CorpusError, match="train_test_split.csv: not found"):
+        prepare(beat2, layout="beat2")
+
+
+INFO = (
+    "audio_filename,audio_start_time,anim_start_time,style,acting_start_time,acting_end_time,"
+    "anim_bvh,validation\n"
+)
+
+
+def info_row(take: str, style: str, validation: str, acting: str = "09:00:03:30") -> str:
+    times = f"09:00:01:15  ,09:00:02:30,{style},{acting},09:00:05:00"
+    return (
+        f"{take}.wav,{times},{take}.bvh,{validation}\n{take}.wav,{times},{take}_mirror.bvh,TRUE\n"
+    )
+
+
+@pytest.fixture
+def zeggs(tmp_path, write_bvh, write_speech) -> Path:
+    """Clean recordings of three takes."""
+    root, clean = tmp_path / "ZeroEGGS", tmp_path / "ZeroEGGS" / "clean"
+    for seed, stem in enumerate(
+        ("001_Neutral_0_x_1_0", "005_Neutral_4_x_1_0", "067_Speech_2_x_1_0")
+    ):
+        write_bvh(clean / f"{stem}.bvh", 1.0, 60.0, seed)
+        write_speech(clean / f"{stem}.wav", 1.0)
+    for copy in ("001_Neutral_0_mirror_x_1_0", "001_Neutral_0_x_0_9"):
+        for suffix in ("bvh", "wav"):
+            shutil.copy(clean / f"001_Neutral_0_x_1_0.{suffix}", clean / f"{copy}.{suffix}")
+    takes = {"001_Neutral_0": "FALSE", "005_Neutral_4": "TRUE", "067_Speech_2": "TRUE"}
+    rows = "".join(info_row(take, take.split("_")[1], v) for take, v in takes.items())
+    write(root / "info.csv", INFO + rows)
+    return root
+
+
+def test_zeggs(zeggs):
+    report = prepare(zeggs, layout="zeggs")
+    assert summary(report) == {
+        ("001_Neutral_0_x_1_0", "train", "zeggs", "Neutral", True, True),
+        ("005_Neutral_4_x_1_0", "valid", "zeggs", "Neutral", True, True),
+        ("067_Speech_2_x_1_0", "valid", "zeggs", "Speech", True, True),
+    }
+    assert report.is_complete
+    assert "left out: 2: 001_Neutral_0_mirror_x_1_0.bvh, 001_Neutral_0_x_0_9" in told(
+        report, "note"
+    )
+    (zeggs / "clean" / "001_Neutral_0_x_1_0.wav").unlink()
+    (zeggs / "clean" / "005_Neutral_4_x_1_0.bvh").write_text("HIERARCHY")
+    (zeggs / "clean" / "067_Speech_2_x_1_0.wav").unlink()
+    (zeggs / "clean" / "067_Speech_2_x_1_0.bvh").unlink()
+    errors = told(prepare(zeggs, layout="zeggs"), "error")
+    for name in ("001_Neutral_0_x_1_0.wav", "005_Neutral_4_x_1_0.bvh", "info.csv: 067_Speech_2"):
+        assert name in errors
+    text = (zeggs / "info.csv").read_text()
+    write(zeggs / "info.csv", text.replace("FALSE", "no"))
+    with pytest.raises(CorpusError, match="info.csv, line 2: validation is 'no'"):
+        prepare(zeggs, layout="zeggs")
+
+
+def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write_speech):
+    """Sound begins at 1.5 s, motion at 2.5 s, acting lasts from 3.5 s to 5 s of the time code."""
+    original = tmp_path / "original"
+    for take in ("001_Neutral_0", "002_Neutral_1", "003_Neutral_2"):
+        write_bvh(original / f"{take}.bvh", 3.0, 60.0)
+        write_speech(original / f"{take}.wav", 5.0)
+        write(original / f"{take}.csv", "#,Start,End\nR1,00:02.250,00:02.500\nM1,00:03.0,00:09.0\n")
+    rows = info_row("001_Neutral_0", "Neutral", "FALSE") + info_row("003_Neutral_2", "Sad", "TRUE")
+    write(tmp_path / "info.csv", INFO + rows)
+    write(original / "003_Neutral_2.csv", "#,Start,End\nR1,soon,00:02.500\n")
+    report = prepare(tmp_path, layout="zeggs")
+    (item,) = report.manifest
+    assert (item.motion_start, item.audio_start, item.duration) == (1.0, 2.0, 1.5)
+    assert (item.id, item.split, item.audible) == ("001_Neutral_0", "train", ((2.25, 2.5),))
+    assert item.load_motion().n_frames == 90
+    heard = np.flatnonzero(item.load_wave().samples) / 16_000
+    assert heard.size and heard.min() >= 0.25 and heard.max() < 0.5
+    errors = told(report, "error")
+    assert "003_Neutral_2.csv, line 2: start is 'soon'" in errors
+    assert "002_Neutral_1.bvh: no row in" in errors
+    manifest = tmp_path / "corpus.jsonl"
+    prepare(tmp_path, manifest, layout="zeggs")
+    assert Manifest.load(manifest).items[0].audible == ((2.25, 2.5),)
+
+
+def test_zeggs_on_real_files(shared_data):
+    report = prepare(shared_data / "paired" / "zeggs_067_Speech_2", layout="zeggs")
+    assert {(i.split, i.speaker, i.style) for i in report.manifest} == {
+        ("train", "zeggs", "Speech"),
+        ("test", "zeggs", "Speech"),
+    }
+    assert "30 fps; published at 60 fps" in told(report, "note")
+    assert report.is_complete
+
+
+def test_genea2023(tmp_path, write_bvh, write_speech):
+    root = tmp_path / "genea"
+    fingers = {"000": "finger_incl", "001": "finger_not_incl"}
+    for split, names in {"trn": ("000", "001"), "val": ("000",), "tst": ("000",)}.items():
+        table = "prefix,main-agent_id,main-agent_has_finger,interloctr_id,interloctr_has_finger\n"
+        for name in names:
+            for who in ("main-agent", "interloctr"):
+                stem = f"{split}_2023_v0_{name}_{who}"
+                write_speech(root / split / who / "wav" / f"{stem}.wav", 1.0)
+                write(
+                    root / split / who / "tsv" / f"{stem}.tsv", "0.1\t0.3\thi\n0.4\t0.6\t#laugh\n"
+                )
+                if (split, who) != ("tst", "main-agent"):
+                    write_bvh(root / split / who / "bvh" / f"{stem}.bvh")
+            table += f"{split}_2023_v0_{name},{int(name) + 1},{fingers[name]},9,finger_incl\n"
+        write(root / split / "metadata.csv", table)
+    report = prepare(root, layout="genea2023")
+    assert summary(report) == {
+        ("trn/trn_2023_v0_000_main-agent", "train", "1", None, True, True),
+        ("trn/trn_2023_v0_001_main-agent", "train", "2", None, True, True),
+        ("val/val_2023_v0_000_main-agent", "valid", "1", None, True, True),
+        ("tst/tst_2023_v0_000_main-agent", "test", "1", None, True, False),
+    }
+    item = report.manifest.in_split("valid")[0]
+    assert set(item.conditions) == {"words", "partner_audio", "partner_motion", "partner_words"}
+    assert item.conditions["partner_audio"].name == "val_2023_v0_000_interloctr.wav"
+    assert "fingers were not recorded (metadata.csv): 1: trn_2023_v0_001" in told(report, "note")
+    (root / "trn" / "main-agent" / "bvh" / "trn_2023_v0_001_main-agent.bvh").unlink()
+    (root / "val" / "main-agent" / "wav" / "val_2023_v0_000_main-agent.wav").write_text("x")
+    words = root / "trn" / "main-agent" / "tsv" / "trn_2023_v0_000_main-agent.tsv"
+    words.write_text("a\tb\n")
+    report = prepare(root, layout="genea2023")
+    assert len(report.manifest) == 2
+    assert "trn_2023_v0_001_main-agent.bvh" in told(report, "error")
+    assert "val_2023_v0_000_main-agent.wav" in told(report, "error")
+    assert f"{words}, line 1" in told(report, "warning")
+
+
+def test_motorica(tmp_path, write_bvh, write_speech):
+    names = [
+        f"kthstreet_{genre}_sFM_cAll_{dancer}_mLO_ch01_song_00{n}"
+        for n, (genre, dancer) in enumerate((("gLO", "d02"), ("gPO", "d01"), ("gPO", "d02")))
+    ]
+    for seed, name in enumerate(names):
+        write_bvh(tmp_path / "bvh" / f"{name}.bvh", 1.0, 120.0, seed)
+    for name in names[:2]:
+        write_speech(tmp_path / "wav" / f"{name}.wav", 1.0)
+    write_bvh(tmp_path / "bvh" / "mine.bvh")
+    report = prepare(tmp_path, layout="motorica", hold_out_pattern="song_001")
+    assert summary(report) == {
+        (names[0], "train", "d02", "gLO", True, True),
+        (names[1], "test", "d01", "gPO", True, True),
+        (names[2], "train", "d02", "gPO", False, True),
+    }
+    assert f"(motion alone): {names[2]}.wav" in told(report, "note")
+    assert report.left_over == (tmp_path / "bvh" / "mine.bvh",)
+    with pytest.raises(CorpusError, match="no recording of Motorica"):
+        prepare(tmp_path / "wav", layout="motorica")
+
+
+def test_100style(tmp_path, write_bvh):
+    gaits = ("BR", "BW", "FR", "FW", "ID", "SR", "SW", "TR1", "TR2", "TR3")
+    header = ",".join(["STYLE_NAME", *(f"{g}_{end}" for g in gaits for end in ("START", "STOP"))])
+    cells = {"BR": "6,60", "FW": "", "ID": "12,90"}
+    row = ",".join(cells.get(gait, "") or "," for gait in gaits).replace("12,90", "12,90")
+    write(tmp_path / "Frame_Cuts.csv", f"{header}\nAngry,{row}\nOld,{row}\n")
+    for style, gait in (("Angry", "BR"), ("Angry", "FW"), ("Angry", "ID"), ("Old", "BR")):
+        write_bvh(tmp_path / style / f"{style}_{gait}.bvh", 2.0, 60.0)
+    report = prepare(tmp_path, layout="100style", holdout=0.0)
+    assert summary(report) == {
+        ("Angry/Angry_BR", "train", None, "Angry", False, True),
+        ("Angry/Angry_ID", "train", None, "Angry", False, True),
+        ("Old/Old_BR", "train", None, "Old", False, True),
+    }
+    cuts = {i.id: (i.motion_start, i.duration) for i in report.manifest}
+    assert cuts["Angry/Angry_BR"] == (0.1, 0.9) and cuts["Angry/Angry_ID"] == (0.2, 1.3)
+    assert "not there: 1 bvh file: Old_ID.bvh" in told(report, "error")
+    assert "without a cut in Frame_Cuts.csv, left out: 1: Angry_FW.bvh" in told(report, "note")
+    text = (tmp_path / "Frame_Cuts.csv").read_text()
+    write(tmp_path / "Frame_Cuts.csv", text.replace("12,90", "90,12"))
+    with pytest.raises(CorpusError, match=r"Frame_Cuts.csv, line 2: ID_START"):
+        prepare(tmp_path, layout="100style")
+
+
+def test_trinity(tmp_path, write_bvh, write_speech):
+    source = tmp_path / "source"
+    for n in ("001", "008", "009"):
+        write_bvh(source / "bvh" / f"Recording_{n}.bvh", 1.0, 60.0)
+        write_speech(source / "audio" / f"Recording_{n}.wav", 1.0)
+    (source / "audio" / "Recording_009.wav").unlink()
+    report = prepare(tmp_path, layout="trinity")
+    assert summary(report) == {
+        ("Recording_001", "train", "trinity", None, True, True),
+        ("Recording_008", "test", "trinity", None, True, True),
+    }
+    assert "Recording_009.wav" in told(report, "error")
+    write_bvh(tmp_path / "raw" / "NaturalTalking_001.bvh")
+    with pytest.raises(CorpusError, match="raw form"):
+        prepare(tmp_path / "raw", layout="trinity")
+
+
+def test_seamless(tmp_path, write_speech):
+    def make(split: str, name: str, valid: np.ndarray | None = None, seed: int = 0) -> Path:
+        stem = tmp_path / "improvised" / split / "0000" / "0001" / name
+        write_speech(stem.with_suffix(".wav"), 3.0, 48_000)
+        said = [{"start": 0.5, "end": 1.0, "text": "well yes"}]
+        write(stem.with_suffix(".json"), json.dumps({"metadata:transcript": said}))
+        body = 0.1 * np.sin(np.arange(90)[:, None, None] / 9 + np.arange(63).reshape(21, 3) + seed)
+        body[:, 15, 2], body[:, 16, 2] = -1.2, 1.2  # the arms hang
+        hands = {f"smplh:{s}_hand_pose": np.zeros((90, 15, 3)) for s in ("left", "right")}
+        camera = {"smplh:global_orient": np.tile([np.pi, 0, 0], (90, 1))}
+        camera["smplh:translation"] = np.tile([0.0, 0.3, 4.0], (90, 1))
+        valid = np.ones(90, bool) if valid is None else valid
+        arrays = {"smplh:body_pose": body, "smplh:is_valid": valid, **hands, **camera}
+        np.savez(stem.with_suffix(".npz"), **arrays)
+        return stem
+
+    gap = ~np.isin(np.arange(90), [*range(40, 45), 70])
+    one = make("train", "V00_S0809_I00000582_P0947")
+    two = make("train", "V00_S0809_I00000582_P0951", gap, 1)
+    three = make("dev", "V00_S0810_I00000001_P0947", seed=2)
+    report = prepare(tmp_path, layout="seamless")
+    at = "improvised/train/0000/0001"
+    assert summary(report) == {
+        (f"{at}/{one.name}", "train", "P0947", "improvised", True, True),
+        (f"{at}/{two.name}@0.00-1.33", "train", "P0951", "improvised", True, True),
+        (f"{at.replace('train', 'dev')}/{three.name}", "valid", "P0947", "improvised", True, True),
+    }
+    assert "6 of 90 frames are marked invalid" in told(report, "note")
+    (item,) = (item for item in report.manifest if item.id == f"{at}/{one.name}")
+    assert item.conditions["partner_motion"] == two.with_suffix(".npz")
+    assert [word.text for word in load_words(item.conditions["words"])] == ["well", "yes"]
+    motion = item.load_motion()
+    positions = motion.positions()
+    head, foot = motion.skeleton.index("head"), motion.skeleton.index("left_foot")
+    assert (positions[:, head, 1] - positions[:, foot, 1]).min() > 1.0  # upright
+    np.savez(three.with_suffix(".npz"), **{"smplh:body_pose": np.zeros((90, 20, 3))})
+    one.with_suffix(".wav").unlink()
+    errors = told(prepare(tmp_path, layout="seamless"), "error")
+    assert f"{three.name}.npz" in errors and f"1 wav file: {one.name}.wav" in errors
+
+
+def test_layouts_that_cannot_be_used(tmp_path):
+    with pytest.raises(CorpusError, match="did you mean beat2"):
+        prepare(tmp_path, layout="beat")
+    with pytest.raises(CorpusError, match="2 folders"):
+        prepare([tmp_path, tmp_path], layout="zeggs")
+    for layout in ("beat2", "zeggs", "genea2023", "motorica", "100style", "trinity", "seamless"):
+        with pytest.raises(CorpusError, match="nowhere: no such folder"):
+            prepare(tmp_path / "nowhere", layout=layout)
+
+
+def test_hold_outs_by_name(tmp_path, write_pair):
+    for seed, name in enumerate(("ann/a1", "ann/a2", "bob/b1", "bob/b2")):
+        write_pair(tmp_path / "in", name, 1.0, seed=seed)
+    speakers = {"style_pattern": "(?P<speaker>ann|bob)/"}
+
+    def held(**options) -> set[str]:
+        report = prepare(tmp_path / "in", **speakers, **options)
+        assert {i.split for i in report.manifest} == {"train", "test"}
+        return {item.id for item in report.manifest if item.split == "test"}
+
+    names = tmp_path / "test.txt"
+    names.write_text("a1.wav\nbob/b2\n\n")
+    assert held(hold_out_list=names) == {"ann/a1", "bob/b2"}
+    assert held(hold_out_speakers="ann") == {"ann/a1", "ann/a2"}
+    assert held(hold_out_pattern=r"2$") == {"ann/a2", "bob/b2"}
+    assert held(hold_out_pattern=r"1$", hold_out_speakers=["bob"]) == {"ann/a1", "bob/b1", "bob/b2"}
+    names.write_text("a1\nc9\n")
+    for options, complaint in (
+        ({"hold_out_list": names}, "1 name of no usable recording: c9"),
+        ({"hold_out_list": tmp_path / "none"}, "none: cannot read"),
+        ({"hold_out_speakers": "carl"}, "no recording of speaker 'carl'; there: ann, bob"),
+        ({"hold_out_speakers": "ann,bob"}, "all 4 recordings would be held out"),
+        ({"hold_out_pattern": "x"}, "matches none of 4 recordings"),
+        ({"hold_out_pattern": "("}, "no regular expression"),
+        ({"hold_out_pattern": "1", "hold_out_seconds": "1-2"}, "not both"),
+    ):
+        with pytest.raises(CorpusError, match=complaint):
+            prepare(tmp_path / "in", **speakers, **options)
