@@ -16,11 +16,11 @@ from typing import Any
 _EXPORTS = {
     "AudioError": "errors",
     "AudioFeaturesError": "errors",
+    "Effort": "acoustic.effort",
     "Extractor": "extractor",
     "FeatureCache": "cache",
     "FeatureError": "errors",
     "FeatureTrack": "track",
-    "Effort": "acoustic.effort",
     "HuggingFace": "huggingface.extractor",
     "Liveliness": "acoustic.extractors",
     "LogMel": "acoustic.extractors",

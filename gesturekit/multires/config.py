@@ -83,6 +83,9 @@ class LossConfig:
     on random steps. Not in the paper, where it is 0."""
     arm_acceleration: float = 0.0
     """The same for arm acceleration, which distinguishes trembling from swinging at equal speed."""
+    arm_floors: tuple[float, ...] = (1.0, 10.0)
+    """Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm in the losses on
+    them. The higher, the less a pause counts."""
     detail: float = 0.0
     """Energy distance between generated and recorded amounts of detail at each joint, on random
     steps. Detail is what the frame rate of the level below cannot represent. Not in the paper."""
@@ -109,6 +112,8 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         check_not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
+        if len(self.arm_floors) != 2 or min(self.arm_floors) <= 0:
+            raise ConfigError(f"arm_floors: {list(self.arm_floors)} must be two numbers above 0")
 
 
 @dataclass(frozen=True)
@@ -218,7 +223,7 @@ class RecallConfig:
     """Length of the cross-fade between two pieces, seconds."""
     parts: Literal["arms", "body"] = "arms"
     """Choose pieces for each arm and for the rest of the body separately, or for the whole body."""
-    own_movement: float = 0.6
+    own_movement: float = 0.8
     """Share of the recalled pieces' own arm movement in the targets of `losses.arm_speed` and
     `losses.arm_acceleration`; the rest is what the speech predicts."""
 

@@ -24,9 +24,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     representation, sequences = data.representation, data.paired
     parts = motion_parts(representation, settings.parts == "arms")
     moved = [
-        movements(
-            parts, representation, fps, data.normaliser.inverse(sequence.motion[None])[0]
-        )
+        movements(parts, representation, fps, data.normaliser.inverse(sequence.motion[None])[0])
         for sequence in sequences
     ]
     every = [np.mean(of_parts, axis=0) for of_parts in moved]
@@ -46,6 +44,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         recordings.append(
             RecalledRecording(
                 resample(sequence.motion[None], n)[0].contiguous(),
+                resample(sequence.passive[None], n)[0].contiguous(),
                 torch.from_numpy(averaged(np.stack(rows), n)).float(),
                 sequence.speaker,
                 sequence.style,
@@ -66,6 +65,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         spread,
         mean,
         wanted,
+        data.passive,
     )
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.multires.recall.parts import MotionPart
+from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.recall.pieces import Pieces
 from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.wanted import WantedMovement
@@ -27,12 +28,14 @@ class RecalledRecording:
 
     Attributes:
         motion: (D, T_l) normalised motion vectors at the recalled level.
+        passive: (X, T_l) of the library's `PassiveChannels`.
         profiles: (2 P, T_l) movement of each part and its slow part, in standard deviations.
         speaker: its speaker; None if the corpus names none.
         style: number of its style; 0 without styles.
     """
 
     motion: Tensor
+    passive: Tensor
     profiles: Tensor
     speaker: str | None = None
     style: int = 0
@@ -53,11 +56,23 @@ class RecalledMotion:
     lengths: tuple[int, ...]
 
     def vectors(self, motions: Sequence[Tensor], n_frames: int) -> Tensor:
-        """Return motion vectors (D, n_frames) from those of the recordings, (D, T_k) at any rate."""
-        result = motions[0].new_zeros(len(motions[0]), n_frames)
-        for part, pieces in zip(self.parts, self.pieces, strict=True):
-            chosen = [motion[part.columns] for motion in motions]
-            result[part.columns] = pieces.blend(chosen, self.lengths, n_frames)
+        """Return vectors (D, n_frames) from those of the recordings, (D, T_k) at any rate."""
+        return self.channels(motions, [part.columns for part in self.parts], n_frames)
+
+    def channels(
+        self, curves: Sequence[Tensor], columns: Sequence[np.ndarray], n_frames: int
+    ) -> Tensor:
+        """Return any recorded channels (X, n_frames), each with the pieces of its part.
+
+        Args:
+            curves: (X, T_k) of each recording, at any rate.
+            columns: the channels of each part.
+            n_frames: frames of the result.
+        """
+        result = curves[0].new_zeros(len(curves[0]), n_frames)
+        for own, pieces in zip(columns, self.pieces, strict=True):
+            if len(own):
+                result[own] = pieces.blend([curve[own] for curve in curves], self.lengths, n_frames)
         return result
 
 
@@ -76,6 +91,7 @@ class RecallLibrary:
         spread: (2,) standard deviation of movement and of its slow part, log m/s.
         mean: mean movement, log m/s.
         wanted: prediction of movement from speech; None for a model without speech input.
+        passive: joints and face channels that are recalled but not modelled.
         weights: of the choice.
     """
 
@@ -89,6 +105,7 @@ class RecallLibrary:
     spread: np.ndarray
     mean: float
     wanted: WantedMovement | None
+    passive: PassiveChannels = PassiveChannels()
     weights: ChoiceWeights = ChoiceWeights()
 
     @cached_property

@@ -12,13 +12,14 @@ from torch import Tensor
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
 from gesturekit.multires.recall.parts import motion_parts
+from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.recall.wanted import Regression, WantedMovement
 from gesturekit.training.model_folder import ModelParts
 
 _VALUES = ("level", "piece", "overlap", "mean")
-_CURVES = ("motion", "profiles")
+_CURVES = ("motion", "passive", "profiles")
 _REGRESSION = ("mean", "weights", "offset", "predicted", "recorded", "r")
-_DISTRIBUTION = ("predicted", "recorded")
+_DISTRIBUTION = ("predicted", "recorded", "voices")
 
 
 def library_values(library: RecallLibrary) -> dict[str, Any]:
@@ -28,6 +29,7 @@ def library_values(library: RecallLibrary) -> dict[str, Any]:
         **{name: getattr(library, name) for name in _VALUES},
         "separate": len(library.parts) > 1,
         "recordings": [[part.speaker, part.style] for part in library.recordings],
+        "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
         "effort": None if wanted is None else list(wanted.effort),
     }
 
@@ -89,6 +91,9 @@ def load_library(
         spread=tensors["recall.spread"].numpy(),
         mean=float(values["mean"]),
         wanted=wanted,
+        passive=PassiveChannels(
+            tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
+        ),
     )
 
 

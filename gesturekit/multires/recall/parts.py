@@ -81,7 +81,9 @@ def _hands(representation: MultiresRepresentation) -> tuple[str, ...]:
 def _limb(skeleton: Skeleton, arms: dict, side: str) -> tuple[str, ...]:
     """Return the joints of an arm: from the last joint that both arms hang on, downwards."""
     ancestors = [
-        _ancestors(skeleton, skeleton.index(arms[other].shoulder)) for other in SIDES if other != side
+        _ancestors(skeleton, skeleton.index(arms[other].shoulder))
+        for other in SIDES
+        if other != side
     ]
     top = skeleton.index(arms[side].shoulder)
     while skeleton.parents[top] >= 0 and skeleton.parents[top] not in ancestors[0]:

@@ -97,7 +97,7 @@ class PieceSearch:
         """Return the pieces for a wanted profile.
 
         Args:
-            wanted: (T, 2) movement and its slow part, in standard deviations; NaN where anything fits.
+            wanted: (T, 2) movement and its slow part, in standard deviations; NaN: anything fits.
             rng: random numbers.
             allowed: (T, K) bool, the recordings that may be used in each frame; None for all.
         """
@@ -131,9 +131,7 @@ class PieceSearch:
         for n in reversed(range(count)):
             chosen[n] = states[n, best]
             best = before[n, best]
-        return Pieces(
-            self.recording[chosen], self.start[chosen], self.hop, self.overlap, n_frames
-        )
+        return Pieces(self.recording[chosen], self.start[chosen], self.hop, self.overlap, n_frames)
 
     def _step(
         self, distance: np.ndarray, last: np.ndarray | None, cost: np.ndarray, used: np.ndarray

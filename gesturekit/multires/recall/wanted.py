@@ -1,8 +1,8 @@
 """Prediction of hand movement from speech, for the choice of recorded pieces.
 
 Movement is the logarithm of the hand speed. Its slow part (calm or lively) is predicted from vocal
-effort, its fast part (when the hands move) from the speech features around each frame, both by ridge
-regression. Predictions vary less than the recordings, so they are mapped to the recorded
+effort, its fast part (when the hands move) from the speech features around each frame, both by
+ridge regression. Predictions vary less than the recordings, so they are mapped to the recorded
 distribution, quantile by quantile.
 """
 
@@ -61,7 +61,9 @@ class Regression:
     left_out: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @classmethod
-    def fit(cls, inputs: Sequence[np.ndarray], curves: Sequence[np.ndarray], gap: int) -> Regression:
+    def fit(
+        cls, inputs: Sequence[np.ndarray], curves: Sequence[np.ndarray], gap: int
+    ) -> Regression:
         """Fit to inputs (T_k, P) and curves (T_k,) of each recording.
 
         The penalty is the one with the best predictions of left-out quarters. `gap` frames beside a
@@ -87,7 +89,6 @@ class Regression:
     def __call__(self, inputs: np.ndarray) -> np.ndarray:
         """Return the predicted curve (T,) from inputs (T, P)."""
         return (inputs - self.mean) @ self.weights + self.offset
-
 
     def mapped(self, predictions: np.ndarray) -> np.ndarray:
         """Map predictions (T,) to the recorded distribution."""
@@ -155,6 +156,7 @@ class WantedMovement:
         slow: regression of the slow part.
         predicted: (Q,) quantiles of the movement predicted for left-out recordings.
         recorded: (Q,) the same quantiles of recorded movement.
+        voices: (3, E) lowest, mean and highest vocal effort in training, see `usual_voice`.
     """
 
     fps: float
@@ -164,6 +166,7 @@ class WantedMovement:
     slow: Regression = field(repr=False)
     predicted: np.ndarray = field(repr=False)
     recorded: np.ndarray = field(repr=False)
+    voices: np.ndarray = field(repr=False)
 
     @classmethod
     def fit(
@@ -185,6 +188,14 @@ class WantedMovement:
         effort = tuple(effort)
         of_fast = Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, gap)
         of_slow = Regression.fit([slow_inputs(s, effort, basis, fps) for s in speeches], slow, gap)
+        efforts = np.concatenate([speech[list(effort)] for speech in speeches], axis=1)
+        voices = np.stack(
+            [
+                np.quantile(efforts, 0.02, axis=1),
+                efforts.mean(1),
+                np.quantile(efforts, 0.98, axis=1),
+            ]
+        )
         left_out = of_fast.mapped(of_fast.left_out) + of_slow.trusted(of_slow.left_out)
         return cls(
             fps,
@@ -194,16 +205,38 @@ class WantedMovement:
             of_slow,
             np.quantile(left_out, _QUANTILES),
             np.quantile(np.concatenate(movements), _QUANTILES),
+            voices,
         )
 
     def __call__(self, speech: np.ndarray) -> np.ndarray:
-        """Return the movement (2, T) that speech features (S, T) ask for: all of it, its slow part."""
-        slow = self.slow.trusted(
-            self.slow(slow_inputs(speech, self.effort, self.basis, self.fps))
-        )
+        """Return the movement that speech features (S, T) ask for, and its slow part, (2, T)."""
+        speech = usual_voice(speech, self.effort, self.voices)
+        slow = self.slow.trusted(self.slow(slow_inputs(speech, self.effort, self.basis, self.fps)))
         fast = self.fast.mapped(self.fast(fast_inputs(speech, self.effort, self.basis, self.fps)))
         movement = _mapped(fast + slow, self.predicted, self.recorded)
         return np.stack([movement, slow_part(movement, self.fps)])
+
+
+def usual_voice(speech: np.ndarray, effort: Sequence[int], voices: np.ndarray) -> np.ndarray:
+    """Return speech features (S, T) with an unusual voice moved to the mean of training voices.
+
+    A voice whose mean effort is within the range of training is left as it is, so that a calm clip
+    stays calm. Further out, the difference tells more of the speaker than of the effort.
+
+    Args:
+        speech: (S, T).
+        effort: the E columns of vocal effort.
+        voices: (3, E) lowest, mean and highest effort in training.
+    """
+    if not len(effort):
+        return speech
+    lowest, usual, highest = voices
+    own = speech[list(effort)].mean(axis=1)
+    beyond = np.maximum(own - highest, lowest - own) / np.maximum((highest - lowest) / 2, 1e-3)
+    moved = np.clip(beyond, 0.0, 1.0) * (own - usual)
+    speech = speech.copy()
+    speech[list(effort)] -= moved[:, None]
+    return speech
 
 
 def fast_inputs(

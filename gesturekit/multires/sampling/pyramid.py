@@ -65,9 +65,7 @@ class Pyramid:
         noises[0] = self.noise.shuffled(noises[0], [self._coarsest_styles()], self.rng_of(0))
         return self._sampled(noises, lengths, constraint=constraint)
 
-    def _above_recalled(
-        self, lengths: Sequence[int], constraint: Constraint | None
-    ) -> np.ndarray:
+    def _above_recalled(self, lengths: Sequence[int], constraint: Constraint | None) -> np.ndarray:
         """Return the output (T_i, D) of the last of these levels, above the recalled one."""
         first, coarser = self.recalled_level + 1, self.recalled
         if len(lengths) < first:

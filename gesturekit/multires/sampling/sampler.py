@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -22,7 +23,7 @@ from gesturekit.multires.constraints.keyframes import (
 from gesturekit.multires.constraints.path import PathConstraint
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource
 from gesturekit.multires.sampling.pyramid import Pyramid
@@ -78,7 +79,7 @@ class Sampler:
         """Generate the sample of this number."""
         request = self.request
         styles = self._styles(seed, number)
-        recalled = self._recalled(seed, number, styles)
+        choice = self._recalled(seed, number, styles)
         pyramid = Pyramid(
             self.network,
             self.normaliser,
@@ -86,20 +87,23 @@ class Sampler:
             self.conditions.of_motion(request.features, request.lengths, styles),
             self.noise,
             lambda level: rng_for(seed, "sample", number, "level", level + 1),
-            recalled,
+            None if choice is None else self._recalled_level(choice),
             0 if self.library is None else self.library.level - 1,
         )
         if request.start is not None:
             return self._from_level(pyramid)
-        if request.path is not None:
-            return self._along_path(pyramid)
         if request.clips is not None:
             return self._between_clips(pyramid)
         levels = request.controls.levels
-        values = self._cropped(pyramid.random(levels=levels))
-        if levels is not None and levels < len(request.lengths):
+        if request.path is None and levels is not None and levels < len(request.lengths):
+            values = self._cropped(pyramid.random(levels=levels))
             return level_motion(self.representation, values, self.fps, request.n_frames)
-        return self._finished(self._decoded(values), values)
+        if request.path is not None:
+            motion = self._along_path(pyramid)
+        else:
+            values = self._cropped(pyramid.random())
+            motion = self._finished(self._decoded(values), values)
+        return motion if choice is None else self._with_passive(motion, choice)
 
     def _constraint(self) -> PathConstraint | InbetweenConstraint | None:
         """Return the constraint on motions from noise; warn if it needs too high a speed."""
@@ -140,20 +144,33 @@ class Sampler:
             names, request.controls, request.lengths, fps=self.fps, rng=rng, margin=request.margin
         )
 
-    def _recalled(self, seed: int, number: int, styles: list[Tensor]) -> Tensor | None:
-        """Return the recalled motion (1, D, T_i) of its level, normalised; None without recall."""
+    def _recalled(self, seed: int, number: int, styles: list[Tensor]) -> RecalledMotion | None:
+        """Choose the recalled pieces; None without recall."""
         library, request = self.library, self.request
         if library is None:
             return None
-        choice = library.recall(
+        return library.recall(
             request.features.T,
             lambda part: rng_for(seed, "sample", number, "recall", part),
             liveliness=request.controls.liveliness,
             speaker=request.controls.speaker,
             styles=styles[library.level - 1][0].argmax(dim=0).numpy() if styles else None,
         )
-        motions = [recording.motion for recording in library.recordings]
-        return choice.vectors(motions, request.lengths[library.level - 1])[None]
+
+    def _recalled_level(self, choice: RecalledMotion) -> Tensor:
+        """Return the recalled motion (1, D, T_i) of its level, normalised."""
+        motions = [recording.motion for recording in self.library.recordings]
+        return choice.vectors(motions, self.request.lengths[self.library.level - 1])[None]
+
+    def _with_passive(self, motion: Motion, choice: RecalledMotion) -> Motion:
+        """Return the motion with the fingers and the face of the recalled pieces."""
+        passive, library = self.library.passive, self.library
+        values = choice.channels(
+            [recording.passive for recording in library.recordings],
+            passive.columns(library.parts),
+            self.request.lengths[-1],
+        )
+        return passive.applied(motion, self._cropped(values.T).T)
 
     def _along_path(self, pyramid: Pyramid) -> Motion:
         """Generate a motion whose root follows the path."""
@@ -205,8 +222,8 @@ class Sampler:
         read = motion_level(representation, unedited, self.fps, lengths, level)
         return keep_unedited(values, generated, read, representation)
 
-    def _cropped(self, values: np.ndarray) -> np.ndarray:
-        """Return (T, D) without the margins."""
+    def _cropped(self, values: Any) -> Any:
+        """Return an array or a tensor (T, D) without the margins."""
         return values[self.request.margin : len(values) - self.request.margin]
 
     def _decoded(self, values: np.ndarray) -> Motion:

@@ -23,11 +23,6 @@ from gesturekit.multires.training.kinematics import (
     smooth,
 )
 
-import os
-FLOORS = eval(os.environ.get('FLOORS','(1.0, 10.0)'))
-"""Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm. Below a calm
-speaker's values, so that ratios are compared; not far below, or pauses dominate the loss."""
-
 # Fixed: the recipes' loss weights were chosen with these values.
 _CONTEXT_SECONDS = 0.2
 _RIDGE = 30.0
@@ -35,31 +30,38 @@ _SPREAD_SECONDS = 3.0
 _SPREAD_WEIGHT = 5.0
 
 
-def log_movement(speed: Tensor, acceleration: Tensor, frame_seconds: float) -> Tensor:
+def log_movement(
+    speed: Tensor, acceleration: Tensor, frame_seconds: float, floors: Sequence[float]
+) -> Tensor:
     """Return (B, 2, T) smoothed logarithms (sigma 0.1 s) of (B, T) arm movement.
 
     Args:
         speed: (B, T), rad/s.
         acceleration: (B, T), rad/s^2.
         frame_seconds: time between two frames.
+        floors: added to speed and acceleration before the logarithm, see `LossConfig.arm_floors`.
     """
     both = torch.stack([speed, acceleration], dim=1)
-    floors = both.new_tensor(FLOORS)[:, None]
-    return torch.log(smooth(both, SMOOTHING_SECONDS / frame_seconds) + floors)
+    added = both.new_tensor(floors)[:, None]
+    return torch.log(smooth(both, SMOOTHING_SECONDS / frame_seconds) + added)
 
 
-def recorded_movement(kinematics: VectorKinematics, values: Tensor, stride: float) -> Tensor:
+def recorded_movement(
+    kinematics: VectorKinematics, values: Tensor, stride: float, floors: Sequence[float]
+) -> Tensor:
     """Return (B, 2, T) log arm movement of recordings, without capture noise.
 
     Args:
         kinematics: of the rig.
         values: (B, D, T) motion vectors in their own units.
         stride: full-rate frames between two frames.
+        floors: see `log_movement`.
     """
     return log_movement(
         kinematics.arm_speed(values, stride, smoothing=0.0),
         kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
         stride / kinematics.fps,
+        floors,
     )
 
 
@@ -70,6 +72,7 @@ def arm_targets(
     values_of: Callable[[Tensor], Tensor],
     kinematics: VectorKinematics,
     device: torch.device,
+    floors: Sequence[float],
 ) -> list[ArmTarget]:
     """Fit a regression for each level, from the paired speech to the recorded arm movement.
 
@@ -84,6 +87,7 @@ def arm_targets(
         values_of: converts normalised motion (B, D, T) to its own units.
         kinematics: of the rig.
         device: on which the networks are trained.
+        floors: see `log_movement`.
     """
     targets = []
     for i in indices:
@@ -95,7 +99,7 @@ def arm_targets(
                 continue  # a single frame has no speed
             stride = sequence.n_frames / n
             values = values_of(resample(sequence.motion[None].to(device), n))
-            movements.append(recorded_movement(kinematics, values, stride)[0])
+            movements.append(recorded_movement(kinematics, values, stride, floors)[0])
             speeches.append(resample(sequence.speech.to(device), n))
         target = ArmTarget(stride / kinematics.fps).to(device)
         targets.append(target.fit(speeches, movements))

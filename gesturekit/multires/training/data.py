@@ -22,6 +22,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
@@ -98,17 +99,19 @@ class PairedSequence:
             RMS at the first level.
         z_star: noise at level 1 from which this recording is reconstructed, (T_1,), or (D, T_1)
             with separate noise for each channel.
+        passive: (X, T) of the corpus's `PassiveChannels`.
         style: index among the corpus's styles; 0 without styles.
         speaker: its speaker; None if the corpus names none.
     """
 
-    TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star")
+    TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star", "passive")
 
     name: str
     motion: Tensor
     speech: Tensor
     sigma: Tensor
     z_star: Tensor
+    passive: Tensor
     style: int = 0
     speaker: str | None = None
 
@@ -126,6 +129,7 @@ class PairedSequence:
         levels: int,
         seed: int,
         *,
+        passive: Tensor | None = None,
         style: int = 0,
         speaker: str | None = None,
         full_noise: bool = False,
@@ -138,7 +142,8 @@ class PairedSequence:
             noise = torch.randn(len(motion), n_coarsest, generator=rng)
         else:
             noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
-        return cls(name, motion, speech, sigma, noise, style, speaker)
+        passive = motion.new_zeros(0, motion.shape[-1]) if passive is None else passive
+        return cls(name, motion, speech, sigma, noise, passive, style, speaker)
 
     def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
         """Return the noise (1 or D, T_1) of the window that starts at this full-rate frame."""
@@ -174,6 +179,7 @@ class TrainingData:
         window: frames of a training window; None for whole sequences.
         sources: recordings from which `paired` was read.
         recorded_fps: most common frame rate of the recordings; None in older runs.
+        passive: joints and face channels that are recalled but not modelled; none without recall.
     """
 
     paired: tuple[PairedSequence, ...]
@@ -188,6 +194,7 @@ class TrainingData:
     unpaired_is_paired: bool
     sources: tuple[Source, ...] = ()
     recorded_fps: float | None = None
+    passive: PassiveChannels = PassiveChannels()
 
     def save(self, folder: Path) -> None:
         """Write the data into a folder, from which a resumed run loads it."""
@@ -212,6 +219,7 @@ class TrainingData:
             "sources": to_values(self.sources),
             "window": self.window,
             "recorded_fps": self.recorded_fps,
+            "passive": [list(self.passive.joints), self.passive.expressions],
             **rig_values(self.representation, self.speakers),
         }
         save_data(folder, tensors, about)
@@ -228,6 +236,7 @@ class TrainingData:
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             # Runs of older versions have no speakers of recordings.
             speakers = about.get("speaker_of", [None] * len(about["names"]))
+            passive = about.get("passive", [[], 0])
             paired = tuple(
                 PairedSequence(
                     name,
@@ -258,6 +267,7 @@ class TrainingData:
                 unpaired_is_paired=config.features is not None and not unpaired,
                 sources=from_values(about.get("sources", ())),
                 recorded_fps=about.get("recorded_fps"),
+                passive=PassiveChannels(tuple(passive[0]), passive[1]),
             )
 
         return load_data(folder, assemble)

@@ -17,6 +17,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.training.data import Normaliser, PairedSequence, TrainingData
 from gesturekit.training.data.features import extract_features
 from gesturekit.training.data.recordings import (
@@ -56,8 +57,13 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     others = () if extractor is None else manifest.unpaired("train")
     lengths = list(map(len, vectors))
     conditioner, speeches, unpaired = _speech(config, items, lengths, others, extractor)
+    passive = PassiveChannels()
+    if config.recall is not None:
+        passive = PassiveChannels.find(motions, representation.joints)
     paired = []
-    for item, vector, speech, style in zip(items, vectors, speeches, style_of, strict=True):
+    for item, recording, vector, speech, style in zip(
+        items, motions, vectors, speeches, style_of, strict=True
+    ):
         n_frames = min(len(vector), speech.shape[-1])
         motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
         paired.append(
@@ -67,6 +73,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
                 speech[:, :n_frames].contiguous(),
                 config.network.levels,
                 config.seed,
+                passive=passive.encode(recording)[:, :n_frames].contiguous(),
                 style=style,
                 speaker=item.speaker,
                 full_noise=config.z_star == "full",
@@ -88,6 +95,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         unpaired_is_paired=conditioner is not None and not unpaired,
         sources=tuple(map(Source.of, items, recorded)),
         recorded_fps=recorded_rate(motions),
+        passive=passive,
     )
 
 

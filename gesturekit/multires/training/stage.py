@@ -16,8 +16,8 @@ from gesturekit.multires.losses import Batch, losses, reconstruction
 from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.sampling.styles import agreed_style
 from gesturekit.multires.recall.library import RecallLibrary
+from gesturekit.multires.sampling.styles import agreed_style
 from gesturekit.multires.training.arm_speed import (
     ArmTarget,
     arm_targets,
@@ -98,6 +98,7 @@ class Stage:
                 self.normaliser.inverse,
                 self.kinematics,
                 self.device,
+                config.losses.arm_floors,
             )
         self.details: dict[int, DetailTarget] = {}
         if config.losses.detail:
@@ -290,7 +291,7 @@ class Stage:
                 share = self.config.recall.own_movement
                 for i, motion in enumerate(self._within(windows.recalled, n_frames)):
                     values, stride = self.normaliser.inverse(motion), n_frames / motion.shape[-1]
-                    own = recorded_movement(self.kinematics, values, stride)
+                    own = recorded_movement(self.kinematics, values, stride, weights.arm_floors)
                     aims[i] = share * own + (1 - share) * aims[i]
 
         def of_level(i: int) -> Batch:
@@ -321,6 +322,7 @@ class Stage:
                     kinematics.arm_speed(values, stride),
                     kinematics.arm_acceleration(values, stride),
                     stride / self.config.fps,
+                    weights.arm_floors,
                 )
             return Batch(**parts)
 

@@ -185,7 +185,9 @@ class Trainer:
 
     def stage(self, first: int, iterations: int) -> Stage:
         """Return the stage that begins with this level, its networks untrained."""
-        return Stage(self.config, self.data, self.network, self.processes, first, iterations, self.library)
+        return Stage(
+            self.config, self.data, self.network, self.processes, first, iterations, self.library
+        )
 
     def run(self) -> Path:
         """Train all stages, or those that are left, and write the model."""

@@ -1,0 +1,70 @@
+"""Recalled channels that are not modelled: fingers, other held joints, and the face."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import quaternion_from_sixd, sixd_from_quaternion
+from gesturekit.multires.recall.parts import MotionPart
+
+_STILL = 0.01
+"""Standard deviation of a rotation's six numbers below which a joint does not move."""
+
+
+@dataclass(frozen=True)
+class PassiveChannels:
+    """Fingers and other joints that move in the recordings but are not modelled, and the face.
+
+    Attributes:
+        joints: names of the F joints.
+        expressions: number E of SMPL-X face coefficients.
+    """
+
+    joints: tuple[str, ...] = ()
+    expressions: int = 0
+
+    @classmethod
+    def find(cls, motions: Sequence[Motion], modelled: Sequence[str]) -> PassiveChannels:
+        """Return what moves in the motions of one rig beside the modelled joints."""
+        moving = []
+        for j, name in enumerate(motions[0].skeleton.names):
+            if name not in modelled:
+                sixd = [sixd_from_quaternion(motion.rotations[:, j]) for motion in motions]
+                if np.concatenate(sixd).std(axis=0).max() > _STILL:
+                    moving.append(name)
+        faces = [motion.expressions for motion in motions]
+        widths = {0 if face is None else face.shape[1] for face in faces}
+        return cls(tuple(moving), widths.pop() if len(widths) == 1 else 0)
+
+    def encode(self, motion: Motion) -> Tensor:
+        """Return (6 F + E, T) float32 rotations and face coefficients."""
+        index = [motion.skeleton.index(name) for name in self.joints]
+        rows = sixd_from_quaternion(motion.rotations[:, index]).reshape(motion.n_frames, -1)
+        if self.expressions:
+            rows = np.concatenate([rows, motion.expressions], axis=1)
+        return torch.from_numpy(np.ascontiguousarray(rows.T)).float()
+
+    def columns(self, parts: Sequence[MotionPart]) -> list[np.ndarray]:
+        """Return the rows of `encode` that each part of the body has; the face has the last."""
+        owner = {name: i for i, part in enumerate(parts) for name in part.joints}
+        own = np.repeat([owner[name] for name in self.joints], 6).astype(int)
+        own = np.concatenate([own, np.full(self.expressions, len(parts) - 1, int)])
+        return [np.flatnonzero(own == i) for i in range(len(parts))]
+
+    def applied(self, motion: Motion, values: Tensor) -> Motion:
+        """Return the motion (T frames) with the channels in `values` (6 F + E, T)."""
+        rows = values.T.double().numpy()
+        rotations = motion.rotations.copy()
+        index = [motion.skeleton.index(name) for name in self.joints]
+        split = 6 * len(index)
+        if index:
+            sixd = rows[:, :split].reshape(len(rows), len(index), 6)
+            rotations[:, index] = quaternion_from_sixd(sixd)
+        face = rows[:, split:] if self.expressions else motion.expressions
+        return replace(motion, rotations=rotations, expressions=face)
