@@ -75,8 +75,9 @@ class MultiresModel(TrainedModel):
             network_config=self.network_config,
             speakers=self.speakers,
         )
+        library = None if asked.recall is False else self.library
         sampler = Sampler(
-            request,
+            replace(request, library=library),
             fps=self.fps,
             representation=self.representation,
             normaliser=self.normaliser,
@@ -84,7 +85,6 @@ class MultiresModel(TrainedModel):
             conditions=self.conditions,
             noise=self.noise.source(self.styles),
             fastest=self.fastest,
-            library=None if asked.recall is False else self.library,
         )
         # One at a time: batching changes the order of sums, and the last digits of a sample would
         # depend on the number of samples.

@@ -33,7 +33,7 @@ def places(motion):
 def target():
     sequences = [recording(style, seed) for style in (0, 1) for seed in (1, 2)]
     sequences = [
-        PairedSequence(s.name, s.motion, s.speech, s.sigma, s.z_star, int(s.name[0]))
+        PairedSequence(s.name, s.motion, s.speech, s.sigma, s.z_star, s.passive, int(s.name[0]))
         for s in sequences
     ]
     detail = DetailTarget(sequences, LEVEL, LEVELS, places, 50, 2)

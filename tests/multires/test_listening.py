@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gesturekit.multires.training.arm_speed import FLOORS, ArmTarget, log_movement
+from gesturekit.multires.training.arm_speed import ArmTarget, log_movement
 
 FRAME = 0.04
+FLOORS = (1.0, 10.0)
 
 
 def talk(n_frames: int, loudness: float, seed: int):
@@ -17,7 +18,7 @@ def talk(n_frames: int, loudness: float, seed: int):
     noise = 0.1 * torch.randn(3, n_frames, generator=rng)
     speech = noise + loudness * torch.stack([phrases, -phrases, torch.zeros(n_frames)])
     speed = loudness * (1.0 + 1.6 * phrases)
-    return speech, log_movement(speed[None], 9.0 * speed[None], FRAME)[0]
+    return speech, log_movement(speed[None], 9.0 * speed[None], FRAME, FLOORS)[0]
 
 
 @pytest.fixture(scope="module")

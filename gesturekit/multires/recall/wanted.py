@@ -220,8 +220,9 @@ class WantedMovement:
 def usual_voice(speech: np.ndarray, effort: Sequence[int], voices: np.ndarray) -> np.ndarray:
     """Return speech features (S, T) with an unusual voice moved to the mean of training voices.
 
-    A voice whose mean effort is within the range of training is left as it is, so that a calm clip
-    stays calm. Further out, the difference tells more of the speaker than of the effort.
+    A voice whose mean effort is at most half the training range outside that range is left as it
+    is, so that a calm clip stays calm. Further out, the difference tells more of the speaker than
+    of the effort.
 
     Args:
         speech: (S, T).
@@ -233,7 +234,7 @@ def usual_voice(speech: np.ndarray, effort: Sequence[int], voices: np.ndarray) -
     lowest, usual, highest = voices
     own = speech[list(effort)].mean(axis=1)
     beyond = np.maximum(own - highest, lowest - own) / np.maximum((highest - lowest) / 2, 1e-3)
-    moved = np.clip(beyond, 0.0, 1.0) * (own - usual)
+    moved = np.clip(beyond - 1.0, 0.0, 1.0) * (own - usual)
     speech = speech.copy()
     speech[list(effort)] -= moved[:, None]
     return speech

@@ -21,6 +21,7 @@ from gesturekit.multires.constraints.inbetweening import InbetweenClips
 from gesturekit.multires.constraints.keyframes import fit_keyframes, full_frames
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.styles import requested_styles
 from gesturekit.training.seeds import rng_for
@@ -40,6 +41,7 @@ class Request:
         start: a motion that replaces the output of a coarse level, or None for noise.
         path: the path of the root, T frames at the model's rate, or None.
         clips: the clips of in-betweening, or None.
+        library: recordings to recall; None to generate all levels.
     """
 
     controls: MultiresControls
@@ -51,6 +53,7 @@ class Request:
     start: Motion | None
     path: RootPath | None
     clips: InbetweenClips | None
+    library: RecallLibrary | None = None
 
     @classmethod
     def build(

@@ -23,7 +23,7 @@ from gesturekit.multires.constraints.keyframes import (
 from gesturekit.multires.constraints.path import PathConstraint
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
+from gesturekit.multires.recall.library import RecalledMotion
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource
 from gesturekit.multires.sampling.pyramid import Pyramid
@@ -53,7 +53,6 @@ class Sampler:
         conditions: inputs of the model beside noise.
         noise: source of noise.
         fastest: m/s in the fastest second of the training; None if unknown.
-        library: recordings to recall; None to generate all levels.
     """
 
     def __init__(
@@ -67,12 +66,10 @@ class Sampler:
         conditions: Conditions,
         noise: NoiseSource,
         fastest: float | None,
-        library: RecallLibrary | None,
     ) -> None:
         self.request, self.fps, self.representation = request, fps, representation
         self.normaliser, self.network = normaliser, network
         self.conditions, self.noise, self.fastest = conditions, noise, fastest
-        self.library = library
         self.constraint = self._constraint()
 
     def motion(self, seed: int, number: int) -> Motion:
@@ -88,7 +85,7 @@ class Sampler:
             self.noise,
             lambda level: rng_for(seed, "sample", number, "level", level + 1),
             None if choice is None else self._recalled_level(choice),
-            0 if self.library is None else self.library.level - 1,
+            0 if self.request.library is None else self.request.library.level - 1,
         )
         if request.start is not None:
             return self._from_level(pyramid)
@@ -146,7 +143,8 @@ class Sampler:
 
     def _recalled(self, seed: int, number: int, styles: list[Tensor]) -> RecalledMotion | None:
         """Choose the recalled pieces; None without recall."""
-        library, request = self.library, self.request
+        request = self.request
+        library = request.library
         if library is None:
             return None
         return library.recall(
@@ -159,18 +157,18 @@ class Sampler:
 
     def _recalled_level(self, choice: RecalledMotion) -> Tensor:
         """Return the recalled motion (1, D, T_i) of its level, normalised."""
-        motions = [recording.motion for recording in self.library.recordings]
-        return choice.vectors(motions, self.request.lengths[self.library.level - 1])[None]
+        motions = [recording.motion for recording in self.request.library.recordings]
+        return choice.vectors(motions, self.request.lengths[self.request.library.level - 1])[None]
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion) -> Motion:
         """Return the motion with the fingers and the face of the recalled pieces."""
-        passive, library = self.library.passive, self.library
+        library = self.request.library
         values = choice.channels(
             [recording.passive for recording in library.recordings],
-            passive.columns(library.parts),
+            library.passive.columns(library.parts),
             self.request.lengths[-1],
         )
-        return passive.applied(motion, self._cropped(values.T).T)
+        return library.passive.applied(motion, self._cropped(values.T).T)
 
     def _along_path(self, pyramid: Pyramid) -> Motion:
         """Generate a motion whose root follows the path."""

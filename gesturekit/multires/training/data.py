@@ -129,9 +129,7 @@ class PairedSequence:
         levels: int,
         seed: int,
         *,
-        passive: Tensor | None = None,
         style: int = 0,
-        speaker: str | None = None,
         full_noise: bool = False,
     ) -> PairedSequence:
         """Make a sequence; its noise depends on the seed and the name only."""
@@ -142,8 +140,8 @@ class PairedSequence:
             noise = torch.randn(len(motion), n_coarsest, generator=rng)
         else:
             noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
-        passive = motion.new_zeros(0, motion.shape[-1]) if passive is None else passive
-        return cls(name, motion, speech, sigma, noise, passive, style, speaker)
+        passive = motion.new_zeros(0, motion.shape[-1])
+        return cls(name, motion, speech, sigma, noise, passive, style)
 
     def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
         """Return the noise (1 or D, T_1) of the window that starts at this full-rate frame."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -57,28 +58,14 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     others = () if extractor is None else manifest.unpaired("train")
     lengths = list(map(len, vectors))
     conditioner, speeches, unpaired = _speech(config, items, lengths, others, extractor)
+    paired = _paired(config, items, vectors, speeches, style_of, normaliser)
     passive = PassiveChannels()
     if config.recall is not None:
         passive = PassiveChannels.find(motions, representation.joints)
-    paired = []
-    for item, recording, vector, speech, style in zip(
-        items, motions, vectors, speeches, style_of, strict=True
-    ):
-        n_frames = min(len(vector), speech.shape[-1])
-        motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
-        paired.append(
-            PairedSequence.make(
-                item.id,
-                motion,
-                speech[:, :n_frames].contiguous(),
-                config.network.levels,
-                config.seed,
-                passive=passive.encode(recording)[:, :n_frames].contiguous(),
-                style=style,
-                speaker=item.speaker,
-                full_noise=config.z_star == "full",
-            )
-        )
+        paired = [
+            replace(sequence, passive=passive.encode(motion)[:, : sequence.n_frames].contiguous())
+            for sequence, motion in zip(paired, motions, strict=True)
+        ]
     longest, window = _longest(config, paired), config.training.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
     silent = (frames or longest) + 2 * config.random_margin
@@ -97,6 +84,32 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         recorded_fps=recorded_rate(motions),
         passive=passive,
     )
+
+
+def _paired(
+    config: MultiresConfig,
+    items: Sequence[Item],
+    vectors: Sequence[np.ndarray],
+    speeches: Sequence[Tensor],
+    style_of: Sequence[int],
+    normaliser: Normaliser,
+) -> list[PairedSequence]:
+    """Return the recordings as normalised sequences, cut to the shorter of motion and speech."""
+    paired = []
+    for item, vector, speech, style in zip(items, vectors, speeches, style_of, strict=True):
+        n_frames = min(len(vector), speech.shape[-1])
+        motion = normaliser.forward(torch.from_numpy(vector[:n_frames].T).float()[None])[0]
+        sequence = PairedSequence.make(
+            item.id,
+            motion,
+            speech[:, :n_frames].contiguous(),
+            config.network.levels,
+            config.seed,
+            style=style,
+            full_noise=config.z_star == "full",
+        )
+        paired.append(replace(sequence, speaker=item.speaker))
+    return paired
 
 
 def _representation(config: MultiresConfig, motions: Sequence[Motion]) -> MultiresRepresentation:
