@@ -22,7 +22,6 @@ from gesturekit.multires.training.arm_speed import (
     ArmTarget,
     arm_targets,
     log_movement,
-    recorded_movement,
 )
 from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
@@ -291,7 +290,12 @@ class Stage:
                 share = self.config.recall.own_movement
                 for i, motion in enumerate(self._within(windows.recalled, n_frames)):
                     values, stride = self.normaliser.inverse(motion), n_frames / motion.shape[-1]
-                    own = recorded_movement(self.kinematics, values, stride, weights.arm_floors)
+                    own = log_movement(
+                        self.kinematics.arm_speed(values, stride),
+                        self.kinematics.arm_acceleration(values, stride),
+                        stride / self.config.fps,
+                        weights.arm_floors,
+                    )
                     aims[i] = share * own + (1 - share) * aims[i]
 
         def of_level(i: int) -> Batch:
