@@ -244,7 +244,7 @@ def command(
         print_preview(batch)
         return
     _run(batch, summary, loaded.fps if is_whole else None)
-    if len(batch.tasks) >= _MANY and summary.counts["rendered"] + summary.counts["failed"]:
+    if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
         _write_page(batch)
     click.echo(summary, err=True)
     ctx.exit(1 if summary.counts["failed"] else 0)

@@ -73,11 +73,11 @@ def print_preview(batch: Batch) -> None:
         click.echo(f"{found.action}  {shown}  {source} -> {where}")
         counts[found.action] += 1
         sound += (length or 0.0) if found.action == "make" else 0.0
-    cost = measured_cost(batch)
-    took = time_in_words(sound * cost.seconds / batch.execution.workers)
+    seconds, size = measured_cost(batch).of(counts["make"], sound)
+    took = time_in_words(seconds / batch.execution.workers)
     parts = ", ".join(f"{count} to {action}" for action, count in counts.items())
     click.echo(
-        f"{parts}; {time_in_words(sound)} of sound, about {sound * cost.bytes / 1e6:.1f} MB and "
+        f"{parts}; {time_in_words(sound)} of sound, about {size / 1e6:.1f} MB and "
         f"{took} with {batch.execution.workers} of --workers, besides loading: {batch.out} "
         "(dry run: nothing was written)",
         err=True,

@@ -25,6 +25,8 @@ from gesturekit.jobs.state import FORMAT, parse_line, read_lines, shard_name
 
 ATTEMPTS = 3
 """Failures with the same input and settings after which an item is put aside."""
+FIRST_FIELDS = ("status", "id", "time", "seconds", "sound", "key")
+"""Fields with which the line of a result begins, in this order."""
 _STARTED, _STATUS = b'{"started"', b'{"status"'
 
 
@@ -107,8 +109,10 @@ class Journal:
 
     def finish(self, entry: Entry) -> None:
         """Record the result of an attempt."""
-        values = {name: value for name, value in asdict(entry).items() if value or name == "key"}
-        self._append(values | {"run": self.run, "time": time.time()})
+        values = asdict(entry) | {"run": self.run, "time": time.time()}
+        # `jobs` finds what it needs at the beginning of a line, without parsing the whole.
+        first = {name: values[name] for name in FIRST_FIELDS}
+        self._append(first | {name: value for name, value in values.items() if value})
 
     def close(self) -> None:
         """Write everything to the disk, and close the file."""

@@ -47,15 +47,15 @@ class Lease:
         self.path = folder / f"{shard_name(shard, shards)}.json"
         self._lock = _lock_of(self.path)
         for other in live_leases(state):
-            if other["file"] == self.path.name:
-                raise ConfigError(
-                    f"{state.parent}: shard {shard} of {shards} is in work, {_owner(other)}; "
-                    "wait for it, or end that process"
-                )
             if other.get("run") != run:
                 raise ConfigError(
                     f"{state.parent}: another run, with other inputs or settings, writes there, "
                     f"{_owner(other)}; wait for it, or give another --out"
+                )
+            if other["file"] == self.path.name:
+                raise ConfigError(
+                    f"{state.parent}: shard {shard} of {shards} is in work, {_owner(other)}; "
+                    "wait for it, or end that process"
                 )
         try:
             self._lock.acquire(blocking=False)

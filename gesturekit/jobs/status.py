@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import os
 import re
+from array import array
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gesturekit.errors import ConfigError
+import numpy as np
+
+from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.journal import ATTEMPTS, journal_files
 from gesturekit.jobs.lease import live_leases
 from gesturekit.jobs.plan import PLAN, Plan
-from gesturekit.jobs.state import parse_line, read_lines, state_folder
+from gesturekit.jobs.state import MAX_LINE, parse_line, state_folder
 
 WINDOW = 600.0
 """Seconds of work before the latest result from which speed is computed."""
-# Our own lines have a fixed order of fields; parsing a million of them as JSON takes seconds.
-_TEXT = rb'"(?:[^"\\]|\\.)*"'
-_RESULT = re.compile(rb'\{"status": "(\w+)", "id": (' + _TEXT + rb'), "key": "(\w*)"')
-_SOUND = re.compile(rb', "sound": ([\d.e+-]+)')
-_SECONDS = re.compile(rb', "seconds": ([\d.e+-]+)')
-_TIME = re.compile(rb', "time": ([\d.e+]+)\}$')
-_STARTED = re.compile(rb'\{"started": (' + _TEXT + rb")")
-_PLANNED = re.compile(rb'\{"shard": (\d+), "id": (' + _TEXT + rb")")
+# Our own lines begin with fields in a fixed order; parsing a million of them as JSON takes seconds.
+_TEXT, _NUMBER = rb'("[^"\\]*(?:\\.[^"\\]*)*")', rb"([\d.e+-]+)"
+_RESULT = re.compile(
+    rb'\{"status": "(\w+)", "id": %b, "time": %b, "seconds": %b, "sound": %b, "key": "(\w*)"'
+    % (_TEXT, _NUMBER, _NUMBER, _NUMBER)
+)
+_STARTED = re.compile(rb'\{"started": ' + _TEXT)
+_PLANNED = re.compile(rb'\{"shard": (\d+), "id": ' + _TEXT)
+_DIGITS = re.compile(r"(?<![A-Za-z\d])\d+([.,]\d+)*")
+_BLOCK = 1 << 24
+_TAIL = 1 << 17  # bytes at the end of a journal in which the start of an item in hand is found
 
 
 @dataclass(frozen=True)
@@ -109,32 +119,47 @@ def status_of(out: Path) -> Status:
     plan = Plan.open(state / PLAN)
     if plan is None:
         raise ConfigError(f"{out}: no plan in it; give the --out of `gesturekit render`")
+    with _without_collection():
+        return _counted(plan, state)
+
+
+def _counted(plan: Plan, state: Path) -> Status:
     results = _Results()
     for path in journal_files(state):
         results.read(path)
     status = Status(plan.n_items, plan.seconds, shards=[[n, 0] for n, _ in plan.shards])
-    planned = 0
-    for line in read_lines(plan.path):
+    for line in (line for lines in _blocks(plan.path) for line in lines):
         match = _PLANNED.match(line)
         if match is None:
             continue
         shard, name = int(match[1]), match[2]
         result = results.last.pop(name, None)
-        if result is None or result[1] not in (b"done", b"failed", b"lost"):
+        if result is None or result[1] == b"dropped":
             status.left.append(json.loads(name))
             continue
-        planned += 1
         status.shards[shard - 1][1] += 1
         if result[1] == b"done":
             status.done += 1
         else:
             status.failed.append(results.failed(name, result[2]))
     status.earlier = sum(kind == b"done" for _, kind, _ in results.last.values())
-    status.sound = sum(sound for _, sound, _ in results.times)
+    status.sound = sum(results.sounds)
     status.running = live_leases(state)
     status.in_hand = [json.loads(name) for name in results.begun]
     status.items_per_minute, status.real_time_factor = results.speed()
     return status
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Pause the search for reference cycles, which a million new tuples would start often."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 class _Results:
@@ -142,33 +167,39 @@ class _Results:
 
     def __init__(self) -> None:
         self.last: dict[bytes, tuple[float, bytes, bytes]] = {}
-        self.times: list[tuple[float, float, float]] = []
+        self.times, self.sounds, self.seconds = array("d"), array("d"), array("d")
         self.begun: dict[bytes, None] = {}
         self._failures: dict[bytes, tuple[bytes, int]] = {}
 
     def read(self, path: Path) -> None:
         """Add the results of a journal."""
-        for line in read_lines(path):
-            if match := _STARTED.match(line):
-                self.begun[match[1]] = None
-                continue
-            match, time = _RESULT.match(line), _TIME.search(line)
-            if match is None or time is None:
-                continue
-            kind, name, key = match.groups()
-            self.begun.pop(name, None)
-            at = float(time[1])
-            if kind == b"done":
-                sound, seconds = _SOUND.search(line), _SECONDS.search(line)
-                length = float(sound[1]) if sound else 0.0
-                self.times.append((at, length, float(seconds[1]) if seconds else 0.0))
-                self._failures.pop(name, None)
-            elif kind in (b"failed", b"lost"):
-                was, count = self._failures.get(name, (key, 0))
-                self._failures[name] = (key, count + 1 if was == key else 1)
-            before = self.last.get(name)
-            if before is None or at >= before[0]:
-                self.last[name] = (at, kind, line if kind != b"done" else b"")
+        match = _RESULT.match
+        for lines in _blocks(path):
+            for line in lines:
+                if not line.startswith(b'{"status"') or not (found := match(line)):
+                    continue
+                kind, name, time, seconds, sound, key = found.groups()
+                at = float(time)
+                if kind == b"done":
+                    self.times.append(at)
+                    self.sounds.append(float(sound))
+                    self.seconds.append(float(seconds))
+                    line = b""
+                    if self._failures:
+                        self._failures.pop(name, None)
+                elif kind != b"dropped":
+                    was, count = self._failures.get(name, (key, 0))
+                    self._failures[name] = (key, count + 1 if was == key else 1)
+                before = self.last.get(name)
+                if before is None or at >= before[0]:
+                    self.last[name] = (at, kind, line)
+        begun: dict[bytes, None] = {}
+        for line in _lines_at_end(path, _TAIL):
+            if found := _STARTED.match(line):
+                begun[found[1]] = None
+            elif found := match(line):
+                begun.pop(found[2], None)
+        self.begun |= begun
 
     def failed(self, name: bytes, line: bytes) -> FailedItem:
         """Return the failure of an item from its last line."""
@@ -180,15 +211,44 @@ class _Results:
         """Return items per minute and seconds of sound per second."""
         if not self.times:
             return 0.0, 0.0
-        latest = max(at for at, _, _ in self.times)
-        recent = [result for result in self.times if result[0] >= latest - WINDOW]
-        first = min(at - seconds for at, _, seconds in recent)
-        span = max(latest - first, 1e-3)
-        return 60 * len(recent) / span, sum(sound for _, sound, _ in recent) / span
+        times, sounds, seconds = (
+            np.frombuffer(values) for values in (self.times, self.sounds, self.seconds)
+        )
+        recent = times >= times.max() - WINDOW
+        span = max(times.max() - (times - seconds)[recent].min(), 1e-3)
+        return float(60 * recent.sum() / span), float(sounds[recent].sum() / span)
+
+
+def _blocks(path: Path) -> Iterator[list[bytes]]:
+    """Yield the complete lines of a file, many at a time.
+
+    Raises:
+        FormatError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            rest = b""
+            while block := file.read(_BLOCK):
+                *lines, rest = (rest + block).split(b"\n")
+                yield lines
+                rest = rest if len(rest) <= MAX_LINE else b""
+    except OSError as error:
+        raise FormatError(f"{path}: {error.strerror}") from None
+
+
+def _lines_at_end(path: Path, size: int) -> list[bytes]:
+    """Return the complete lines among the last bytes of a file."""
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - size))
+        return file.read().split(b"\n")[:-1]
 
 
 def _general(item: FailedItem) -> str:
     """Return the reason of a failure without the name of the item and without numbers."""
-    text = re.sub(rf"\S*{re.escape(item.id.rpartition('/')[2])}\S*:?", "", item.error)
-    text = re.sub(r"\d+([.,]\d+)*", "N", text)
-    return " ".join(text.split()).strip(": ") or item.error
+    text, name = item.error, item.id.rpartition("/")[2]
+    # Most begin with the path of the input, which ends with the name and a suffix.
+    before, found, after = text.partition(name)
+    if found and ": " in after and " " not in after.partition(": ")[0]:
+        text = after.partition(": ")[2]
+    text = _DIGITS.sub("N", text.replace(name, "..."))
+    return " ".join(text.split()) or item.error

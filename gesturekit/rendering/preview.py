@@ -15,7 +15,7 @@ from gesturekit.rendering.execution import Batch
 from gesturekit.rendering.render import Outcome, Work
 from gesturekit.rendering.tasks import Task
 
-_SAMPLE_SECONDS = 5.0
+_SHORT, _LONG = 0.5, 5.0  # seconds of sound
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,19 @@ class Preview:
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of one second of sound, measured on this machine.
+    """Cost of rendering in one process, measured on this machine.
 
     Attributes:
-        seconds: time in one process.
-        bytes: size of its files.
+        item: (seconds, bytes) of each item, however short.
+        sound: (seconds, bytes) of each second of sound.
     """
 
-    seconds: float
-    bytes: float
+    item: tuple[float, float]
+    sound: tuple[float, float]
+
+    def of(self, items: int, sound: float) -> tuple[float, float]:
+        """Return the (seconds, bytes) of a number of items with so many seconds of sound."""
+        return tuple(items * a + sound * b for a, b in zip(self.item, self.sound, strict=True))
 
 
 def preview(batch: Batch) -> Iterator[Preview]:
@@ -63,21 +67,23 @@ def preview(batch: Batch) -> Iterator[Preview]:
 
 
 def measured_cost(batch: Batch) -> Cost:
-    """Render a few seconds of noise into a temporary folder, twice, and measure the second time.
+    """Measure the cost of a short and a longer piece of noise, written to a temporary folder.
 
-    Both costs are 0 if the model cannot render noise with these settings.
+    All costs are 0 if the model cannot render noise with these settings.
     """
+    found = []
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
         renderer = replace(batch.renderer, out=Path(folder))
-        wav = Path(folder) / "sample.wav"
-        noise = np.random.default_rng(0).standard_normal(int(_SAMPLE_SECONDS * 16_000))
-        soundfile.write(wav, 0.1 * noise, 16_000)
-        if renderer.seconds is not None:
-            task = Task("sample", "sample", duration=renderer.seconds)
-        else:
-            task = Task(str(wav), "sample", wav)
-        renderer(Work(task))  # the first time includes compilation
-        done = renderer(Work(task)).entry
-        size = sum(about["size"] for about in done.files.values())
-        sound = max(done.sound, 1e-3)
-        return Cost(done.seconds / sound, size / sound)
+        for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation
+            wav = Path(folder) / f"{seconds:g}.wav"
+            noise = np.random.default_rng(0).standard_normal(int(seconds * 16_000))
+            soundfile.write(wav, 0.1 * noise, 16_000)
+            entry = renderer(Work(Task(str(wav), wav.stem, wav))).entry
+            size = sum(about["size"] for about in entry.files.values())
+            found.append((entry.seconds, size))
+    if entry.status != "done":
+        return Cost((0.0, 0.0), (0.0, 0.0))
+    _, short, long = found
+    sound = tuple(max(0.0, (b - a) / (_LONG - _SHORT)) for a, b in zip(short, long, strict=True))
+    item = tuple(max(0.0, a - _SHORT * b) for a, b in zip(short, sound, strict=True))
+    return Cost(item, sound)

@@ -233,7 +233,7 @@ class Renderer:
         try:
             found = self.input_of(task)
             self._write_all(work, files, facts)
-        except _FAILURES as error:
+        except Exception as error:  # one strange file must not end a night's work
             reason = _reason(error, task.source)
             is_full = isinstance(error, OSError) and error.errno in _FULL
         sound, fps = facts["sound"], facts["fps"]
@@ -330,6 +330,8 @@ def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]
 def _reason(error: Exception, source: str) -> str:
     """Return the reason of a failure on one line that names the input."""
     reason = str(error) or "not enough memory"
+    if not isinstance(error, _FAILURES):
+        reason = f"unexpected {type(error).__name__}, please report it: {error}"
     # Not every reason names the input: a model that gives NaN, a disk that is full.
     reason = reason if source in reason else f"{source}: {reason}"
     # One line, and printable: a file name need not be text.

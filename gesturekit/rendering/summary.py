@@ -21,7 +21,7 @@ from gesturekit.viewer.pictures import contact_sheet
 
 PAGE = "summary.html"
 """Name of the page in the folder of state, which a run of many items writes at its end."""
-PICTURES = 12
+PICTURES = 6
 _SHOWN_FAILURES = 1000
 _SHOWN_SECONDS = 60.0
 _BARS = 24

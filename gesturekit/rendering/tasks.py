@@ -12,6 +12,7 @@ from typing import Any
 import soundfile
 
 import audio_features as af
+from audio_features.wave import SAMPLE_RATES
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.sources import (
@@ -25,6 +26,8 @@ from gesturekit.jobs.state import STATE
 from gesturekit.rendering.lists import is_glob, is_list, matches_of_glob, read_list
 
 _SHOWN = 3
+_MAX_SECONDS = 4 * 3600  # the longest sound that is read
+_UNCOMPRESSED = ("WAV", "WAVEX", "AIFF", "AU")
 
 Source = str | os.PathLike[str] | Item
 """A sound file, a folder of them, a glob, a list file, or an item of a manifest."""
@@ -80,9 +83,8 @@ class Task:
         if self.item is not None or self.audio is None:
             length = self.options.get("seconds") if self.item is None else self.item.duration
             return replace(self, duration=length)
-        try:
-            length = soundfile.info(self.audio).duration
-        except (RuntimeError, OSError, ValueError):  # its turn gives the reason
+        length = _length(self.audio)
+        if length is None:
             return self
         length = max(0.0, length - self.options.get("start", 0.0))
         return replace(self, duration=min(length, self.options.get("seconds", length)))
@@ -144,6 +146,21 @@ def find_tasks(sources: Source | Sequence[Source], out: Path) -> list[Task]:
             tasks.setdefault((same, task.name), task)
     _refuse_clashes(list(tasks.values()), out)
     return list(tasks.values())
+
+
+def _length(audio: Path) -> float | None:
+    """Return the seconds of sound by the header of a file; None for a file that cannot be read."""
+    try:
+        if not audio.is_file():  # reading a pipe may never end
+            return None
+        about, size = soundfile.info(audio), audio.stat().st_size
+    except (RuntimeError, OSError, ValueError):  # its turn gives the reason
+        return None
+    low, high = SAMPLE_RATES
+    is_possible = about.format not in _UNCOMPRESSED or about.frames <= 8 * size
+    if not low <= about.samplerate <= high or not is_possible or about.duration > _MAX_SECONDS:
+        return None  # a damaged header
+    return about.duration
 
 
 def _tasks_of(source: Source, out: Path) -> Iterator[Task]:
