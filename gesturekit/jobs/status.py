@@ -247,8 +247,9 @@ def _general(item: FailedItem) -> str:
     """Return the reason of a failure without the name of the item and without numbers."""
     text, name = item.error, item.id.rpartition("/")[2]
     # Most begin with the path of the input, which ends with the name and a suffix.
-    before, found, after = text.partition(name)
+    _, found, after = text.partition(name)
     if found and ": " in after and " " not in after.partition(": ")[0]:
         text = after.partition(": ")[2]
-    text = _DIGITS.sub("N", text.replace(name, "..."))
-    return " ".join(text.split()) or item.error
+    is_path = (f"{name}.", f"/{name}")
+    words = ("..." if any(part in word for part in is_path) else word for word in text.split())
+    return _DIGITS.sub("N", " ".join(words)) or item.error
