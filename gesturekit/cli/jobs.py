@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gesturekit.cli.options import existing_option, is_left
+from gesturekit.wording import printable
 
 if TYPE_CHECKING:
     from gesturekit.jobs.status import Status
@@ -46,10 +47,10 @@ def command(
         _print(status, out)
     if failed:
         for item in status.failed:
-            click.echo(f"failed {item.attempts}x  {item.id}: {item.error}")
+            click.echo(printable(f"failed {item.attempts}x  {item.id}: {item.error}"))
     if left:
         for name in status.left:
-            click.echo(f"left  {name}")
+            click.echo(printable(f"left  {name}"))
     if page is not None and not is_left([page], existing):
         from gesturekit.rendering.summary import write_summary
 
@@ -72,12 +73,12 @@ def _print(status: Status, out: Path) -> None:
         whole = sum(done == count for count, done in status.shards)
         click.echo(f"shards: {whole} of {len(status.shards)} finished")
     for lease in status.running:
-        click.echo(
-            f"at work: process {lease.get('pid')} on {lease.get('host')}, "
-            f"{lease['file'].removesuffix('.json')}, sign of life {lease['age']:.0f} s ago"
-        )
+        owner = printable(f"process {lease.get('pid')} on {lease.get('host')}")
+        shard, age = lease["file"].removesuffix(".json"), lease["age"]
+        click.echo(f"at work: {owner}, {shard}, sign of life {age:.0f} s ago")
     if status.in_hand and not status.running:
-        click.echo(f"in hand when a run was killed: {', '.join(status.in_hand[:5])}")
+        names = ", ".join(status.in_hand[:5])
+        click.echo(printable(f"in hand when a run was killed: {names}"))
     if status.items_per_minute:
         rest = status.seconds_left
         until = f"; {time_in_words(rest)} left" if status.left and status.running else ""
@@ -87,7 +88,7 @@ def _print(status: Status, out: Path) -> None:
         )
     reasons = status.reasons()
     for reason, count, first in reasons[:_MOST_REASONS]:
-        click.echo(f"{count:6d}x {reason} (first: {first})")
+        click.echo(printable(f"{count:6d}x {reason} (first: {first})"))
     if len(reasons) > _MOST_REASONS:
         click.echo(f"        and {len(reasons) - _MOST_REASONS} more reasons; --failed lists all")
 

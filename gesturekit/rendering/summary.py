@@ -18,6 +18,7 @@ from gesturekit.jobs.status import Status
 from gesturekit.motion.motion import Motion
 from gesturekit.progress import time_in_words
 from gesturekit.viewer.pictures import contact_sheet
+from gesturekit.wording import printable
 
 PAGE = "summary.html"
 """Name of the page in the folder of state, which a run of many items writes at its end."""
@@ -63,7 +64,7 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
             *_pictures(out, done),
         ]
     )
-    title = html.escape(_printable(out.name or str(out)))
+    title = html.escape(printable(out.name or str(out)))
     page = (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>\n{body}\n</body></html>\n"
@@ -118,11 +119,11 @@ def _failures(status: Status) -> Iterator[str]:
         return
     yield '<h2>Failures</h2>\n<table><tr><th class="n">Items</th><th>Reason</th></tr>'
     for reason, count, _ in status.reasons():
-        yield f'<tr><td class="n">{count}</td><td>{html.escape(_printable(reason))}</td></tr>'
+        yield f'<tr><td class="n">{count}</td><td>{html.escape(printable(reason))}</td></tr>'
     yield "</table>\n<details><summary>Each item</summary><table>"
     for item in status.failed[:_SHOWN_FAILURES]:
         aside = ", put aside" if item.is_aside else ""
-        name, error = (html.escape(_printable(text)) for text in (item.id, item.error))
+        name, error = (html.escape(printable(text)) for text in (item.id, item.error))
         yield f"<tr><td>{name}</td><td>{error} ({item.attempts}x{aside})</td></tr>"
     yield "</table></details>"
     if len(status.failed) > _SHOWN_FAILURES:
@@ -150,13 +151,8 @@ def _pictures(out: Path, done: list[Entry]) -> Iterator[str]:
             except (GestureKitError, OSError):
                 continue  # moved away, or edited since
             data = base64.b64encode(picture.read_bytes()).decode()
-            name = html.escape(_printable(entry.id))
+            name = html.escape(printable(entry.id))
             yield (
                 f'<figure><img alt="{name}" src="data:image/png;base64,{data}">'
                 f"<figcaption>{name}, {entry.sound:.1f} s</figcaption></figure>"
             )
-
-
-def _printable(text: str) -> str:
-    """Return a text without the halves of characters that file names may have."""
-    return text.encode("utf-8", "replace").decode()

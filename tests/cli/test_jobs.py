@@ -7,6 +7,8 @@ import re
 
 import pytest
 
+from gesturekit.jobs.journal import Entry, Journal
+from gesturekit.jobs.plan import PlanItem, write_plan
 from gesturekit.jobs.state import STATE
 
 
@@ -67,3 +69,18 @@ def test_a_dry_run_writes_nothing(gesturekit, model, sounds, tmp_path):
 def test_wrong_options(gesturekit, model, sounds, tmp_path, arguments, says):
     done = gesturekit("render", sounds, "--model", model, "--out", tmp_path / "out", *arguments)
     assert done.status == 2 and says in done.err and not (tmp_path / "out").exists()
+
+
+def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path):
+    state = tmp_path / STATE
+    (state / "journal").mkdir(parents=True)
+    odd = "a\x1b[2J\udcff"
+    write_plan(state / "plan.jsonl", [PlanItem(odd), PlanItem("b\x1b")], 1, "r")
+    journal = Journal(state, 1, 1, run="a", settings={}, about={})
+    journal.finish(Entry("failed", odd, error=f"{odd}: broken\x1b[31m"))
+    journal.start("b\x1b")
+    journal.close()
+    for arguments in (["--failed", "--left"], ["--page", tmp_path / "page.html"]):
+        shown = gesturekit("jobs", tmp_path, *arguments)
+        assert shown.status == 0 and "\x1b" not in shown.out and "a?[2J?" in shown.out
+    assert "in hand when a run was killed: b?" in shown.out
