@@ -330,7 +330,11 @@ def _write_page(batch: Batch) -> None:
     from gesturekit.rendering.summary import PAGE, write_summary
 
     page = batch.state / PAGE
-    write_summary(batch.out, status_of(batch.out), page)
+    try:
+        write_summary(batch.out, status_of(batch.out), page)
+    except OSError as error:  # a full disk, which the page is not worth failing for
+        click.echo(f"Warning: {page}: not written ({error.strerror})", err=True)
+        return
     click.echo(f"Summary page: {page}", err=True)
 
 

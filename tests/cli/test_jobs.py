@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 
 import pytest
 
+from gesturekit import Motion
 from gesturekit.jobs.journal import Entry, Journal
 from gesturekit.jobs.plan import PlanItem, write_plan
 from gesturekit.jobs.state import STATE
+from gesturekit.rendering import summary
 
 
 @pytest.fixture
@@ -84,3 +87,27 @@ def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path)
         shown = gesturekit("jobs", tmp_path, *arguments)
         assert shown.status == 0 and "\x1b" not in shown.out and "a?[2J?" in shown.out
     assert "in hand when a run was killed: b?" in shown.out
+
+
+def test_a_full_disk_ends_a_run_with_its_counts(gesturekit, model, sounds, tmp_path, monkeypatch):
+    save, saved = Motion.save, []
+
+    def full(self, path, **options):
+        saved.append(path)
+        if len(saved) > 4:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        save(self, path, **options)
+
+    def no_page(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    common = ("render", sounds, "--model", model, "--out", tmp_path / "out")
+    with monkeypatch.context() as patch:
+        patch.setattr(Motion, "save", full)
+        patch.setattr(summary, "write_summary", no_page)
+        done = gesturekit(*common)
+    assert done.status == 1 and "the same command continues" in done.err
+    assert "summary.html: not written" in done.err
+    assert re.match(r"4 rendered, 1 failed in ", done.err.splitlines()[-1])
+    again = gesturekit(*common)
+    assert re.match(r"16 rendered, 4 kept, 4 failed in ", again.err.splitlines()[-1])
