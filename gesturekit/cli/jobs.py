@@ -20,7 +20,7 @@ _MOST_REASONS = 12
     "jobs",
     epilog="Example: gesturekit jobs rendered",
 )
-@click.argument("out", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--failed", is_flag=True, help="List the items that failed, with their reasons.")
 @click.option("--left", is_flag=True, help="List the items that are not done yet.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")

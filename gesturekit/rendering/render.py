@@ -197,6 +197,7 @@ class Renderer:
             item = task.item
             found |= {"start": item.audio_start, "duration": item.duration}
             found |= {"channel": item.channel} if item.channel is not None else {}
+            found |= {"audible": described(item.audible)} if item.audible else {}
             found |= described(self.item_controls(item))
         return found | described(task.options)
 

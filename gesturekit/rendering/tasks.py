@@ -113,7 +113,8 @@ class Task:
         if item is not None:
             paths = {name: item[name] and Path(item[name]) for name in ("audio", "motion")}
             conditions = {name: Path(path) for name, path in item["conditions"].items()}
-            item = Item(**{**item, **paths, "conditions": conditions})
+            audible = tuple(map(tuple, item["audible"]))
+            item = Item(**{**item, **paths, "conditions": conditions, "audible": audible})
         source = planned.more.get("source", str(audio))
         options = planned.more.get("options", {})
         return cls(source, planned.id, audio or None, item, options, planned.duration)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from gesturekit import Motion, Skeleton
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError, ModelError, MotionError
 from gesturekit.formats.rig import Rig
+from gesturekit.jobs.plan import PlanItem
 from gesturekit.jobs.state import STATE
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.kinematics import global_rotations
@@ -24,6 +26,7 @@ from gesturekit.rendering.batch import iter_render as render
 from gesturekit.rendering.record import described
 from gesturekit.rendering.render import FORMATS, Output
 from gesturekit.rendering.sampling import sample_lda, sample_multires
+from gesturekit.rendering.tasks import Task
 
 JOURNAL = f"{STATE}/journal/00001-of-00001.jsonl"
 
@@ -359,9 +362,15 @@ def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write
     assert (made.rotations == wanted.rotations).all()
     assert Motion.load(out / "b_s1.bvh").n_frames == 38
     assert counted(render(model, items, out, samples=2)) == [(0, 2)] * 2
-    later = [replace(items[0], audio_start=1.5)]
-    with pytest.raises(ConfigError, match="another start"):
-        next(render(model, later, out, samples=2))
+    for changed, says in (
+        ({"audio_start": 1.5}, "another start"),
+        ({"audible": ((0.0, 2.0),)}, "another audible"),
+    ):
+        later = [replace(items[0], **changed)]
+        with pytest.raises(ConfigError, match=says):
+            next(render(model, later, out, samples=2))
+        planned = json.loads(json.dumps(asdict(Task("a", "a", audio, later[0]).to_plan())))
+        assert Task.from_plan(PlanItem(**planned)).item == later[0]
 
 
 def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write_pair, model):
