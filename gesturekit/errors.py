@@ -36,6 +36,10 @@ class ConfigError(GestureKitError, ValueError):
     """A configuration with an unknown key, a wrong type, or a value out of range."""
 
 
+class OutputError(GestureKitError, OSError):
+    """An output folder that can no longer be written to, such as on a full disk."""
+
+
 class ModelError(GestureKitError, ValueError):
     """A model folder or WavLM weights that cannot be used, or an argument that a model lacks."""
 

@@ -17,6 +17,11 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
+def printable(text: str) -> str:
+    """Return a text with `?` for control characters and for bytes of names that are no text."""
+    return "".join(sign if sign.isprintable() else "?" for sign in text)
+
+
 def did_you_mean(
     name: str,
     known: Iterable[str],

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # Packages that each package of gesturekit may import beside itself, audio_features and the modules
 # that every package may import. Imports inside functions count too.
-MAY_IMPORT: dict[str, set[str]] = {"motion": set()}
+MAY_IMPORT: dict[str, set[str]] = {"motion": set(), "jobs": set()}
 MAY_IMPORT["formats"] = MAY_IMPORT["postprocess"] = {"motion"}
 for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
@@ -25,7 +25,14 @@ MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
 MAY_IMPORT["multires"] = {"model", "postprocess", "training", *MAY_IMPORT["training"]}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
 MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}
-MAY_IMPORT["rendering"] = {"model", "systems", "multires", "diffusion", *MAY_IMPORT["multires"]}
+MAY_IMPORT["rendering"] = {
+    "jobs",
+    "model",
+    "systems",
+    "multires",
+    "diffusion",
+    *MAY_IMPORT["multires"],
+}
 MAY_IMPORT["cli"] = {"diagnosis", "inspection", "rendering", "systems", *MAY_IMPORT["rendering"]}
 # Modules outside of any package. `systems` imports models and trainers by name, lazily.
 MAY_IMPORT["model"] = {"corpus", "motion"}

@@ -20,6 +20,7 @@ VERBS = (
     "prepare",
     "train",
     "render",
+    "jobs",
     "convert",
     "inspect",
     "view",

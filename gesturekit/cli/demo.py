@@ -27,7 +27,8 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     """
     click.echo("Loading the demo model ...", err=True)
     from gesturekit.atomic import atomic_write
-    from gesturekit.rendering.render import Output, render
+    from gesturekit.rendering.batch import iter_render
+    from gesturekit.rendering.render import Output
     from gesturekit.systems import bundled_speech, load
 
     speech = bundled_speech()
@@ -41,7 +42,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     model = load("demo")
     click.echo(f"Rendering its speech into {out} ...", err=True)
     with resumable(lambda: "The same command continues."):
-        (outcome,) = render(model, [speech], out, output=output, seed=seed)
+        (outcome,) = iter_render(model, [speech], out, output=output, seed=seed)
     if outcome.error is not None:
         click.echo(f"Failed: {outcome.error}", err=True)
         ctx.exit(1)

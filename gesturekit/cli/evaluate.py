@@ -254,16 +254,10 @@ def _trained_on(model: ModelResult, name: str) -> str:
 
 
 def _made_by(rendered: Path) -> Path | None:
-    """Return the model folder that the record of rendered motion names, or None."""
-    import json
+    """Return the model folder that the journal of rendered motion names, or None."""
+    from gesturekit.rendering.record import model_of_results
 
-    from gesturekit.rendering.record import RECORD
-
-    try:
-        lines = (rendered / RECORD).read_text(encoding="utf-8", errors="replace").splitlines()
-        return Path(json.loads(lines[-1])["model_folder"])
-    except (OSError, ValueError, KeyError, IndexError, TypeError):
-        return None
+    return model_of_results(rendered)
 
 
 def _summary(found: Evaluation, report: Path | None) -> str:

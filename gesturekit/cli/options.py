@@ -6,9 +6,12 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from gesturekit.model import Model
 
 UNITS = ("m", "cm", "mm", "inch", "cmu")
 AXES = ("x", "y", "z", "-x", "-y", "-z")
@@ -93,6 +96,39 @@ def given(**options: Any) -> dict[str, Any]:
 def comma_separated(text: str | None) -> list[str]:
     """Return the items of a comma-separated list."""
     return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+def parse_expert(
+    text: str, open_model: Callable[[str], Model]
+) -> tuple[Model, float | str | None, str | None]:
+    """Parse MODEL[:WEIGHT[:STYLE]]; a weight with times stays a string."""
+    model, _, rest = text.partition(":")
+    weight, _, style = rest.partition(":")
+    try:
+        share = weight if "@" in weight else float(weight) if weight else None
+    except ValueError:
+        raise click.UsageError(
+            f"--expert {text}: {weight!r} is not a weight; expected MODEL[:WEIGHT[:STYLE]]."
+        ) from None
+    return open_model(model), share, style or None
+
+
+def parse_placed_files(text: str) -> dict[float, Path]:
+    """Parse a.bvh@0,b.bvh@6 to files by the second at which they begin; without @ at 0."""
+    placed: dict[float, Path] = {}
+    for item in comma_separated(text):
+        name, at, second = item.rpartition("@")
+        try:
+            begin = float(second) if at else 0.0
+        except ValueError:
+            name, begin = item, 0.0  # an @ in the file's name
+        if begin in placed:
+            raise click.UsageError(
+                f"--keep: {placed[begin]} and {name or item} both begin at {begin:g} s; give a "
+                "time, such as b.bvh@6."
+            )
+        placed[begin] = Path(name or item)
+    return placed
 
 
 def existing_option(default: str, *, alias: bool = False, note: str = "") -> Callable[..., Any]:

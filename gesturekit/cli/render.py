@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -16,24 +15,30 @@ from gesturekit.cli.options import (
     ControlOption,
     GroupedCommand,
     channel_option,
-    comma_separated,
     existing_option,
     given,
+    parse_expert,
+    parse_placed_files,
     resumable,
     rig_part_option,
 )
+from gesturekit.cli.render_output import Summary, print_preview
 
 if TYPE_CHECKING:
     from gesturekit.model import Model
-    from gesturekit.rendering.render import Outcome, Output
+    from gesturekit.rendering.execution import Batch, Execution
+    from gesturekit.rendering.render import Output, Renderer
 
 EXAMPLES = """\
 gesturekit render speech.wav --model demo --out rendered --format bvh,html
 gesturekit render speech/ --model runs/mine/model --out rendered    # all sounds below it
 gesturekit render --corpus corpus.jsonl --split test --model runs/mine/model --out rendered
+gesturekit render night.jsonl --model demo --out rendered --workers 4 --dry-run
 gesturekit render --seconds 20 --samples 5 --model runs/clip/model --out rendered
 gesturekit render new.wav --model demo --out rendered --rig avatar.bvh --fps 30 --unit m
 """
+
+_MANY = 20  # a run of as many items writes a summary page
 
 GROUPS = {
     "What to render": (
@@ -41,6 +46,7 @@ GROUPS = {
     ),
     "Output": ("out", "formats", "fps", "unit", "up", "rig", "rig_parts", "existing")
     + ("skip_existing",),
+    "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
     "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth"),
     "Controls of multires models": (
         *("level_style", "levels", "keyframes", "keyframe_level", "keep"),
@@ -115,6 +121,38 @@ GROUPS = {
     "and its motion differs slightly.",
 )
 @click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    default=1,
+    show_default=True,
+    help="Number of processes. The results are the same for any number.",
+)
+@click.option(
+    "--shard",
+    metavar="K/N",
+    help="Render part K of N, such as 1/8: the parts are of about the same seconds of sound, and "
+    "may be rendered in any order, or at once on several machines, into one --out.",
+)
+@click.option(
+    "--replan", is_flag=True, help="With --shard: look for the inputs again, after files changed."
+)
+@click.option(
+    "--deadline",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Give up a WAV after this time.",
+)
+@click.option(
+    "--retry-failed",
+    is_flag=True,
+    help="Try WAVs again that were put aside after three failures.",
+)
+@click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Only print what would be done, how long it would take, and the size of the results.",
+)
+@click.option(
     "--style",
     cls=ControlOption,
     metavar="NAME",
@@ -174,88 +212,42 @@ def command(
 ) -> None:
     """Turn each WAV (or folder of audio) into motion of the same length.
 
-    Folders are searched recursively and keep their structure. Models without speech input take
+    Folders are searched recursively and keep their structure. WAV may also be a glob in quotes, or
+    a list: NAME.txt with one path a line, Kaldi's wav.scp, or NAME.jsonl with lines such as
+    {"audio": "a.wav", "id": "day1/a", "seed": 3, "style": "old"}. Models without speech input take
     --seconds, --keyframes, --like, --path or --keep instead of a WAV.
 
     A broken file never stops the others: it is listed with its reason, and the exit code is 1.
     To continue an interrupted run, repeat the command: files made with the same model, settings
     and input are kept, and anything else in --out is only overwritten with --existing replace.
+    `gesturekit jobs OUT` shows the state of a run, at any time.
     """
     import logging
 
-    from tqdm.contrib.logging import logging_redirect_tqdm
-
-    summary = _Summary(out, options["samples"])
+    summary = Summary(out, options["samples"])
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     _check(sources, corpus, split, seconds, options)
 
     from gesturekit.corpus import Manifest
-    from gesturekit.progress import Progress
-    from gesturekit.rendering.render import render
+    from gesturekit.rendering.execution import Batch
     from gesturekit.systems import load
 
     items = () if corpus is None else Manifest.load(corpus).in_split(split or "test", str(corpus))
     names = ("weights", "device", "dtype")
     open_model = partial(load, **{name: options.pop(name) for name in names})
     loaded = open_model(model)
-    inputs = {"output": _output(options), "seconds": seconds, "channel": options.pop("channel")}
+    execution, is_dry = _execution(options), options.pop("dry_run")
     is_whole = options["levels"] is None
-    outcomes = render(
-        loaded,
-        [*sources, *items],
-        out,
-        progress=lambda tasks: Progress(tasks, desc="Rendering", unit="file"),
-        **inputs,
-        **_controls(options, open_model),
-    )
-    with (
-        resumable(lambda: f"{summary}; the same command continues"),
-        logging_redirect_tqdm(tqdm_class=Progress),
-    ):
-        for outcome in outcomes:
-            with Progress.external_write_mode():
-                summary.add(outcome, loaded.fps if is_whole else None)
+    renderer = _renderer(loaded, out, seconds, options, open_model)
+    batch = Batch(renderer, [*sources, *items], execution)
+    if is_dry:
+        print_preview(batch)
+        return
+    _run(batch, summary, loaded.fps if is_whole else None)
+    if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
+        _write_page(batch)
     click.echo(summary, err=True)
     ctx.exit(1 if summary.counts["failed"] else 0)
-
-
-class _Summary:
-    """Count and print the outcomes of a run with `samples` motions for each input."""
-
-    def __init__(self, out: Path, samples: int) -> None:
-        self.counts = {"rendered": 0, "kept": 0, "failed": 0}
-        self._out, self._samples, self._begin = out, samples, time.monotonic()
-        self._has_named_rate = False
-
-    def add(self, outcome: Outcome, rate: float | None) -> None:
-        """Print the files or the failure of an outcome, and once that its frame rate differs.
-
-        Args:
-            outcome: one input's.
-            rate: frames per second of the model; None if they do not matter.
-        """
-        for file in outcome.files:
-            click.echo(click.format_filename(file))
-        differs = None not in (rate, outcome.fps) and abs(outcome.fps - rate) > 0.01 * rate
-        if differs and not self._has_named_rate:
-            click.echo(
-                f"Written at {outcome.fps:g} fps; the model's own rate is {rate:g} fps "
-                "(change it with --fps).",
-                err=True,
-            )
-            self._has_named_rate = True
-        if outcome.error is not None:
-            click.echo(f"Failed: {outcome.error}", err=True)
-        done = "rendered" if outcome.files else "kept"
-        self.counts["failed" if outcome.error is not None else done] += 1
-
-    def __str__(self) -> str:
-        from gesturekit.progress import time_in_words
-
-        parts = [f"{n} {what}" for what, n in self.counts.items() if n or what == "rendered"]
-        if self._samples > 1:
-            parts[0] += f" ({self._samples * self.counts['rendered']} motions)"
-        return f"{', '.join(parts)} in {time_in_words(time.monotonic() - self._begin)}: {self._out}"
 
 
 def _check(
@@ -296,6 +288,70 @@ def _check(
         )
 
 
+def _execution(options: dict[str, Any]) -> Execution:
+    """Pop the options of the execution from all options."""
+    from gesturekit.jobs.plan import parse_shard
+    from gesturekit.rendering.execution import Execution
+
+    shard = options.pop("shard")
+    names = ("workers", "replan", "deadline", "retry_failed")
+    return Execution(
+        shard=(1, 1) if shard is None else parse_shard(shard),
+        **{name: options.pop(name) for name in names},
+    )
+
+
+def _run(batch: Batch, summary: Summary, rate: float | None) -> None:
+    """Do the work with a progress bar; see `Summary.add`."""
+    from tqdm.contrib.logging import logging_redirect_tqdm
+
+    from gesturekit.errors import OutputError
+    from gesturekit.progress import Progress
+
+    try:
+        with (
+            resumable(lambda: f"{summary}; the same command continues"),
+            logging_redirect_tqdm(tqdm_class=Progress),
+            Progress(total=len(batch.tasks), desc="Rendering", unit="file") as bar,
+        ):
+            for outcome in batch.run():
+                with Progress.external_write_mode():
+                    summary.add(outcome, rate)
+                bar.set_postfix_str(summary.speed(), refresh=False)
+                bar.update()
+    except OutputError as error:
+        click.echo(f"Error: {error}", err=True)
+        summary.counts["failed"] += 1
+
+
+def _write_page(batch: Batch) -> None:
+    """Write the summary page of the folder, and print where it is."""
+    from gesturekit.jobs.status import status_of
+    from gesturekit.rendering.summary import PAGE, write_summary
+
+    page = batch.state / PAGE
+    try:
+        write_summary(batch.out, status_of(batch.out), page)
+    except OSError as error:  # a full disk, which the page is not worth failing for
+        click.echo(f"Warning: {page}: not written ({error.strerror})", err=True)
+        return
+    click.echo(f"Summary page: {page}", err=True)
+
+
+def _renderer(
+    model: Model,
+    out: Path,
+    seconds: float | None,
+    options: dict[str, Any],
+    open_model: Callable[[str], Model],
+) -> Renderer:
+    """Return the renderer of the remaining options, all of which it takes."""
+    from gesturekit.rendering.render import Renderer
+
+    output, channel = _output(options), options.pop("channel")
+    return Renderer(model, out, output, seconds, channel, _controls(options, open_model))
+
+
 def _output(options: dict[str, Any]) -> Output:
     """Pop the options of the output from all options."""
     from gesturekit.formats.rig import Rig
@@ -317,40 +373,7 @@ def _controls(options: dict[str, Any], open_model: Callable[[str], Model]) -> di
     )
     return given(
         **options,
-        experts=[_expert(text, open_model) for text in experts] or None,
+        experts=[parse_expert(text, open_model) for text in experts] or None,
         unconditional=None if unconditional is None else open_model(unconditional),
-        keep=None if keep is None else _placed_files(keep),
+        keep=None if keep is None else parse_placed_files(keep),
     )
-
-
-def _expert(
-    text: str, open_model: Callable[[str], Model]
-) -> tuple[Model, float | str | None, str | None]:
-    """Parse MODEL[:WEIGHT[:STYLE]]; a weight with times stays a string."""
-    model, _, rest = text.partition(":")
-    weight, _, style = rest.partition(":")
-    try:
-        share = weight if "@" in weight else float(weight) if weight else None
-    except ValueError:
-        raise click.UsageError(
-            f"--expert {text}: {weight!r} is not a weight; expected MODEL[:WEIGHT[:STYLE]]."
-        ) from None
-    return open_model(model), share, style or None
-
-
-def _placed_files(text: str) -> dict[float, Path]:
-    """Parse a.bvh@0,b.bvh@6 to files by the second at which they begin; without @ at 0."""
-    placed: dict[float, Path] = {}
-    for item in comma_separated(text):
-        name, at, second = item.rpartition("@")
-        try:
-            begin = float(second) if at else 0.0
-        except ValueError:
-            name, begin = item, 0.0  # an @ in the file's name
-        if begin in placed:
-            raise click.UsageError(
-                f"--keep: {placed[begin]} and {name or item} both begin at {begin:g} s; give a "
-                "time, such as b.bvh@6."
-            )
-        placed[begin] = Path(name or item)
-    return placed

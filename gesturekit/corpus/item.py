@@ -78,7 +78,7 @@ class Item:
     audible: Sequence[tuple[float, float]] = ()
 
     def __post_init__(self) -> None:
-        _check_id(self.id)
+        check_id(self.id)
         if self.audio is None and self.motion is None:
             raise CorpusError(f"item {self.id!r} has neither audio nor motion")
         for name in ("audio_start", "motion_start", "duration"):
@@ -209,7 +209,7 @@ def muted(wave: Wave, audible: Iterable[tuple[float, float]]) -> Wave:
     return replace(wave, samples=samples)
 
 
-def _check_id(name: str) -> None:
+def check_id(name: str) -> None:
     """Check that an id can be a relative path, as output files are named by it."""
     parts = name.split("/") if isinstance(name, str) else []
     if not parts or any(part in ("", ".", "..") for part in parts) or not name.isprintable():

@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from threadpoolctl import ThreadpoolController
 
 import audio_features as af
 from gesturekit.errors import ModelError
@@ -41,6 +44,19 @@ _LONGEST_SECONDS = 86_400.0
 """Limit for motion without speech, so that a typing error cannot ask for all memory."""
 
 _FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in memory once
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Limit numpy's matrix products to one thread, within a `with` block.
+
+    Their last bits depend on the number of threads, and with it all motion made of them.
+    """
+    return _libraries().limit(limits=1, user_api="blas")
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +140,9 @@ class SpeechConditioner:
     def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
         """Return (T, S) float32 normalised features; T from the wave's length by default."""
         level = self.normalisation == "clip"
-        return self.normalise(
-            *extract(wave, self.extractor, self.fps, self.align, n_frames, level=level)
-        )
+        with one_blas_thread():
+            features = extract(wave, self.extractor, self.fps, self.align, n_frames, level=level)
+        return self.normalise(*features)
 
     def normalise(self, values: np.ndarray, active: np.ndarray) -> np.ndarray:
         """Normalise the result of `extract`: values (T, S), active (T,); return (T, S) float32."""

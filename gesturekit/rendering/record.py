@@ -1,14 +1,8 @@
-"""Record beside rendered files: the model, settings and input of each.
-
-An append-only file of JSON lines. Each result has a line when its writing begins, and one with its
-SHA-256 when it is complete; the last line counts. Damaged lines, which a killed run may leave, are
-ignored.
-"""
+"""Comparison of existing results with those that would be made now, by the journals."""
 
 from __future__ import annotations
 
 import dataclasses
-import glob
 import hashlib
 import json
 import os
@@ -19,84 +13,98 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gesturekit.errors import ConfigError
+from gesturekit.jobs.journal import Entry, History, last_run
+from gesturekit.jobs.state import STATE
 from gesturekit.model import Model
-
-RECORD = ".gesturekit-render.jsonl"
-_FORMAT = 1
 
 
 class Record:
-    """Record of the model, settings and input of each file of a folder.
+    """Model, settings and input of each result in a folder.
 
     Args:
         out: the folder; it need not exist.
-        model: folder of the model, for `gesturekit evaluate`; None if it was never saved.
-
-    Raises:
-        ConfigError: the record is a symbolic link.
+        history: what the journals of the folder say.
     """
 
-    def __init__(self, out: Path, model: Path | None = None) -> None:
-        self._about = {"format": _FORMAT} | ({"model_folder": str(model)} if model else {})
-        self._out, self._path = out, out / RECORD
-        if self._path.is_symlink():
-            raise ConfigError(f"{self._path} is a link, and would lead out of {out}: remove it")
-        self._lines: dict[str, dict[str, Any]] = {}
-        text = self._path.read_text("utf-8", "replace") if self._path.is_file() else ""
-        # Begin a new line after one that a killed run left unfinished.
-        self._begin = "" if text.endswith("\n") or not text else "\n"
-        for line in text.splitlines():
-            try:
-                values = json.loads(line)
-                if values["format"] == _FORMAT and isinstance(values["made_with"], dict):
-                    self._lines[values["file"]] = values
-            except (ValueError, TypeError, KeyError, RecursionError):
-                continue
+    def __init__(self, out: Path, history: History) -> None:
+        self._out, self._history = out, history
 
-    def state(self, file: Path, made_with: Mapping[str, Any]) -> Literal["same", "begun", "other"]:
-        """Compare an existing file with the one that would be made now.
+    def state(
+        self, name: str, file: Path, made_with: Mapping[str, Any]
+    ) -> Literal["same", "begun", "other"]:
+        """Compare an existing file of an item with the one that would be made now.
 
         Returns:
             "same" for a complete file with the same `made_with`; "begun" for one that an
-            interrupted run was writing with the same; "other" for anything else.
+            interrupted run was writing with the same settings; "other" for anything else.
         """
-        line = self._lines.get(self._key(file))
-        if line is None or line["made_with"] != made_with:
+        entry = self._entry(name, file)
+        if entry is not None and self._made_with(entry.run, entry.input, file) == made_with:
+            if self._is_unchanged(file, entry.files[self._key(file)]):
+                return "same"
             return "other"
-        if "sha256" not in line:
-            return "begun"
-        return "same" if line["sha256"] == _file_digest(file) else "other"
+        for run in self._history.unfinished(name):
+            was = self._made_with(run, {}, file)
+            if was.items() <= made_with.items():
+                return "begun"
+        return "other"
 
-    def differences(self, file: Path, made_with: Mapping[str, Any]) -> list[str]:
+    def differences(self, name: str, file: Path, made_with: Mapping[str, Any]) -> list[str]:
         """Return the settings that differed when a file was made; empty without a record of it."""
-        line = self._lines.get(self._key(file))
-        if line is None:
+        entry = self._entry(name, file)
+        if entry is None:
             return []
-        was = line["made_with"]
+        was = self._made_with(entry.run, entry.input, file)
         return [name for name in {**was, **made_with} if was.get(name) != made_with.get(name)]
 
-    def begin(self, file: Path, made_with: Mapping[str, Any]) -> None:
-        """Record that a file is being written, and remove temporary files of a killed run."""
-        if "sha256" not in self._lines.get(self._key(file), {"sha256": ""}):
-            for left in file.parent.glob(f".{glob.escape(file.stem)}-????????{file.suffix}"):
-                left.unlink(missing_ok=True)
-        self._append({"file": self._key(file), "made_with": dict(made_with)})
+    def input_digest(self, name: str, audio: Path) -> str | None:
+        """Return the SHA-256 of an input as a journal has it, if its size and time are the same."""
+        about = file_facts(audio)
+        for entry in reversed(self._history.entries(name)):
+            if about is not None and entry.source == about:
+                return entry.input.get("input")
+        return None
 
-    def finish(self, file: Path, made_with: Mapping[str, Any]) -> None:
-        """Record that a file is complete."""
-        line = {"file": self._key(file), "made_with": dict(made_with)}
-        self._append({**line, "sha256": _file_digest(file)})
+    def _entry(self, name: str, file: Path) -> Entry | None:
+        key = self._key(file)
+        entries = reversed(self._history.entries(name))
+        return next((entry for entry in entries if key in entry.files), None)
+
+    def _made_with(self, run: str, item: Mapping[str, Any], file: Path) -> dict[str, Any]:
+        about = self._history.runs.get(run, {"settings": {"run": run}})
+        written = about.get("written", {}).get(file.suffix[1:], {})
+        return {**about["settings"], **item, **written}
+
+    def _is_unchanged(self, file: Path, about: Mapping[str, Any]) -> bool:
+        facts = file_facts(file)
+        if facts is not None and all(facts[name] == about.get(name) for name in facts):
+            return True
+        return about.get("sha256") == path_digest(file)
 
     def _key(self, file: Path) -> str:
         return file.relative_to(self._out).as_posix()
 
-    def _append(self, line: dict[str, Any]) -> None:
-        self._out.mkdir(parents=True, exist_ok=True)
-        text = self._begin + json.dumps({**self._about, **line}) + "\n"
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(text)
-        self._begin = ""
+
+def file_facts(file: Path) -> dict[str, int] | None:
+    """Return size and time of change of a file; None if there is none.
+
+    A file with the same is taken to be unchanged, as `make` and `rsync` do.
+    """
+    try:
+        status = file.stat()
+    except OSError:
+        return None
+    return {"size": status.st_size, "mtime_ns": status.st_mtime_ns}
+
+
+def model_of_results(out: Path) -> Path | None:
+    """Return the folder of the model that made the latest results in a folder, if it is known.
+
+    Raises:
+        FormatError: a journal cannot be opened, or was written by a newer version.
+    """
+    folder = (last_run(out / STATE) or {}).get("model_folder")
+    return Path(folder) if isinstance(folder, str) else None
 
 
 def model_fingerprint(model: Model) -> str:

@@ -1,12 +1,15 @@
-"""Batch rendering: many sounds with one model; a broken file never stops the others."""
+"""Renderer: one input through one model to its files."""
 
 from __future__ import annotations
 
 import dataclasses
+import errno
+import hashlib
+import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +18,18 @@ from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.rig import Rig
-from gesturekit.formats.sources import EXISTING, Job, refuse_existing, refuse_leaving
+from gesturekit.formats.sources import EXISTING
+from gesturekit.jobs.journal import Entry
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering.record import Record, described, model_fingerprint, path_digest
-from gesturekit.rendering.tasks import Source, Task, find_tasks
+from gesturekit.rendering.record import described, file_facts, model_fingerprint, path_digest
+from gesturekit.rendering.tasks import Task
 from gesturekit.systems import controls_type
 
 FORMATS = ("bvh", "npz", "html", "png")
 # torch raises RuntimeError when memory runs out.
 _FAILURES = (GestureKitError, af.AudioFeaturesError, OSError, MemoryError, RuntimeError)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,7 @@ class Outcome:
         kept: existing files that were left unchanged.
         fps: frames per second of the written motion.
         error: reason why some or all files are missing.
+        sound: seconds of sound, or of motion without sound.
     """
 
     source: str
@@ -71,72 +77,66 @@ class Outcome:
     kept: tuple[Path, ...] = ()
     fps: float | None = None
     error: str | None = None
+    sound: float = 0.0
 
 
-def render(
-    model: Model,
-    sources: Source | Sequence[Source],
-    out: str | Path,
-    *,
-    output: Output | None = None,
-    seconds: float | None = None,
-    channel: int | None = None,
-    progress: Callable[[list[Task]], Iterable[Task]] = iter,
-    **controls: Any,
-) -> Iterator[Outcome]:
-    """Generate motion for each input and write it as NAME.bvh (NAME_s1.bvh ... for samples).
+@dataclass(frozen=True)
+class Work:
+    """A task that is to be done, and the existing files of it that are kept."""
 
-    NAME is the stem of a sound file, the path within its folder for one found in a folder, and
-    the id of a manifest's item. Faults of a sound (`Wave.faults`) are logged as warnings, and it
-    is rendered all the same. A hidden file beside the results records the model, settings and
-    input of each (`gesturekit.rendering.record`), so that an interrupted run can be continued.
+    task: Task
+    kept: tuple[Path, ...] = ()
+    attempt: int = 1
+
+
+@dataclass(frozen=True)
+class Done:
+    """The result of a task, for the caller and for the journal.
+
+    Attributes:
+        outcome: for the caller.
+        entry: for the journal.
+        is_full: True if nothing more can be written to the output folder.
+    """
+
+    outcome: Outcome
+    entry: Entry
+    is_full: bool = False
+
+
+@dataclass
+class Renderer:
+    """A model with all settings; it renders one task at a time, and can be pickled.
 
     Args:
         model: model from `gesturekit.load`.
-        sources: sound files; folders, for all sounds below them; items of a manifest. An item's
-            sound is cut to its interval, and its style, speaker, path and events are used where
-            the model has them as inputs and `controls` does not set them. Items without sound, or
-            for a model without speech input, are as long as their duration. Without any source,
-            one motion of length `seconds` is generated.
         out: folder for the results.
         output: settings of the written files.
         seconds: length of the motion without sources.
         channel: channel of each file to use, counted from 1; None for the mean of all.
-        progress: wraps the list of tasks, as tqdm does.
-        controls: arguments of the model's `generate`: seed, samples, style, foot_lock, smooth ...
+        controls: arguments of the model's `generate`.
 
-    Yields:
-        an outcome for each input as soon as it is done.
+    Attributes:
+        settings: what all results depend on, as JSON values.
+        written: settings of each format's files, as JSON values.
 
     Raises:
+        ConfigError: an unknown format.
         ModelError: a control that this kind of model does not have.
-        ConfigError: an unknown format, a folder without audio, two sources that would write the
-            same file, an existing result with `existing="refuse"`, or an output folder that
-            cannot be written to.
         FormatError, MotionError: a rig cannot be read, or its body parts cannot be found.
     """
-    run = _Run(model, Path(out), output or Output(), seconds, channel, controls)
-    model.check_controls(**run.controls)
-    tasks = find_tasks(sources, run.out) if sources else [Task("motion", "motion")]
-    refuse_leaving([Job(Path(task.source), run.targets(task)) for task in tasks], run.out)
-    kept = run.settle_existing(tasks)
-    _make_folder(run.out)
-    for task in progress(tasks):
-        yield run.outcome(task, kept)
 
+    model: Model
+    out: Path
+    output: Output
+    seconds: float | None
+    channel: int | None
+    controls: dict[str, Any]
+    settings: dict[str, Any] = field(init=False)
+    written: dict[str, dict[str, Any]] = field(init=False)
 
-class _Run:
-    """One call of `render`: the model, its controls, and the output folder."""
-
-    def __init__(
-        self,
-        model: Model,
-        out: Path,
-        output: Output,
-        seconds: float | None,
-        channel: int | None,
-        controls: Mapping[str, Any],
-    ) -> None:
+    def __post_init__(self) -> None:
+        output = self.output
         unknown = [name for name in output.formats if name not in FORMATS]
         if unknown or not output.formats:
             raise ConfigError(
@@ -144,22 +144,24 @@ class _Run:
             )
         if output.existing not in EXISTING:
             raise ConfigError(f"existing is {output.existing!r}; expected {', '.join(EXISTING)}")
-        self.model, self.out, self.output = model, out, output
-        self.seconds, self.channel = seconds, channel
-        self.controls = _without_defaults(controls, model.kind)
-        self.samples = controls.get("samples", 1)
+        self.samples = self.controls.get("samples", 1)
+        self.controls = _without_defaults(self.controls, self.model.kind)
         rig = output.rig
         self.body = rig if rig is None or isinstance(rig, Rig) else Rig.load(rig)
         written = {"unit": output.unit, "up": output.up}
-        self.options = writer_options(
+        self.written = writer_options(
             output.formats, {name: value for name, value in written.items() if value is not None}
         )
-        self.record = Record(out, model.folder)
-        self.input_digest = cache(path_digest)
         settings = {k: v for k, v in self.controls.items() if k != "samples"}
-        self.settings = {"model": model_fingerprint(model), "seed": 0} | described(settings)
+        self.settings = {"model": model_fingerprint(self.model), "seed": 0} | described(settings)
         if self.body is not None:
             self.settings["rig"] = described(self.body)
+        self.model.check_controls(**self.controls)
+
+    @property
+    def run(self) -> str:
+        """Name of the settings, for journals."""
+        return _digest([self.settings, self.written])[:16]
 
     def names(self, task: Task) -> list[str]:
         """Return the name of each sample."""
@@ -175,20 +177,33 @@ class _Run:
             self.out / f"{name}.{kind}" for name in self.names(task) for kind in self.output.formats
         )
 
-    def made_with(self, task: Task) -> dict[str, Any]:
-        """Return everything that the motions of a task depend on, as in the record."""
-        made_with = dict(self.settings)
+    def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
+        """Return what the motions of a task depend on beside `settings`.
+
+        Args:
+            task: the task.
+            digest: SHA-256 of its sound, if it is known already.
+
+        Raises:
+            GestureKitError: a file of a manifest's item cannot be read.
+        """
+        found: dict[str, Any] = {}
         if task.audio is not None:
-            made_with["input"] = self.input_digest(task.audio)
+            found["input"] = digest or path_digest(task.audio)
         for name, value in {"seconds": self.seconds, "channel": self.channel}.items():
             if value is not None:
-                made_with[name] = value
+                found[name] = value
         if task.item is not None:
             item = task.item
-            made_with |= {"start": item.audio_start, "duration": item.duration}
-            made_with |= {"channel": item.channel} if item.channel is not None else {}
-            made_with |= described(self.item_controls(item))
-        return made_with
+            found |= {"start": item.audio_start, "duration": item.duration}
+            found |= {"channel": item.channel} if item.channel is not None else {}
+            found |= {"audible": described(item.audible)} if item.audible else {}
+            found |= described(self.item_controls(item))
+        return found | described(task.options)
+
+    def key(self, found: Mapping[str, Any]) -> str:
+        """Return the key of an item: the SHA-256 of all settings and of `input_of` it."""
+        return _digest([self.settings, self.written, found])
 
     def item_controls(self, item: Item) -> dict[str, Any]:
         """Return the controls of a manifest's item that the model has as inputs."""
@@ -208,101 +223,88 @@ class _Run:
             )
         return {name: value for name, value in found.items() if name not in self.controls}
 
-    def settle_existing(self, tasks: Sequence[Task]) -> set[Path]:
-        """Return the existing files that are kept.
-
-        Raises:
-            ConfigError: `existing` is "refuse", and a file was made with other settings.
-        """
-        kept: set[Path] = set()
-        refused: list[Path] = []
-        another: set[str] = set()
-        count = 0
-        for task in tasks:
-            targets = self.targets(task)
-            count += len(targets)
-            there = [file for file in targets if os.path.lexists(file) and not file.is_dir()]
-            if self.output.existing == "skip":
-                kept.update(there)
-                continue
-            try:
-                base = self.made_with(task) if there else {}
-            except (GestureKitError, OSError):
-                continue  # the item fails when its turn comes, and nothing is written
-            for file in there:
-                made_with = base | self.options[file.suffix[1:]]
-                state = self.record.state(file, made_with)
-                if state == "same":
-                    kept.add(file)
-                elif state == "other" and self.output.existing == "refuse":
-                    refused.append(file)
-                    another.update(self.record.differences(file, made_with))
-        if refused:
-            named = (
-                f"{'other' if name.endswith('s') else 'another'} {name}" for name in sorted(another)
-            )
-            reason = f", made with {', '.join(named)}" if another else ""
-            reason += (
-                f" ({len(refused)} refused, {len(kept)} kept, "
-                f"{count - len(refused) - len(kept)} to make: nothing was done)"
-            )
-            refuse_existing(refused, reason)
-        return kept
-
-    def outcome(self, task: Task, kept: set[Path]) -> Outcome:
-        """Write the files of one task, except those in `kept`."""
-        left = tuple(file for file in self.targets(task) if file in kept)
-        if task.error is not None or len(left) == len(self.targets(task)):
-            return Outcome(task.source, kept=left, error=task.error)
-        files: list[Path] = []
-        fps = None
+    def __call__(self, work: Work) -> Done:
+        """Write the files of a task, except those that are kept."""
+        task, begun = work.task, time.perf_counter()
+        files: dict[Path, dict[str, Any]] = {}
+        facts: dict[str, Any] = {"sound": 0.0, "fps": None}
+        found: dict[str, Any] = {}
+        source = (file_facts(task.audio) if task.audio is not None else None) or {}
+        reason, is_full = None, False
         try:
-            made_with = self.made_with(task)
-            wave, motions = self.generate(task)
-            # The player embeds the original file, unless only a part of it was used.
-            whole = task.item is None and self.channel is None
-            sound = task.audio if whole else wave
-            for motion, name in zip(motions, self.names(task), strict=True):
-                motion = motion if self.body is None else self.body.put(motion)
-                fps = motion.fps
-                for kind in self.output.formats:
-                    file = self.out / f"{name}.{kind}"
-                    if file not in kept:
-                        self.write(motion, file, sound, made_with)
-                        files.append(file)
-        except _FAILURES as error:
-            return Outcome(task.source, tuple(files), left, fps, _reason(error, task.source))
-        return Outcome(task.source, tuple(files), left, fps)
+            found = self.input_of(task)
+            self._write_all(work, files, facts)
+        except Exception as error:  # one strange file must not end a night's work
+            reason = _reason(error, task.source)
+            is_full = isinstance(error, OSError) and error.errno in _FULL
+        sound, fps = facts["sound"], facts["fps"]
+        entry = Entry(
+            "done" if reason is None else "dropped" if is_full else "failed",
+            task.name,
+            key=self.key(found),
+            attempt=work.attempt,
+            seconds=round(time.perf_counter() - begun, 4),
+            sound=round(sound, 4),
+            files={file.relative_to(self.out).as_posix(): about for file, about in files.items()},
+            input=found,
+            source=source,
+            error=reason,
+        )
+        return Done(
+            Outcome(task.source, tuple(files), work.kept, fps, reason, sound), entry, is_full
+        )
 
-    def generate(self, task: Task) -> tuple[af.Wave | None, list[Motion]]:
+    def _write_all(
+        self, work: Work, files: dict[Path, dict[str, Any]], facts: dict[str, Any]
+    ) -> None:
+        """Generate and write, and add to `files` and `facts` what is done."""
+        task = work.task
+        wave, motions = self._generate(task)
+        # The player embeds the original file, unless only a part of it was used.
+        whole = task.item is None and self.channel is None and not task.options
+        sound = task.audio if whole else wave
+        facts["sound"] = motions[0].duration if wave is None else wave.duration
+        for motion, name in zip(motions, self.names(task), strict=True):
+            motion = motion if self.body is None else self.body.put(motion)
+            facts["fps"] = motion.fps
+            for kind in self.output.formats:
+                file = self.out / f"{name}.{kind}"
+                if file not in work.kept:
+                    self._write(motion, file, sound)
+                    files[file] = {"sha256": path_digest(file), **(file_facts(file) or {})}
+
+    def _generate(self, task: Task) -> tuple[af.Wave | None, list[Motion]]:
         """Return the sound of a task, and its motions."""
         wave, item = task.load_wave(self.channel), task.item
         controls, seconds = self.controls, self.seconds
         if item is not None:
             controls = self.item_controls(item) | controls
-            seconds = item.duration if wave is None or not self.takes_speech() else None
+            seconds = item.duration if wave is None or not self._takes_speech() else None
+        if task.options:
+            own = {name: task.options.get(name) for name in ("seed", "style", "speaker")}
+            controls = controls | {name: value for name, value in own.items() if value is not None}
+            if wave is None or not self._takes_speech():
+                seconds = task.options.get("seconds", wave and wave.duration)
         speech = wave if seconds is None else None
         made = self.model.generate(speech, seconds=seconds, **controls)
         return wave, made if isinstance(made, list) else [made]
 
-    def takes_speech(self) -> bool:
+    def _takes_speech(self) -> bool:
         """Return whether the model or one of its experts has speech input."""
         models = [self.model, *(expert[0] for expert in self.controls.get("experts", ()))]
         return any(model.inputs.speech for model in models)
 
-    def write(
-        self, motion: Motion, file: Path, sound: Path | af.Wave | None, made_with: dict[str, Any]
-    ) -> None:
-        """Write one file, and record its model, settings and input."""
-        options = dict(self.options[file.suffix[1:]])
-        made_with = made_with | options
+    def _write(self, motion: Motion, file: Path, sound: Path | af.Wave | None) -> None:
+        options = dict(self.written[file.suffix[1:]])
         if self.body is not None:
             options |= self.body.options.get(file.suffix, {})
         if file.suffix in (".html", ".png") and sound is not None:
             options["audio"] = sound
-        self.record.begin(file, made_with)
         motion.save(file, **options)
-        self.record.finish(file, made_with)
+
+
+def _digest(values: Any) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]:
@@ -316,8 +318,9 @@ def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]
     values = {name: arguments[name] for name in names}
     schema = controls_type(kind)
     controls = schema.build({k: v for k, v in arguments.items() if k not in defaults}, kind)
-    for field in dataclasses.fields(schema):
-        defaults[field.name], values[field.name] = field.default, getattr(controls, field.name)
+    for control in dataclasses.fields(schema):
+        name = control.name
+        defaults[name], values[name] = control.default, getattr(controls, name)
     return {
         name: value
         for name, value in values.items()
@@ -328,17 +331,9 @@ def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]
 def _reason(error: Exception, source: str) -> str:
     """Return the reason of a failure on one line that names the input."""
     reason = str(error) or "not enough memory"
+    if not isinstance(error, _FAILURES):
+        reason = f"unexpected {type(error).__name__}, please report it: {error}"
     # Not every reason names the input: a model that gives NaN, a disk that is full.
     reason = reason if source in reason else f"{source}: {reason}"
     # One line, and printable: a file name need not be text.
     return " ".join(reason.encode("utf-8", "replace").decode().splitlines())
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        writable = os.access(out, os.W_OK | os.X_OK)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be made ({error.strerror})") from None
-    if not writable:
-        raise ConfigError(f"{out}: cannot be written to; give another folder")

@@ -1,14 +1,18 @@
-"""List of motions to render: for sound files, folders and items of a manifest, or a length."""
+"""List of motions to render: for sound files, folders, globs, lists and items of a manifest."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
+
+import soundfile
 
 import audio_features as af
+from audio_features.wave import SAMPLE_RATES
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.sources import (
@@ -17,11 +21,16 @@ from gesturekit.formats.sources import (
     unreadable_media,
     visible_folders,
 )
+from gesturekit.jobs.plan import PlanItem
+from gesturekit.jobs.state import STATE
+from gesturekit.rendering.lists import is_glob, is_list, matches_of_glob, read_list
 
 _SHOWN = 3
+_MAX_SECONDS = 4 * 3600  # the longest sound that is read
+_UNCOMPRESSED = ("WAV", "WAVEX", "AIFF", "AU")
 
 Source = str | os.PathLike[str] | Item
-"""A sound file, a folder of them, or an item of a manifest."""
+"""A sound file, a folder of them, a glob, a list file, or an item of a manifest."""
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +44,9 @@ class Task:
         name: path of the results below the output folder, without suffix.
         audio: the sound file, or None.
         item: the manifest's item, which gives the interval of the sound, or None.
+        options: settings of this input alone: `seed`, `style` and `speaker`; `start` and `seconds`,
+            the interval of the sound, or the length without sound; `channel`.
+        duration: seconds of sound, or of motion without sound; None if unknown.
         error: reason why it cannot be rendered, or None.
     """
 
@@ -42,6 +54,8 @@ class Task:
     name: str
     audio: Path | None = None
     item: Item | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    duration: float | None = None
     error: str | None = None
 
     def load_wave(self, channel: int | None) -> af.Wave | None:
@@ -55,11 +69,55 @@ class Task:
         if self.item is not None:
             wave = self.item.load_wave()
         else:
-            wave = af.Wave.load(self.audio, channel=channel)
+            asked = self.options
+            start, seconds = asked.get("start", 0.0), asked.get("seconds")
+            channel = asked.get("channel", channel)
+            wave = af.Wave.load(self.audio, start=start, duration=seconds, channel=channel)
         if not wave.is_silent:  # the model warns of silence
             for fault in wave.faults():
                 log.warning("%s: %s", self.source, fault)
         return wave
+
+    def measured(self) -> Task:
+        """Return the task with its duration, from the header of its sound."""
+        if self.item is not None or self.audio is None:
+            length = self.options.get("seconds") if self.item is None else self.item.duration
+            return replace(self, duration=length)
+        length = _length(self.audio)
+        if length is None:
+            return self
+        length = max(0.0, length - self.options.get("start", 0.0))
+        return replace(self, duration=min(length, self.options.get("seconds", length)))
+
+    def to_plan(self) -> PlanItem:
+        """Return the task as an item of a plan."""
+        more: dict[str, Any] = {"source": self.source} if self.source != str(self.audio) else {}
+        more |= {"options": dict(self.options)} if self.options else {}
+        if self.item is not None:
+            fields = asdict(self.item)
+            fields |= {"conditions": {k: str(v) for k, v in self.item.conditions.items()}}
+            fields |= {"motion": self.item.motion and str(self.item.motion)}
+            fields |= {"audio": self.item.audio and str(self.item.audio)}
+            more["item"] = fields
+        path = None if self.audio is None else os.path.abspath(self.audio)  # noqa: PTH100
+        return PlanItem(self.name, path, self.duration, more)
+
+    @classmethod
+    def from_plan(cls, planned: PlanItem) -> Task:
+        """Return the task of an item of a plan.
+
+        Raises:
+            CorpusError: the item of a manifest has invalid values.
+        """
+        item, audio = planned.more.get("item"), planned.path and Path(planned.path)
+        if item is not None:
+            paths = {name: item[name] and Path(item[name]) for name in ("audio", "motion")}
+            conditions = {name: Path(path) for name, path in item["conditions"].items()}
+            audible = tuple(map(tuple, item["audible"]))
+            item = Item(**{**item, **paths, "conditions": conditions, "audible": audible})
+        source = planned.more.get("source", str(audio))
+        options = planned.more.get("options", {})
+        return cls(source, planned.id, audio or None, item, options, planned.duration)
 
 
 def find_tasks(sources: Source | Sequence[Source], out: Path) -> list[Task]:
@@ -69,29 +127,56 @@ def find_tasks(sources: Source | Sequence[Source], out: Path) -> list[Task]:
     sound are warned about. Hidden files and `out` itself are skipped.
 
     Args:
-        sources: sound files, folders, and items of a manifest, which are named by their ids; one
-            of them, or several.
+        sources: sound files, folders, globs such as "speech/**/*.wav", lists (see
+            `gesturekit.rendering.lists`), and items of a manifest, which are named by their ids;
+            one of them, or several.
         out: folder for the results.
 
     Raises:
-        ConfigError: a folder without sound, or two sources that would write the same file.
+        ConfigError: a folder or glob without sound, an invalid list, or two sources that would
+            write the same file.
     """
     if isinstance(sources, str | os.PathLike | Item):
         sources = [sources]
     tasks: dict[tuple[str, str], Task] = {}
     for source in sources:
-        if isinstance(source, Item):
-            found = iter([Task(source.id, source.id, source.audio, source)])
-        elif Path(source).is_dir():
-            found = _below(Path(source), out)
-        else:
-            found = iter([Task(str(source), Path(source).stem, Path(source))])
-        for task in found:
+        for task in _tasks_of(source, out):
             # A file that is named twice is rendered once.
-            same = task.source if task.item or task.error else os.path.realpath(task.audio)
+            is_file = task.audio is not None and task.item is None and task.error is None
+            same = os.path.realpath(task.audio) if is_file else task.source
             tasks.setdefault((same, task.name), task)
     _refuse_clashes(list(tasks.values()), out)
     return list(tasks.values())
+
+
+def _length(audio: Path) -> float | None:
+    """Return the seconds of sound by the header of a file; None for a file that cannot be read."""
+    try:
+        if not audio.is_file():  # reading a pipe may never end
+            return None
+        about, size = soundfile.info(audio), audio.stat().st_size
+    except (RuntimeError, OSError, ValueError):  # its turn gives the reason
+        return None
+    low, high = SAMPLE_RATES
+    is_possible = about.format not in _UNCOMPRESSED or about.frames <= 8 * size
+    if not low <= about.samplerate <= high or not is_possible or about.duration > _MAX_SECONDS:
+        return None  # a damaged header
+    return about.duration
+
+
+def _tasks_of(source: Source, out: Path) -> Iterator[Task]:
+    if isinstance(source, Item):
+        yield Task(source.id, source.id, source.audio, source)
+    elif Path(source).is_dir():
+        yield from _below(Path(source), out)
+    elif is_glob(source):
+        for path, name in matches_of_glob(str(source), SPEECH_SUFFIXES):
+            yield Task(str(path), name, path)
+    elif is_list(source):
+        for audio, name, options in read_list(Path(source)):
+            yield Task(name if audio is None else str(audio), name, audio, options=options)
+    else:
+        yield Task(str(source), Path(source).stem, Path(source))
 
 
 def _below(folder: Path, out: Path) -> Iterator[Task]:
@@ -131,6 +216,8 @@ def _listed(paths: Sequence[Path]) -> Iterator[str]:
 def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:
     seen: dict[str, Task] = {}
     for task in tasks:
+        if task.name.split("/")[0] == STATE:
+            raise ConfigError(f"{task.source}: {STATE} in {out} holds the journal; rename the item")
         if task.error is None and seen.setdefault(task.name, task) is not task:
             raise ConfigError(
                 f"{seen[task.name].source} and {task.source} would both be written as "

@@ -188,11 +188,13 @@ def test_what_was_trained_on_is_warned_about(gesturekit, held_out, tmp_path):
     rendered.mkdir()
     whole = (root / "recordings" / "day" / "talk.bvh").read_bytes()
     (rendered / "talk.bvh").write_bytes(whole)
-    record = json.dumps({"file": "talk.bvh", "model_folder": str(model)})
-    (rendered / ".gesturekit-render.jsonl").write_text(record + "\n")
+    journal = rendered / ".gesturekit" / "journal" / "00001-of-00001.jsonl"
+    journal.parent.mkdir(parents=True)
+    run = {"run": "a", "settings": {}, "format": 1, "time": 1.0, "model_folder": str(model)}
+    journal.write_text(json.dumps(run) + "\n")
     done = gesturekit("evaluate", rendered, root / "recordings")
     assert "trained on 1 of 1 recording" in done.err
-    (rendered / ".gesturekit-render.jsonl").unlink()
+    journal.unlink()
     assert "trained on" not in gesturekit("evaluate", rendered, root / "recordings").err
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from threadpoolctl import ThreadpoolController
 
 import audio_features as af
+import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner, extract
 
 
@@ -104,3 +106,14 @@ def test_without_normalisation_features_are_as_the_extractor_gives_them():
     track = conditioner.extractor.extract(wave)
     expected = track.to_rate(25.0, n_frames=50, method="mean").values
     np.testing.assert_array_equal(conditioner(wave), expected)
+
+
+def test_features_do_not_depend_on_the_number_of_threads(tmp_path, write_speech):
+    conditioner = gk.load("demo").conditions.conditioner
+    for seconds in (0.45, 0.96, 1.37, 1.91, 2.5):
+        wave = af.Wave.load(write_speech(tmp_path / "a.wav", seconds))
+        features = []
+        for threads in (1, 2):
+            with ThreadpoolController().limit(limits=threads, user_api="blas"):
+                features.append(conditioner(wave))
+        assert (features[0] == features[1]).all(), seconds

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -14,14 +15,20 @@ from gesturekit import Motion, Skeleton
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError, ModelError, MotionError
 from gesturekit.formats.rig import Rig
+from gesturekit.jobs.plan import PlanItem
+from gesturekit.jobs.state import STATE
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.postprocess import smooth_motion
-from gesturekit.rendering.record import RECORD, described
-from gesturekit.rendering.render import FORMATS, Output, render
+from gesturekit.rendering.batch import iter_render as render
+from gesturekit.rendering.record import described
+from gesturekit.rendering.render import FORMATS, Output
 from gesturekit.rendering.sampling import sample_lda, sample_multires
+from gesturekit.rendering.tasks import Task
+
+JOURNAL = f"{STATE}/journal/00001-of-00001.jsonl"
 
 
 @pytest.fixture
@@ -34,7 +41,7 @@ def test_an_outcome_is_there_before_the_next_file_is_begun(model, sounds, tmp_pa
     outcomes = render(model, sounds, out)
     first = next(outcomes)
     assert (first.source, first.files, first.error) == (str(sounds[0]), (out / "a.bvh",), None)
-    assert sorted(path.name for path in out.iterdir()) == [RECORD, "a.bvh"]
+    assert sorted(path.name for path in out.iterdir()) == [STATE, "a.bvh"]
     sounds[1].write_text("gone bad meanwhile")
     second, third = outcomes
     assert second.files == () and second.error.startswith(str(sounds[1]))
@@ -129,7 +136,7 @@ def test_a_file_that_cannot_be_written_is_reported_and_the_others_are_kept(model
     assert one.error is None and three.error is None
     assert two.files == (out / "b.bvh",)
     assert str(sounds[1]) in two.error and "b.npz" in two.error
-    assert sorted(path.name for path in out.iterdir()) == [RECORD] + [
+    assert sorted(path.name for path in out.iterdir()) == [STATE] + [
         f"{stem}.{kind}" for stem in "abc" for kind in ("bvh", "npz")
     ]
 
@@ -147,7 +154,7 @@ def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
         model, [tmp_path / "none.wav"], tmp_path / "out", output=Output(formats=FORMATS)
     )
     assert outcome.files == () and "none.wav: no such file" in outcome.error
-    assert list((tmp_path / "out").iterdir()) == []
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [STATE]
 
 
 @pytest.mark.parametrize(
@@ -250,9 +257,12 @@ def test_a_link_in_the_output_folder_leads_nowhere(model, sounds, tmp_path, writ
     with pytest.raises(ConfigError, match="lies outside"):
         next(render(model, [sounds[0].parent], out))
     (out / "sub").unlink()
-    (out / RECORD).symlink_to(elsewhere / "record")
-    with pytest.raises(ConfigError, match="is a link"):
-        next(render(model, sounds, out))
+    for link in (STATE, f"{STATE}/journal", f"{STATE}/journal/00001-of-00001.jsonl"):
+        (out / link).parent.mkdir(exist_ok=True)
+        (out / link).symlink_to(elsewhere / "anything")
+        with pytest.raises(ConfigError, match="is a link"):
+            next(render(model, sounds, out))
+        (out / link).unlink()
     assert list(elsewhere.iterdir()) == []
 
 
@@ -276,7 +286,7 @@ def test_a_rerun_refuses_by_name_what_was_made_with_something_else(
 ):
     out = tmp_path / "out"
     list(render(model, sounds[:2], out))
-    made = {path: path.read_bytes() for path in out.iterdir()}
+    made = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     damaged = copy.copy(model)
     damaged.smooth = 0.3
     for name, asked in {
@@ -288,7 +298,7 @@ def test_a_rerun_refuses_by_name_what_was_made_with_something_else(
     }.items():
         with pytest.raises(ConfigError, match=rf"a\.bvh.*b\.bvh exist.*another {name} \(2 refused"):
             next(asked())
-        assert {path: path.read_bytes() for path in out.iterdir()} == made
+        assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == made
     write_speech(sounds[0], 1.0)
     with pytest.raises(ConfigError, match=r"a\.bvh exists.*another input \(1 refused, 1 kept, 1"):
         next(render(model, sounds, out))
@@ -311,7 +321,7 @@ def test_a_result_that_was_edited_is_not_overwritten(model, sounds, tmp_path):
 
 def test_a_killed_run_goes_on_whatever_it_left_of_its_record(model, sounds, tmp_path):
     list(render(model, sounds, tmp_path))
-    record = tmp_path / RECORD
+    record = tmp_path / JOURNAL
     whole = record.read_bytes()
     lines = whole.splitlines(keepends=True)
     for cut in (len(whole) - len(lines[-1]), len(whole) - 20):  # c.bvh is there, not its last line
@@ -352,9 +362,15 @@ def test_items_of_a_manifest_are_cut_and_named_as_it_says(model, tmp_path, write
     assert (made.rotations == wanted.rotations).all()
     assert Motion.load(out / "b_s1.bvh").n_frames == 38
     assert counted(render(model, items, out, samples=2)) == [(0, 2)] * 2
-    later = [replace(items[0], audio_start=1.5)]
-    with pytest.raises(ConfigError, match="another start"):
-        next(render(model, later, out, samples=2))
+    for changed, says in (
+        ({"audio_start": 1.5}, "another start"),
+        ({"audible": ((0.0, 2.0),)}, "another audible"),
+    ):
+        later = [replace(items[0], **changed)]
+        with pytest.raises(ConfigError, match=says):
+            next(render(model, later, out, samples=2))
+        planned = json.loads(json.dumps(asdict(Task("a", "a", audio, later[0]).to_plan())))
+        assert Task.from_plan(PlanItem(**planned)).item == later[0]
 
 
 def test_a_model_without_speech_input_moves_as_long_as_the_items(tmp_path, write_pair, model):
@@ -402,7 +418,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next(model, sounds, tmp_path, 
     (outcome,) = render(model, sounds[:1], tmp_path / "out")
     assert outcome.error is None
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        RECORD, "a.bvh", ".a-of-mine.bvh.keep",
+        STATE, "a.bvh", ".a-of-mine.bvh.keep",
     }  # fmt: skip
 
 

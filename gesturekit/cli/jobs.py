@@ -1,0 +1,101 @@
+"""gesturekit jobs: the state of a rendering, from its journals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from gesturekit.cli.options import existing_option, is_left
+from gesturekit.wording import printable
+
+if TYPE_CHECKING:
+    from gesturekit.jobs.status import Status
+
+_MOST_REASONS = 12
+
+
+@click.command(
+    "jobs",
+    epilog="Example: gesturekit jobs rendered",
+)
+@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--failed", is_flag=True, help="List the items that failed, with their reasons.")
+@click.option("--left", is_flag=True, help="List the items that are not done yet.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@click.option(
+    "--page",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.html",
+    help="Write a page: pictures of results, durations, speeds and failures.",
+)
+@existing_option("replace", note=" (with --page)")
+def command(
+    out: Path, failed: bool, left: bool, as_json: bool, page: Path | None, existing: str
+) -> None:
+    """Show what is done, failed and left in OUT, the output folder of `gesturekit render`.
+
+    It works at any time, also while other processes render into the folder.
+    """
+    from gesturekit.jobs.status import status_of
+
+    status = status_of(out)
+    if as_json:
+        click.echo(_as_json(status))
+    else:
+        _print(status, out)
+    if failed:
+        for item in status.failed:
+            click.echo(printable(f"failed {item.attempts}x  {item.id}: {item.error}"))
+    if left:
+        for name in status.left:
+            click.echo(printable(f"left  {name}"))
+    if page is not None and not is_left([page], existing):
+        from gesturekit.rendering.summary import write_summary
+
+        write_summary(out, status, page)
+        click.echo(page, err=True)
+
+
+def _print(status: Status, out: Path) -> None:
+    from gesturekit.progress import time_in_words
+
+    aside = sum(item.is_aside for item in status.failed)
+    put_aside = f" ({aside} put aside after three failures)" if aside else ""
+    click.echo(f"{out}: {status.items} items, {time_in_words(status.seconds)} of sound")
+    click.echo(
+        f"done {status.done}, failed {len(status.failed)}{put_aside}, left {len(status.left)}"
+    )
+    if status.earlier:
+        click.echo(f"done earlier and not in the present plan: {status.earlier}")
+    if len(status.shards) > 1:
+        whole = sum(done == count for count, done in status.shards)
+        click.echo(f"shards: {whole} of {len(status.shards)} finished")
+    for lease in status.running:
+        owner = printable(f"process {lease.get('pid')} on {lease.get('host')}")
+        shard, age = lease["file"].removesuffix(".json"), lease["age"]
+        click.echo(f"at work: {owner}, {shard}, sign of life {age:.0f} s ago")
+    if status.in_hand and not status.running:
+        names = ", ".join(status.in_hand[:5])
+        click.echo(printable(f"in hand when a run was killed: {names}"))
+    if status.items_per_minute:
+        rest = status.seconds_left
+        until = f"; {time_in_words(rest)} left" if status.left and status.running else ""
+        click.echo(
+            f"speed: {status.items_per_minute:.1f} items a minute, "
+            f"{status.real_time_factor:.1f}x real time{until}"
+        )
+    reasons = status.reasons()
+    for reason, count, first in reasons[:_MOST_REASONS]:
+        click.echo(printable(f"{count:6d}x {reason} (first: {first})"))
+    if len(reasons) > _MOST_REASONS:
+        click.echo(f"        and {len(reasons) - _MOST_REASONS} more reasons; --failed lists all")
+
+
+def _as_json(status: Status) -> str:
+    import dataclasses
+    import json
+
+    values = dataclasses.asdict(status) | {"seconds_left": status.seconds_left}
+    return json.dumps(values, indent=1)

@@ -1,0 +1,1 @@
+"""Long work on many items: plan, journal, leases and worker processes. Knows nothing of motion."""

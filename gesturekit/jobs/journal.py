@@ -1,0 +1,268 @@
+"""Journals: append-only files of JSON lines, one file for each shard; the record of what was done.
+
+Kinds of lines, by their first field:
+
+- `{"run": NAME, ...}`: a process begins, with the settings that its results have in common;
+- `{"started": ID, "run": ..., "time": ...}`: an item is in hand;
+- `{"status": ..., "id": ..., ...}`: the result of an attempt, see `Entry`.
+
+An item that is started and has no result was in hand when a process was killed. Damaged lines,
+which a killed process or a full disk may leave, are ignored.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Container, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gesturekit.errors import FormatError
+from gesturekit.jobs.state import FORMAT, parse_line, read_lines, shard_name
+
+ATTEMPTS = 3
+"""Failures with the same input and settings after which an item is put aside."""
+FIRST_FIELDS = ("status", "id", "time", "seconds", "sound", "key")
+"""Fields with which the line of a result begins, in this order."""
+_STARTED, _STATUS = b'{"started"', b'{"status"'
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Result of one attempt at an item.
+
+    Attributes:
+        status: "done"; "failed"; "lost" if its process was ended, which may leave files that are
+            not listed; "dropped" if the user or a full disk stopped it.
+        id: the item's.
+        key: SHA-256 of settings and input.
+        run: name of the run, whose settings its first line has.
+        attempt: number of attempts with this key, this one included.
+        seconds: time that it took.
+        sound: seconds of sound, or of motion without sound.
+        files: {name below the output folder: {"sha256", "size", "mtime_ns"}} of written files.
+        input: what the result depends on beside the settings of the run.
+        source: size and time of change of the input file.
+        error: reason of the failure, or None.
+        time: time of the line, seconds since 1970.
+    """
+
+    status: str
+    id: str
+    key: str = ""
+    run: str = ""
+    attempt: int = 1
+    seconds: float = 0.0
+    sound: float = 0.0
+    files: dict[str, dict[str, Any]] = field(default_factory=dict)
+    input: dict[str, Any] = field(default_factory=dict)
+    source: dict[str, Any] = field(default_factory=dict)
+    error: str | None = None
+    time: float = 0.0
+
+
+class Journal:
+    """Journal of one shard, open for appending.
+
+    Args:
+        state: folder of state; it must exist.
+        shard, shards: the shard, counted from 1, and their number.
+        settings: what all results of this process have in common, as JSON values.
+        run: name of these settings.
+        about: further fields of the first line.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        state: Path,
+        shard: int,
+        shards: int,
+        *,
+        run: str,
+        settings: dict[str, Any],
+        about: dict[str, Any],
+    ) -> None:
+        path = state / "journal" / f"{shard_name(shard, shards)}.jsonl"
+        path.parent.mkdir(exist_ok=True)
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
+        self.run, self._file = run, os.open(path, flags, 0o666)
+        try:
+            size = os.fstat(self._file).st_size
+            # Begin a new line after one that a killed process left unfinished.
+            self._begin = b"\n" if size and os.pread(self._file, 1, size - 1) != b"\n" else b""
+            about = {"format": FORMAT, "time": time.time(), **about}
+            self._append({"run": run, "settings": settings, **about})
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def start(self, name: str) -> None:
+        """Record that an item is in hand, before any of its files is written."""
+        self._append({"started": name, "run": self.run, "time": time.time()})
+        os.fsync(self._file)
+
+    def finish(self, entry: Entry) -> None:
+        """Record the result of an attempt."""
+        values = asdict(entry) | {"run": self.run, "time": time.time()}
+        # `jobs` finds what it needs at the beginning of a line, without parsing the whole.
+        first = {name: values[name] for name in FIRST_FIELDS}
+        self._append(first | {name: value for name, value in values.items() if value})
+
+    def close(self) -> None:
+        """Write everything to the disk, and close the file."""
+        os.fsync(self._file)
+        os.close(self._file)
+
+    def _append(self, values: dict[str, Any]) -> None:
+        line = self._begin + json.dumps(values).encode() + b"\n"
+        written = os.write(self._file, line)  # one call: lines of processes never mix
+        self._begin = b"" if written == len(line) else b"\n"
+        if written < len(line):
+            os.write(self._file, line[written:])  # raises OSError if the disk is full
+            self._begin = b""
+
+
+class History:
+    """Content of the journals of a folder, by item.
+
+    Args:
+        state: folder of state; it need not exist.
+        wanted: ids of the items to remember; None for all.
+
+    Raises:
+        FormatError: a journal cannot be opened, or was written by a newer version.
+    """
+
+    def __init__(self, state: Path, wanted: Container[str] | None = None) -> None:
+        self.runs: dict[str, dict[str, Any]] = {}
+        self._results: dict[str, list[bytes]] = {}
+        self._started: dict[str, list[tuple[float, str]]] = {}
+        for path in journal_files(state):
+            for kind, values, line in _read(path):
+                if kind == "run":
+                    self.runs[values["run"]] = values
+                elif wanted is None or values["id"] in wanted:
+                    if kind == "started":
+                        start = (values["time"], values["run"])
+                        self._started.setdefault(values["id"], []).append(start)
+                    else:
+                        self._results.setdefault(values["id"], []).append(line)
+
+    def names(self) -> list[str]:
+        """Return the ids of all items with a result, in the order of their first."""
+        return list(self._results)
+
+    def entries(self, name: str) -> list[Entry]:
+        """Return the results of all attempts at an item, the latest last."""
+        lines = self._results.get(name, ())
+        found = [entry for line in lines if (entry := _entry(parse_line(line) or {}))]
+        return sorted(found, key=lambda entry: entry.time)
+
+    def killed(self, name: str) -> list[str]:
+        """Return the runs that were killed with this item in hand, since its last result."""
+        starts = self._started.get(name)
+        if not starts:
+            return []
+        last = max((entry.time for entry in self.entries(name)), default=0.0)
+        return [run for at, run in starts if at >= last]
+
+    def unfinished(self, name: str) -> list[str]:
+        """Return the runs that may have left files of an item which no journal lists."""
+        runs = self.killed(name)
+        for entry in self.entries(name):
+            if entry.status in ("lost", "dropped"):
+                runs.append(entry.run)
+        return runs
+
+    def failures(self, name: str, key: str) -> list[Entry]:
+        """Return the failures of an item with a key since it was last done."""
+        found: list[Entry] = []
+        for entry in self.entries(name):
+            if entry.key == key and entry.status != "dropped":
+                found = [] if entry.status == "done" else [*found, entry]
+        return found
+
+
+def journal_files(state: Path) -> list[Path]:
+    """Return the journals of a folder of state, by name."""
+    return sorted((state / "journal").glob("*.jsonl"))
+
+
+def last_run(state: Path) -> dict[str, Any] | None:
+    """Return the first line of the latest run in a folder: settings and more; None without one."""
+    lines = [
+        values for path in journal_files(state) for kind, values, _ in _read(path) if kind == "run"
+    ]
+    return max(lines, key=lambda values: values["time"], default=None)
+
+
+def _read(path: Path) -> Iterator[tuple[str, dict[str, Any], bytes]]:
+    """Yield (run, started or result; its values; the line) of one journal.
+
+    A start whose result is the next line is left out, as most are.
+    """
+    pending: bytes | None = None
+    for line in read_lines(path):
+        if line.startswith(_STARTED):
+            if pending is not None:
+                yield from _checked_start(pending)
+            pending = line
+            continue
+        values = parse_line(line)
+        if values is None:
+            continue
+        if not line.startswith(_STATUS):
+            yield from _checked_run(path, values, line)
+        elif isinstance(values.get("id"), str):
+            if pending is not None and parse_line(pending).get("started") != values["id"]:
+                yield from _checked_start(pending)
+            pending = None
+            yield "result", values, line
+    if pending is not None:
+        yield from _checked_start(pending)
+
+
+def _checked_start(line: bytes) -> Iterator[tuple[str, dict[str, Any], bytes]]:
+    values = parse_line(line) or {}
+    name, at, run = (values.get(key) for key in ("started", "time", "run"))
+    if isinstance(name, str) and isinstance(at, int | float) and isinstance(run, str):
+        yield "started", {"id": name, "time": at, "run": run}, line
+
+
+def _checked_run(
+    path: Path, values: dict[str, Any], line: bytes
+) -> Iterator[tuple[str, dict[str, Any], bytes]]:
+    number = values.get("format")
+    if isinstance(number, int) and number > FORMAT:
+        raise FormatError(
+            f"{path}: format {number} is newer than this gesturekit reads ({FORMAT}); upgrade it, "
+            "or give another folder"
+        )
+    is_run = isinstance(values.get("run"), str) and isinstance(values.get("settings"), dict)
+    if is_run and number == FORMAT and isinstance(values.get("time"), int | float):
+        yield "run", values, line
+
+
+_TYPES = {
+    **dict.fromkeys(("status", "id", "key", "run"), str),
+    "attempt": int,
+    **dict.fromkeys(("seconds", "sound", "time"), (int, float)),
+    **dict.fromkeys(("files", "input", "source"), dict),
+    "error": (str, type(None)),
+}
+
+
+def _entry(values: dict[str, Any]) -> Entry | None:
+    """Return the entry of a line's values; None if one has a wrong type."""
+    known = {name: value for name, value in values.items() if name in _TYPES}
+    if any(not isinstance(value, _TYPES[name]) for name, value in known.items()):
+        return None
+    if any(not isinstance(about, dict) for about in known.get("files", {}).values()):
+        return None
+    return Entry(**known) if "status" in known and "id" in known else None

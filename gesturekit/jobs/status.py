@@ -1,0 +1,255 @@
+"""State of the work in a folder, from its plan, journals and leases alone."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import re
+from array import array
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import ConfigError, FormatError
+from gesturekit.jobs.journal import ATTEMPTS, journal_files
+from gesturekit.jobs.lease import live_leases
+from gesturekit.jobs.plan import PLAN, Plan
+from gesturekit.jobs.state import MAX_LINE, parse_line, state_folder
+
+WINDOW = 600.0
+"""Seconds of work before the latest result from which speed is computed."""
+# Our own lines begin with fields in a fixed order; parsing a million of them as JSON takes seconds.
+_TEXT, _NUMBER = rb'("[^"\\]*(?:\\.[^"\\]*)*")', rb"([\d.e+-]+)"
+_RESULT = re.compile(
+    rb'\{"status": "(\w+)", "id": %b, "time": %b, "seconds": %b, "sound": %b, "key": "(\w*)"'
+    % (_TEXT, _NUMBER, _NUMBER, _NUMBER)
+)
+_STARTED = re.compile(rb'\{"started": ' + _TEXT)
+_PLANNED = re.compile(rb'\{"shard": (\d+), "id": ' + _TEXT)
+_DIGITS = re.compile(r"(?<![A-Za-z\d])\d+([.,]\d+)*")
+_BLOCK = 1 << 24
+_TAIL = 1 << 17  # bytes at the end of a journal in which the start of an item in hand is found
+
+
+@dataclass(frozen=True)
+class FailedItem:
+    """An item whose last attempt failed."""
+
+    id: str
+    error: str
+    attempts: int
+
+    @property
+    def is_aside(self) -> bool:
+        """True if it is put aside."""
+        return self.attempts >= ATTEMPTS
+
+
+@dataclass
+class Status:
+    """State of the work in a folder.
+
+    Attributes:
+        items: number of items in the plan.
+        seconds: seconds of sound in the plan.
+        done: number of items of the plan that are done.
+        sound: seconds of sound of all results.
+        failed: items of the plan that failed.
+        left: ids of the items of the plan that are neither done nor failed.
+        earlier: number of items that were done and are not in the plan.
+        shards: (number of items, number done or failed) of each shard.
+        running: leases of living processes, see `gesturekit.jobs.lease.live_leases`.
+        in_hand: ids of items that were begun and have no result.
+        items_per_minute: speed in the last `WINDOW` seconds of work.
+        real_time_factor: seconds of sound per second, in the same time.
+    """
+
+    items: int
+    seconds: float
+    done: int = 0
+    sound: float = 0.0
+    failed: list[FailedItem] = field(default_factory=list)
+    left: list[str] = field(default_factory=list)
+    earlier: int = 0
+    shards: list[list[int]] = field(default_factory=list)
+    running: list[dict[str, Any]] = field(default_factory=list)
+    in_hand: list[str] = field(default_factory=list)
+    items_per_minute: float = 0.0
+    real_time_factor: float = 0.0
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Time until all items are done at the present speed; None without a speed."""
+        if not self.items_per_minute:
+            return None
+        by_items = 60 * len(self.left) / self.items_per_minute
+        if not self.real_time_factor or not self.seconds:
+            return by_items
+        sound_left = max(0.0, self.seconds * len(self.left) / max(self.items, 1))
+        return max(0.0, sound_left / self.real_time_factor)
+
+    def reasons(self) -> list[tuple[str, int, str]]:
+        """Return (reason, number of items, id of the first), the most frequent first.
+
+        Names and numbers are left out of a reason, so that equal reasons count together.
+        """
+        counts: Counter[str] = Counter()
+        first: dict[str, str] = {}
+        for item in self.failed:
+            reason = _general(item)
+            counts[reason] += 1
+            first.setdefault(reason, item.id)
+        return [(reason, count, first[reason]) for reason, count in counts.most_common()]
+
+
+def status_of(out: Path) -> Status:
+    """Read the state of the work in a folder; it may be going on.
+
+    Raises:
+        ConfigError: no work was done in the folder.
+        FormatError: plan or journals are damaged, or were written by a newer version.
+    """
+    state = state_folder(out)
+    plan = Plan.open(state / PLAN)
+    if plan is None:
+        raise ConfigError(f"{out}: no plan in it; give the --out of `gesturekit render`")
+    with _without_collection():
+        return _counted(plan, state)
+
+
+def _counted(plan: Plan, state: Path) -> Status:
+    results = _Results()
+    for path in journal_files(state):
+        results.read(path)
+    status = Status(plan.n_items, plan.seconds, shards=[[n, 0] for n, _ in plan.shards])
+    for line in (line for lines in _blocks(plan.path) for line in lines):
+        match = _PLANNED.match(line)
+        if match is None:
+            continue
+        shard, name = int(match[1]), match[2]
+        result = results.last.pop(name, None)
+        if result is None or result[1] == b"dropped":
+            status.left.append(json.loads(name))
+            continue
+        status.shards[shard - 1][1] += 1
+        if result[1] == b"done":
+            status.done += 1
+        else:
+            status.failed.append(results.failed(name, result[2]))
+    status.earlier = sum(kind == b"done" for _, kind, _ in results.last.values())
+    status.sound = sum(results.sounds)
+    status.running = live_leases(state)
+    status.in_hand = [json.loads(name) for name in results.begun]
+    status.items_per_minute, status.real_time_factor = results.speed()
+    return status
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Pause the search for reference cycles, which a million new tuples would start often."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+class _Results:
+    """The last result of each item, by the JSON of its id."""
+
+    def __init__(self) -> None:
+        self.last: dict[bytes, tuple[float, bytes, bytes]] = {}
+        self.times, self.sounds, self.seconds = array("d"), array("d"), array("d")
+        self.begun: dict[bytes, None] = {}
+        self._failures: dict[bytes, tuple[bytes, int]] = {}
+
+    def read(self, path: Path) -> None:
+        """Add the results of a journal."""
+        match = _RESULT.match
+        for lines in _blocks(path):
+            for line in lines:
+                if not line.startswith(b'{"status"') or not (found := match(line)):
+                    continue
+                kind, name, time, seconds, sound, key = found.groups()
+                at = float(time)
+                if kind == b"done":
+                    self.times.append(at)
+                    self.sounds.append(float(sound))
+                    self.seconds.append(float(seconds))
+                    line = b""
+                    if self._failures:
+                        self._failures.pop(name, None)
+                elif kind != b"dropped":
+                    was, count = self._failures.get(name, (key, 0))
+                    self._failures[name] = (key, count + 1 if was == key else 1)
+                before = self.last.get(name)
+                if before is None or at >= before[0]:
+                    self.last[name] = (at, kind, line)
+        begun: dict[bytes, None] = {}
+        for line in _lines_at_end(path, _TAIL):
+            if found := _STARTED.match(line):
+                begun[found[1]] = None
+            elif found := match(line):
+                begun.pop(found[2], None)
+        self.begun |= begun
+
+    def failed(self, name: bytes, line: bytes) -> FailedItem:
+        """Return the failure of an item from its last line."""
+        error = (parse_line(line) or {}).get("error")
+        _, count = self._failures.get(name, (b"", 1))
+        return FailedItem(json.loads(name), str(error), count)
+
+    def speed(self) -> tuple[float, float]:
+        """Return items per minute and seconds of sound per second."""
+        if not self.times:
+            return 0.0, 0.0
+        times, sounds, seconds = (
+            np.frombuffer(values) for values in (self.times, self.sounds, self.seconds)
+        )
+        recent = times >= times.max() - WINDOW
+        span = max(times.max() - (times - seconds)[recent].min(), 1e-3)
+        return float(60 * recent.sum() / span), float(sounds[recent].sum() / span)
+
+
+def _blocks(path: Path) -> Iterator[list[bytes]]:
+    """Yield the complete lines of a file, many at a time.
+
+    Raises:
+        FormatError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            rest = b""
+            while block := file.read(_BLOCK):
+                *lines, rest = (rest + block).split(b"\n")
+                yield lines
+                rest = rest if len(rest) <= MAX_LINE else b""
+    except OSError as error:
+        raise FormatError(f"{path}: {error.strerror}") from None
+
+
+def _lines_at_end(path: Path, size: int) -> list[bytes]:
+    """Return the complete lines among the last bytes of a file."""
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - size))
+        return file.read().split(b"\n")[:-1]
+
+
+def _general(item: FailedItem) -> str:
+    """Return the reason of a failure without the name of the item and without numbers."""
+    text, name = item.error, item.id.rpartition("/")[2]
+    # Most begin with the path of the input, which ends with the name and a suffix.
+    _, found, after = text.partition(name)
+    if found and ": " in after and " " not in after.partition(": ")[0]:
+        text = after.partition(": ")[2]
+    is_path = (f"{name}.", f"/{name}")
+    words = ("..." if any(part in word for part in is_path) else word for word in text.split())
+    return _DIGITS.sub("N", " ".join(words)) or item.error

@@ -1,0 +1,389 @@
+"""Batch rendering: plan, leases, journal and processes; a broken file never stops the others."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gesturekit.errors import ConfigError, GestureKitError, OutputError
+from gesturekit.formats.sources import Job, refuse_existing, refuse_leaving
+from gesturekit.jobs.journal import ATTEMPTS, Entry, History, Journal, journal_files
+from gesturekit.jobs.lease import Lease, live_leases, locked
+from gesturekit.jobs.plan import PLAN, Plan, PlanItem, balanced, write_plan
+from gesturekit.jobs.pool import Failure, Pool
+from gesturekit.jobs.state import state_folder
+from gesturekit.rendering.record import Record
+from gesturekit.rendering.render import Done, Outcome, Renderer, Work
+from gesturekit.rendering.tasks import Source, Task, find_tasks
+
+_SUSPICIOUS = 2  # times that a run was killed with an item in hand
+
+
+@dataclass(frozen=True)
+class Execution:
+    """Settings of how the work is done; none of them changes a byte of the results.
+
+    Attributes:
+        workers: number of processes; 1 renders in this process.
+        shard: number of the shard to render, counted from 1, and the number of all shards, which
+            hold about the same seconds of sound. Runs of different shards share a plan: the first
+            makes it, and the others use it even if files were added since.
+        replan: look for the inputs again, instead of using the plan of another shard's run.
+        retry_failed: try items again that were put aside after three failures.
+        deadline: seconds after which an item is given up; such items count as failed.
+    """
+
+    workers: int = 1
+    shard: tuple[int, int] = (1, 1)
+    replan: bool = False
+    retry_failed: bool = False
+    deadline: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.workers <= 1024:
+            raise ConfigError(f"workers is {self.workers}: give at least 1")
+        if not 1 <= self.shard[0] <= self.shard[1]:
+            raise ConfigError(f"shard {self.shard[0]} of {self.shard[1]}: they count from 1")
+        if self.deadline is not None and not self.deadline > 0:
+            raise ConfigError(f"deadline is {self.deadline}: give a positive number of seconds")
+
+
+class Batch:
+    """The work of one process: the tasks of its shard, and what is to be done about each.
+
+    Args:
+        renderer: model and settings.
+        sources: see `gesturekit.rendering.tasks.find_tasks`; none for one motion without sound.
+        execution: how the work is done.
+
+    Attributes:
+        tasks: the tasks of the shard, in the order of the inputs.
+        kept: existing files that are kept.
+
+    Raises:
+        ConfigError: see `gesturekit.rendering.batch.render`.
+        FormatError: plan or journals cannot be read.
+    """
+
+    def __init__(
+        self, renderer: Renderer, sources: Source | Sequence[Source], execution: Execution
+    ) -> None:
+        self.renderer, self.execution, self.out = renderer, execution, renderer.out
+        self.state = state_folder(self.out)
+        self._request = _request(sources, renderer, execution)
+        plan = self._shared_plan()
+        self._found: list[Task] | None = None
+        if plan is None:
+            self._found = [task.measured() for task in _tasks(sources, renderer)]
+            self.tasks = self._of_shard(self._found)
+        else:
+            self.tasks = [Task.from_plan(item) for item in plan.items(execution.shard[0])]
+        self._settle()
+
+    def run(self) -> Iterator[Outcome]:
+        """Render, and yield the outcome of each task as soon as it is done.
+
+        Raises:
+            OutputError: the output folder cannot be written to any more.
+            ConfigError: another run works in the folder, or took this shard over.
+        """
+        _make_folder(self.out)
+        shard, shards = self.execution.shard
+        try:
+            with locked(self.state):
+                lease = self._begin()
+        except OSError as error:
+            raise ConfigError(f"{self.state}: {error.strerror or error}") from None
+        try:
+            model = self.renderer.model.folder
+            about = {"model_folder": str(model)} if model else {}
+            about |= {"written": self.renderer.written, "shard": shard, "shards": shards}
+            settings, run = self.renderer.settings, self.renderer.run
+            with _journaling(self.out):
+                journal = Journal(
+                    self.state, shard, shards, run=run, settings=settings, about=about
+                )
+            try:
+                yield from self._outcomes(_Shard(self, journal, lease))
+            finally:
+                with suppress(OSError):
+                    journal.close()
+        finally:
+            lease.release()
+
+    def _attempts(self, task: Task) -> tuple[int, str | None]:
+        """Return how often a task failed with its present input, and the last reason."""
+        if not any(entry.status != "done" for entry in self.history.entries(task.name)):
+            return 0, None
+        try:
+            key = self.renderer.key(self._input_of(task))
+        except (GestureKitError, OSError):
+            return 0, None
+        failures = self.history.failures(task.name, key)
+        return len(failures), failures[-1].error if failures else None
+
+    def _shared_plan(self) -> Plan | None:
+        """Return the plan that a run of another shard made of the same request."""
+        if self.execution.shard[1] == 1 or self.execution.replan:
+            return None
+        plan = Plan.open(self.state / PLAN)
+        return plan if plan is not None and plan.request == self._request else None
+
+    def _of_shard(self, tasks: list[Task]) -> list[Task]:
+        number, count = self.execution.shard
+        planned = [task for task in tasks if task.error is None]
+        shards = iter(balanced([task.duration or 0.0 for task in planned], count))
+        # What cannot be planned, such as a folder that cannot be opened, fails in the first shard.
+        return [t for t in tasks if (next(shards) if t.error is None else 1) == number]
+
+    def _settle(self) -> None:
+        """Read the journals, and decide which existing files are kept.
+
+        Raises:
+            ConfigError: `existing` is "refuse", and a file was made with other settings; or a
+                target lies outside the output folder.
+        """
+        targets = {task.name: self.renderer.targets(task) for task in self.tasks}
+        refuse_leaving(
+            [Job(Path(task.source), targets[task.name]) for task in self.tasks], self.out
+        )
+        self._seen = _journal_sizes(self.state)
+        self.history = History(self.state, targets)
+        self._record = Record(self.out, self.history)
+        self.kept: set[Path] = set()
+        refused: list[Path] = []
+        another: set[str] = set()
+        for task in self.tasks:
+            refused += self._settle_task(task, targets[task.name], another)
+        if refused:
+            count = sum(map(len, targets.values()))
+            named = (
+                f"{'other' if name.endswith('s') else 'another'} {name}" for name in sorted(another)
+            )
+            reason = f", made with {', '.join(named)}" if another else ""
+            reason += (
+                f" ({len(refused)} refused, {len(self.kept)} kept, "
+                f"{count - len(refused) - len(self.kept)} to make: nothing was done)"
+            )
+            refuse_existing(refused, reason)
+
+    def _settle_task(self, task: Task, targets: Sequence[Path], another: set[str]) -> list[Path]:
+        """Add to `kept` the files of a task that are kept, and return those that are refused."""
+        there = [file for file in targets if os.path.lexists(file) and not file.is_dir()]
+        existing = self.renderer.output.existing
+        if existing == "skip":
+            self.kept.update(there)
+            return []
+        try:
+            base = self.renderer.settings | self._input_of(task) if there else {}
+        except (GestureKitError, OSError):
+            return []  # the item fails when its turn comes, and nothing is written
+        refused = []
+        for file in there:
+            made_with = base | self.renderer.written[file.suffix[1:]]
+            state = self._record.state(task.name, file, made_with)
+            if state == "same":
+                self.kept.add(file)
+            elif state == "other" and existing == "refuse":
+                refused.append(file)
+                another.update(self._record.differences(task.name, file, made_with))
+        return refused
+
+    def _input_of(self, task: Task) -> dict[str, Any]:
+        digest = self._record.input_digest(task.name, task.audio) if task.audio else None
+        return self.renderer.input_of(task, digest)
+
+    def _begin(self) -> Lease:
+        """Write the plan unless there is one, and take the lease of the shard."""
+        number, count = self.execution.shard
+        plan = self._shared_plan()
+        planned = None
+        if plan is not None:
+            # Made by the run of another shard, perhaps since this one looked for the inputs.
+            planned = [Task.from_plan(item) for item in plan.items(number)]
+        elif self._found is None:
+            raise ConfigError(f"{self.state / PLAN} was replaced meanwhile; start this shard again")
+        else:
+            items: dict[str, PlanItem] = {}
+            for task in self._found:
+                if task.error is None:
+                    items[task.name] = task.to_plan()
+            leases = live_leases(self.state)
+            new = self.state / (f"{PLAN}.new" if leases else PLAN)
+            with _journaling(self.out):
+                plan = write_plan(new, list(items.values()), count, self._request)
+            if leases:
+                new.unlink()  # only its hash is wanted, to compare it with that of the live run
+        run = {"plan": plan.sha256, "shards": count, "settings": self.renderer.run}
+        lease = Lease(self.state, number, count, run)
+        is_new = planned is not None and planned != self.tasks
+        if is_new or _journal_sizes(self.state) != self._seen:
+            try:
+                self.tasks = planned if is_new else self.tasks
+                self._settle()
+            except BaseException:
+                lease.release()
+                raise
+        return lease
+
+    def _outcomes(self, shard: _Shard) -> Iterator[Outcome]:
+        workers, deadline = self.execution.workers, self.execution.deadline
+        is_inside = workers == 1 and deadline is None
+        waiting: list[Work] = []
+        alone: list[Work] = []
+        for task in self.tasks:
+            work = self.work_on(task)
+            if isinstance(work, Outcome):
+                yield work
+            elif len(self.history.killed(task.name)) >= _SUSPICIOUS:
+                alone.append(work)  # its process may die, and the others come first
+            elif is_inside:
+                shard.begin(work)
+                yield shard.finish(work, shard.call_inside(work))
+            else:
+                waiting.append(work)
+        for works, count in ((waiting, workers), (alone, 1)):
+            if works:
+                yield from shard.map(Pool(self.renderer, count, deadline), works)
+
+    def work_on(self, task: Task) -> Outcome | Work:
+        """Return what is to be done about a task, or its outcome if that is nothing."""
+        targets = self.renderer.targets(task)
+        kept = tuple(file for file in targets if file in self.kept)
+        if task.error is not None or len(kept) == len(targets):
+            return Outcome(task.source, kept=kept, error=task.error)
+        count, reason = self._attempts(task)
+        if count >= ATTEMPTS and not self.execution.retry_failed:
+            error = f"{reason} (put aside after {count} failures; --retry-failed tries again)"
+            return Outcome(task.source, kept=kept, error=error)
+        return Work(task, kept, count + 1)
+
+
+class _Shard:
+    """The shard in work: its journal, its lease, and the tasks in hand."""
+
+    def __init__(self, batch: Batch, journal: Journal, lease: Lease) -> None:
+        self._batch, self._journal, self._lease = batch, journal, lease
+        self._out, self._in_hand = batch.out, dict[str, Work]()
+
+    def begin(self, work: Work) -> None:
+        """Record that a task is in hand, and remove what a killed run left of it."""
+        self._lease.check()
+        name = work.task.name
+        if self._batch.history.unfinished(name):
+            self._remove_temporary(work)
+        with _journaling(self._out):
+            self._journal.start(name)
+        self._in_hand[name] = work
+
+    def call_inside(self, work: Work) -> Done:
+        """Render in this process."""
+        try:
+            return self._batch.renderer(work)
+        except BaseException:
+            self._drop()
+            raise
+
+    def map(self, pool: Pool, works: Sequence[Work]) -> Iterator[Outcome]:
+        """Render in the processes of a pool, and yield outcomes as they come."""
+        try:
+            for work, result in pool.map(works, self.begin):
+                yield self.finish(work, result)
+        except BaseException:
+            pool.close()  # before what it was writing is removed
+            self._drop()
+            raise
+
+    def finish(self, work: Work, result: Done | Failure) -> Outcome:
+        """Record the result of a task.
+
+        Raises:
+            OutputError: the output folder is full.
+        """
+        self._lease.check()
+        done = self._lost(work, result) if isinstance(result, Failure) else result
+        with _journaling(self._out):
+            self._journal.finish(done.entry)
+        del self._in_hand[work.task.name]
+        if done.is_full:
+            raise OutputError(
+                f"{done.outcome.error}; stopped: nothing that is done is lost, and the same "
+                "command continues"
+            )
+        return done.outcome
+
+    def _lost(self, work: Work, failure: Failure) -> Done:
+        """Return the result of a task whose process was ended."""
+        self._remove_temporary(work)
+        task, renderer = work.task, self._batch.renderer
+        error = f"{task.source}: {failure}"
+        found: dict[str, Any] = {}
+        with suppress(GestureKitError, OSError):
+            found = renderer.input_of(task)
+        key = renderer.key(found)
+        entry = Entry("lost", task.name, key, renderer.run, work.attempt, input=found, error=error)
+        return Done(Outcome(task.source, kept=work.kept, error=error), entry)
+
+    def _drop(self) -> None:
+        """Record that the tasks in hand were stopped by the user, and remove what is half done."""
+        for work in self._in_hand.values():
+            self._remove_temporary(work)
+            with suppress(OSError):
+                self._journal.finish(Entry("dropped", work.task.name))
+        self._in_hand.clear()
+
+    def _remove_temporary(self, work: Work) -> None:
+        for file in self._batch.renderer.targets(work.task):
+            for left in file.parent.glob(f".{glob.escape(file.stem)}-????????{file.suffix}"):
+                left.unlink(missing_ok=True)
+
+
+@contextmanager
+def _journaling(out: Path) -> Iterator[None]:
+    """Raise an OSError of writing plan or journal as an `OutputError`."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"{out}: {error.strerror}; stopped: nothing that is done is lost, and the same command "
+            "continues"
+        ) from None
+
+
+def _tasks(sources: Source | Sequence[Source], renderer: Renderer) -> list[Task]:
+    if sources:
+        return find_tasks(sources, renderer.out)
+    return [Task("motion", "motion", duration=renderer.seconds)]
+
+
+def _request(sources: Source | Sequence[Source], renderer: Renderer, execution: Execution) -> str:
+    """Return the SHA-256 of what is asked for: the inputs, and the number of shards."""
+    if isinstance(sources, str | os.PathLike) or not isinstance(sources, Sequence):
+        sources = [sources]
+    named = [
+        os.path.abspath(source) if isinstance(source, str | os.PathLike) else repr(source)  # noqa: PTH100
+        for source in sources
+    ]
+    asked = [named, execution.shard[1], renderer.seconds, renderer.channel]
+    return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
+
+
+def _journal_sizes(state: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_size for path in journal_files(state)}
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        writable = os.access(out, os.W_OK | os.X_OK)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be made ({error.strerror})") from None
+    if not writable:
+        raise ConfigError(f"{out}: cannot be written to; give another folder")

@@ -1,0 +1,89 @@
+"""Preview of a rendering: its plan, time and size."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import soundfile
+
+from gesturekit.rendering.execution import Batch
+from gesturekit.rendering.render import Outcome, Work
+from gesturekit.rendering.tasks import Task
+
+_SHORT, _LONG = 0.5, 5.0  # seconds of sound
+
+
+@dataclass(frozen=True)
+class Preview:
+    """Plan for one task.
+
+    Attributes:
+        task: the task.
+        action: "make"; "keep" for a result that is up to date; "fail" if it cannot be done, or was
+            put aside.
+        targets: files to write, or those that are kept.
+        reason: reason of "fail".
+    """
+
+    task: Task
+    action: Literal["make", "keep", "fail"]
+    targets: tuple[Path, ...]
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Cost of rendering in one process, measured on this machine.
+
+    Attributes:
+        item: (seconds, bytes) of each item, however short.
+        sound: (seconds, bytes) of each second of sound.
+    """
+
+    item: tuple[float, float]
+    sound: tuple[float, float]
+
+    def of(self, items: int, sound: float) -> tuple[float, float]:
+        """Return the (seconds, bytes) of a number of items with so many seconds of sound."""
+        return tuple(items * a + sound * b for a, b in zip(self.item, self.sound, strict=True))
+
+
+def preview(batch: Batch) -> Iterator[Preview]:
+    """Yield what would be done about each task; nothing is written."""
+    for task in batch.tasks:
+        work = batch.work_on(task)
+        if isinstance(work, Outcome):
+            action = "keep" if work.error is None else "fail"
+            yield Preview(task, action, work.kept, work.error)
+        else:
+            targets = batch.renderer.targets(task)
+            left = tuple(file for file in targets if file not in work.kept)
+            yield Preview(task, "make", left)
+
+
+def measured_cost(batch: Batch) -> Cost:
+    """Measure the cost of a short and a longer piece of noise, written to a temporary folder.
+
+    All costs are 0 if the model cannot render noise with these settings.
+    """
+    found = []
+    with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
+        renderer = replace(batch.renderer, out=Path(folder))
+        for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation
+            wav = Path(folder) / f"{seconds:g}.wav"
+            noise = np.random.default_rng(0).standard_normal(int(seconds * 16_000))
+            soundfile.write(wav, 0.1 * noise, 16_000)
+            entry = renderer(Work(Task(str(wav), wav.stem, wav))).entry
+            size = sum(about["size"] for about in entry.files.values())
+            found.append((entry.seconds, size))
+    if entry.status != "done":
+        return Cost((0.0, 0.0), (0.0, 0.0))
+    _, short, long = found
+    sound = tuple(max(0.0, (b - a) / (_LONG - _SHORT)) for a, b in zip(short, long, strict=True))
+    item = tuple(max(0.0, a - _SHORT * b) for a, b in zip(short, sound, strict=True))
+    return Cost(item, sound)

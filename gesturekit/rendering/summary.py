@@ -1,0 +1,158 @@
+"""Summary page of a folder of results: pictures, durations, speeds, failures."""
+
+from __future__ import annotations
+
+import base64
+import html
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.atomic import atomic_write
+from gesturekit.errors import GestureKitError
+from gesturekit.jobs.journal import Entry, History
+from gesturekit.jobs.state import STATE
+from gesturekit.jobs.status import Status
+from gesturekit.motion.motion import Motion
+from gesturekit.progress import time_in_words
+from gesturekit.viewer.pictures import contact_sheet
+from gesturekit.wording import printable
+
+PAGE = "summary.html"
+"""Name of the page in the folder of state, which a run of many items writes at its end."""
+PICTURES = 6
+_SHOWN_FAILURES = 1000
+_SHOWN_SECONDS = 60.0
+_BARS = 24
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 72em; padding: 0 1em; }
+table { border-collapse: collapse; } td, th { padding: .2em .8em .2em 0; text-align: left;
+vertical-align: top; } figure { display: inline-block; margin: 0 1em 1em 0; width: 31%; }
+figure img { width: 100%; } figcaption { overflow-wrap: anywhere; } svg { height: 8em; }
+h2 { margin-top: 1.6em; } .n { text-align: right; font-variant-numeric: tabular-nums; }
+"""
+
+
+def write_summary(out: Path, status: Status, path: Path) -> None:
+    """Write the summary page of the results in a folder, as one HTML file.
+
+    Args:
+        out: output folder of the work.
+        status: its state.
+        path: the page; an existing one is replaced.
+
+    Raises:
+        OSError: the page cannot be written.
+        FormatError: the journals cannot be read.
+    """
+    failed = {item.id for item in status.failed}
+    history = History(out / STATE)
+    done = [
+        entry for name in history.names() if name not in failed for entry in _last(history, name)
+    ]
+    body = "\n".join(
+        [
+            *_counts(out, status),
+            *_histogram("Seconds of sound", [entry.sound for entry in done]),
+            *_histogram(
+                "Speed, times real time",
+                [entry.sound / entry.seconds for entry in done if entry.seconds > 0],
+            ),
+            *_failures(status),
+            *_pictures(out, done),
+        ]
+    )
+    title = html.escape(printable(out.name or str(out)))
+    page = (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>\n{body}\n</body></html>\n"
+    )
+    with atomic_write(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _last(history: History, name: str) -> list[Entry]:
+    """Return the latest successful entry of an item, or nothing."""
+    return [entry for entry in history.entries(name) if entry.status == "done"][-1:]
+
+
+def _counts(out: Path, status: Status) -> Iterator[str]:
+    rows = {
+        "Items in the plan": f"{status.items}",
+        "Sound in the plan": time_in_words(status.seconds),
+        "Done": f"{status.done}",
+        "Failed": f"{len(status.failed)}",
+        "Left": f"{len(status.left)}",
+        "Speed of the last ten minutes of work": f"{status.items_per_minute:.1f} items a minute, "
+        f"{status.real_time_factor:.1f} times real time",
+    }
+    yield "<table>"
+    yield from (f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows.items())
+    yield "</table>"
+
+
+def _histogram(title: str, values: list[float]) -> Iterator[str]:
+    """Yield a histogram with logarithmic classes, as SVG, and its quantiles."""
+    positive = np.array([value for value in values if value > 0])
+    if len(positive) < 2:
+        return
+    low, high = positive.min(), max(positive.max(), positive.min() * 1.01)
+    counts, _ = np.histogram(np.log(positive), bins=_BARS, range=(np.log(low), np.log(high)))
+    yield f'<h2>{title}</h2>\n<svg viewBox="0 0 {10 * _BARS} 100" role="img">'
+    for index, count in enumerate(counts):
+        height = 100 * count / counts.max()
+        yield (
+            f'<rect x="{10 * index}" y="{100 - height:.1f}" width="9" height="{height:.1f}" '
+            f'fill="#5d97bf"><title>{count}</title></rect>'
+        )
+    q10, q50, q90 = np.quantile(positive, [0.1, 0.5, 0.9])
+    yield (
+        f"</svg>\n<p>{low:.2g} to {high:.2g} (logarithmic); 10 % below {q10:.2g}, "
+        f"half below {q50:.2g}, 90 % below {q90:.2g}</p>"
+    )
+
+
+def _failures(status: Status) -> Iterator[str]:
+    if not status.failed:
+        return
+    yield '<h2>Failures</h2>\n<table><tr><th class="n">Items</th><th>Reason</th></tr>'
+    for reason, count, _ in status.reasons():
+        yield f'<tr><td class="n">{count}</td><td>{html.escape(printable(reason))}</td></tr>'
+    yield "</table>\n<details><summary>Each item</summary><table>"
+    for item in status.failed[:_SHOWN_FAILURES]:
+        aside = ", put aside" if item.is_aside else ""
+        name, error = (html.escape(printable(text)) for text in (item.id, item.error))
+        yield f"<tr><td>{name}</td><td>{error} ({item.attempts}x{aside})</td></tr>"
+    yield "</table></details>"
+    if len(status.failed) > _SHOWN_FAILURES:
+        yield f"<p>and {len(status.failed) - _SHOWN_FAILURES} more: gesturekit jobs --failed</p>"
+
+
+def _pictures(out: Path, done: list[Entry]) -> Iterator[str]:
+    """Yield pictures of results evenly spread over the items."""
+    inside = out.resolve()
+    spread = np.unique(np.linspace(0, len(done) - 1, min(PICTURES, len(done))).astype(int))
+    yield "<h2>Results</h2>"
+    with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
+        picture = Path(folder) / "picture.png"
+        for entry in (done[index] for index in spread):
+            names = [name for name in entry.files if name.endswith((".npz", ".bvh"))]
+            file = out / names[0] if names else out
+            # A journal is a file like any other: it may name anything.
+            if not names or not file.resolve().is_relative_to(inside):
+                continue
+            try:
+                motion = Motion.load(file)
+                if motion.duration > _SHOWN_SECONDS:
+                    motion = motion.trim(0.0, _SHOWN_SECONDS)
+                contact_sheet(motion, picture, frames=8, title="")
+            except (GestureKitError, OSError):
+                continue  # moved away, or edited since
+            data = base64.b64encode(picture.read_bytes()).decode()
+            name = html.escape(printable(entry.id))
+            yield (
+                f'<figure><img alt="{name}" src="data:image/png;base64,{data}">'
+                f"<figcaption>{name}, {entry.sound:.1f} s</figcaption></figure>"
+            )

@@ -1,0 +1,113 @@
+"""gesturekit jobs, and the options of render for many files."""
+
+from __future__ import annotations
+
+import errno
+import json
+import re
+
+import pytest
+
+from gesturekit import Motion
+from gesturekit.jobs.journal import Entry, Journal
+from gesturekit.jobs.plan import PlanItem, write_plan
+from gesturekit.jobs.state import STATE
+from gesturekit.rendering import summary
+
+
+@pytest.fixture
+def sounds(tmp_path, write_speech):
+    for number in range(24):
+        write_speech(tmp_path / "in" / f"d{number % 2}" / f"{number:02d}.wav", 0.3)
+    for number in (3, 5, 7, 9):
+        (tmp_path / "in" / "d1" / f"{number:02d}.wav").write_text(f"Dear diary {number},\n")
+    return tmp_path / "in"
+
+
+def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_path):
+    out = tmp_path / "out"
+    done = gesturekit("jobs", tmp_path)
+    assert done.status == 2 and "no plan in it" in done.err
+    common = ("render", sounds, "--model", model, "--out", out)
+    assert gesturekit(*common, "--shard", "2/3").status in (0, 1)
+    shown = gesturekit("jobs", out)
+    assert shown.status == 0 and re.search(r"^done \d+, failed \d, left 1\d$", shown.out, re.M)
+    assert "shards: 1 of 3 finished" in shown.out
+    for shard in ("1/3", "3/3"):
+        gesturekit(*common, "--shard", shard)
+    shown = gesturekit("jobs", out, "--failed", "--left")
+    assert "24 items" in shown.out and "done 20, failed 4, left 0" in shown.out
+    assert re.search(r"^ +4x cannot be read as sound", shown.out, re.M), "reasons are grouped"
+    assert shown.out.count("\nfailed 1x  d1/0") == 4 and "left  " not in shown.out
+    values = json.loads(gesturekit("jobs", out, "--json").out)
+    assert (values["done"], len(values["failed"]), values["left"]) == (20, 4, [])
+    page = tmp_path / "page.html"
+    assert gesturekit("jobs", out, "--page", page).status == 0
+    text = page.read_text()
+    assert text.count("<img") == 6 and "cannot be read as sound" in text
+
+
+def test_a_dry_run_writes_nothing(gesturekit, model, sounds, tmp_path):
+    out = tmp_path / "out"
+    common = ("render", sounds, "--model", model, "--out", out, "--dry-run")
+    done = gesturekit(*common)
+    assert done.status == 0 and not out.exists()
+    assert done.out.count("\nmake ") + done.out.startswith("make ") == 24
+    assert re.search(r"^24 to make, 0 to keep, 0 to fail; .* of sound, about \d", done.err, re.M)
+    assert gesturekit(*common[:-1]).status == 1
+    done = gesturekit(*common)
+    assert "4 to make, 20 to keep" in done.err
+    assert (out / STATE / "summary.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--shard", "0/3"], "shard '0/3': expected"),
+        (["--shard", "3"], "shard '3': expected"),
+        (["--workers", "0"], "--workers"),
+        (["--deadline", "0"], "--deadline"),
+    ],
+)
+def test_wrong_options(gesturekit, model, sounds, tmp_path, arguments, says):
+    done = gesturekit("render", sounds, "--model", model, "--out", tmp_path / "out", *arguments)
+    assert done.status == 2 and says in done.err and not (tmp_path / "out").exists()
+
+
+def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path):
+    state = tmp_path / STATE
+    (state / "journal").mkdir(parents=True)
+    odd = "a\x1b[2J\udcff"
+    write_plan(state / "plan.jsonl", [PlanItem(odd), PlanItem("b\x1b")], 1, "r")
+    journal = Journal(state, 1, 1, run="a", settings={}, about={})
+    journal.finish(Entry("failed", odd, error=f"{odd}: broken\x1b[31m"))
+    journal.start("b\x1b")
+    journal.close()
+    for arguments in (["--failed", "--left"], ["--page", tmp_path / "page.html"]):
+        shown = gesturekit("jobs", tmp_path, *arguments)
+        assert shown.status == 0 and "\x1b" not in shown.out and "a?[2J?" in shown.out
+    assert "in hand when a run was killed: b?" in shown.out
+
+
+def test_a_full_disk_ends_a_run_with_its_counts(gesturekit, model, sounds, tmp_path, monkeypatch):
+    save, saved = Motion.save, []
+
+    def full(self, path, **options):
+        saved.append(path)
+        if len(saved) > 4:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        save(self, path, **options)
+
+    def no_page(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    common = ("render", sounds, "--model", model, "--out", tmp_path / "out")
+    with monkeypatch.context() as patch:
+        patch.setattr(Motion, "save", full)
+        patch.setattr(summary, "write_summary", no_page)
+        done = gesturekit(*common)
+    assert done.status == 1 and "the same command continues" in done.err
+    assert "summary.html: not written" in done.err
+    assert re.match(r"4 rendered, 1 failed in ", done.err.splitlines()[-1])
+    again = gesturekit(*common)
+    assert re.match(r"16 rendered, 4 kept, 4 failed in ", again.err.splitlines()[-1])

@@ -1,0 +1,82 @@
+"""Leases: one process for each shard, and one run for each folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from gesturekit.errors import ConfigError
+from gesturekit.jobs import lease as module
+from gesturekit.jobs.lease import Lease, live_leases
+
+RUN = {"plan": "p"}
+HOLD = """
+import sys, time
+from pathlib import Path
+from gesturekit.jobs.lease import Lease
+Lease(Path(sys.argv[1]), 1, 2, {"plan": "p"})
+print("held", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_shard_is_leased_once_and_another_shard_of_the_run_beside_it(tmp_path):
+    one = Lease(tmp_path, 1, 2, RUN)
+    with pytest.raises(ConfigError, match="shard 1 of 2 is in work, by process"):
+        Lease(tmp_path, 1, 2, RUN)
+    with pytest.raises(ConfigError, match="another run, with other inputs or settings"):
+        Lease(tmp_path, 2, 2, {"plan": "q"})
+    two = Lease(tmp_path, 2, 2, RUN)
+    assert [about["pid"] for about in live_leases(tmp_path)] == [os.getpid()] * 2
+    one.release()
+    one.release()
+    Lease(tmp_path, 1, 2, RUN).release()
+    two.release()
+    assert live_leases(tmp_path) == []
+
+
+def test_the_lease_of_a_killed_process_is_free_at_once(tmp_path):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD, tmp_path], stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout.readline() == "held\n"
+    with pytest.raises(ConfigError, match=f"by process {holder.pid}"):
+        Lease(tmp_path, 1, 2, RUN)
+    holder.kill()
+    holder.wait()
+    Lease(tmp_path, 1, 2, {"plan": "another"}).release()
+
+
+def test_a_process_of_another_host_lives_by_its_heartbeat(tmp_path):
+    path = tmp_path / "leases" / "00001-of-00001.json"
+    path.parent.mkdir()
+    path.write_text(json.dumps({"host": "elsewhere", "pid": 1, "since": 0.0, "run": RUN}))
+    with pytest.raises(ConfigError, match="on elsewhere"):
+        Lease(tmp_path, 1, 1, RUN)
+    long_ago = time.time() - 2 * module.EXPIRY
+    os.utime(path, (long_ago, long_ago))
+    Lease(tmp_path, 1, 1, RUN).release()
+
+
+def test_a_suspended_process_notices_that_its_lease_was_taken(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "HEARTBEAT", 0.01)
+    mine = Lease(tmp_path, 1, 1, RUN)
+    before = mine.path.stat().st_mtime_ns
+    limit = time.monotonic() + 10
+    while mine.path.stat().st_mtime_ns == before:
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+    mine.check()
+    mine.path.write_text(json.dumps({"host": "elsewhere"}))
+    while not mine.is_lost:
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+    with pytest.raises(ConfigError, match="another one has taken its shard over"):
+        mine.check()
+    mine.release()
+    assert mine.path.exists()  # it belongs to the other process

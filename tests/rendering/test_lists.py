@@ -1,0 +1,116 @@
+"""Globs and lists as inputs: names of results, options of each, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from gesturekit.errors import ConfigError
+from gesturekit.rendering.tasks import Task, find_tasks
+
+
+@pytest.fixture
+def folder(tmp_path, write_speech, monkeypatch):
+    for name in ("a", "day/b", "day/night/c"):
+        write_speech(tmp_path / "in" / f"{name}.wav", 0.5)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "in"
+
+
+def found(source, tmp_path):
+    tasks = find_tasks(source, tmp_path / "out")
+    return {task.name: os.path.relpath(task.audio, tmp_path) for task in tasks}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("in/*.wav", {"a"}),
+        ("in/**/*.wav", {"a", "day/b", "day/night/c"}),
+        ("in/d*/*.wav", {"day/b"}),
+        ("*/day/**/[bc].wav", {"in/day/b", "in/day/night/c"}),
+    ],
+)
+def test_globs_keep_the_folders_below_their_fixed_part(folder, tmp_path, pattern, names):
+    assert found(pattern, tmp_path).keys() == names
+
+
+def test_a_file_with_the_name_of_a_pattern_is_that_file(folder, tmp_path, write_speech):
+    write_speech(folder / "[b].wav", 0.5)
+    assert found(str(folder / "[b].wav"), tmp_path) == {"[b]": "in/[b].wav"}
+    with pytest.raises(ConfigError, match="no audio file of this pattern"):
+        find_tasks("in/*.flac", tmp_path)
+
+
+def test_a_list_of_paths(folder, tmp_path):
+    (folder / "night.txt").write_text(f"a.wav\r\n\n./day/b.wav\n{folder}/day/night/c.wav")
+    assert found("in/night.txt", tmp_path) == {
+        "a": "in/a.wav", "day/b": "in/day/b.wav", "c": "in/day/night/c.wav",
+    }  # fmt: skip
+    # Where there is no such file beside the list, paths are those of the working folder.
+    (folder / "more.lst").write_text("in/a.wav\n../in/day/b.wav\n")
+    assert found("in/more.lst", tmp_path) == {"in/a": "in/a.wav", "b": "in/day/b.wav"}
+
+
+def test_kaldis_wav_scp(folder, tmp_path):
+    (tmp_path / "wav.scp").write_text("spk1-utt1 in/a.wav\nspk1-utt2\tin/day/b.wav\n")
+    assert found("wav.scp", tmp_path) == {"spk1-utt1": "in/a.wav", "spk1-utt2": "in/day/b.wav"}
+
+
+def test_jsonl_has_options_for_each_input(folder, tmp_path):
+    lines = [
+        {"audio": "in/a.wav", "seed": 3, "style": "old"},
+        {"audio": "in/a.wav", "id": "again/a", "start": 0.1, "seconds": 0.2},
+        {"id": "idle", "seconds": 2},
+    ]
+    (tmp_path / "night.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    tasks = [task.measured() for task in find_tasks("night.jsonl", tmp_path / "out")]
+    assert [task.name for task in tasks] == ["in/a", "again/a", "idle"]
+    assert [dict(task.options) for task in tasks] == [
+        {"seed": 3, "style": "old"}, {"start": 0.1, "seconds": 0.2}, {"seconds": 2},
+    ]  # fmt: skip
+    assert [task.duration for task in tasks] == [0.5, 0.2, 2]
+    assert [Task.from_plan(task.to_plan()).options for task in tasks] == [t.options for t in tasks]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("l.scp", "x touch hacked |\n", "l.scp:1: .*is a command, and commands .* never run"),
+        ("l.scp", "../../x in/a.wav\n", r"l.scp:1: id '\.\./\.\./x' cannot be used"),
+        ("l.scp", "/etc/x in/a.wav\n", "cannot be used"),
+        ("l.scp", "alone\n", "expected an id and a path"),
+        ("l.scp", ".gesturekit/plan in/a.wav\n", "holds the journal"),
+        ("l.txt", "\n\n", "an empty list"),
+        ("l.txt", "a\0b\n", "l.txt:1: this is not a list"),
+        ("l.txt", "x" * 70_000, "not a list"),
+        ("l.txt", "in/a.wav\nother/../in/a.wav\nout/day/a.wav\nin/a.flac", "both be written as"),
+        ("l.jsonl", '{"audio": "a.wav"}\n{"audio": 3}', "l.jsonl:2: audio is 3"),
+        ("l.jsonl", '{"audio": "a.wav", "colour": 3}', "unknown field 'colour'; known: audio"),
+        ("l.jsonl", '{"audio": "a.wav", "id": "../a"}', "cannot be used"),
+        ("l.jsonl", '{"id": "a", "seconds": 1e99}', "seconds is 1e"),
+        ("l.jsonl", '{"id": "a", "seconds": NaN}', "seconds is NaN"),
+        ("l.jsonl", '{"audio": "a.wav", "seed": true}', "seed is true"),
+        ("l.jsonl", '{"seed": 3}', "give audio, or id and seconds"),
+        ("l.jsonl", '{"schema": 1}', "--corpus"),
+        ("l.jsonl", "[" * 20_000, "not a JSON object"),
+        ("none.txt", None, "no such list"),
+    ],
+)
+def test_lists_that_are_refused_name_the_line(folder, tmp_path, name, text, says):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError, match=says):
+        find_tasks(name, tmp_path / "out")
+    assert not (tmp_path / "hacked").exists()
+
+
+def test_a_damaged_header_and_a_pipe_have_no_duration(tmp_path, folder):
+    data = bytearray((folder / "a.wav").read_bytes())
+    data[24:28] = (1).to_bytes(4, "little")  # a sample rate of 1 Hz
+    (folder / "a.wav").write_bytes(data)
+    assert Task("a", "a", folder / "a.wav").measured().duration is None
+    os.mkfifo(folder / "pipe.wav")
+    assert Task("p", "p", folder / "pipe.wav").measured().duration is None
