@@ -15,6 +15,7 @@ from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.recall.library_format import (
+    library_row,
     library_tensors,
     library_values,
     load_library,
@@ -117,6 +118,8 @@ def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
     if conditioner is not None:
         lines["Speech features"] = json.dumps(conditioner.extractor.spec)
         call = '"speech.wav"'
+    if model.library is not None:
+        lines["Recalled motion"] = library_row(model.library)
     if model.styles:
         lines["Styles"] = ", ".join(model.styles)
         call += f', style="{model.styles[0]}"'

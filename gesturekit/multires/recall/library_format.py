@@ -15,6 +15,7 @@ from gesturekit.multires.recall.parts import motion_parts
 from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.recall.wanted import Regression, WantedMovement
 from gesturekit.training.model_folder import ModelParts
+from gesturekit.wording import counted
 
 _VALUES = ("level", "piece", "overlap", "mean")
 _CURVES = ("motion", "passive", "profiles")
@@ -32,6 +33,15 @@ def library_values(library: RecallLibrary) -> dict[str, Any]:
         "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
         "effort": None if wanted is None else list(wanted.effort),
     }
+
+
+def library_row(library: RecallLibrary) -> str:
+    """Return "2 recordings at level 4 (4.4 fps), 0.2 MB in model.safetensors"."""
+    tensors = library_tensors(library).values()
+    size = sum(tensor.numel() * tensor.element_size() for tensor in tensors) / 1e6
+    count = counted(len(library.recordings), "recording")
+    rate = f"level {library.level} ({library.level_fps:.2g} fps)"
+    return f"{count} at {rate}, {size:.1f} MB of model.safetensors"
 
 
 def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
