@@ -52,11 +52,9 @@ class Effort(AcousticExtractor):
         pitch = np.zeros(spectrum.n_frames)
         pitch[melody.voiced] = 12.0 * np.log2(melody.f0[melody.voiced] / F0_RANGE[0])
         hertz = np.fft.rfftfreq(N_FFT, 0.5 / 8000.0)
-        low, high = (
-            spectrum.power[:, (hertz >= band[0]) & (hertz < band[1])].sum(axis=1) + 1e-6
-            for band in (_LOW_BAND, _HIGH_BAND)
-        )
-        tilt = 10.0 * np.log10(high / low)
+        bands = [(hertz >= low) & (hertz < high) for low, high in (_LOW_BAND, _HIGH_BAND)]
+        power = spectrum.power @ np.stack(bands, axis=1).astype(np.float32) + 1e-6
+        tilt = 10.0 * np.log10(power[:, 1] / power[:, 0])
         audible = melody.energy >= _AUDIBLE_DB
         columns = [
             self._quantile(pitch, melody.voiced, 0.5, 0.0),

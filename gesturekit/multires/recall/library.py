@@ -60,19 +60,25 @@ class RecalledMotion:
         return self.channels(motions, [part.columns for part in self.parts], n_frames)
 
     def channels(
-        self, curves: Sequence[Tensor], columns: Sequence[np.ndarray], n_frames: int
+        self,
+        curves: Sequence[Tensor],
+        columns: Sequence[np.ndarray],
+        n_frames: int,
+        part: slice = slice(None),
     ) -> Tensor:
-        """Return any recorded channels (X, n_frames), each with the pieces of its part.
+        """Return any recorded channels (X, n_frames), each with the pieces of its body part.
 
         Args:
             curves: (X, T_k) of each recording, at any rate.
             columns: the channels of each part.
-            n_frames: frames of the result.
+            n_frames: frames of the whole motion.
+            part: frames of the result.
         """
-        result = curves[0].new_zeros(len(curves[0]), n_frames)
+        result = curves[0].new_zeros(len(curves[0]), len(range(n_frames)[part]))
         for own, pieces in zip(columns, self.pieces, strict=True):
             if len(own):
-                result[own] = pieces.blend([curve[own] for curve in curves], self.lengths, n_frames)
+                chosen = [curve[own] for curve in curves]
+                result[own] = pieces.blend(chosen, self.lengths, n_frames, part)
         return result
 
 

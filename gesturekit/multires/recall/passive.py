@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,8 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import quaternion_from_sixd, sixd_from_quaternion
 from gesturekit.multires.recall.parts import MotionPart
 
+_FRAMES_AT_ONCE = 1024
+"""Frames decoded in one call, which bounds the memory of long motions."""
 _STILL = 0.01
 """Standard deviation of a rotation's six numbers below which a joint does not move."""
 
@@ -57,14 +59,22 @@ class PassiveChannels:
         own = np.concatenate([own, np.full(self.expressions, len(parts) - 1, int)])
         return [np.flatnonzero(own == i) for i in range(len(parts))]
 
-    def applied(self, motion: Motion, values: Tensor) -> Motion:
-        """Return the motion (T frames) with the channels in `values` (6 F + E, T)."""
-        rows = values.T.double().numpy()
+    def applied(self, motion: Motion, values: Callable[[slice], Tensor]) -> Motion:
+        """Return the motion (T frames) with recalled channels.
+
+        Args:
+            motion: on the rig.
+            values: gives the channels (6 F + E, N) of a part of its frames.
+        """
         rotations = motion.rotations.copy()
         index = [motion.skeleton.index(name) for name in self.joints]
-        split = 6 * len(index)
-        if index:
-            sixd = rows[:, :split].reshape(len(rows), len(index), 6)
-            rotations[:, index] = quaternion_from_sixd(sixd)
-        face = rows[:, split:] if self.expressions else motion.expressions
-        return replace(motion, rotations=rotations, expressions=face)
+        face = np.empty((motion.n_frames, self.expressions))
+        for start in range(0, motion.n_frames, _FRAMES_AT_ONCE):
+            part = slice(start, min(start + _FRAMES_AT_ONCE, motion.n_frames))
+            rows = values(part).T.double().numpy()
+            if index:
+                sixd = rows[:, : 6 * len(index)].reshape(len(rows), len(index), 6)
+                rotations[part, index] = quaternion_from_sixd(sixd)
+            face[part] = rows[:, 6 * len(index) :]
+        expressions = face if self.expressions else motion.expressions
+        return replace(motion, rotations=rotations, expressions=expressions)

@@ -34,19 +34,26 @@ class Pieces:
         """Return (N - 1,) frames, fractional, in the middle of each cross-fade."""
         return np.arange(1, len(self.starts)) * self.hop + self.overlap / 2
 
-    def blend(self, curves: Sequence[Tensor], lengths: Sequence[int], n_frames: int) -> Tensor:
-        """Return the curves (C, n_frames) of this motion.
+    def blend(
+        self,
+        curves: Sequence[Tensor],
+        lengths: Sequence[int],
+        n_frames: int,
+        part: slice = slice(None),
+    ) -> Tensor:
+        """Return the curves (C, n_frames) of this motion, or a part of their frames.
 
         Args:
             curves: (C, T_k) of each recording, at any frame rate.
             lengths: frames of each recording at the recalled level.
-            n_frames: frames of the result, at any frame rate.
+            n_frames: frames of the whole motion, at any frame rate.
+            part: frames of the result.
         """
         # Every rate divides the duration into equal frames (`af.level_lengths`).
-        time = (np.arange(n_frames) + 0.5) * (self.n_frames / n_frames) - 0.5
+        time = (np.arange(n_frames)[part] + 0.5) * (self.n_frames / n_frames) - 0.5
         piece = np.clip(np.floor(time / self.hop).astype(int), 0, len(self.starts) - 1)
         into = time - piece * self.hop
-        weight = np.ones(n_frames)
+        weight = np.ones(len(time))
         if self.overlap:
             fading = piece > 0
             weight[fading] = np.clip((into[fading] + 0.5) / self.overlap, 0.0, 1.0)

@@ -21,6 +21,7 @@ _BIN_SECONDS = 0.16
 _BINS = 5
 """Speech features are averaged over this many bins around a frame."""
 _SLOW_INPUT_SECONDS = 1.0
+_FRAMES_AT_ONCE = 4096
 _MOST_FEATURES = 64
 """Wider speech features are reduced to this many principal components."""
 _RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -212,7 +213,11 @@ class WantedMovement:
         """Return the movement that speech features (S, T) ask for, and its slow part, (2, T)."""
         speech = usual_voice(speech, self.effort, self.voices)
         slow = self.slow.trusted(self.slow(slow_inputs(speech, self.effort, self.basis, self.fps)))
-        fast = self.fast.mapped(self.fast(fast_inputs(speech, self.effort, self.basis, self.fps)))
+        inputs = _bins(speech, self.effort, self.basis, self.fps)
+        n_frames = speech.shape[1]
+        parts = [slice(i, i + _FRAMES_AT_ONCE) for i in range(0, n_frames, _FRAMES_AT_ONCE)]
+        fast = np.concatenate([self.fast(_flat(inputs[part])) for part in parts])
+        fast = self.fast.mapped(fast)
         movement = _mapped(fast + slow, self.predicted, self.recorded)
         return np.stack([movement, slow_part(movement, self.fps)])
 
@@ -244,12 +249,24 @@ def fast_inputs(
     speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None, fps: float
 ) -> np.ndarray:
     """Return (T, 5 M) means of the speech features (S, T) in five bins around each frame."""
+    return _flat(_bins(speech, effort, basis, fps))
+
+
+def _bins(
+    speech: np.ndarray, effort: Sequence[int], basis: np.ndarray | None, fps: float
+) -> np.ndarray:
+    """Return a view (T, M, 5) of the features' means in five bins around each frame."""
     features = _reduced(speech, effort, basis)
     width = max(1, round(_BIN_SECONDS * fps))
     means = uniform_filter1d(features, width, axis=0, mode="nearest")
-    n_frames, half = len(means), _BINS // 2
-    padded = np.pad(means, ((half * width, half * width), (0, 0)), mode="edge")
-    return np.concatenate([padded[i * width : i * width + n_frames] for i in range(_BINS)], axis=1)
+    around = (_BINS // 2) * width
+    padded = np.pad(means, ((around, around), (0, 0)), mode="edge")
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1, axis=0)[..., ::width]
+
+
+def _flat(bins: np.ndarray) -> np.ndarray:
+    """Return (T, 5 M), all features of the first bin, then of the second ..., from (T, M, 5)."""
+    return bins.transpose(0, 2, 1).reshape(len(bins), -1)
 
 
 def slow_inputs(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -163,12 +162,15 @@ class Sampler:
     def _with_passive(self, motion: Motion, choice: RecalledMotion) -> Motion:
         """Return the motion with the fingers and the face of the recalled pieces."""
         library = self.request.library
-        values = choice.channels(
-            [recording.passive for recording in library.recordings],
-            library.passive.columns(library.parts),
-            self.request.lengths[-1],
-        )
-        return library.passive.applied(motion, self._cropped(values.T).T)
+        curves = [recording.passive for recording in library.recordings]
+        columns = library.passive.columns(library.parts)
+        margin, n_frames = self.request.margin, self.request.lengths[-1]
+
+        def values(part: slice) -> Tensor:
+            shifted = slice(part.start + margin, part.stop + margin)
+            return choice.channels(curves, columns, n_frames, shifted)
+
+        return library.passive.applied(motion, values)
 
     def _along_path(self, pyramid: Pyramid) -> Motion:
         """Generate a motion whose root follows the path."""
@@ -220,8 +222,8 @@ class Sampler:
         read = motion_level(representation, unedited, self.fps, lengths, level)
         return keep_unedited(values, generated, read, representation)
 
-    def _cropped(self, values: Any) -> Any:
-        """Return an array or a tensor (T, D) without the margins."""
+    def _cropped(self, values: np.ndarray) -> np.ndarray:
+        """Return (T, D) without the margins."""
         return values[self.request.margin : len(values) - self.request.margin]
 
     def _decoded(self, values: np.ndarray) -> Motion:
