@@ -230,11 +230,11 @@ class RecallConfig:
     def __post_init__(self) -> None:
         check_positive(level=self.level, piece=self.piece, overlap=self.overlap)
         if self.level % 2:
-            raise ConfigError(f"recall.level: {self.level} must be even: levels train in pairs")
+            raise ConfigError(f"level: {self.level} must be even: levels train in pairs")
         if self.overlap >= self.piece:
-            raise ConfigError(f"recall.overlap: {self.overlap} must be below piece ({self.piece})")
+            raise ConfigError(f"overlap: {self.overlap} must be below piece ({self.piece})")
         if not 0 <= self.own_movement <= 1:
-            raise ConfigError(f"recall.own_movement: {self.own_movement} must be from 0 to 1")
+            raise ConfigError(f"own_movement: {self.own_movement} must be from 0 to 1")
 
 
 @dataclass(frozen=True, kw_only=True)

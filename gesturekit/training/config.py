@@ -155,7 +155,7 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         leaf = full.rsplit(".", 1)[-1]
         same = [name for name in _settings(schema) if name.rsplit(".", 1)[-1] == leaf]
         # A section's name may be misspelt; a setting that another section has is in the wrong one.
-        meant = (error.near or same) if error.inner else (same or error.near)
+        meant = (error.near or same) if error.inner else [*error.near, *same]
         hint = (
             f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(error.known)}"
         )

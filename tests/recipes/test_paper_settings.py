@@ -154,6 +154,8 @@ SPEECH = {
     "losses.arm_speed": (0.0, "eq. 11 has none"),
     "losses.arm_acceleration": (0.0, "eq. 11 has none"),
     "losses.detail": (0.0, "eq. 11 has none"),
+    "losses.arm_floors": ((1.0, 10.0), "unused without the losses on the arms"),
+    "recall": (None, "the papers generate every level"),
     "losses.coarse": (0.0, "eq. 11 has none"),
     "losses.rec_input": ("real", "eq. 15"),
     "losses.contact_speed": ("squared", "eq. 14"),

@@ -112,6 +112,9 @@ def test_the_recipe_trains_and_its_model_moves(path, corpus, wavlm, idle, tmp_pa
     more = [f"features.weights={wavlm}"] if hears_wavlm else []
     if getattr(config, "unpaired", None) is not None:
         more.append(f"unpaired.corpus={idle}")
+    recall = getattr(config, "recall", None)
+    if recall is not None and recall.level > 4:
+        more.append("recall.level=4")  # as many levels as the tiny network has
     run = tmp_path / "run"
     with pytest.raises(SystemExit) as left:
         main(["train", str(path), f"corpus={corpus}", f"out={run}", *TINY[system], *more])

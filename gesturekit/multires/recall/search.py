@@ -14,7 +14,7 @@ BEAM = 48
 """Sequences of pieces that the search follows at a time."""
 _STEPS_AT_ONCE = 64
 """Pieces whose distances to all recorded frames are in memory at once."""
-_SHRINKAGE = 0.85
+_SHRINKAGE = 0.8
 """Weight of the recorded square in the squared difference from what is wanted. A plain difference
 prefers pieces that vary little, because what speech asks for is only a prediction."""
 _FORGETTING = 0.95
@@ -37,7 +37,7 @@ class ChoiceWeights:
     slow: float = 2.0
     continuity: float = 2.0
     used: float = 0.25
-    chance: float = 0.5
+    chance: float = 0.4
 
 
 class PieceSearch:
