@@ -155,7 +155,9 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         leaf = full.rsplit(".", 1)[-1]
         same = [name for name in _settings(schema) if name.rsplit(".", 1)[-1] == leaf]
         # A section's name may be misspelt; a setting that another section has is in the wrong one.
-        meant = (error.near or same) if error.inner else [*error.near, *same]
+        # A plural for a singular is near beyond doubt; other settings of the name come after it.
+        plural = [name for name in error.near if name == f"{full}s"]
+        meant = (error.near or same) if error.inner else (plural or same or error.near)
         hint = (
             f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(error.known)}"
         )

@@ -38,7 +38,7 @@ def error_line(done) -> str:
     ("override", "says"),
     [
         ("netwrk.levels=3", "unknown key netwrk; did you mean network?"),
-        ("network.level=3", "did you mean network.levels or recall.level?"),
+        ("network.level=3", "did you mean network.levels?"),
         ("network.levels=many", "network.levels: 'many' is not of type int"),
         ("network.kernel=4", "kernel: 4 must be odd"),
         ("network=3", "network"),
