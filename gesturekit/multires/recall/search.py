@@ -37,7 +37,7 @@ class ChoiceWeights:
     slow: float = 2.0
     continuity: float = 2.0
     used: float = 0.25
-    chance: float = 0.4
+    chance: float = 0.5
 
 
 class PieceSearch:
