@@ -54,8 +54,8 @@ class RunConfig:
     """Joints that the model moves: the body without fingers and end joints, all, or names. Others
     stay at their mean rotation."""
     start_from: Path | None = None
-    """A model folder to fine-tune: its weights, rig, modelled joints, features and normalisation of
-    motion are kept. Null starts from random weights."""
+    """A model to fine-tune (its folder, or its run folder): its weights, rig, modelled joints,
+    features and normalisation are kept. Null starts from random weights."""
     parts: dict[str, str] = field(default_factory=dict)
     """Joints of body parts, such as {left_elbow: Joint12}, for rigs whose parts cannot be
     identified by names and shape."""

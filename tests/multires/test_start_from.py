@@ -73,7 +73,7 @@ def weights_of(folder: Path) -> dict[str, torch.Tensor]:
 
 def test_training_starts_at_the_output_of_the_other_model(first, corpus, tmp_path):
     speech = corpus.parent / "paired" / "b.wav"
-    folder = train(tiny(corpus, tmp_path / "run", start_from=str(first), training=STILL))
+    folder = train(tiny(corpus, tmp_path / "run", start_from=str(first.parent), training=STILL))
     there, here, anew = (
         gk.load(model).generate(speech, seed=3).rotations
         for model in (first, folder, train(tiny(corpus, tmp_path / "anew", seed=1)))

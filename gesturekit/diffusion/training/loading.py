@@ -26,7 +26,12 @@ from gesturekit.motion.retarget.path_following import follow_path
 from gesturekit.motion.root_path import RootPath
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import extract_features, feature_values
-from gesturekit.training.data.start_model import check_conditions, check_rig, check_settings
+from gesturekit.training.data.start_model import (
+    check_conditions,
+    check_rig,
+    check_settings,
+    model_of,
+)
 
 _STEP_FLOORS = (1e-3, 5e-4, 5e-4)
 """Least scale of turn, forward and lateral displacement: radians and metres per frame."""
@@ -151,7 +156,7 @@ def _start(config: DiffusionConfig) -> DiffusionModel | None:
     if config.start_from is None:
         return None
     weights = None if config.features is None else config.features.weights_path
-    start = DiffusionModel.load(config.start_from, weights=weights)
+    start = DiffusionModel.load(model_of(config.start_from), weights=weights)
     check_settings("start_from", config.start_from, {"fps": start.fps}, {"fps": config.fps})
     for name, known in (("network", start.network.config), ("noise", start.noise_config)):
         values = {f"{name}.{k}": v for k, v in to_dict(known).items() if k != "dropout"}
@@ -165,7 +170,7 @@ def _like(config: DiffusionConfig) -> DiffusionModel | None:
     if config.moves_like is None:
         return None
     weights = None if config.features is None else config.features.weights_path
-    like = DiffusionModel.load(config.moves_like, weights=weights)
+    like = DiffusionModel.load(model_of(config.moves_like), weights=weights)
     check_settings("moves_like", config.moves_like, {"fps": like.fps}, {"fps": config.fps})
     if like.representation.makes_root == config.path:
         follows = "follows a path" if config.path else "moves its root itself"

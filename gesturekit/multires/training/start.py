@@ -14,7 +14,12 @@ from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.film import modulated_blocks
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import conditioner_values, feature_values
-from gesturekit.training.data.start_model import check_conditions, check_rig, check_settings
+from gesturekit.training.data.start_model import (
+    check_conditions,
+    check_rig,
+    check_settings,
+    model_of,
+)
 
 
 def load_start(config: MultiresConfig, extractor: af.Extractor | None) -> MultiresModel | None:
@@ -32,7 +37,7 @@ def load_start(config: MultiresConfig, extractor: af.Extractor | None) -> Multir
     if folder is None:
         return None
     weights = None if config.features is None else config.features.weights_path
-    start = MultiresModel.load(folder, weights=weights)
+    start = MultiresModel.load(model_of(folder), weights=weights)
     check_settings("start_from", folder, _known_settings(start), _wanted_settings(config))
     conditions = start.conditions
     known, wanted = None, None

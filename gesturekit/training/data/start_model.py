@@ -15,6 +15,12 @@ from gesturekit.motion.skeleton import Skeleton
 _PREFIX = "start."
 
 
+def model_of(folder: Path) -> Path:
+    """Return a model folder, given itself or its run folder."""
+    inside = folder / "model"
+    return inside if (inside / "config.yaml").is_file() else folder
+
+
 def check_settings(
     setting: str, folder: Path, known: Mapping[str, Any], wanted: Mapping[str, Any]
 ) -> None:
