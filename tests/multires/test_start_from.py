@@ -181,7 +181,8 @@ def test_recordings_in_some_of_the_styles(motions, tmp_path):
     model = gk.load(train(tiny(motions(old=[4.0]), tmp_path / "run", **mode)))
     assert model.styles == ("angry", "old")
     assert model.noise.sequences["old_0"].style == "old"
-    assert model.generate(seconds=2.0, style="angry").n_frames == 60
+    for recall in (None, False):
+        assert model.generate(seconds=2.0, style="angry", recall=recall).n_frames == 60
     for wrong, told in (
         ({}, r"has styles \['angry', 'old'\], this run \['sad'\]; a model's conditions"),
         ({"styles": None}, r"has styles \['angry', 'old'\], this run \[\]; a model's conditions"),
