@@ -216,8 +216,6 @@ class DiffusionConfig(RunConfig):
     """Style condition; null for none, as in an unconditional model for guidance."""
     unpaired: UnpairedConfig | None = None
     """Unpaired motion; null for none."""
-    start_from: Path | None = None
-    """A model folder to fine-tune: its weights, rig, features and standardisation are kept."""
     moves_like: Path | None = None
     """A model folder with the rig, joints and standardisation to use, but not the weights. The two
     models can then be combined in a product of experts, whatever their conditions."""

@@ -53,6 +53,9 @@ class RunConfig:
     joints: Literal["body", "all"] | tuple[str, ...] = "body"
     """Joints that the model moves: the body without fingers and end joints, all, or names. Others
     stay at their mean rotation."""
+    start_from: Path | None = None
+    """A model to fine-tune (its folder, or its run folder): its weights, rig, modelled joints,
+    features and normalisation are kept. Null starts from random weights."""
     parts: dict[str, str] = field(default_factory=dict)
     """Joints of body parts, such as {left_elbow: Joint12}, for rigs whose parts cannot be
     identified by names and shape."""
@@ -75,6 +78,11 @@ class RunConfig:
     """auto, cpu, or cuda."""
     notes: dict[str, Any] = field(default_factory=dict)
     """Free text for the model's README: data, licence."""
+
+    @property
+    def began_with(self) -> str:
+        """Return the origin of the first weights, for the model's README."""
+        return str(self.start_from or "random weights")
 
     def __post_init__(self) -> None:
         check_positive(

@@ -234,7 +234,28 @@ def test_a_run_goes_on_from_a_model_with_its_rig_and_standardisation(make_config
     for wrong, told in (
         ({"features": None}, "has features .* this run None"),
         ({"network": {"channels": 8}}, "has network.channels 16, this run 8"),
-        ({"fps": 25.0}, "has 30 fps"),
+        ({"fps": 25.0}, "has fps 30.0, this run 25.0"),
     ):
         with pytest.raises(ConfigError, match=told):
             load_training_data(make_config(start_from=str(model), **wrong))
+
+
+def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
+    make_config, tmp_path, monkeypatch
+):
+    model = train(make_config(out=str(tmp_path / "before"), training={"updates": 1}))
+    training = {"updates": 1, "learning_rate": 1e-9}
+    config = make_config(start_from=str(model), training=training, seed=1)
+
+    def stop(*_):
+        raise RuntimeError("power failure")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Batches, "draw", stop)
+        with pytest.raises(RuntimeError, match="power failure"):
+            train(config)
+    (model / "config.yaml").rename(tmp_path / "gone.yaml")
+    after = DiffusionModel.load(train(config, resume=True)).network.state_dict()
+    (tmp_path / "gone.yaml").rename(model / "config.yaml")
+    for name, value in DiffusionModel.load(model).network.state_dict().items():
+        assert torch.allclose(value, after[name], atol=1e-6), name

@@ -40,7 +40,7 @@ def test_experts_with_speech_and_events_can_be_combined(make_config, fights, tmp
 def test_an_incompatible_moves_like_is_refused(make_config):
     model = str(train(make_config()))
     for wrong, told in (
-        ({"fps": 25.0}, "moves_like: .* has 30 fps"),
+        ({"fps": 25.0}, "moves_like: .* has fps 30.0, this run 25.0"),
         ({"path": True}, "moves_like: this run follows a path and .* does not"),
         ({"start_from": model}, "leave out one of them"),
     ):

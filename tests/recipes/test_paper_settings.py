@@ -124,6 +124,7 @@ DIFFUSION = {
 # section 4.2 takes over, or its released code.
 SPEECH = {
     "fps": (25.0, "5"),
+    "start_from": (None, "3: no other model is mentioned"),
     "joints": ("body", "4.1: 23 joints and the root, no fingers"),
     "smooth": (None, "no post-processing of the upper body"),
     "normalise": (False, "GANimator: none"),

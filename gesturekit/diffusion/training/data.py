@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.sources import Source, from_values, to_values
+from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.trained_model import read_speakers, rig_values
 
 
@@ -57,6 +59,7 @@ class TrainingData:
         speakers: a reference skeleton for each named speaker.
         sources: the recordings with speech, or all for a model without speech input.
         recorded_fps: the most common frame rate of the recordings; None in older runs.
+        start: weights of the network to start from, by name; empty for random ones.
     """
 
     recordings: tuple[Recording, ...]
@@ -67,6 +70,7 @@ class TrainingData:
     speakers: dict[str, Skeleton]
     sources: tuple[Source, ...] = ()
     recorded_fps: float | None = None
+    start: Mapping[str, Tensor] = field(default_factory=dict)
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
         """Decode a motion from values (T, X), not standardised, and its condition (T, C)."""
@@ -95,6 +99,7 @@ class TrainingData:
             "motion.mean": self.standardiser.mean,
             "motion.scale": self.standardiser.scale,
             **self.conditions.to_tensors(),
+            **start_tensors(self.start),
         }
         for i, recording in enumerate(self.recordings):
             tensors[f"recording.{i}.motion"] = torch.from_numpy(recording.motion)
@@ -145,6 +150,7 @@ class TrainingData:
                 speakers=read_speakers(about),
                 sources=from_values(about.get("sources", ())),
                 recorded_fps=about.get("recorded_fps"),
+                start=read_start(tensors),
             )
 
         return load_data(folder, assemble)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.styles import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
@@ -26,7 +25,13 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget.path_following import follow_path
 from gesturekit.motion.root_path import RootPath
 from gesturekit.training.config import to_dict
-from gesturekit.training.data.features import extract_features
+from gesturekit.training.data.features import extract_features, feature_values
+from gesturekit.training.data.start_model import (
+    check_conditions,
+    check_rig,
+    check_settings,
+    model_of,
+)
 
 _STEP_FLOORS = (1e-3, 5e-4, 5e-4)
 """Least scale of turn, forward and lateral displacement: radians and metres per frame."""
@@ -95,6 +100,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
         speakers=corpus.speakers,
         sources=corpus.sources,
         recorded_fps=corpus.recorded_fps,
+        start={} if start is None else start.network.state_dict(),
     )
 
 
@@ -102,22 +108,23 @@ def _conditions(
     config: DiffusionConfig, corpus: Corpus, extractor: Any, start: DiffusionModel | None
 ) -> tuple[Conditions, list[np.ndarray | None]]:
     """Return the conditions of the model, and the speech features (T, S) of each item."""
+    names = tuple(sorted({event.name for events in corpus.events for event in events}))
+    fitted = None
+    if start is not None:
+        wanted = Conditions(None, config.path, names, corpus.styles).to_values()
+        if extractor is not None:
+            wanted["features"] = feature_values(extractor, config.features)
+        check_conditions(config.start_from, start.conditions.to_values(), wanted)
+        fitted = start.conditions.conditioner
     conditioner, speeches = None, [None] * len(corpus.items)
     if extractor is not None:
         lengths = [motion.n_frames for motion in corpus.motions]
         conditioner, speeches = extract_features(
-            corpus.items, lengths, extractor, config.fps, config.features
+            corpus.items, lengths, extractor, config.fps, config.features, fitted
         )
-    names = tuple(sorted({event.name for events in corpus.events for event in events}))
-    conditions = Conditions(conditioner, config.path, names, corpus.styles)
     if start is not None:
-        conditions = _same(conditions, start, config)
-        if conditions.conditioner is not None:
-            speeches = [
-                conditions.conditioner(item.load_wave(), len(speech))
-                for item, speech in zip(corpus.items, speeches, strict=True)
-            ]
-    return conditions, speeches
+        return start.conditions, speeches
+    return Conditions(conditioner, config.path, names, corpus.styles), speeches
 
 
 def _takes(
@@ -149,15 +156,12 @@ def _start(config: DiffusionConfig) -> DiffusionModel | None:
     if config.start_from is None:
         return None
     weights = None if config.features is None else config.features.weights_path
-    start = DiffusionModel.load(config.start_from, weights=weights)
+    start = DiffusionModel.load(model_of(config.start_from), weights=weights)
+    check_settings("start_from", config.start_from, {"fps": start.fps}, {"fps": config.fps})
     for name, known in (("network", start.network.config), ("noise", start.noise_config)):
-        known, wanted = to_dict(known), to_dict(getattr(config, name))
-        for key in known:
-            if key != "dropout" and known[key] != wanted[key]:
-                raise ConfigError(
-                    f"start_from: {config.start_from} has {name}.{key} {known[key]}, this run "
-                    f"{wanted[key]}; set it to what the model has"
-                )
+        values = {f"{name}.{k}": v for k, v in to_dict(known).items() if k != "dropout"}
+        wanted = {f"{name}.{k}": v for k, v in to_dict(getattr(config, name)).items()}
+        check_settings("start_from", config.start_from, values, wanted)
     return start
 
 
@@ -166,36 +170,19 @@ def _like(config: DiffusionConfig) -> DiffusionModel | None:
     if config.moves_like is None:
         return None
     weights = None if config.features is None else config.features.weights_path
-    like = DiffusionModel.load(config.moves_like, weights=weights)
+    like = DiffusionModel.load(model_of(config.moves_like), weights=weights)
+    check_settings("moves_like", config.moves_like, {"fps": like.fps}, {"fps": config.fps})
     if like.representation.makes_root == config.path:
         follows = "follows a path" if config.path else "moves its root itself"
         raise ConfigError(f"moves_like: this run {follows} and {config.moves_like} does not")
     return like
 
 
-def _same(conditions: Conditions, start: DiffusionModel, config: DiffusionConfig) -> Conditions:
-    """Return the conditions of the model to start from, checked against those of this run."""
-    wanted, known = conditions.to_values(), start.conditions.to_values()
-    for name in wanted:
-        # A corpus may lack some of the styles and events that the model knows.
-        lists = isinstance(wanted[name], list) and bool(wanted[name]) == bool(known[name])
-        if not (set(wanted[name]) <= set(known[name]) if lists else wanted[name] == known[name]):
-            raise ConfigError(
-                f"start_from: {config.start_from} has {name} {known[name]}, this run "
-                f"{wanted[name]}; a model's conditions cannot change"
-            )
-    return start.conditions
-
-
 def _same_rig(like: DiffusionModel, motion: Motion, config: DiffusionConfig) -> DeltaRepresentation:
     """Return the representation of a model, checked against the rig of the corpus."""
     setting = "start_from" if config.moves_like is None else "moves_like"
     where = getattr(config, setting)
-    if like.fps != config.fps:
-        raise ConfigError(f"{setting}: {where} has {like.fps:g} fps; set fps to it")
-    different = first_difference(motion.skeleton, like.skeleton)
-    if different:
-        raise ConfigError(f"{setting}: {where} has another rig than {config.corpus}: {different}")
+    check_rig(setting, where, like.skeleton, motion.skeleton, config.corpus)
     return like.representation
 
 

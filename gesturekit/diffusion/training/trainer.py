@@ -103,7 +103,7 @@ class _Trainer:
             self._log_missing_parts()
         updates = counted(config.training.updates, "update")
         self.loop.announce(["diffusion", self._mode(), updates], self._description())
-        self.network = self._network(resume=resume).to(device)
+        self.network = self._network().to(device)
         # The weights of the final model.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
         self.optimiser = torch.optim.Adam(self.network.parameters())
@@ -122,17 +122,14 @@ class _Trainer:
         if missing and follows:
             log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
 
-    def _network(self, *, resume: bool) -> Denoiser:
+    def _network(self) -> Denoiser:
         width = self.data.representation.n_features
         network = seeded(
             (self.config.seed, "denoiser"),
             lambda: Denoiser(width, self.data.conditions.width, self.config.network),
         )
-        if self.config.start_from is not None and not resume:
-            features = self.config.features
-            weights = None if features is None else features.weights_path
-            start = DiffusionModel.load(self.config.start_from, weights=weights)
-            network.load_state_dict(start.network.state_dict())
+        if self.data.start:
+            network.load_state_dict(self.data.start)
         return network
 
     def _description(self) -> list[str]:
@@ -296,7 +293,7 @@ class _Trainer:
             notes={
                 "Recordings": described(self.data.sources, paired, self.config.fps),
                 "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
-                "Began with": str(self.config.start_from or "random weights"),
+                "Began with": self.config.began_with,
                 "Training steps": str(training.updates),
                 "Last losses": last_losses(self.folder),
                 **({"Measured": figures} if figures else {}),

@@ -7,8 +7,8 @@ model's root, and assemble a motion of the whole rig from them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -104,6 +104,19 @@ class ModelJoints:
             "fixed_translations": {k: v.tolist() for k, v in self.fixed_translations.items()},
             "scale": self.scale,
         }
+
+    def on_bones_of(self, motions: Sequence[Motion]) -> Self:
+        """Return the same modelled joints and units on the bones of other motions of this rig.
+
+        Joints that are not modelled get their mean rotation in these motions.
+
+        Args:
+            motions: with the rig's joint names and parents.
+        """
+        fields = self.fit_fields(motions, self.joints)
+        relative = self.scale / body_scale(self.skeleton)  # not 1 in old models
+        fields |= {"joints": self.joints, "scale": relative * fields["scale"]}
+        return replace(self, **fields)
 
     @staticmethod
     def fields_from_json(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ class ZStarPatches:
 
     Args:
         z_stars: z* of each recording, (T_1,), or (D, T_1) with a value for each channel.
-        styles: number of the style of each recording.
+        styles: number of the style of each recording. Other styles get patches of all recordings.
         longest: frames of a patch at most. The cuts are random and differ in every round.
     """
 
@@ -26,6 +26,7 @@ class ZStarPatches:
         self.by_style: dict[int, list[Tensor]] = {}
         for z_star, style in zip(z_stars, styles, strict=True):
             self.by_style.setdefault(style, []).append(z_star.reshape(-1, z_star.shape[-1]))
+        self.all = [z_star.reshape(-1, z_star.shape[-1]) for z_star in z_stars]
         self.longest = longest
 
     def draw(self, styles: Sequence[int], rng: torch.Generator) -> Tensor:
@@ -41,7 +42,7 @@ class ZStarPatches:
         while done < len(styles):
             style = styles[done]
             if style not in rounds:
-                rounds[style] = self._rounds(self.by_style[style], rng)
+                rounds[style] = self._rounds(self.by_style.get(style, self.all), rng)
             parts.append(next(rounds[style]))
             done += parts[-1].shape[-1]
         return torch.cat(parts, dim=-1)[None, :, : len(styles)]

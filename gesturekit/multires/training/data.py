@@ -7,8 +7,8 @@ motion is a sequence.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -31,6 +31,7 @@ from gesturekit.training.data.features import (
     load_conditioner,
 )
 from gesturekit.training.data.sources import Source, from_values, to_values
+from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.seeds import rng_for
 from gesturekit.training.trained_model import read_speakers, rig_values
 
@@ -172,12 +173,14 @@ class TrainingData:
         unpaired: (S, T) speech without motion; that of `paired` if the corpus has none.
         silence: (S, T) speech features of silence, one window long.
         conditioner: converts waves to speech features; None without speech input.
-        styles: names of the styles, in alphabetical order; empty outside label mode.
+        styles: names of the styles, in alphabetical order; empty outside label mode. Those of a
+            model to start from may be more than the recordings have.
         speakers: reference skeleton of each named speaker.
         window: frames of a training window; None for whole sequences.
         sources: recordings from which `paired` was read.
         recorded_fps: most common frame rate of the recordings; None in older runs.
         passive: joints and face channels that are recalled but not modelled; none without recall.
+        start: weights of the generators to start from, by name; empty for random ones.
     """
 
     paired: tuple[PairedSequence, ...]
@@ -193,6 +196,7 @@ class TrainingData:
     sources: tuple[Source, ...] = ()
     recorded_fps: float | None = None
     passive: PassiveChannels = PassiveChannels()
+    start: Mapping[str, Tensor] = field(default_factory=dict)
 
     def save(self, folder: Path) -> None:
         """Write the data into a folder, from which a resumed run loads it."""
@@ -201,6 +205,7 @@ class TrainingData:
             "motion.mean": self.normaliser.mean,
             "motion.scale": self.normaliser.scale,
             **conditioner_tensors(self.conditioner),
+            **start_tensors(self.start),
         }
         for i, sequence in enumerate(self.paired):
             for name in PairedSequence.TENSORS:
@@ -266,6 +271,7 @@ class TrainingData:
                 sources=from_values(about.get("sources", ())),
                 recorded_fps=about.get("recorded_fps"),
                 passive=PassiveChannels(tuple(passive[0]), passive[1]),
+                start=read_start(tensors),
             )
 
         return load_data(folder, assemble)

@@ -62,6 +62,8 @@ class DetailTarget(nn.Module):
         everywhere = torch.cat([part for parts in powers for part in parts]).mean()
         self.register_buffer("floor", _FLOOR**2 * everywhere)
         for style, parts in enumerate(powers):
+            if not parts:  # no recording has this style of a model to start from
+                continue
             logs = self._log(torch.cat(parts))
             few = torch.linspace(0, len(logs) - 1, min(len(logs), _WINDOWS)).round().long()
             self.register_buffer(f"recorded{style}", logs[few])

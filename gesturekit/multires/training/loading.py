@@ -17,9 +17,15 @@ from gesturekit.motion.heading import heading
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.training.data import Normaliser, PairedSequence, TrainingData
+from gesturekit.multires.training.start import (
+    load_start,
+    numbers_of_styles,
+    representation_on_bones_of,
+)
 from gesturekit.training.data.features import extract_features
 from gesturekit.training.data.recordings import (
     item_styles,
@@ -35,29 +41,28 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
     """Read the corpus of a run, extract features, and normalise.
 
     Raises:
-        ConfigError: settings that the recordings do not allow.
+        ConfigError: settings that the recordings do not allow, or a model in `start_from` with
+            another rig, other settings or other conditions.
+        ModelError: such a model cannot be read.
         CorpusError: no training item with what the mode needs, rigs that differ, or a file that
             cannot be read.
     """
     # Wrong extractor settings are reported before any file is read.
     extractor = None if config.features is None else config.features.extractor()
+    start = load_start(config, extractor)
     manifest = Manifest.load(config.corpus)
     items = training_items(manifest, config.corpus, with_audio=config.features is not None)
-    styles: tuple[str, ...] = ()
-    style_of = [0] * len(items)
-    if config.styles is not None:
-        styles, style_of = item_styles(items, config.corpus)
-    recorded = load_motions(items, config.corpus, None, config.parts)
+    styles, style_of = _styles(config, items, start)
+    parts = config.parts if start is None else {**start.skeleton.parts, **config.parts}
+    recorded = load_motions(items, config.corpus, None, parts)
     motions = [motion.resample(config.fps) for motion in recorded]
-    representation = _representation(config, motions)
+    representation = _representation(config, motions, start)
     vectors = _encode(config, items, motions, representation)
-    width = representation.n_features
-    normaliser = Normaliser(torch.zeros(width), torch.ones(width))
-    if config.normalise:
-        normaliser = Normaliser.fit(vectors, representation)
+    normaliser = _normaliser(config, vectors, representation, start)
     others = () if extractor is None else manifest.unpaired("train")
     lengths = list(map(len, vectors))
-    conditioner, speeches, unpaired = _speech(config, items, lengths, others, extractor)
+    fitted = None if start is None else start.conditions.conditioner
+    conditioner, speeches, unpaired = _speech(config, items, lengths, others, extractor, fitted)
     paired = _paired(config, items, vectors, speeches, style_of, normaliser)
     passive = PassiveChannels()
     if config.recall is not None:
@@ -83,7 +88,36 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
         sources=tuple(map(Source.of, items, recorded)),
         recorded_fps=recorded_rate(motions),
         passive=passive,
+        start={} if start is None else start.network.state_dict(),
     )
+
+
+def _styles(
+    config: MultiresConfig, items: Sequence[Item], start: MultiresModel | None
+) -> tuple[tuple[str, ...], list[int]]:
+    """Return the styles of the model, and the number of each item's style among them."""
+    styles: tuple[str, ...] = ()
+    style_of = [0] * len(items)
+    if config.styles is not None:
+        styles, style_of = item_styles(items, config.corpus)
+    if start is None:
+        return styles, style_of
+    return start.styles, numbers_of_styles(start, config, styles, style_of)
+
+
+def _normaliser(
+    config: MultiresConfig,
+    vectors: Sequence[np.ndarray],
+    representation: MultiresRepresentation,
+    start: MultiresModel | None,
+) -> Normaliser:
+    """Return the normaliser of a model to start from, or fit one if the run has one."""
+    if start is not None:
+        return start.normaliser
+    if config.normalise:
+        return Normaliser.fit(vectors, representation)
+    width = representation.n_features
+    return Normaliser(torch.zeros(width), torch.ones(width))
 
 
 def _paired(
@@ -112,8 +146,12 @@ def _paired(
     return paired
 
 
-def _representation(config: MultiresConfig, motions: Sequence[Motion]) -> MultiresRepresentation:
+def _representation(
+    config: MultiresConfig, motions: Sequence[Motion], start: MultiresModel | None
+) -> MultiresRepresentation:
     """Fit the motion representation; raise ConfigError if speech has no upper body to modulate."""
+    if start is not None:
+        return representation_on_bones_of(start, config, motions)
     representation = MultiresRepresentation.fit(motions, config.joints, config.contact_threshold)
     if config.features is not None and config.network.modulate == "upper":
         try:
@@ -149,10 +187,12 @@ def _speech(
     lengths: Sequence[int],
     others: Sequence[Item],
     extractor: af.Extractor | None,
+    fitted: SpeechConditioner | None,
 ) -> tuple[SpeechConditioner | None, list[Tensor], list[Tensor]]:
     """Return the conditioner, and speech features (S, T) of paired items and of `others`, unpaired.
 
-    `lengths` are the frames of the paired items' motion. Without an extractor: None, (0, T), none.
+    `lengths` are the frames of the paired items' motion, `fitted` is the conditioner of a model to
+    start from. Without an extractor: None, (0, T), none.
     """
     if extractor is None or config.features is None:
         return None, [torch.zeros(0, n_frames) for n_frames in lengths], []
@@ -162,6 +202,7 @@ def _speech(
         extractor,
         config.fps,
         config.features,
+        fitted,
     )
     # Each array is released as soon as it is converted: features of a large corpus fill memory.
     features.reverse()

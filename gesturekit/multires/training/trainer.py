@@ -113,7 +113,10 @@ class Trainer:
                 self.data.conditions(config).width,
                 config.network,
             ),
-        ).to(device)
+        )
+        if self.data.start:
+            self.network.load_state_dict(self.data.start)
+        self.network.to(device)
         self.library = build_library(self.data, config)
         watched = config.eval_every and processes.is_first
         convolve = choose_backend(requested_backend(config.backend), self.network).convolve
@@ -281,6 +284,7 @@ class Trainer:
                 "Unpaired speech": f"{roughly(self.unpaired_seconds)} in {counted(files, 'file')}"
                 if files and self.data.n_speech
                 else "none",
+                "Began with": self.config.began_with,
                 **notes,
                 **{str(key): str(value) for key, value in self.config.notes.items()},
             },

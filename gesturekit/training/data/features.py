@@ -65,6 +65,7 @@ def extract_features(
     extractor: Any,
     fps: float,
     settings: FeatureConfig,
+    fitted: SpeechConditioner | None = None,
 ) -> tuple[SpeechConditioner, list[np.ndarray]]:
     """Return a fitted conditioner and the features (T, S), float32, of each item.
 
@@ -74,6 +75,8 @@ def extract_features(
         extractor: see `FeatureConfig.extractor`.
         fps: frames per second of the motion.
         settings: resampling and normalisation.
+        fitted: conditioner of a model with the same extractor and settings, which is kept; None
+            fits one to these items.
 
     Raises:
         AudioError: a file cannot be read.
@@ -81,7 +84,9 @@ def extract_features(
     progress = Progress(items, desc="Extracting speech features", unit="file")
     align, level = settings.align, settings.normalise == "clip"
     extracted = [extract(item.load_wave(), extractor, fps, align, level=level) for item in progress]
-    conditioner = SpeechConditioner.fit(extracted, extractor, fps, align, settings.normalise)
+    conditioner = fitted
+    if conditioner is None:
+        conditioner = SpeechConditioner.fit(extracted, extractor, fps, align, settings.normalise)
     # Each array is released as soon as it is normalised: features of a large corpus fill memory.
     extracted.reverse()
     speeches = []
@@ -107,6 +112,15 @@ def conditioner_values(conditioner: SpeechConditioner) -> dict[str, Any]:
         "spec": conditioner.extractor.spec,
         "align": conditioner.align,
         "normalise": conditioner.normalisation,
+    }
+
+
+def feature_values(extractor: Any, settings: FeatureConfig) -> dict[str, Any]:
+    """Return the `conditioner_values` of a conditioner with these settings."""
+    return {
+        "spec": extractor.spec,
+        "align": settings.align,
+        "normalise": settings.normalise,
     }
 
 

@@ -1,0 +1,130 @@
+"""The model that a multires run starts from: its settings, styles and motion vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import audio_features as af
+from gesturekit.errors import ConfigError
+from gesturekit.motion.motion import Motion
+from gesturekit.multires.config import MultiresConfig, NetworkConfig
+from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.film import modulated_blocks
+from gesturekit.training.config import to_dict
+from gesturekit.training.data.features import conditioner_values, feature_values
+from gesturekit.training.data.start_model import (
+    check_conditions,
+    check_rig,
+    check_settings,
+    model_of,
+)
+
+
+def load_start(config: MultiresConfig, extractor: af.Extractor | None) -> MultiresModel | None:
+    """Load the model of `start_from`; None for a run that starts from random weights.
+
+    Args:
+        config: settings of the run.
+        extractor: its speech features; None without speech input.
+
+    Raises:
+        ConfigError: the model has other settings or features.
+        ModelError: the model cannot be read.
+    """
+    folder = config.start_from
+    if folder is None:
+        return None
+    weights = None if config.features is None else config.features.weights_path
+    start = MultiresModel.load(model_of(folder), weights=weights)
+    check_settings("start_from", folder, _known_settings(start), _wanted_settings(config))
+    conditions = start.conditions
+    known, wanted = None, None
+    if conditions.conditioner is not None:
+        known = {**conditioner_values(conditions.conditioner), "residual": conditions.residual}
+    if extractor is not None and config.features is not None:
+        wanted = {**feature_values(extractor, config.features), "residual": config.residual}
+    check_conditions(folder, {"features": known}, {"features": wanted})
+    if conditions.conditioner is not None and conditions.conditioner.effort:
+        # Recall hides columns of vocal effort from the network.
+        known, wanted = (
+            {"recall": "on" if recalls else "null"}
+            for recalls in (conditions.recalls, config.recall is not None)
+        )
+        check_settings("start_from", folder, known, wanted)
+    return start
+
+
+def _known_settings(start: MultiresModel) -> dict[str, Any]:
+    """Return the settings of a model that a run must have too."""
+    return {
+        "fps": start.fps,
+        "normalise": bool(start.normaliser.mean.any()),
+        "contact_threshold": start.representation.contact_speed,
+        **_network(start.network_config),
+    }
+
+
+def _wanted_settings(config: MultiresConfig) -> dict[str, Any]:
+    """Return the same settings of a run."""
+    return {
+        "fps": config.fps,
+        "normalise": config.normalise,
+        "contact_threshold": config.contact_threshold,
+        **_network(config.network),
+    }
+
+
+def _network(config: NetworkConfig) -> dict[str, Any]:
+    return {f"network.{name}": value for name, value in to_dict(config).items()}
+
+
+def numbers_of_styles(
+    start: MultiresModel, config: MultiresConfig, styles: Sequence[str], style_of: Sequence[int]
+) -> list[int]:
+    """Return the number of each recording's style among those of the model; 0 without styles.
+
+    Args:
+        start: the model.
+        config: settings of the run.
+        styles: names of the recordings' styles; empty without styles.
+        style_of: number of each recording's style among `styles`.
+
+    Raises:
+        ConfigError: a style that the model does not know, or only one of them has styles.
+    """
+    check_conditions(config.start_from, {"styles": list(start.styles)}, {"styles": list(styles)})
+    return [start.styles.index(styles[i]) if styles else 0 for i in style_of]
+
+
+def representation_on_bones_of(
+    start: MultiresModel, config: MultiresConfig, motions: Sequence[Motion]
+) -> MultiresRepresentation:
+    """Return the model's motion vector, on the bones of the run's recordings.
+
+    Raises:
+        ConfigError: the recordings have another rig, or other parts of the body are identified.
+    """
+    folder, known = config.start_from, start.representation
+    check_rig("start_from", folder, known.skeleton, motions[0].skeleton, config.corpus)
+    own = known.on_bones_of(motions)
+    for what, joints in (("feet", _feet), ("upper body", _modulated)):
+        before, now = joints(known, config), joints(own, config)
+        if before != now:
+            raise ConfigError(
+                f"start_from: {folder} has {what} {before}, {config.corpus} {now}; name the parts "
+                "of the rig by hand (parts: {left_knee: JOINT, ...})"
+            )
+    return own
+
+
+def _feet(representation: MultiresRepresentation, _: MultiresConfig) -> list[str]:
+    """Return the joint of each foot point."""
+    return [point.joint for point in representation.foot_points]
+
+
+def _modulated(representation: MultiresRepresentation, config: MultiresConfig) -> list[str]:
+    """Return the joints that the condition modulates."""
+    blocks = modulated_blocks(representation, config.network)
+    return [name for name, chosen in zip(representation.joints, blocks, strict=False) if chosen]

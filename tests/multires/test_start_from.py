@@ -1,0 +1,192 @@
+"""Runs that start from another model: what they take over, what is their own, what is refused."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import gesturekit as gk
+from gesturekit.corpus import prepare
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.motion import Skeleton
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.training import trainer
+from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires.training.trainer import train
+from gesturekit.training.config import build
+
+FEATURES = {"extractors": [{"kind": "prosody"}, {"kind": "effort"}]}
+STILL = {"learning_rate": 1e-9}
+
+
+def tiny(corpus: Path | str, out: Path, **changes) -> MultiresConfig:
+    """Settings of a run of two iterations a stage."""
+    values = {
+        "system": "multires",
+        "corpus": str(corpus),
+        "out": str(out),
+        "threads": 1,
+        "features": FEATURES,
+        "network": {"levels": 4, "channels": [2], "embedding": 4},
+        "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
+        "training": {
+            "first_stage": 2,
+            "further_stages": 2,
+            "batch": 2,
+            "window": 2.0,
+            "window_cache": 2,
+        },
+    }
+    for key, value in changes.items():
+        values[key] = {**(values.get(key) or {}), **value} if isinstance(value, dict) else value
+    return build(MultiresConfig, values)
+
+
+@pytest.fixture(scope="module")
+def first(corpus, tmp_path_factory) -> Path:
+    """The model of another speaker."""
+    return train(tiny(corpus, tmp_path_factory.mktemp("first") / "run"))
+
+
+@pytest.fixture(scope="module")
+def taller(tmp_path_factory, gesture, write_speech) -> Path:
+    """A manifest with one recording of somebody a tenth taller, who moves more."""
+    folder = tmp_path_factory.mktemp("taller")
+    write_speech(folder / "in" / "hers.wav", 4.0, level=0.4)
+    motion = gesture(4.0, seed=5)
+    rig = replace(motion.skeleton, offsets=1.1 * motion.skeleton.offsets)
+    replace(motion, skeleton=rig, translation=1.1 * motion.translation).save(
+        folder / "in" / "hers.bvh"
+    )
+    prepare([folder / "in"], folder / "c.jsonl", holdout=0.0)
+    return folder / "c.jsonl"
+
+
+def weights_of(folder: Path) -> dict[str, torch.Tensor]:
+    return gk.load(folder).network.state_dict()
+
+
+def test_training_starts_at_the_output_of_the_other_model(first, corpus, tmp_path):
+    speech = corpus.parent / "paired" / "b.wav"
+    folder = train(tiny(corpus, tmp_path / "run", start_from=str(first.parent), training=STILL))
+    there, here, anew = (
+        gk.load(model).generate(speech, seed=3).rotations
+        for model in (first, folder, train(tiny(corpus, tmp_path / "anew", seed=1)))
+    )
+    assert np.abs(here - there).max() < 1e-4
+    assert np.abs(anew - there).max() > 1e-2
+
+
+def test_recordings_of_a_taller_speaker_on_top_of_another_model(first, taller, tmp_path):
+    gone = tmp_path / "gone"
+    shutil.copytree(first, gone)
+    config = tiny(taller, tmp_path / "run", start_from=str(gone), training=STILL)
+    folder = train(config)
+    shutil.rmtree(gone)
+    model, start = gk.load(folder), gk.load(first)
+    # The other model's: units, and what the network gets.
+    assert torch.equal(model.normaliser.scale, start.normaliser.scale)
+    centres = (m.conditions.conditioner.centre for m in (model, start))
+    assert np.array_equal(*centres)
+    assert model.representation.joints == start.representation.joints
+    for name, value in weights_of(first).items():
+        assert torch.allclose(model.network.state_dict()[name], value, atol=1e-6), name
+    # Her own: bones, recalled motion and noise.
+    assert np.allclose(model.skeleton.offsets, 1.1 * start.skeleton.offsets, atol=1e-4)
+    assert len(model.library.recordings) == 1 and set(model.noise.z_star) == {"hers"}
+    assert not torch.allclose(model.noise.sigma.mean(dim=0), start.noise.sigma.mean(dim=0))
+    assert model.noise.sigma.shape == (1, 4)
+    # Both in metres of the reference body.
+    data, heights = load_training_data(replace(config, start_from=first)), []
+    for sequence in data.paired:
+        values = data.normaliser.inverse(sequence.motion[None])[0]
+        heights.append(float(values[data.representation.layout.root_height].mean()))
+    assert heights[0] == pytest.approx(float(start.normaliser.mean[-2]), abs=1e-3)
+    assert f"**Began with**: {gone}" in (folder / "README.md").read_text("utf-8")
+    assert "**Began with**: random weights" in (first / "README.md").read_text("utf-8")
+    assert model.generate(seconds=1.0).n_frames == 30
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"fps": 20.0}, "has fps 25.0, this run 20.0"),
+        ({"network": {"embedding": 8}}, "has network.embedding 4, this run 8"),
+        ({"normalise": False}, "has normalise True, this run False"),
+        ({"contact_threshold": 0.4}, "has contact_threshold 0.2, this run 0.4"),
+        ({"features": {"extractors": [{"kind": "prosody"}]}}, r"has features .*effort.*this run"),
+        ({"features": {"residual": False}}, "'residual': True.*this run.*'residual': False"),
+        ({"features": None}, "has features .*this run None"),
+        ({"recall": None}, "has recall on, this run null"),
+    ],
+)
+def test_other_settings_are_refused(first, corpus, tmp_path, wrong, told):
+    config = tiny(corpus, tmp_path / "run", start_from=str(first), **wrong)
+    with pytest.raises(ConfigError, match=f"^start_from: {first} .*{told}"):
+        train(config)
+    assert not config.out.exists()
+
+
+def test_another_rig_and_another_system_are_refused(first, gesture, write_speech, tmp_path):
+    write_speech(tmp_path / "in" / "x.wav", 3.0)
+    motion = gesture(3.0)
+    names = tuple(f"mixamorig:{name}" for name in motion.skeleton.names)
+    rig = Skeleton(names, motion.skeleton.parents, motion.skeleton.offsets)
+    replace(motion, skeleton=rig).save(tmp_path / "in" / "x.bvh")
+    prepare([tmp_path / "in"], tmp_path / "c.jsonl", holdout=0.0)
+    config = tiny(tmp_path / "c.jsonl", tmp_path / "run", start_from=str(first))
+    with pytest.raises(ConfigError, match="another rig than .*'mixamorig:Hips' here and 'Hips'"):
+        train(config)
+    with pytest.raises(ModelError, match="not a model folder"):
+        train(replace(config, start_from=tmp_path / "in"))
+
+
+def test_a_run_that_stopped_before_its_first_checkpoint_starts_there_again(
+    first, corpus, tmp_path, monkeypatch
+):
+    gone = tmp_path / "gone"
+    shutil.copytree(first, gone)
+    config = tiny(corpus, tmp_path / "run", start_from=str(gone))
+    whole = train(replace(config, out=tmp_path / "whole"))
+
+    def stop(*_):
+        raise RuntimeError("power failure")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(trainer.Stage, "iterate", stop)
+        with pytest.raises(RuntimeError, match="power failure"):
+            train(config)
+    shutil.rmtree(gone)
+    resumed = weights_of(train(config, resume=True))
+    for name, value in weights_of(whole).items():
+        assert torch.equal(resumed[name], value), name
+
+
+def test_recordings_in_some_of_the_styles(motions, tmp_path):
+    """The other styles stay known, and noise of them is made of any recording."""
+    mode = {
+        "features": None,
+        "styles": {},
+        "network": {"levels": 4, "channels": [2], "embedding": 4, "modulate": "all"},
+        "z_star_shuffle": 3,
+        "losses": {"detail": 1},
+    }
+    start = train(tiny(motions(angry=[3.0], old=[3.0]), tmp_path / "start", **mode))
+    mode["start_from"] = str(start)
+    model = gk.load(train(tiny(motions(old=[4.0]), tmp_path / "run", **mode)))
+    assert model.styles == ("angry", "old")
+    assert model.noise.sequences["old_0"].style == "old"
+    for recall in (None, False):
+        assert model.generate(seconds=2.0, style="angry", recall=recall).n_frames == 60
+    for wrong, told in (
+        ({}, r"has styles \['angry', 'old'\], this run \['sad'\]; a model's conditions"),
+        ({"styles": None}, r"has styles \['angry', 'old'\], this run \[\]; a model's conditions"),
+    ):
+        config = tiny(motions(sad=[3.0]), tmp_path / "no", **{**mode, **wrong})
+        with pytest.raises(ConfigError, match=told):
+            train(config)
