@@ -25,7 +25,7 @@ from gesturekit.multires.recall.building import build_library
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 from gesturekit.multires.training.window_cache import WindowCache
-from gesturekit.training.config import build
+from gesturekit.training.config import build, load_config
 from gesturekit.training.run.checkpoint import Checkpoints
 
 RATE = 16_000
@@ -52,9 +52,9 @@ SETTINGS = {
 
 
 def liveliness_over(seconds: float) -> np.ndarray:
-    """Return how lively somebody is (T,) at 30 fps: calm and lively by turns of two seconds."""
+    """Return how lively somebody is (T,) at 30 fps: calm and lively by turns of eight seconds."""
     time = np.arange(round(seconds * 30)) / 30
-    return 0.5 - 0.4 * np.cos(2 * np.pi * time / 4)
+    return 0.5 - 0.4 * np.cos(2 * np.pi * time / 16)
 
 
 def recording(seconds: float, seed: int) -> gk.Motion:
@@ -92,11 +92,11 @@ def recordings(tmp_path_factory):
     """A manifest of two speakers, and of a held-out recording with the arms held up."""
     where = tmp_path_factory.mktemp("recall")
     lines = [{"schema": 1}]
-    for i, (name, seconds, speaker) in enumerate((("a", 8.0, "Ann"), ("b", 6.0, "Bo"))):
+    for i, (name, seconds, speaker) in enumerate((("a", 16.0, "Ann"), ("b", 12.0, "Bo"))):
         lines.append({"id": name, "speaker": speaker, "split": "train", "style": None})
         recording(seconds, i).save(where / f"{name}.npz")
     lines.append({"id": "held", "speaker": "Ann", "split": "test", "style": None})
-    raised = recording(8.0, 5)
+    raised = recording(16.0, 5)
     for side, turn in (("left", 1.3), ("right", -1.3)):
         own = np.tile([0.0, 0.0, turn], (raised.n_frames, 1))
         arm = raised.skeleton.index(f"{side}_shoulder")
@@ -105,7 +105,7 @@ def recordings(tmp_path_factory):
     blank = {"audio_start": 0.0, "motion_start": 0.0, "text": None, "mirror": False}
     for line in lines[1:]:
         name = line["id"]
-        seconds = 6.0 if name == "b" else 8.0
+        seconds = 12.0 if name == "b" else 16.0
         spoken = voice(seconds, seed=ord(name[0]))
         soundfile.write(where / f"{name}.wav", spoken.samples, RATE)
         line |= {**blank, "audio": f"{name}.wav", "motion": f"{name}.npz", "duration": seconds}
@@ -322,7 +322,7 @@ def test_fingers_and_the_face_are_recalled(model, plain, speech):
         quaternions = made.rotations[:, made.skeleton.index(finger)]
         angle = 2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
         assert -0.05 < angle.min() < 0.3 and 0.5 < angle.max() < 0.85
-        assert np.abs(np.diff(angle)).max() < 0.15
+        assert np.abs(np.diff(angle)).max() < 0.2
     assert made.expressions.shape == (125, 100)
     smile = made.expressions[:, 3]
     assert 0.45 < smile.min() < 1.2 and 1.8 < smile.max() < 2.55
@@ -348,7 +348,7 @@ def test_no_speech_is_silence(model):
 
 
 def test_all_other_controls_go_with_recall(model, speech, tmp_path):
-    walk = RootPath(np.stack([np.zeros(125), np.linspace(0, 2, 125)], axis=1), fps=25.0)
+    walk = RootPath(np.linspace([0.0, 0.0], [0.0, 2.0], 125), np.zeros(125), 25.0)
     walking = model.generate(speech, path=walk)
     np.testing.assert_allclose(walking.translation[-1, 2] - walking.translation[0, 2], 2, atol=0.05)
     assert np.ptp(walking.expressions[:, 3]) > 0.3
@@ -414,7 +414,7 @@ def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
     model = gk.load(train(config))
     model.recorded_fps = model.fps
     made = model.generate(speech, foot_lock=False, smooth=0)
-    known = [recording(8.0, 0).resample(25.0), recording(6.0, 1).resample(25.0)]
+    known = [recording(16.0, 0).resample(25.0), recording(12.0, 1).resample(25.0)]
     joints = [made.skeleton.index(name) for name in ("left_shoulder", "right_elbow")]
     every = np.concatenate([motion.rotations[:, joints] for motion in known])
     nearest = [
@@ -478,10 +478,10 @@ def test_bad_settings_name_their_key(recall, message, tmp_path):
 def test_an_older_number_is_the_length_of_z_star_patches(tmp_path):
     path = tmp_path / "config.yaml"
     path.write_text("system: multires\ncorpus: none.jsonl\nrecall: 3\n")
-    older = load_config(path)
+    older = load_config(path, MultiresConfig)
     assert older.z_star_shuffle == 3 and older.recall is None
     path.write_text(path.read_text().replace("recall: 3", "recall: {level: 2}"))
-    newer = load_config(path, ["z_star_shuffle=3", "recall.piece=1.5"])
+    newer = load_config(path, MultiresConfig, ["z_star_shuffle=3", "recall.piece=1.5"])
     assert newer.z_star_shuffle == 3 and newer.recall == RecallConfig(level=2, piece=1.5)
 
 
@@ -509,8 +509,8 @@ def test_windows_start_from_recalled_and_from_recorded_motion(data, config):
     left = library.parts[0].columns
     every = torch.cat([own.motion[left] for own in library.recordings], dim=1)
     for window in above.coarser:
-        near = torch.cdist(window[left].T, every.T).min(dim=1).values
-        assert (near < 1e-4).float().mean() > 0.6
+        apart = (window[left].T[:, None] - every.T).abs().amax(dim=2).amin(dim=1)
+        assert (apart < 1e-5).float().mean() > 0.6
     # What is recalled at finer levels is the same motion.
     finest = resample(above.recalled[-1], lengths[LEVEL - 1])
     assert float((finest - above.coarser).abs().mean()) < 0.1
