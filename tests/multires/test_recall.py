@@ -273,6 +273,8 @@ def test_a_model_without_recall_refuses_what_needs_it(model, plain, speech):
             call(liveliness=1.5)
     with pytest.raises(ModelError, match="liveliness=0.5: without recall it has no effect"):
         model.generate(speech, recall=False, liveliness=0.5)
+    with pytest.raises(ModelError, match="liveliness=0.5: like sets the movement"):
+        model.generate(speech, like=recording(1.0, 0), liveliness=0.5)
 
 
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "high"])

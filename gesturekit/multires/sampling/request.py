@@ -183,6 +183,8 @@ def _check_recall(controls: MultiresControls, recalls: bool) -> None:
         raise ModelError(f"liveliness={value:g}: only models trained with recall take it")
     if controls.recall is False:
         raise ModelError(f"liveliness={value:g}: without recall it has no effect; give one of them")
+    if controls.like is not None:
+        raise ModelError(f"liveliness={value:g}: like sets the movement; give one of them")
 
 
 def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:
