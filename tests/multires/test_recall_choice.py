@@ -223,18 +223,23 @@ def test_movement_of_unseen_speech_is_foreseen(wanted):
     asked = wanted(speech)
     assert asked.shape == (2, len(movement))
     assert agreement(asked[0], movement) > 0.7
-    assert agreement(asked[1], slow_part(movement, FPS)) > 0.7
+    slow = slow_part(movement, FPS)
+    assert agreement(asked[1], slow) > 0.7
+    assert agreement(asked[0] - asked[1], movement - slow) > 0.7
     # As spread as the recordings are, not as a prediction is.
     assert asked[0].std() == pytest.approx(movement.std(), rel=0.35)
 
 
 def test_speech_without_effort_or_with_many_features_is_enough():
     speech, movement = talk(77)
-    assert agreement(fitted(effort=())(speech)[0], movement) > 0.6
+    fast = movement - slow_part(movement, FPS)
+    asked = fitted(effort=())(speech)
+    assert agreement(asked[0], movement) > 0.6 and agreement(asked[0] - asked[1], fast) > 0.6
     wide = fitted(wide=True)
     assert wide.basis.shape == (84, 64)
     many = np.concatenate([speech, 0.01 * noise(80, speech.shape[1], seed=9)])
-    assert agreement(wide(many)[0], movement) > 0.6
+    asked = wide(many)
+    assert agreement(asked[0], movement) > 0.6 and agreement(asked[0] - asked[1], fast) > 0.6
 
 
 def test_calm_voices_ask_for_less_than_lively_ones(wanted):
