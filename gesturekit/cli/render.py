@@ -49,7 +49,8 @@ GROUPS = {
     "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
     "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth"),
     "Controls of multires models": (
-        *("level_style", "levels", "keyframes", "keyframe_level", "keep"),
+        *("level_style", "levels", "keyframes", "keyframe_level", "keep", "recall"),
+        *("liveliness",),
     ),
     "Controls of diffusion models": (
         *("guidance", "unconditional", "events", "experts", "steps", "solver", "change"),
@@ -196,6 +197,8 @@ GROUPS = {
     metavar="FILE[@SECONDS],...",
     note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
 )
+@click.option("--recall/--no-recall", cls=ControlOption, default=None)
+@click.option("--liveliness", cls=ControlOption, type=float, metavar="AMOUNT")
 @click.option("--foot-lock/--no-foot-lock", cls=ControlOption, default=True, note="[default: lock]")
 @click.option("--smooth", cls=ControlOption, type=click.FloatRange(min=0, max=2), metavar="SECONDS")
 @existing_option("refuse", alias=True)

@@ -127,6 +127,7 @@ class MultiresModel(TrainedModel):
             styles=self.styles,
             levels=self.network_config.levels,
             speakers=self.speakers,
+            recalls=self.library is not None,
         )
 
     def reconstruct(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from types import NoneType
 
@@ -131,6 +133,7 @@ def check_controls(
     styles: tuple[str, ...],
     levels: int,
     speakers: Mapping[str, Skeleton],
+    recalls: bool,
 ) -> None:
     """Check the controls that do not depend on the speech.
 
@@ -141,9 +144,11 @@ def check_controls(
         styles: names of the model's styles.
         levels: number of the model's levels.
         speakers: skeletons of the model's speakers.
+        recalls: whether the model was trained with recall.
 
     Raises:
-        ModelError: a style, level or speaker that the model does not have.
+        ModelError: a style, level or speaker that the model does not have, recall by a model
+            without it, or a liveliness without recall or not above 0.
     """
     if styles:
         lengths, rng = [1] * levels, rng_for(0, "check")
@@ -162,6 +167,24 @@ def check_controls(
         level = getattr(controls, name)
         if level is not None and not 1 <= level <= levels:
             raise ModelError(f"{name}={level}: the model has levels 1 (coarse) to {levels}")
+    _check_recall(controls, recalls)
+
+
+def _check_recall(controls: MultiresControls, recalls: bool) -> None:
+    """Raise ModelError for recall controls that have no effect, and for a bad liveliness."""
+    if controls.recall and not recalls:
+        raise ModelError("recall=True: this model was not trained with recall; leave recall away")
+    value = controls.liveliness
+    if not isinstance(value, Real) or not 0 < value < math.inf:
+        raise ModelError(f"liveliness={value!r}: a number above 0, 1 for what the speech asks for")
+    if value == 1:
+        return
+    if not recalls:
+        raise ModelError(f"liveliness={value:g}: only models trained with recall take it")
+    if controls.recall is False:
+        raise ModelError(f"liveliness={value:g}: without recall it has no effect; give one of them")
+    if controls.like is not None:
+        raise ModelError(f"liveliness={value:g}: like sets the movement; give one of them")
 
 
 def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:

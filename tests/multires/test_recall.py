@@ -1,0 +1,558 @@
+"""Recall by speech: training on recalled motion, and motion generated from recorded pieces."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import soundfile
+import torch
+from safetensors.torch import load_file
+
+import audio_features as af
+import gesturekit as gk
+from gesturekit.cli import main
+from gesturekit.errors import ConfigError, ModelError
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import quaternion_from_rotation_vector
+from gesturekit.multires.config import MultiresConfig, RecallConfig
+from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.recall.building import build_library
+from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires.training.trainer import train
+from gesturekit.multires.training.window_cache import WindowCache
+from gesturekit.training.config import build, load_config
+from gesturekit.training.run.checkpoint import Checkpoints
+
+RATE = 16_000
+FINGERS = ("left_index1", "right_thumb2")
+LEVEL = 2
+SETTINGS = {
+    "system": "multires",
+    "threads": 1,
+    "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort", "seconds": 2.0}]},
+    "network": {"levels": 4, "channels": [2, 2], "embedding": 8},
+    "recall": {"level": LEVEL, "piece": 1.0, "overlap": 0.3},
+    "training": {
+        "first_stage": 3,
+        "further_stages": 3,
+        "discriminator_steps": 1,
+        "batch": 2,
+        "window": 2.0,
+        "window_cache": 4,
+        "renew_every": 2,
+    },
+    "checkpoint_every": 1,
+    "log_every": 1,
+}
+
+
+def liveliness_over(seconds: float) -> np.ndarray:
+    """Return how lively somebody is (T,) at 30 fps: calm and lively by turns of eight seconds."""
+    time = np.arange(round(seconds * 30)) / 30
+    return 0.5 - 0.4 * np.cos(2 * np.pi * time / 16)
+
+
+def recording(seconds: float, seed: int) -> gk.Motion:
+    """Arms, fingers and the face move, the arms more in lively stretches."""
+    skeleton, rng = smpl_skeleton(55), np.random.default_rng(seed)
+    n = round(seconds * 30)
+    time = np.arange(n)[:, None] / 30
+    wave = np.sin(2 * np.pi * 0.9 * time + rng.uniform(0, 6, 3)) * liveliness_over(seconds)[:, None]
+    turns = np.zeros((n, 55, 3))
+    turns[:, skeleton.index("left_shoulder")] = [0.0, 0.0, -1.2] + 0.5 * wave
+    turns[:, skeleton.index("right_shoulder")] = [0.0, 0.0, 1.2] + 0.5 * wave[:, ::-1]
+    for joint in ("pelvis", "left_elbow", "right_elbow", "spine2", "head"):
+        turns[:, skeleton.index(joint)] = (0.02 if joint == "pelvis" else 0.2) * wave
+    for finger in FINGERS:
+        turns[:, skeleton.index(finger), 2] = 0.4 + 0.4 * np.sin(2 * np.pi * 0.5 * time[:, 0])
+    face = np.zeros((n, 100))
+    face[:, 3] = 1.5 + np.sin(2 * np.pi * 0.5 * time[:, 0])
+    rotations = quaternion_from_rotation_vector(turns)
+    return gk.Motion(skeleton, rotations, np.tile([0, 0.93, 0], (n, 1)), 30.0, expressions=face)
+
+
+def voice(seconds: float, *, lively: float | None = None, seed: int = 0) -> af.Wave:
+    """Syllables whose pitch and upper harmonics rise with liveliness."""
+    at = np.arange(round(seconds * RATE)) / RATE
+    own = liveliness_over(seconds) if lively is None else np.full(round(seconds * 30), lively)
+    level = np.interp(at, np.arange(len(own)) / 30, own)
+    phase = 2 * np.pi * np.cumsum(110.0 + 110.0 * level) / RATE + seed
+    tone = sum(np.sin(k * phase) / k ** (2 - level) for k in range(1, 16))
+    syllables = np.maximum(np.sin(2 * np.pi * (2.0 + level) * at + seed), 0.0)
+    return af.Wave((0.1 * syllables * tone).astype(np.float32), RATE)
+
+
+@pytest.fixture(scope="session")
+def recordings(tmp_path_factory):
+    """A manifest of two speakers, and of a held-out recording with the arms held up."""
+    where = tmp_path_factory.mktemp("recall")
+    lines = [{"schema": 1}]
+    for i, (name, seconds, speaker) in enumerate((("a", 16.0, "Ann"), ("b", 12.0, "Bo"))):
+        lines.append({"id": name, "speaker": speaker, "split": "train", "style": None})
+        recording(seconds, i).save(where / f"{name}.npz")
+    lines.append({"id": "held", "speaker": "Ann", "split": "test", "style": None})
+    raised = recording(16.0, 5)
+    for side, turn in (("left", 1.3), ("right", -1.3)):
+        own = np.tile([0.0, 0.0, turn], (raised.n_frames, 1))
+        arm = raised.skeleton.index(f"{side}_shoulder")
+        raised.rotations[:, arm] = quaternion_from_rotation_vector(own)
+    raised.save(where / "held.npz")
+    blank = {"audio_start": 0.0, "motion_start": 0.0, "text": None, "mirror": False}
+    for line in lines[1:]:
+        name = line["id"]
+        seconds = 12.0 if name == "b" else 16.0
+        spoken = voice(seconds, seed=ord(name[0]))
+        soundfile.write(where / f"{name}.wav", spoken.samples, RATE)
+        line |= {**blank, "audio": f"{name}.wav", "motion": f"{name}.npz", "duration": seconds}
+        line["conditions"] = {}
+    path = where / "corpus.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return path
+
+
+def settings(corpus, out, **changes) -> MultiresConfig:
+    values = {**SETTINGS, "corpus": str(corpus), "out": str(out)}
+    for key, value in changes.items():
+        both = isinstance(value, dict) and isinstance(values.get(key), dict)
+        values[key] = {**values[key], **value} if both else value
+    return build(MultiresConfig, values)
+
+
+@pytest.fixture(scope="module")
+def config(recordings, tmp_path_factory) -> MultiresConfig:
+    return settings(recordings, tmp_path_factory.mktemp("run") / "run")
+
+
+@pytest.fixture(scope="module")
+def folder(config):
+    return train(config)
+
+
+@pytest.fixture(scope="module")
+def model(folder):
+    model = gk.load(folder)
+    model.recorded_fps = model.fps
+    return model
+
+
+@pytest.fixture(scope="module")
+def plain(recordings, tmp_path_factory):
+    """A model without recall."""
+    return gk.load(train(settings(recordings, tmp_path_factory.mktemp("plain"), recall=None)))
+
+
+@pytest.fixture
+def speech() -> af.Wave:
+    return voice(5.0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def data(config):
+    return load_training_data(config)
+
+
+def hand_speed(motion: gk.Motion) -> float:
+    positions = motion.positions()
+    hand = positions[:, motion.skeleton.index("left_wrist")] - positions[:, 0]
+    return float(np.linalg.norm(np.diff(hand, axis=0), axis=1).mean() * motion.fps)
+
+
+# The library.
+
+
+def test_only_training_recordings_are_recalled(data, config, model):
+    library = build_library(data, config)
+    assert [item.name for item in data.paired] == ["a", "b"]
+    assert [own.speaker for own in library.recordings] == ["Ann", "Bo"]
+    for sequence, own, loaded in zip(
+        data.paired, library.recordings, model.library.recordings, strict=True
+    ):
+        n = af.level_lengths(sequence.n_frames, 4)[LEVEL - 1]
+        torch.testing.assert_close(own.motion, resample(sequence.motion[None], n)[0])
+        torch.testing.assert_close(own.motion, loaded.motion, atol=0, rtol=0)
+        torch.testing.assert_close(own.passive, loaded.passive, atol=0, rtol=0)
+        assert own.profiles.shape == (2 * len(library.parts), n)
+    # The held-out recording has its arms up; nobody else has.
+    for seed in range(3):
+        motion = model.generate(voice(4.0, seed=seed), seed=seed)
+        hands = motion.positions()[:, motion.skeleton.index("left_wrist"), 1]
+        shoulders = motion.positions()[:, motion.skeleton.index("left_shoulder"), 1]
+        assert (hands < shoulders).all()
+
+
+def test_arms_and_the_rest_are_recalled_apart(model, speech):
+    columns = np.concatenate([part.columns for part in model.library.parts])
+    assert sorted(columns) == list(range(model.representation.n_features))
+    left, right, rest = model.library.parts
+    assert left.moving == ("left_wrist",) or left.moving == ("left_elbow",)
+    assert {"left_index1", "left_elbow", "left_shoulder"} <= {*left.joints}
+    assert "right_thumb2" in right.joints and {"pelvis", "head", "left_hip"} <= {*rest.joints}
+    names = [name for part in model.library.parts for name in part.joints]
+    assert sorted(names) == sorted(model.skeleton.names)
+
+
+def chosen(model, wave: af.Wave, seed: int = 0, **options):
+    """Return the (recording, start) of each part's pieces for a sound."""
+    features = model.conditions.conditioner(wave).T
+    generators = {}
+
+    def rng_of(part: str) -> torch.Generator:
+        number = seed + len(generators)
+        return generators.setdefault(part, torch.Generator().manual_seed(number))
+
+    made = model.library.recall(features, rng_of, **options)
+    return [[*zip(p.recordings.tolist(), p.starts.tolist(), strict=True)] for p in made.pieces]
+
+
+def test_speech_seed_and_speaker_choose_the_pieces(model, speech):
+    first = chosen(model, speech)
+    assert chosen(model, speech) == first
+    assert chosen(model, speech, seed=10) != first
+    assert chosen(model, voice(5.0, lively=0.95)) != first
+    for number, speaker in enumerate(("Ann", "Bo")):
+        used = chosen(model, speech, speaker=speaker)
+        assert {recording for part in used for recording, _ in part} == {number}
+    assert chosen(model, speech, speaker="Cy") == first, "a speaker without recordings"
+
+
+def test_styles_are_recalled_from_their_recordings(model, speech):
+    ann, bo = model.library.recordings
+    styled = replace(model.library, recordings=(ann, replace(bo, style=1)))
+    n_level = af.level_lengths(125, 4)[LEVEL - 1]
+    styles = np.zeros(n_level, int)
+    styles[n_level // 2 :] = 1
+    features = model.conditions.conditioner(speech).T[:, :125]
+    made = styled.recall(features, lambda _: torch.Generator().manual_seed(0), styles=styles)
+    for pieces in made.pieces:
+        assert (np.diff(pieces.recordings) >= 0).all()
+        assert set(pieces.recordings) == {0, 1}
+    unknown = styled.recall(
+        features, lambda _: torch.Generator().manual_seed(0), styles=np.full(n_level, 7)
+    )
+    assert set(np.concatenate([p.recordings for p in unknown.pieces])) == {0, 1}
+
+
+# Generated motion.
+
+
+def test_saved_and_loaded_it_gives_the_same_motion(model, folder, speech, tmp_path):
+    first = model.generate(speech, seed=2)
+    assert first.n_frames == 125
+    model.save(tmp_path / "copy")
+    assert (tmp_path / "copy" / "model.safetensors").read_bytes() == (
+        folder / "model.safetensors"
+    ).read_bytes()
+    for again in (model, gk.load(tmp_path / "copy")):
+        same = again.generate(speech, seed=2, fps=25.0)
+        np.testing.assert_array_equal(same.rotations, first.rotations)
+        np.testing.assert_array_equal(same.translation, first.translation)
+        np.testing.assert_array_equal(same.expressions, first.expressions)
+    one, two = model.generate(speech, seed=2, samples=2)
+    np.testing.assert_array_equal(one.rotations, first.rotations)
+    assert np.abs(one.rotations - two.rotations).max() > 1e-3
+    assert np.abs(model.generate(speech, seed=3).rotations - first.rotations).max() > 1e-3
+
+
+def test_recall_can_be_turned_off(model, plain, speech):
+    own, off = model.generate(speech), model.generate(speech, recall=False)
+    assert off.n_frames == own.n_frames and np.abs(off.rotations - own.rotations).max() > 1e-2
+    np.testing.assert_array_equal(model.generate(speech, recall=True).rotations, own.rotations)
+    assert plain.generate(speech, recall=False, liveliness=1.0).n_frames == 150
+
+
+def test_a_model_without_recall_refuses_what_needs_it(model, plain, speech):
+    with pytest.raises(ModelError, match="recall=True: .* not trained with recall"):
+        plain.generate(speech, recall=True)
+    for call in (lambda **c: plain.generate(speech, **c), plain.check_controls):
+        with pytest.raises(ModelError, match="liveliness=1.5: only models trained with recall"):
+            call(liveliness=1.5)
+    with pytest.raises(ModelError, match="liveliness=0.5: without recall it has no effect"):
+        model.generate(speech, recall=False, liveliness=0.5)
+    with pytest.raises(ModelError, match="liveliness=0.5: like sets the movement"):
+        model.generate(speech, like=recording(1.0, 0), liveliness=0.5)
+
+
+@pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "high"])
+def test_a_bad_liveliness_is_one_error(model, plain, speech, value):
+    for some in (model, plain):
+        with pytest.raises(ModelError, match="liveliness=.*: a number above 0"):
+            some.generate(speech, liveliness=value)
+
+
+def test_more_liveliness_asks_for_more_movement(model, speech):
+    """What is asked for rises everywhere, and hands are faster on average."""
+    searched = []
+
+    class Spy:
+        piece = model.library.searches[0].piece
+
+        def choose(self, wanted, *rest):
+            searched.append(wanted)
+            return model.library.searches[0].choose(wanted, *rest)
+
+    library = replace(model.library)
+    library.__dict__["searches"] = (Spy(), Spy(), Spy())
+    features = model.conditions.conditioner(speech).T
+    speeds = []
+    for amount in (0.5, 1.0, 1.5):
+        library.recall(features, lambda _: torch.Generator().manual_seed(0), liveliness=amount)
+        motions = model.generate(speech, liveliness=amount, samples=5, foot_lock=False)
+        speeds.append(np.mean([hand_speed(motion) for motion in motions]))
+    calm, usual, lively = searched[::3]
+    assert (calm < usual).all() and (usual < lively).all()
+    assert speeds[0] < 0.95 * speeds[1] and speeds[1] < speeds[2], speeds
+
+
+def test_lively_voices_move_more_than_calm_ones(model):
+    def speed(level: float) -> float:
+        wave = voice(6.0, lively=level)
+        return float(np.mean([hand_speed(m) for m in model.generate(wave, samples=4)]))
+
+    assert speed(0.1) < 0.8 * speed(0.9)
+
+
+def test_fingers_and_the_face_are_recalled(model, plain, speech):
+    """They move as recorded: once in two seconds, at any rate of the output."""
+    assert model.library.passive.joints == FINGERS
+    made = model.generate(speech, seed=1)
+    for finger in FINGERS:
+        quaternions = made.rotations[:, made.skeleton.index(finger)]
+        angle = 2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
+        assert -0.05 < angle.min() < 0.3 and 0.5 < angle.max() < 0.85
+        assert np.abs(np.diff(angle)).max() < 0.2
+    assert made.expressions.shape == (125, 100)
+    smile = made.expressions[:, 3]
+    assert 0.45 < smile.min() < 1.2 and 1.8 < smile.max() < 2.55
+    assert (made.expressions[:, 4:] == 0).all()
+    assert model.generate(speech, seed=1, fps=50.0).expressions.shape == (250, 100)
+    still = plain.generate(speech)
+    assert np.ptp(still.rotations[:, still.skeleton.index(FINGERS[0])], axis=0).max() < 1e-6
+
+
+def test_fingers_move_with_their_arm(model, speech):
+    """The pieces of an arm are those of its fingers."""
+    left, right, rest = model.library.passive.columns(model.library.parts)
+    assert left.tolist() == [*range(6)] and right.tolist() == [*range(6, 12)]
+    assert rest.tolist() == [*range(12, 112)]
+
+
+def test_no_speech_is_silence(model):
+    motion = model.generate(seconds=3.0)
+    assert motion.n_frames == 75 and np.isfinite(motion.rotations).all()
+    for seconds in (0.04, 0.4):
+        assert model.generate(seconds=seconds).n_frames == round(25 * seconds)
+    assert model.generate(voice(0.3)).n_frames == 8
+
+
+def test_all_other_controls_go_with_recall(model, speech, tmp_path):
+    walk = RootPath(np.linspace([0.0, 0.0], [0.0, 2.0], 125), np.zeros(125), 25.0)
+    walking = model.generate(speech, path=walk)
+    np.testing.assert_allclose(walking.translation[-1, 2] - walking.translation[0, 2], 2, atol=0.05)
+    assert np.ptp(walking.expressions[:, 3]) > 0.3
+
+    clip = recording(2.0, 0).resample(25.0)
+    kept = model.generate(speech, keep={1.0: clip})
+    np.testing.assert_allclose(kept.rotations[25:75], clip.rotations, atol=1e-9)
+
+    coarse = model.generate(speech, levels=LEVEL, seed=4)
+    assert coarse.n_frames == af.level_lengths(125, 4)[LEVEL - 1]
+    edit = model.generate(speech, keyframes=coarse, keyframe_level=LEVEL, seed=4)
+    assert edit.n_frames == 125
+    coarsest = model.generate(speech, levels=1, seed=4)
+    assert model.generate(speech, keyframes=coarsest, seed=4).n_frames == 125
+    assert model.generate(speech, like=recording(5.0, 9)).n_frames == 125
+    assert model.generate(speech, speaker="Bo").n_frames == 125
+
+
+def test_coarse_levels_are_the_recalled_motion(model, speech):
+    """The recalled level is output as it is, and coarser ones are its average."""
+    finest_recalled = model.generate(speech, levels=LEVEL, seed=4)
+    coarser = model.generate(speech, levels=1, seed=4)
+    assert coarser.n_frames < finest_recalled.n_frames
+    close = finest_recalled.resample(coarser.fps, coarser.n_frames)
+    turned = np.abs((close.rotations * coarser.rotations).sum(axis=-1)).min()
+    assert turned > np.cos(0.15 / 2)
+
+
+def test_the_command_line_has_the_controls(folder, speech, tmp_path, capsys):
+    soundfile.write(tmp_path / "new.wav", speech.samples, RATE)
+
+    def rendered(*options: str) -> bytes:
+        with pytest.raises(SystemExit) as left:
+            place = ["--out", str(tmp_path / "out"), "--existing", "replace", "--fps", "25"]
+            main(["render", str(tmp_path / "new.wav"), "--model", str(folder), *place, *options])
+        assert left.value.code == 0, capsys.readouterr().err
+        return (tmp_path / "out" / "new.bvh").read_bytes()
+
+    own = rendered()
+    assert rendered("--recall", "--liveliness", "1") == own
+    assert len({own, rendered("--no-recall"), rendered("--liveliness", "0.5")}) == 3
+    for value in ("0", "-1", "nan"):
+        with pytest.raises(SystemExit) as left:
+            place = ["--model", str(folder), "--out", str(tmp_path / "bad")]
+            main(["render", str(tmp_path / "new.wav"), *place, "--liveliness", value])
+        assert left.value.code == 2
+        said = capsys.readouterr().err
+        assert "liveliness=" in said and "a number above 0" in said and "Traceback" not in said
+    assert not (tmp_path / "bad").exists()
+    with pytest.raises(SystemExit):
+        main(["render", "--help"])
+    text = capsys.readouterr().out
+    assert "--liveliness" in text and "--recall / --no-recall" in text
+
+
+# Retrieval, models without speech, models without recall.
+
+
+def test_retrieval_gives_recorded_frames(recordings, speech, tmp_path):
+    changes = {"level": 4, "parts": "body", "overlap": 0.2}
+    training = {"first_stage": 1, "further_stages": 1}
+    config = settings(recordings, tmp_path / "run", recall=changes, training=training)
+    model = gk.load(train(config))
+    model.recorded_fps = model.fps
+    made = model.generate(speech, foot_lock=False, smooth=0)
+    known = [recording(16.0, 0).resample(25.0), recording(12.0, 1).resample(25.0)]
+    joints = [made.skeleton.index(name) for name in ("left_shoulder", "right_elbow")]
+    every = np.concatenate([motion.rotations[:, joints] for motion in known])
+    nearest = [
+        np.abs((frame[None] * every).sum(axis=-1)).min(axis=1).max()
+        for frame in made.rotations[:, joints]
+    ]
+    # 4 of 20 frames are cross-fades, the rest are recorded; a margin moves the grid by < a frame.
+    apart = 2 * np.arccos(np.minimum(nearest, 1.0))
+    assert np.mean(apart < 1e-3) > 0.7
+
+
+def test_recall_without_speech(recordings, tmp_path):
+    """Any piece fits; liveliness asks for lively ones."""
+    training = {"first_stage": 1, "further_stages": 1}
+    config = settings(recordings, tmp_path / "run", features=None, training=training)
+    model = gk.load(train(config))
+    assert model.library.wanted is None
+    calm, usual, lively = (
+        np.mean([hand_speed(m) for m in model.generate(seconds=5.0, samples=4, liveliness=amount)])
+        for amount in (0.4, 1.0, 2.5)
+    )
+    assert calm < 0.9 * usual and lively > usual
+
+
+def test_without_recall_nothing_of_it_is_stored(plain, folder):
+    tensors = load_file(plain.folder / "model.safetensors")
+    assert not [name for name in tensors if name.startswith("recall")]
+    assert [name for name in load_file(folder / "model.safetensors") if name.startswith("recall")]
+    assert plain.library is None and plain.conditions.columns == [*range(7)]
+
+
+def test_the_network_does_not_hear_effort_where_it_is_for_recall(model):
+    assert model.conditions.columns == [*range(4)]
+    assert model.conditions.conditioner.effort == (4, 5, 6)
+    assert model.library.wanted.effort == (4, 5, 6)
+
+
+# Settings.
+
+
+@pytest.mark.parametrize(
+    ("recall", "message"),
+    [
+        ({"level": 3}, "recall.level: 3 must be even"),
+        ({"level": 0}, "level: 0 must be above 0"),
+        ({"level": 6}, "recall.level: 6 is above network.levels 4"),
+        ({"piece": 0.3}, r"recall.overlap: 0.3 must be below piece \(0.3\)"),
+        ({"overlap": 1.5}, r"recall.overlap: 1.5 must be below piece \(1.0\)"),
+        ({"overlap": 0}, "overlap: 0.* must be above 0"),
+        ({"piece": float("nan")}, "piece: nan must be above 0"),
+        ({"own_movement": 1.1}, "recall.own_movement: 1.1 must be from 0 to 1"),
+        ({"parts": "legs"}, "parts"),
+        ({"pieces": 2}, "recall.pieces"),
+    ],
+)
+def test_bad_settings_name_their_key(recall, message, tmp_path):
+    with pytest.raises(ConfigError, match=message):
+        settings(tmp_path / "none.jsonl", tmp_path, recall=recall)
+
+
+def test_an_older_number_is_the_length_of_z_star_patches(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("system: multires\ncorpus: none.jsonl\nrecall: 3\n")
+    older = load_config(path, MultiresConfig)
+    assert older.z_star_shuffle == 3 and older.recall is None
+    path.write_text(path.read_text().replace("recall: 3", "recall: {level: 2}"))
+    newer = load_config(path, MultiresConfig, ["z_star_shuffle=3", "recall.piece=1.5"])
+    assert newer.z_star_shuffle == 3 and newer.recall == RecallConfig(level=2, piece=1.5)
+
+
+# Training.
+
+
+def test_windows_start_from_recalled_and_from_recorded_motion(data, config):
+    library = build_library(data, config)
+    network = MultiresGenerator(
+        data.representation, data.conditions(config).width, config.network
+    ).eval()
+    cache = WindowCache(data, config, network, library=library)
+
+    def windows(first: int, kind: str):
+        rng = torch.Generator().manual_seed(1)
+        return getattr(cache, kind)(data.paired, 50, first, 3, rng)
+
+    lengths = af.level_lengths(50, 4)
+    below = windows(0, "random")
+    assert below.coarser is None and below.recalled is None
+    above = windows(LEVEL, "random")
+    assert above.coarser.shape[-1] == lengths[LEVEL - 1]
+    assert [level.shape[-1] for level in above.recalled] == lengths[LEVEL:]
+    # Every arm has been recorded so, beside the frames of a cross-fade.
+    left = library.parts[0].columns
+    every = torch.cat([own.motion[left] for own in library.recordings], dim=1)
+    for window in above.coarser:
+        apart = (window[left].T[:, None] - every.T).abs().amax(dim=2).amin(dim=1)
+        assert (apart < 1e-5).float().mean() > 0.6
+    # What is recalled at finer levels is the same motion.
+    finest = resample(above.recalled[-1], lengths[LEVEL - 1])
+    assert float((finest - above.coarser).abs().mean()) < 0.1
+
+    paired = windows(LEVEL, "paired")
+    assert paired.recalled is None
+    finest = paired.targets[-1]
+    torch.testing.assert_close(paired.coarser, resample(finest, lengths[LEVEL - 1]))
+
+
+def test_training_depends_on_the_recalled_motion(recordings, folder, tmp_path):
+    """Levels up to the recalled one are trained as without it, the finer ones are not."""
+    out = tmp_path / "other"
+    longer = train(settings(recordings, out, recall={"piece": 1.5}))
+    one, other = (load_file(path / "model.safetensors") for path in (folder, longer))
+    own = [name for name in one if name.startswith("network.levels.")] or [
+        name for name in one if ".levels." in name or name.startswith("levels.")
+    ]
+    same = {name: torch.equal(one[name], other[name]) for name in own}
+    assert own, sorted(one)[:20]
+
+    def level_of(name: str) -> int:
+        return int(name.split("levels.")[1].split(".")[0])
+
+    weights = [name for name in own if one[name].is_floating_point()]
+    assert all(same[name] for name in weights if level_of(name) < LEVEL)
+    assert not all(same[name] for name in weights if level_of(name) >= LEVEL)
+
+
+def test_a_run_with_recall_resumes_bitwise(recordings, folder, tmp_path):
+    config = settings(recordings, tmp_path / "run")
+    again = train(config)
+    whole = (again / "model.safetensors").read_bytes()
+    assert whole == (folder / "model.safetensors").read_bytes()
+    checkpoints = Checkpoints(config.out / "checkpoints")
+    last = checkpoints.steps()[-1]
+    assert last == 6
+    for step in checkpoints.steps():
+        if step > 5:
+            checkpoints.path(step).unlink()
+    (again / "model.safetensors").unlink()
+    train(config, resume=True)
+    assert (again / "model.safetensors").read_bytes() == whole

@@ -1,0 +1,296 @@
+"""Choice of recorded pieces: what is asked for, what is found, and how pieces are joined."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+import torch
+
+from gesturekit.multires.recall.library import averaged
+from gesturekit.multires.recall.pieces import Pieces
+from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
+from gesturekit.multires.recall.wanted import (
+    Regression,
+    WantedMovement,
+    slow_part,
+    usual_voice,
+)
+
+FPS = 25.0
+ONLY_MOVEMENT = ChoiceWeights(continuity=0.0, used=0.0, chance=0.0)
+ANYTHING = np.nan
+
+
+def rng(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def noise(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def search(lengths, weights=ONLY_MOVEMENT, *, piece=10, overlap=2, seed=0) -> PieceSearch:
+    """A search in recordings of noise with profiles of noise."""
+    vectors = [noise(n, 4, seed=seed + k) for k, n in enumerate(lengths)]
+    profiles = [noise(n, 2, seed=seed + 100 + k) for k, n in enumerate(lengths)]
+    return PieceSearch(vectors, profiles, piece, overlap, weights)
+
+
+def profile_of(recording: int, seed: int = 0, length: int = 60) -> np.ndarray:
+    return noise(length, 2, seed=seed + 100 + recording)
+
+
+def placed(pieces: Pieces) -> list[tuple[int, int]]:
+    return list(zip(pieces.recordings.tolist(), pieces.starts.tolist(), strict=True))
+
+
+# Joining of pieces.
+
+JOINED = Pieces(np.array([0, 1]), np.array([2, 4]), hop=3, overlap=2, n_frames=8)
+
+
+def test_pieces_are_the_recordings_frames_and_fade_linearly_at_the_border():
+    curves = [10.0 * torch.arange(12)[None], 100.0 + torch.arange(12)[None]]
+    made = JOINED.blend(curves, (12, 12), 8)[0]
+    fade = [0.75 * 50 + 0.25 * 104, 0.25 * 60 + 0.75 * 105]
+    expected = [20, 30, 40, *fade, 106, 107, 108]
+    assert made.tolist() == pytest.approx(expected)
+    assert JOINED.borders().tolist() == [4.0]
+
+
+@pytest.mark.parametrize("recorded_rate", [1.0, 2.5, 0.5])
+@pytest.mark.parametrize("rate", [1.0, 4 / 3, 3.0, 0.5])
+def test_times_stay_true_at_any_rate(recorded_rate, rate):
+    """A recording of its own time, continued in its next piece, gives time."""
+
+    def times(n: int, of: int) -> torch.Tensor:
+        return ((torch.arange(n) + 0.5) * of / n - 0.5).double()
+
+    pieces = Pieces(np.array([0, 0]), np.array([5, 15]), hop=10, overlap=4, n_frames=24)
+    ramp = times(round(48 * recorded_rate), 48)[None]
+    n = round(24 * rate)
+    made = pieces.blend([ramp], (48,), n)[0]
+    np.testing.assert_allclose(made, 5 + times(n, 24), atol=1e-9)
+
+
+def test_averages_keep_the_mean_of_each_part():
+    curves = np.stack([np.arange(12.0), np.ones(12)])
+    np.testing.assert_allclose(averaged(curves, 3), [[1.5, 5.5, 9.5], [1, 1, 1]])
+    np.testing.assert_allclose(averaged(curves, 5).mean(axis=1), [5.5, 1.0])
+    np.testing.assert_allclose(averaged(curves, 12), curves)
+
+
+# The search.
+
+
+def test_the_piece_with_the_wanted_profile_is_found():
+    found = search([60, 60, 60])
+    for recording, start in ((0, 0), (1, 23), (2, 50)):
+        wanted = profile_of(recording)[start : start + 10]
+        assert placed(found.choose(wanted, rng())) == [(recording, start)]
+    pieces = found.choose(profile_of(1)[7 : 7 + 42], rng())
+    assert placed(pieces) == [(1, 7 + 8 * n) for n in range(5)]
+
+
+def test_movement_counts_more_than_its_slow_part():
+    wanted = np.stack([profile_of(0)[:10, 0], profile_of(1)[:10, 1]], axis=1)
+    assert placed(search([10, 10]).choose(wanted, rng())) == [(0, 0)]
+    slow = ChoiceWeights(movement=0.0, continuity=0.0, used=0.0, chance=0.0)
+    assert placed(search([10, 10], slow).choose(wanted, rng())) == [(1, 0)]
+
+
+def test_unknown_movement_is_not_asked_for():
+    wanted = profile_of(1)[:10].copy()
+    wanted[:, 0] = ANYTHING
+    assert placed(search([60, 60]).choose(wanted, rng())) == [(1, 0)]
+
+
+def test_continuity_prefers_what_came_next_in_the_recording():
+    wanted = np.full((26, 2), ANYTHING)
+    weights = ChoiceWeights(used=0.0, chance=0.0)
+    (k, start), *after = placed(search([30, 30], weights).choose(wanted, rng()))
+    assert after == [(k, start + 8), (k, start + 16)]
+    apart = placed(search([30, 30]).choose(wanted, rng()))
+    assert apart[1] != (apart[0][0], apart[0][1] + 8), "nothing else would have done this"
+
+
+def test_only_allowed_recordings_are_used():
+    wanted, found = noise(50, 2, seed=5), search([60] * 4, ChoiceWeights())
+    allowed = np.zeros((50, 4), bool)
+    allowed[:26, 3] = allowed[26:, 1] = True
+    used = found.choose(wanted, rng(), allowed).recordings
+    # A piece counts where its middle is: pieces of 10 frames begin every 8.
+    assert used.tolist() == [3, 3, 3, 1, 1, 1]
+    assert len(set(found.choose(wanted, rng()).recordings)) > 1
+
+
+def test_recordings_that_were_used_are_avoided():
+    still = [np.zeros((40, 3))], [np.zeros((40, 2))]
+    wanted = np.zeros((34, 2))
+
+    def starts(used: float) -> np.ndarray:
+        weights = ChoiceWeights(used=used, chance=0.0)
+        return PieceSearch(*still, 10, 2, weights).choose(wanted, rng()).starts
+
+    assert len(set(starts(0.0))) < 4
+    # 4 pieces of 10 frames in the 40 that there are: each part once.
+    assert len(set(starts(0.25) // 10)) == 4
+
+
+@pytest.mark.parametrize("lengths", [[4], [1], [1, 1, 3], [12, 4, 60]])
+@pytest.mark.parametrize("n_frames", [1, 2, 9, 11, 40])
+def test_short_recordings_and_short_speech(lengths, n_frames):
+    found = search(lengths, ChoiceWeights())
+    pieces = found.choose(noise(n_frames, 2), rng())
+    curves = [torch.full((1, n), float(k)) for k, n in enumerate(lengths)]
+    made = pieces.blend(curves, lengths, n_frames)
+    assert made.shape == (1, n_frames) and torch.isfinite(made).all()
+    for k, start in placed(pieces):
+        assert 0 <= start <= lengths[k] - found.piece, "a piece is whole"
+    assert len(pieces.starts) * found.hop + found.overlap >= n_frames
+
+
+def test_an_hour_of_speech_takes_seconds_and_little_memory():
+    """In twenty minutes of recordings at 4.4 frames per second."""
+    found = search([5300], ChoiceWeights(), piece=9, overlap=2)
+    wanted = noise(16000, 2)
+    tracemalloc.start()
+    began = time.process_time()
+    pieces = found.choose(wanted, rng())
+    seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(pieces.starts) == 2286
+    assert seconds < 10 and peak < 100e6
+
+
+def test_a_seed_gives_the_same_pieces_and_another_seed_others():
+    found, wanted = search([300, 300], ChoiceWeights()), noise(100, 2, seed=3)
+    first = placed(found.choose(wanted, rng(1)))
+    assert placed(found.choose(wanted, rng(1))) == first
+    assert placed(found.choose(wanted, rng(2))) != first
+    assert placed(found.choose(noise(100, 2, seed=4), rng(1))) != first
+
+
+# What speech asks for.
+
+EFFORT = (4, 5)
+"""Columns of vocal effort in the synthetic speech."""
+
+
+def talk(seed: int, *, seconds: float = 40.0, lively: float | None = None, heard: bool = True):
+    """Return synthetic speech (6, T) and movement (T,).
+
+    Movement follows energy, column 0, and effort, whose level changes slowly or is `lively`.
+    Without `heard`, it follows those of other speech.
+    """
+    n = round(seconds * FPS)
+    energy = slow_part(noise(n, seed=seed), 0.15 * FPS)
+    energy -= slow_part(energy, FPS)
+    energy /= energy.std()
+    level = slow_part(noise(n, seed=seed + 1000), 4 * FPS)
+    level = level / level.std() if lively is None else np.full(n, lively)
+    movement = -1.0 + 0.4 * energy + 0.5 * level
+    if not heard:
+        energy, level = talk(seed + 5000, seconds=seconds)[0][[0, 4]]
+    speech = 0.2 * noise(6, n, seed=seed + 2000)
+    speech[0] += energy
+    speech[list(EFFORT)] += [level, 2 * level]
+    return speech, movement
+
+
+def fitted(heard: bool = True, effort=EFFORT, wide: bool = False, count: int = 5) -> WantedMovement:
+    pairs = [talk(seed, heard=heard) for seed in range(count)]
+    speeches = [pair[0] for pair in pairs]
+    if wide:
+        speeches = [np.concatenate([s, 0.01 * noise(80, s.shape[1])]) for s in speeches]
+    return WantedMovement.fit(speeches, [pair[1] for pair in pairs], FPS, effort)
+
+
+@pytest.fixture(scope="module")
+def wanted() -> WantedMovement:
+    return fitted()
+
+
+def agreement(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def test_movement_of_unseen_speech_is_foreseen(wanted):
+    speech, movement = talk(77)
+    asked = wanted(speech)
+    assert asked.shape == (2, len(movement))
+    assert agreement(asked[0], movement) > 0.7
+    slow = slow_part(movement, FPS)
+    assert agreement(asked[1], slow) > 0.7
+    assert agreement(asked[0] - asked[1], movement - slow) > 0.7
+    # As spread as the recordings are, not as a prediction is.
+    assert asked[0].std() == pytest.approx(movement.std(), rel=0.35)
+
+
+def test_speech_without_effort_or_with_many_features_is_enough():
+    speech, movement = talk(77)
+    fast = movement - slow_part(movement, FPS)
+    asked = fitted(effort=())(speech)
+    assert agreement(asked[0], movement) > 0.6 and agreement(asked[0] - asked[1], fast) > 0.6
+    wide = fitted(wide=True)
+    assert wide.basis.shape == (84, 64)
+    many = np.concatenate([speech, 0.01 * noise(80, speech.shape[1], seed=9)])
+    asked = wide(many)
+    assert agreement(asked[0], movement) > 0.6 and agreement(asked[0] - asked[1], fast) > 0.6
+
+
+def test_calm_voices_ask_for_less_than_lively_ones(wanted):
+    calm, usual, lively = (wanted(talk(50, lively=level)[0])[0].mean() for level in (-1, 0, 1))
+    assert calm < usual - 0.2 < lively - 0.4
+
+
+def test_speech_that_tells_nothing_asks_for_the_mean(wanted):
+    """The slow part is drawn to its mean as far as left-out recordings were missed."""
+    speech = talk(77)[0]
+    unrelated = fitted(heard=False, count=20)
+    assert unrelated.slow.r < 0.1 < 0.5 < wanted.slow.r
+
+    def spread(of: WantedMovement) -> float:
+        return float(of(speech)[1].std())
+
+    assert spread(unrelated) < 0.5 * spread(wanted)
+
+
+@pytest.mark.parametrize(("r", "share"), [(-0.4, 0.0), (0.0, 0.0), (0.15, 0.5), (0.9, 1.0)])
+def test_predictions_are_trusted_as_far_as_they_were_right(r, share):
+    recorded = np.linspace(-1.0, 3.0, 50)
+    line = Regression(np.zeros(1), np.ones(1), 1.0, recorded, recorded, r)
+    trusted = line.trusted(np.array([0.0, 1.0, 2.0, 9.0]))
+    np.testing.assert_allclose(trusted, 1.0 + share * np.array([-1.0, 0.0, 1.0, 2.0]))
+
+
+def test_an_unusual_voice_is_centred_and_a_usual_one_left_alone():
+    voices = np.array([[-1.0], [0.0], [1.0]])
+
+    def heard(level: float) -> tuple[float, float]:
+        speech = np.stack([noise(50), level + 0.1 * noise(50) - 0.1 * noise(50).mean()])
+        kept = usual_voice(speech, (1,), voices)
+        np.testing.assert_array_equal(kept[0], speech[0])
+        assert kept[1].std() == pytest.approx(speech[1].std())
+        return float(speech[1].mean()), float(kept[1].mean())
+
+    for level in (-1.9, -1.0, 0.0, 0.7, 1.9):
+        before, after = heard(level)
+        assert after == pytest.approx(before), "calm and lively voices stay so"
+    assert heard(2.5)[1] == pytest.approx(1.25), "half way at 1.5 half ranges outside"
+    for level in (-8.0, 3.0, 40.0):
+        assert heard(level)[1] == pytest.approx(0.0, abs=1e-9)
+    same = noise(2, 20)
+    np.testing.assert_array_equal(usual_voice(same, (), voices), same)
+
+
+def test_still_recordings_and_constant_speech_are_finite():
+    speeches = [np.zeros((6, 40)), np.zeros((6, 3))]
+    wanted = WantedMovement.fit(speeches, [np.full(40, -2.0), np.full(3, -2.0)], FPS, EFFORT)
+    for n_frames in (1, 2, 100):
+        asked = wanted(np.zeros((6, n_frames)))
+        np.testing.assert_allclose(asked, -2.0)
+    assert np.isfinite(wanted(noise(6, 30))).all()
