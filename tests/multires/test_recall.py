@@ -377,6 +377,12 @@ def test_coarse_levels_are_the_recalled_motion(model, speech):
     close = finest_recalled.resample(coarser.fps, coarser.n_frames)
     turned = np.abs((close.rotations * coarser.rotations).sum(axis=-1)).min()
     assert turned > np.cos(0.15 / 2)
+    known = [own.motion.T for own in model.library.recordings]
+    left = model.library.parts[0].columns
+    vectors = model.representation.encode(finest_recalled).T[None]
+    made = model.normaliser.forward(torch.from_numpy(vectors).float())[0, left].T
+    apart = (made[:, None] - torch.cat(known)[:, left]).abs().amax(dim=2).amin(dim=1)
+    assert (apart < 0.01).float().mean() > 0.5
 
 
 def test_the_command_line_has_the_controls(folder, speech, tmp_path, capsys):
