@@ -41,7 +41,9 @@ def with_new_keys(values: dict[str, Any], where: str, *, quiet: bool = False) ->
         inside = values.get(section) if section else values
         if not isinstance(inside, dict) or leaf not in inside:
             continue
-        if old == "recall" and not isinstance(inside[leaf], int):
+        if old == "recall" and (
+            isinstance(inside[leaf], bool) or not isinstance(inside[leaf], int)
+        ):
             continue  # the section that has this name today
         value = inside.pop(leaf)
         if section and not inside:

@@ -149,16 +149,27 @@ class PieceSearch:
         """
         size = len(cost)
         starts = np.argpartition(distance, size - 1)[:size]
-        total = np.repeat(cost[:, None], size, axis=1)
+        if last is not None:
+            # Among hours of recordings, what continues a piece would seldom be one of the nearest.
+            starts = np.union1d(starts, self._continuations(last))
+        total = np.repeat(cost[:, None], len(starts), axis=1)
         if last is not None:
             total += self.weights.continuity * self._differences(last, starts)
             total += self.weights.used * used[:, self.bins[:, starts]].mean(axis=1)
         origin = total.argmin(axis=0)
-        own = np.arange(size)
+        cost = total[origin, np.arange(len(starts))] + distance[starts]
+        kept = np.argpartition(cost, size - 1)[:size]
+        starts, origin, cost = starts[kept], origin[kept], cost[kept]
         used = _FORGETTING * used[origin]
         for bins in self.bins[:, starts]:
-            used[own, bins] += 0.5
-        return starts, origin, total[origin, own] + distance[starts], used
+            used[np.arange(size), bins] += 0.5
+        return starts, origin, cost, used
+
+    def _continuations(self, last: np.ndarray) -> np.ndarray:
+        """Return the starts at which the recordings continue after these pieces (B,)."""
+        after = last + self.hop
+        after, before = after[after < len(self.start)], last[after < len(self.start)]
+        return after[self.recording[after] == self.recording[before]]
 
     def _differences(self, last: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (B, B') the mean squared difference between ends and beginnings of pieces."""
