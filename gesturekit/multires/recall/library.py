@@ -9,10 +9,11 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.multires.recall.parts import MotionPart
+from gesturekit.multires.recall.parts import SPEED_FLOOR, MotionPart
 from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.recall.pieces import Pieces
 from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
@@ -20,6 +21,13 @@ from gesturekit.multires.recall.wanted import WantedMovement
 
 _LIVELINESS = 1.0
 """Slow movement, a log speed, asked for at liveliness e above that at liveliness 1."""
+
+
+_REST, _MOVING = 0.1, 0.35
+"""A hand of a recalled piece rests below the first speed, and moves above the second, m/s on the
+reference body."""
+_REST_SECONDS = 0.08
+"""Standard deviation of the Gaussian that smooths the change between rest and movement."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +179,23 @@ class RecallLibrary:
             for part, search in zip(self.parts, self.searches, strict=True)
         ]
         return RecalledMotion(self.parts, tuple(pieces), self.lengths)
+
+    def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:
+        """Return how much detail finer levels may add to each column, (D, n_frames), 0 to 1.
+
+        It is 0 in the columns of an arm while its recalled hand rests, so that rests stay rests,
+        and 1 while it moves and in all other columns.
+        """
+        rows = [np.array([2 * i, 2 * i + 1]) for i in range(len(self.parts))]
+        curves = [recording.profiles for recording in self.recordings]
+        profiles = choice.channels(curves, rows, n_frames).numpy()
+        shares = np.ones((len(self.recordings[0].motion), n_frames), np.float32)
+        for i, part in enumerate(self.parts):
+            if part.is_arm:
+                speed = np.exp(profiles[2 * i] * self.spread[0] + self.mean) - SPEED_FLOOR
+                share = np.clip((speed - _REST) / (_MOVING - _REST), 0.0, 1.0)
+                shares[part.columns] = gaussian_filter1d(share, _REST_SECONDS * self.fps)
+        return shares
 
     def _allowed(
         self, n_frames: int, speaker: str | None, styles: np.ndarray | None

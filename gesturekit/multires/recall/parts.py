@@ -16,7 +16,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.training.kinematics import VectorKinematics
 
-_FLOOR = 0.05
+SPEED_FLOOR = 0.05
 """Added to speeds before the logarithm, m/s on the reference body."""
 _SMOOTHING_SECONDS = 0.1
 
@@ -36,6 +36,11 @@ class MotionPart:
     columns: np.ndarray
     joints: tuple[str, ...]
     moving: tuple[str, ...]
+
+    @property
+    def is_arm(self) -> bool:
+        """True for the left and the right arm."""
+        return self.name in SIDES
 
 
 def motion_parts(representation: MultiresRepresentation, separate: bool) -> tuple[MotionPart, ...]:
@@ -124,7 +129,7 @@ def movements(
         velocity = gaussian_filter1d(np.gradient(places, 1 / fps, axis=-1), 1.0, axis=-1)
     else:
         velocity = np.zeros_like(places)
-    speed = np.log(np.linalg.norm(velocity, axis=1) + _FLOOR)
+    speed = np.log(np.linalg.norm(velocity, axis=1) + SPEED_FLOOR)
     smooth = gaussian_filter1d(speed, _SMOOTHING_SECONDS * fps, axis=-1, mode="nearest")
     joints = representation.joints
     return [smooth[[joints.index(name) for name in part.moving]].mean(axis=0) for part in parts]

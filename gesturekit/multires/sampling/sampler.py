@@ -8,7 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from gesturekit.motion.motion import Motion
-from gesturekit.multires.constraints.constraint import fastest_second
+from gesturekit.multires.constraints.constraint import fastest_second, plain_values
 from gesturekit.multires.constraints.inbetweening import InbetweenConstraint
 from gesturekit.multires.constraints.keyframes import (
     KeyframeConstraint,
@@ -22,6 +22,7 @@ from gesturekit.multires.constraints.keyframes import (
 from gesturekit.multires.constraints.path import PathConstraint
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecalledMotion
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource
@@ -97,7 +98,8 @@ class Sampler:
         if request.path is not None:
             motion = self._along_path(pyramid)
         else:
-            values = self._cropped(pyramid.random())
+            output = pyramid.random()
+            values = self._cropped(output if choice is None else self._at_rest(output, choice))
             motion = self._finished(self._decoded(values), values)
         return motion if choice is None else self._with_passive(motion, choice)
 
@@ -158,6 +160,12 @@ class Sampler:
         """Return the recalled motion (1, D, T_i) of its level, normalised."""
         motions = [recording.motion for recording in self.request.library.recordings]
         return choice.vectors(motions, self.request.lengths[self.request.library.level - 1])[None]
+
+    def _at_rest(self, values: np.ndarray, choice: RecalledMotion) -> np.ndarray:
+        """Return vectors (T, D) without the detail of finer levels where a recalled hand rests."""
+        coarse = resample(self._recalled_level(choice), len(values))
+        coarse = plain_values(self.normaliser, coarse)
+        return coarse + self.request.library.detail(choice, len(values)).T * (values - coarse)
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion) -> Motion:
         """Return the motion with the fingers and the face of the recalled pieces."""
