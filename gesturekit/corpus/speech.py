@@ -6,7 +6,7 @@ import logging
 import os
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -76,6 +76,8 @@ class SpeechConditioner:
         centre: (S,) mean of active speech in training.
         scale: (S,) standard deviation of centred active speech in training.
         normalisation: one of `Normalisation`.
+        components: (W, N) projection of the W `wide` columns to N components, which follow the
+            other columns; None for all columns as they are.
     """
 
     extractor: Any
@@ -84,6 +86,7 @@ class SpeechConditioner:
     centre: np.ndarray
     scale: np.ndarray
     normalisation: Normalisation = "clip"
+    components: np.ndarray | None = None
 
     @classmethod
     def fit(
@@ -129,13 +132,59 @@ class SpeechConditioner:
     @property
     def dim(self) -> int:
         """S, the number of features."""
-        return self.extractor.dim
+        if self.components is None:
+            return self.extractor.dim
+        wide, count = self.components.shape
+        return self.extractor.dim - wide + count
 
     @property
     def effort(self) -> tuple[int, ...]:
         """Columns of vocal effort (`af.Effort`); empty without that extractor."""
-        names = self.extractor.names
+        names = np.array(self.extractor.names)
+        if self.components is not None:
+            names = names[~wide_columns(self.extractor, self.components.shape[1])]
         return tuple(i for i, name in enumerate(names) if name.startswith("effort_"))
+
+    @property
+    def acoustic(self) -> tuple[int, ...]:
+        """Columns that are no components."""
+        count = 0 if self.components is None else self.components.shape[1]
+        return tuple(range(self.dim - count))
+
+    def reduced(self, clips: Iterable[RawFeatures], count: int) -> SpeechConditioner:
+        """Return a conditioner with the wide features reduced to `count` principal components.
+
+        The components are those of the normalised training speech. One factor scales all of them
+        to a mean variance of 1, so that distances keep their proportions. `wide_columns` tells
+        which features are wide.
+
+        Args:
+            clips: the result of `extract` for each clip.
+            count: N.
+        """
+        wide = wide_columns(self.extractor, count)
+        if not wide.any():
+            return self
+        second, total, frames = np.zeros((wide.sum(), wide.sum())), np.zeros(wide.sum()), 0
+        with one_blas_thread():
+            for clip in clips:
+                values = self.normalise(*clip)[:, wide].astype(np.float64)
+                second += values.T @ values
+                total += values.sum(axis=0)
+                frames += len(values)
+            mean = total / max(frames, 1)
+            variances, axes = np.linalg.eigh(second / max(frames, 1) - np.outer(mean, mean))
+        kept = np.maximum(variances[: -count - 1 : -1], 0.0)
+        axes = axes[:, : -count - 1 : -1]
+        # The sign of an axis is arbitrary: the largest weight is positive.
+        axes *= np.sign(axes[np.abs(axes).argmax(axis=0), np.arange(count)])
+        share = kept.sum() / max(np.maximum(variances, 0.0).sum(), 1e-12)
+        log.info(
+            "%d of %d speech features reduced to %d components with %.0f%% of their variance.",
+            *(wide.sum(), self.extractor.dim, count, 100 * share),
+        )
+        projection = axes / max(np.sqrt(kept.mean()), 1e-3)
+        return replace(self, components=np.ascontiguousarray(projection, np.float32))
 
     def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
         """Return (T, S) float32 normalised features; T from the wave's length by default."""
@@ -145,18 +194,35 @@ class SpeechConditioner:
         return self.normalise(*features)
 
     def normalise(self, values: np.ndarray, active: np.ndarray) -> np.ndarray:
-        """Normalise the result of `extract`: values (T, S), active (T,); return (T, S) float32."""
-        if self.normalisation != "clip":
-            return ((values - self.centre) / self.scale).astype(np.float32)
-        prior = _PRIOR_SECONDS * self.fps
-        own = values[active].sum(axis=0, dtype=np.float64)
-        centre = (own + prior * self.centre) / (active.sum() + prior)
-        centre = np.where(self.extractor.centred, centre, self.centre)
-        normalised = np.empty(values.shape, np.float32)
+        """Normalise the result of `extract`, and reduce wide features to their components.
+
+        Args:
+            values: (T, D), the extractor's columns.
+            active: (T,) speech activity.
+
+        Returns:
+            (T, S) float32.
+        """
+        centre, limit = self.centre, np.inf
+        if self.normalisation == "clip":
+            prior = _PRIOR_SECONDS * self.fps
+            own = values[active].sum(axis=0, dtype=np.float64)
+            centre = (own + prior * self.centre) / (active.sum() + prior)
+            centre, limit = np.where(self.extractor.centred, centre, self.centre), LIMIT
+        normalised = np.empty((len(values), self.dim), np.float32)
         for start in range(0, len(values), _FRAMES_AT_ONCE):
             part = slice(start, start + _FRAMES_AT_ONCE)
-            normalised[part] = np.clip((values[part] - centre) / self.scale, -LIMIT, LIMIT)
+            columns = np.clip((values[part] - centre) / self.scale, -limit, limit)
+            normalised[part] = self._reduced(columns)
         return normalised
+
+    def _reduced(self, columns: np.ndarray) -> np.ndarray:
+        """Return (T, S) from the normalised columns (T, D) of the extractor."""
+        if self.components is None:
+            return columns
+        wide = wide_columns(self.extractor, self.components.shape[1])
+        with one_blas_thread():
+            return np.concatenate([columns[:, ~wide], columns[:, wide] @ self.components], axis=1)
 
     def silence(self, n_frames: int) -> np.ndarray:
         """Return the normalised features of silence, (T, S) float32."""
@@ -164,6 +230,16 @@ class SpeechConditioner:
         seconds = max(1.0, n_frames / self.fps)
         nothing = af.Wave(np.zeros(int(np.ceil(seconds * rate)), np.float32), rate, None)
         return self(nothing, n_frames)
+
+
+def wide_columns(extractor: Any, count: int) -> np.ndarray:
+    """Return D flags, true for columns of the extractors in a stack that have more than `count`.
+
+    Vocal effort is never wide: recall needs its columns.
+    """
+    parts = extractor.parts if isinstance(extractor, af.Stack) else (extractor,)
+    wide = [part.dim > count and not isinstance(part, af.Effort) for part in parts]
+    return np.repeat(wide, [part.dim for part in parts])
 
 
 def extract(

@@ -7,10 +7,14 @@ from pathlib import Path
 
 import pytest
 import yaml
+from safetensors.torch import load_file
 
+import gesturekit as gk
 from gesturekit import Motion
+from gesturekit.multires.recall.wanted import WantedMovement
 
-CONFIG = Path(__file__).resolve().parents[2] / "recipes" / "multires_speech" / "config.yaml"
+RECIPES = Path(__file__).resolve().parents[2] / "recipes"
+CONFIG = RECIPES / "multires_speech" / "config.yaml"
 
 
 pytestmark = pytest.mark.usefixtures("no_network")
@@ -56,3 +60,61 @@ def test_training_asks_for_the_weights_before_it_listens(gesturekit, corpus, tmp
     done = gesturekit("train", CONFIG, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
     assert done.status == 2
     assert done.err.startswith("Error: WavLM weights are needed")
+
+
+DIFFUSION = (
+    "threads=1",
+    "network.blocks=2",
+    "network.layers=1",
+    "network.channels=8",
+    "network.heads=2",
+    "network.feedforward=8",
+    "network.embedding=8",
+    "training.updates=2",
+    "training.batch=2",
+    "training.window=2",
+    "features.extractors=[{kind: wavlm, layer: last}, {kind: effort}]",
+    "features.components=5",
+)
+
+
+@pytest.mark.parametrize(
+    "recipe, count, dim", [("multires_speech/wavlm", 24, 31), ("diffusion_speech/small", 5, 8)]
+)
+def test_a_model_of_components(
+    gesturekit, corpus, write_speech, write_wavlm, tmp_path, tiny, caplog, recipe, count, dim
+):
+    weights, run = tmp_path / "wavlm", tmp_path / "run"
+    write_wavlm(weights)
+    recalls = recipe.startswith("multires")
+    settings = tiny if recalls else DIFFUSION
+    given = (f"corpus={corpus}", f"out={run}", f"features.weights={weights}", *settings)
+    with caplog.at_level("INFO"):
+        done = gesturekit("train", RECIPES / f"{recipe}.yaml", *given)
+    assert done.status == 0, done.err
+    assert f"32 of {dim - count + 32} speech features reduced to {count}" in caplog.text
+    # Recall weighs the components against the other features.
+    assert ("Left-out hand movement: r " in caplog.text) == recalls
+    tensors = load_file(run / "model" / "model.safetensors")
+    assert tensors["features.components"].shape == (32, count)
+    assert gk.load(run / "model", weights=weights).conditions.conditioner.dim == dim
+    speech = write_speech(tmp_path / "speech.wav", 1.3)
+    render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")
+    more = () if recalls else ("--steps", 4)
+    assert gesturekit(*render, "--weights", weights, *more).status == 0
+    assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 39
+
+
+def test_recall_without_a_prediction(
+    gesturekit, corpus, light, write_speech, tmp_path, tiny, caplog, monkeypatch
+):
+    run = tmp_path / "run"
+    monkeypatch.setattr(WantedMovement, "predicts", False)
+    with caplog.at_level("INFO"):
+        done = gesturekit("train", light, f"corpus={corpus}", f"out={run}", *tiny)
+    assert done.status == 0, done.err
+    assert "Speech does not predict hand movement" in caplog.text
+    library = gk.load(run / "model").library
+    assert library.wanted is None and library.recordings
+    speech = write_speech(tmp_path / "speech.wav", 1.3)
+    assert gesturekit("render", speech, "--model", run / "model", "--out", tmp_path).status == 0

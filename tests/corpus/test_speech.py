@@ -117,3 +117,50 @@ def test_features_do_not_depend_on_the_number_of_threads(tmp_path, write_speech)
             with ThreadpoolController().limit(limits=threads, user_api="blas"):
                 features.append(conditioner(wave))
         assert (features[0] == features[1]).all(), seconds
+
+
+class Encoder:
+    """Three columns."""
+
+    dim, centred = 3, (True,) * 3
+    names = ("encoder_0", "encoder_1", "encoder_2")
+
+
+def test_components_lie_along_what_varies():
+    axis, rng = np.array([2.0, -1.0, 2.0]) / 3, np.random.default_rng(0)
+    plain = SpeechConditioner(Encoder(), 25.0, "mean", np.zeros(3), np.ones(3), "none")
+    said = [level + 5.0 * rng.standard_normal((n, 1)) for level, n in ((40.0, 300), (42.0, 200))]
+    heard = [
+        ((x * axis + 1e-3 * rng.standard_normal((len(x), 3))).astype(np.float32), x[:, 0] > 40)
+        for x in said
+    ]
+    one, two = plain.reduced(heard, 1), plain.reduced(heard, 2)
+    assert (plain.dim, one.dim, two.dim) == (3, 1, 2)
+    spread = np.concatenate(said).std()
+    np.testing.assert_allclose(one.components[:, 0] * spread, axis, atol=1e-3)
+    given = np.array([[3.0, 0, 0], [0, 1, 1]], np.float32)
+    reduced = one.normalise(given, np.ones(2, bool))
+    np.testing.assert_allclose(reduced[:, 0], np.array([2.0, 1 / 3]) / spread, rtol=1e-2)
+    # One factor for all components: the mean variance is 1, and distances keep their proportions.
+    first, second = np.concatenate([two.normalise(*clip) for clip in heard]).var(axis=0)
+    assert first + second == pytest.approx(2.0, rel=1e-3) and second < 1e-4
+    assert plain.reduced(heard, 3) is plain
+
+
+def test_only_wide_extractors_are_reduced_and_effort_never():
+    parts = [af.Effort(), af.LogMel(n_mels=12), af.Prosody()]
+    heard = [voice(4.0, seed=s) for s in range(3)]
+    plain = fitted(heard, af.Stack(parts))
+    raw = [extract(wave, plain.extractor, 25.0, "mean") for wave in heard]
+    assert plain.acoustic == tuple(range(19))
+    for count, kept in ((8, [0, 1, 2, 15, 16, 17, 18]), (2, [0, 1, 2])):
+        reduced = plain.reduced(raw, count)
+        before, after = plain(voice(3.0, seed=9)), reduced(voice(3.0, seed=9))
+        assert after.shape == (75, reduced.dim) and reduced.dim == len(kept) + count
+        np.testing.assert_array_equal(after[:, : len(kept)], before[:, kept])
+        assert reduced.effort == plain.effort == (0, 1, 2)
+        assert reduced.acoustic == tuple(range(len(kept)))
+    # Effort that follows what is reduced.
+    behind = fitted(heard, af.Stack(parts[::-1]))
+    raw = [extract(wave, behind.extractor, 25.0, "mean") for wave in heard]
+    assert (behind.effort, behind.reduced(raw, 8).effort) == ((16, 17, 18), (4, 5, 6))

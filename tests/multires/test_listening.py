@@ -56,3 +56,14 @@ def test_no_speech_asks_for_more_than_was_recorded(target):
 def test_a_clip_shorter_than_what_is_read_around_a_frame(target):
     speech, _ = talk(6, 1.0, seed=0)
     assert torch.isfinite(target(speech[None])).all()
+
+
+@pytest.mark.parametrize("width", [3, 100])
+def test_features_that_predict_nothing_are_not_learnt_by_heart(width):
+    rng = torch.Generator().manual_seed(0)
+    movements = [talk(300, 2.0, seed)[1] for seed in range(4)]
+    target = ArmTarget(FRAME).fit(
+        [torch.randn(width, 300, generator=rng) for _ in movements], movements
+    )
+    asked = target(torch.randn(1, width, 300, generator=rng))[0]
+    assert (asked.std(dim=1) < 0.25 * movements[0].std(dim=1)).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,8 @@ from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary,
 from gesturekit.multires.recall.parts import motion_parts, movements
 from gesturekit.multires.recall.wanted import WantedMovement, slow_part
 from gesturekit.multires.training.data import TrainingData
+
+log = logging.getLogger(__name__)
 
 
 def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary | None:
@@ -53,7 +56,11 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     wanted = None
     if data.conditioner is not None:
         speeches = [sequence.speech.numpy() for sequence in sequences]
-        wanted = WantedMovement.fit(speeches, every, fps, data.conditioner.effort)
+        conditioner = data.conditioner
+        wanted = WantedMovement.fit(speeches, every, fps, conditioner.effort, conditioner.acoustic)
+        if not wanted.predicts:
+            log.info("Speech does not predict hand movement: recorded pieces do not depend on it.")
+            wanted = None
     return RecallLibrary(
         settings.level,
         levels,

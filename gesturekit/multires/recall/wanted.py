@@ -4,15 +4,21 @@ Movement is the logarithm of the hand speed. Its slow part (calm or lively) is p
 effort, its fast part (when the hands move) from the speech features around each frame, both by
 ridge regression. Predictions vary less than the recordings, so they are mapped to the recorded
 distribution, quantile by quantile.
+
+Predictions of left-out recordings tell how far speech is trusted: an encoder's features are used
+where they predict better than acoustic ones, and no prediction counts for more than it is worth.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+
+log = logging.getLogger(__name__)
 
 # Fixed, as they describe speech and gestures, not a corpus.
 SLOW_SECONDS = 2.0
@@ -29,7 +35,7 @@ _RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 _FOLDS = 4
 _GAP_SECONDS = 1.0
 _CREDIBLE = 0.3
-"""Correlation of left-out predictions from which the slow part is trusted in full."""
+"""Correlation of left-out predictions from which they are trusted in full."""
 _QUANTILES = np.linspace(0.01, 0.99, 50)
 
 
@@ -91,14 +97,19 @@ class Regression:
         """Return the predicted curve (T,) from inputs (T, P)."""
         return (inputs - self.mean) @ self.weights + self.offset
 
+    @property
+    def trust(self) -> float:
+        """Share from 0 to 1 of the predictions' variation that counts."""
+        return float(np.clip(self.r / _CREDIBLE, 0.0, 1.0))
+
     def mapped(self, predictions: np.ndarray) -> np.ndarray:
-        """Map predictions (T,) to the recorded distribution."""
-        return _mapped(predictions, self.predicted, self.recorded)
+        """Map predictions (T,) to the recorded distribution, as far as they are trusted."""
+        return self.trust * _mapped(predictions, self.predicted, self.recorded)
 
     def trusted(self, predictions: np.ndarray) -> np.ndarray:
         """Draw predictions (T,) towards their mean, as far as left-out ones were wrong."""
         within = np.clip(predictions, self.recorded[0], self.recorded[-1])
-        return self.offset + np.clip(self.r / _CREDIBLE, 0.0, 1.0) * (within - self.offset)
+        return self.offset + self.trust * (within - self.offset)
 
 
 def _mapped(values: np.ndarray, own: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -152,7 +163,8 @@ class WantedMovement:
     Attributes:
         fps: frames per second of the speech features.
         effort: columns of the features with vocal effort; empty if there are none.
-        basis: (S', M) principal components of the other features; None for the features themselves.
+        basis: (S', M) principal components of the other features, or the choice of the acoustic
+            ones; None for the features themselves.
         fast: regression of the fast part.
         slow: regression of the slow part.
         predicted: (Q,) quantiles of the movement predicted for left-out recordings.
@@ -176,18 +188,32 @@ class WantedMovement:
         movements: Sequence[np.ndarray],
         fps: float,
         effort: Sequence[int],
+        acoustic: Sequence[int] = (),
     ) -> WantedMovement:
-        """Fit to speech features (S, T_k) and movement (T_k,) of each recording."""
-        others = _without(speeches[0].shape[0], effort)
-        basis = None
-        if len(others) > _MOST_FEATURES:
-            x = np.concatenate([speech[others] for speech in speeches], axis=1).astype(float)
-            basis = np.linalg.eigh(np.cov(x))[1][:, -_MOST_FEATURES:]
+        """Fit to speech features (S, T_k) and movement (T_k,) of each recording.
+
+        Args:
+            speeches: features (S, T_k).
+            movements: (T_k,).
+            fps: frames per second of both.
+            effort: columns of vocal effort.
+            acoustic: columns that are not an encoder's, to fall back on; empty if no others are.
+        """
         slow = [slow_part(movement, fps) for movement in movements]
         fast = [movement - part for movement, part in zip(movements, slow, strict=True)]
         gap = round(_GAP_SECONDS * fps)
         effort = tuple(effort)
-        of_fast = Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, gap)
+        fitted = [
+            (
+                Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, gap),
+                basis,
+            )
+            for basis in _bases(speeches, effort, acoustic)
+        ]
+        of_fast, basis = max(fitted, key=lambda both: both[0].r)
+        if len(fitted) > 1:
+            message = "Left-out hand movement: r %.2f from all features, %.2f from acoustic ones."
+            log.info(message, *(regression.r for regression, _ in fitted))
         of_slow = Regression.fit([slow_inputs(s, effort, basis, fps) for s in speeches], slow, gap)
         efforts = np.concatenate([speech[list(effort)] for speech in speeches], axis=1)
         voices = np.stack(
@@ -208,6 +234,11 @@ class WantedMovement:
             np.quantile(np.concatenate(movements), _QUANTILES),
             voices,
         )
+
+    @property
+    def predicts(self) -> bool:
+        """True if speech predicted some of the movement of left-out recordings."""
+        return self.fast.trust > 0 or self.slow.trust > 0
 
     def __call__(self, speech: np.ndarray) -> np.ndarray:
         """Return the movement that speech features (S, T) ask for, and its slow part, (2, T)."""
@@ -277,6 +308,19 @@ def slow_inputs(
         columns = speech[list(effort)].T.astype(float)
         return gaussian_filter1d(columns, _SLOW_INPUT_SECONDS * fps, axis=0, mode="nearest")
     return slow_part(_reduced(speech, effort, basis).T, fps).T
+
+
+def _bases(
+    speeches: Sequence[np.ndarray], effort: Sequence[int], acoustic: Sequence[int]
+) -> list[np.ndarray | None]:
+    """Return the values of `WantedMovement.basis` to choose from."""
+    others = _without(speeches[0].shape[0], effort)
+    basis = None
+    if len(others) > _MOST_FEATURES:
+        x = np.concatenate([speech[others] for speech in speeches], axis=1).astype(float)
+        basis = np.linalg.eigh(np.cov(x))[1][:, -_MOST_FEATURES:]
+    chosen = np.eye(len(others))[:, [i in set(acoustic) for i in others]]
+    return [basis, chosen] if 0 < chosen.shape[1] < len(others) else [basis]
 
 
 def _without(count: int, columns: Sequence[int]) -> list[int]:

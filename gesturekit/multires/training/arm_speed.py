@@ -26,6 +26,8 @@ from gesturekit.multires.training.kinematics import (
 # Fixed: the recipes' loss weights were chosen with these values.
 _CONTEXT_SECONDS = 0.2
 _RIDGE = 30.0
+_RIDGE_FEATURES = 32
+"""Up to this many features the penalty is the same; it grows with the number of further ones."""
 _SPREAD_SECONDS = 3.0
 _SPREAD_WEIGHT = 5.0
 
@@ -143,7 +145,8 @@ class ArmTarget(nn.Module):
         inputs = torch.cat([self._inputs(speech[None])[0] for speech in speeches]).double()
         goal = torch.cat([movement.T for movement in movements]).double()
         mean = goal.mean(dim=0)
-        penalty = _RIDGE * torch.eye(inputs.shape[1], dtype=torch.float64, device=inputs.device)
+        ridge = _RIDGE * max(1.0, speeches[0].shape[0] / _RIDGE_FEATURES)
+        penalty = ridge * torch.eye(inputs.shape[1], dtype=torch.float64, device=inputs.device)
         penalty[-1, -1] = 1e-6
         weights = torch.linalg.solve(
             inputs.T @ inputs + penalty * len(inputs) ** 0.5, inputs.T @ (goal - mean)

@@ -13,8 +13,9 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.corpus.item import Item
-from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract
+from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract, wide_columns
 from gesturekit.progress import Progress
+from gesturekit.training.run_config import check_positive
 
 _WITH_WEIGHTS = ("wavlm", "hf")
 
@@ -35,6 +36,15 @@ class FeatureConfig:
     clip to zero mean and comparable spread; `corpus` normalises features to zero mean and unit
     variance over all training speech; `none` does neither. Without `clip`, loudness changes the
     motion."""
+    components: int | None = None
+    """Number of principal components of the training speech to which each clip's features are
+    reduced. Vocal effort and extractors with no more columns than that are left as they are, so
+    that WavLM is reduced but prosody is not; null reduces none. Minutes of motion are too few for
+    the 768 columns of an encoder."""
+
+    def __post_init__(self) -> None:
+        if self.components is not None:
+            check_positive(components=self.components)
 
     @property
     def weights_path(self) -> Path | None:
@@ -74,7 +84,7 @@ def extract_features(
         most: largest number of frames of each; None for all.
         extractor: see `FeatureConfig.extractor`.
         fps: frames per second of the motion.
-        settings: resampling and normalisation.
+        settings: resampling, normalisation and reduction.
         fitted: conditioner of a model with the same extractor and settings, which is kept; None
             fits one to these items.
 
@@ -87,6 +97,8 @@ def extract_features(
     conditioner = fitted
     if conditioner is None:
         conditioner = SpeechConditioner.fit(extracted, extractor, fps, align, settings.normalise)
+        if settings.components is not None:
+            conditioner = conditioner.reduced(extracted, settings.components)
     # Each array is released as soon as it is normalised: features of a large corpus fill memory.
     extracted.reverse()
     speeches = []
@@ -100,27 +112,34 @@ def conditioner_tensors(conditioner: SpeechConditioner | None) -> dict[str, Tens
     """Return the statistics of a conditioner by their names in model and run folders."""
     if conditioner is None:
         return {}
-    return {
+    tensors = {
         "features.centre": torch.from_numpy(conditioner.centre),
         "features.scale": torch.from_numpy(conditioner.scale),
     }
+    if conditioner.components is not None:
+        tensors["features.components"] = torch.from_numpy(conditioner.components)
+    return tensors
 
 
 def conditioner_values(conditioner: SpeechConditioner) -> dict[str, Any]:
     """Return the settings of a conditioner for a model's config.yaml."""
+    components = conditioner.components
     return {
         "spec": conditioner.extractor.spec,
         "align": conditioner.align,
         "normalise": conditioner.normalisation,
+        "components": None if components is None else components.shape[1],
     }
 
 
 def feature_values(extractor: Any, settings: FeatureConfig) -> dict[str, Any]:
     """Return the `conditioner_values` of a conditioner with these settings."""
+    count = settings.components
     return {
         "spec": extractor.spec,
         "align": settings.align,
         "normalise": settings.normalise,
+        "components": count if count and wide_columns(extractor, count).any() else None,
     }
 
 
@@ -133,11 +152,13 @@ def load_conditioner(
 ) -> SpeechConditioner:
     """Build a conditioner from its `conditioner_values` and `conditioner_tensors`.
 
-    The extractor's spec holds the fingerprint of its weights. Older models lack `normalise`.
+    The extractor's spec holds the fingerprint of its weights. Older models lack `normalise`
+    and `components`.
 
     Raises:
         WeightsError: the weights are missing, or differ from those of training.
     """
+    reduced = values.get("components") is not None
     return SpeechConditioner(
         af.extractor_from_spec(values["spec"], weights=weights, device=device),
         fps,
@@ -145,4 +166,5 @@ def load_conditioner(
         tensors["features.centre"].numpy(),
         tensors["features.scale"].numpy(),
         values.get("normalise", "clip"),
+        tensors["features.components"].numpy() if reduced else None,
     )

@@ -1,0 +1,64 @@
+"""Recall trusts speech as far as it predicts the movement of recordings that were left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from gesturekit.multires.recall.wanted import WantedMovement, slow_part
+
+FPS = 25.0
+EFFORT, ACOUSTIC = (0,), (0, 1, 2)
+
+
+def recordings(predictable: bool, seed: int = 0):
+    """Speech (12, T): effort, two acoustic features, nine of an encoder that say nothing; and
+    movement (T,) that follows effort and the second column, or nothing."""
+    rng = np.random.default_rng(seed)
+    speeches, movements = [], []
+    for n_frames in (700, 500):
+        speech = gaussian_filter1d(rng.standard_normal((12, n_frames)), 4.0, axis=1) * 4.0
+        speech[0] = slow_part(8.0 * rng.standard_normal(n_frames), FPS)
+        followed = speech[1] + 2.0 * speech[0]
+        alone = gaussian_filter1d(rng.standard_normal(n_frames), 4.0) * 4.0
+        speeches.append(speech.astype(np.float32))
+        movements.append(followed + 0.3 * alone if predictable else alone)
+    return speeches, movements
+
+
+def test_an_encoder_that_says_nothing_leaves_the_choice_to_acoustic_features():
+    speeches, movements = recordings(predictable=True)
+    fitted = WantedMovement.fit(speeches, movements, FPS, EFFORT, ACOUSTIC)
+    alone = WantedMovement.fit([speech[:3] for speech in speeches], movements, FPS, EFFORT)
+    other = recordings(predictable=True, seed=1)[0][0]
+    np.testing.assert_allclose(fitted(other), alone(other[:3]))
+    everything = WantedMovement.fit(speeches, movements, FPS, EFFORT)
+    assert fitted.fast.r > everything.fast.r
+
+
+def test_an_encoder_that_tells_when_the_hands_move_is_heard():
+    speeches, movements = recordings(predictable=True)
+    for speech in speeches:
+        speech[[1, 5]] = speech[[5, 1]]
+    fitted = WantedMovement.fit(speeches, movements, FPS, EFFORT, ACOUSTIC)
+    assert fitted.basis is None and fitted.fast.r > 0.5
+
+
+def test_speech_that_predicts_nothing_is_told_from_speech_that_does():
+    # Whether chance predicts left-out parts a little depends on the seed.
+    by_chance = [
+        WantedMovement.fit(*recordings(False, seed), FPS, EFFORT, ACOUSTIC) for seed in range(8)
+    ]
+    assert not all(fit.predicts for fit in by_chance)
+    assert WantedMovement.fit(*recordings(True), FPS, EFFORT, ACOUSTIC).predicts
+
+
+def test_a_prediction_counts_as_far_as_it_was_right():
+    speeches, movements = recordings(predictable=True)
+    fast = WantedMovement.fit(speeches, movements, FPS, EFFORT, ACOUSTIC).fast
+    values = np.linspace(-1.0, 1.0, 5)
+    for r, share in ((0.9, 1.0), (0.3, 1.0), (0.15, 0.5), (-0.2, 0.0)):
+        doubted = type(fast)(**{**vars(fast), "r": r})
+        np.testing.assert_array_equal(doubted.mapped(values), share * fast.mapped(values))
+        assert doubted.trust == pytest.approx(share)

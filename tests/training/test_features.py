@@ -1,0 +1,70 @@
+"""Speech features of a run: reduced to components, stored, and loaded again."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+from gesturekit.corpus import Manifest
+from gesturekit.errors import ConfigError
+from gesturekit.training.data.features import (
+    FeatureConfig,
+    conditioner_tensors,
+    conditioner_values,
+    extract_features,
+    feature_values,
+    load_conditioner,
+)
+
+EXTRACTORS = ({"kind": "logmel", "n_mels": 12}, {"kind": "effort"})
+
+
+@pytest.fixture(scope="module")
+def heard(corpus):
+    """f(config): conditioner and features of a corpus, and a wave."""
+
+    def hear(config):
+        items = [item for item in Manifest.load(corpus) if item.audio]
+        most = [None] * len(items)
+        made = extract_features(items, most, config.extractor(), 25.0, config)
+        return *made, items[0].load_wave()
+
+    return hear
+
+
+@pytest.mark.parametrize("normalise", ["clip", "corpus", "none"])
+def test_a_stored_projection_gives_the_features_of_training(heard, normalise, caplog):
+    caplog.set_level(logging.INFO)
+    config = FeatureConfig(EXTRACTORS, normalise=normalise, components=3)
+    conditioner, speeches, wave = heard(config)
+    assert "12 of 15 speech features reduced to 3 components" in caplog.text
+    values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
+    again = load_conditioner(values, tensors, 25.0, None)
+    assert again.dim == 6 and values["components"] == 3
+    np.testing.assert_array_equal(again(wave), conditioner(wave))
+    np.testing.assert_allclose(again(wave, len(speeches[0])), speeches[0], atol=1e-4)
+
+
+def test_models_from_before_the_setting_load(heard):
+    conditioner, speeches, wave = heard(FeatureConfig(EXTRACTORS))
+    values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
+    assert set(tensors) == {"features.centre", "features.scale"}
+    assert values.pop("components") is None
+    again = load_conditioner(values, tensors, 25.0, None)
+    np.testing.assert_array_equal(again(wave), conditioner(wave))
+    np.testing.assert_allclose(again(wave, len(speeches[0])), speeches[0], atol=1e-4)
+
+
+def test_no_components_are_none():
+    with pytest.raises(ConfigError, match="components: 0 must be above 0"):
+        FeatureConfig(components=0)
+
+
+@pytest.mark.parametrize("count, stored", [(None, None), (5, 5), (12, None)])
+def test_settings_are_compared_with_those_of_a_model_before_training(heard, count, stored):
+    config = FeatureConfig(EXTRACTORS, components=count)
+    values = feature_values(config.extractor(), config)
+    assert values == conditioner_values(heard(config)[0])
+    assert values["components"] == stored
