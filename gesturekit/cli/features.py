@@ -24,6 +24,7 @@ KINDS = {
     "prosody": "f0",
     "onset": None,
     "liveliness": "seconds",
+    "effort": "seconds",
     "music": "n_chroma",
     "words": None,
     "wavlm": None,
