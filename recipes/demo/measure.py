@@ -20,7 +20,7 @@ from texts import ENGLISH
 
 import gesturekit as gk
 from audio_features import Wave
-from gesturekit.evaluation import sync
+from gesturekit.evaluation import hand_movement, jerk, sync
 from gesturekit.evaluation.metrics.physical import joint_speed
 
 VOICES = ("en-us+m5", "en+f3", "en-gb-x-rp+m6", "en-us+f5")
@@ -51,18 +51,19 @@ def table(model: str, talks: int = 2, seed: int = 2000) -> str:
             **gesturers,
         }
     lines = [
-        "| talks | wrist speed, m/s: median, fastest tenth | hand height range, m "
-        "| two seeds apart, m | sync r (by chance) |",
-        "|---|---|---|---|---|",
+        "| talks | wrist speed, m/s: median, fastest tenth | hands at rest, % "
+        "| hand height range, m | reach, m | jerk, m/s³ | two seeds apart, m "
+        "| sync r (by chance) |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     speech = {style: held_out_talks(style, talks, seed) for style in STYLES}
     for name, gesturer in gesturers.items():
         for style, waves in speech.items():
             found = np.mean([figures(gesturer, wave) for wave in waves], axis=0)
-            median, fast, height, apart, r, chance = found
+            median, fast, rest, height, reach, shaking, apart, r, chance = found
             lines.append(
-                f"| {style}, {name} | {median:.2f}, {fast:.2f} | {height:.2f} | {apart:.2f} "
-                f"| {r:.2f} ({chance:.2f}) |"
+                f"| {style}, {name} | {median:.2f}, {fast:.2f} | {100 * rest:.0f} | {height:.2f} "
+                f"| {reach:.2f} | {shaking:.0f} | {apart:.2f} | {r:.2f} ({chance:.2f}) |"
             )
     return "\n".join(lines)
 
@@ -82,22 +83,25 @@ def figures(gesturer: Gesturer, wave: Wave) -> np.ndarray:
     """Measure the motions of one speech, means over `SEEDS`.
 
     Returns:
-        (6,): median of the wrists' speed and its 90 % quantile (m/s, over frames and wrists);
-        range of the hands' height (m); distance of the hands between two seeds (m, mean over
-        frames); sync, and its chance level.
+        (9,): median of the wrists' speed and its 90 % quantile (m/s, over frames and wrists);
+        share of rest (`HandMovement.rest`); range of the hands' height (m); reach (m,
+        `HandMovement.reach`); jerk of the body joints (m/s^3); distance of the hands between two
+        seeds (m, mean over frames); sync, and its chance level.
     """
     motions = [gesturer(wave, seed) for seed in SEEDS]
     rows = []
     for motion in motions:
-        speed, found = joint_speed(motion, _WRISTS), sync(motion, wave)
+        speed, moved = joint_speed(motion, _WRISTS), hand_movement(motion)
+        quantiles = np.quantile(speed, (0.5, 0.9))
         height = np.ptp(hands(motion)[..., 1])
-        rows.append([np.median(speed), np.quantile(speed, 0.9), height, found.r, found.chance_mean])
+        rows.append([*quantiles, moved.rest, height, moved.reach, jerk(motion)])
     apart = [
         np.linalg.norm(hands(one) - hands(other), axis=-1).mean()
         for one, other in combinations(motions, 2)
     ]
-    median, fast, height, r, chance = np.mean(rows, axis=0)
-    return np.array([median, fast, height, np.mean(apart), r, chance])
+    found = [sync(motion, wave) for motion in motions]
+    heard = np.mean([[each.r, each.chance_mean] for each in found], axis=0)
+    return np.array([*np.mean(rows, axis=0), np.mean(apart), *heard])
 
 
 def hands(motion: gk.Motion) -> np.ndarray:

@@ -233,7 +233,7 @@ def test_a_bundle_is_the_model_in_fewer_bytes_with_its_figures(recipe, tmp_path,
     recipe["bundle"].bundle(run, speech, out, talks=1)
     assert {path.name for path in out.iterdir()} == {path.name for path in model.iterdir()}
     size = {f: (f / "model.safetensors").stat().st_size for f in (run, out)}
-    assert size[out] < 0.55 * size[run]
+    assert size[out] < 0.65 * size[run]  # recalled motion stays in full precision
     one, other = (gk.load(folder).generate(seconds=3.0, seed=0) for folder in (run, out))
     assert np.degrees(rotation_angles(one.rotations, other.rotations).max()) < 1.0
     card = (out / "README.md").read_text(encoding="utf-8")
