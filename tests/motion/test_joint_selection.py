@@ -9,6 +9,9 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.selection.joint_selection import keep_joints
+from gesturekit.motion.selection.model_joints import first_moving_joint
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.training.kinematics import VectorKinematics
 
 
 def check(motion: Motion, names: list[str]) -> Motion:
@@ -71,3 +74,19 @@ def test_bodies_of_real_recordings(shared_data, file, tmp_path):
     kept.save(tmp_path / "a.bvh")
     again = Motion.load(tmp_path / "a.bvh")
     np.testing.assert_allclose(again.positions(), kept.positions(), atol=1e-6)
+
+
+def test_a_body_that_moves_above_the_waist_only_is_modelled_from_its_pelvis(moving_person):
+    skeleton = moving_person.skeleton
+    rotations = moving_person.rotations.copy()
+    chest = skeleton.index("Chest")
+    still = [j for j in range(skeleton.n_joints) if j not in (chest, *skeleton.descendants(chest))]
+    rotations[:, still] = rotations[:1, still]
+    seated = replace(
+        moving_person,
+        rotations=rotations,
+        translation=np.repeat(moving_person.translation[:1], moving_person.n_frames, axis=0),
+    )
+    assert skeleton.names[first_moving_joint([seated])] == "Hips"
+    representation = MultiresRepresentation.fit([seated])
+    VectorKinematics(representation, seated.fps)  # its legs hang on the model's root

@@ -15,7 +15,7 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import body_joints, leg_length
+from gesturekit.motion.parts import body_joints, find_legs, leg_length
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -237,7 +237,23 @@ def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
 
 
 def first_moving_joint(motions: Sequence[Motion]) -> int:
-    """Return the first joint, from the root, whose position or rotation changes in any motion."""
+    """Return the first joint, from the root, whose position or rotation changes in any motion.
+
+    Where the legs do not hang on it (somebody who moves above the waist only), it is the nearest
+    joint above it on which they do.
+    """
+    skeleton = motions[0].skeleton
+    joint, legs = _first_that_moves(motions), find_legs(skeleton)
+    carried = [] if legs is None else [skeleton.index(leg.hip) for leg in legs.values()]
+    while joint > 0 and any(
+        hip != joint and joint not in skeleton.ancestors(hip) for hip in carried
+    ):
+        joint = skeleton.parents[joint]
+    return joint
+
+
+def _first_that_moves(motions: Sequence[Motion]) -> int:
+    """Return the first joint whose position or rotation changes in any motion; 0 if none does."""
     skeleton = motions[0].skeleton
     still = 1e-6 * body_scale(skeleton)
     for j, name in enumerate(skeleton.names):
