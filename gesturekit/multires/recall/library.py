@@ -19,9 +19,6 @@ from gesturekit.multires.recall.pieces import Pieces
 from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.wanted import WantedMovement
 
-_LIVELINESS = 1.0
-"""Slow movement, a log speed, asked for at liveliness e above that at liveliness 1."""
-
 
 _REST, _MOVING = 0.1, 0.35
 """A hand of a recalled piece rests below the first speed, and moves above the second, m/s on the
@@ -162,17 +159,17 @@ class RecallLibrary:
         Args:
             speech: (S, T) features at the finest level; S is 0 without speech input.
             rng_of: random generator of a part, by its name.
-            liveliness: 1 asks for the movement that the speech predicts; e for a log more.
+            liveliness: factor of the hand speed that is asked for; 1 for what the speech predicts.
             speaker: of whose recordings pieces are taken, if there are any; None for all.
             styles: (T_l,) number of the style in each frame of the level; None for any.
         """
         n_frames = af.level_lengths(speech.shape[1], self.levels)[self.level - 1]
         profile = np.full((n_frames, 2), np.nan)
         if self.wanted is not None:
-            asked = self.wanted(speech) + _LIVELINESS * math.log(liveliness)
+            asked = self.wanted(speech) + math.log(liveliness)
             profile = averaged((asked - self.mean) / self.spread[:, None], n_frames).T
         elif liveliness != 1.0:
-            profile[:, 1] = _LIVELINESS * math.log(liveliness) / self.spread[1]
+            profile[:, 1] = math.log(liveliness) / self.spread[1]
         allowed = self._allowed(n_frames, speaker, styles)
         pieces = [
             search.choose(profile, rng_of(part.name), allowed)
