@@ -19,7 +19,6 @@ from gesturekit.multires.recall.pieces import Pieces
 from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.wanted import WantedMovement
 
-
 _REST, _MOVING = 0.1, 0.35
 """A hand of a recalled piece rests below the first speed, and moves above the second, m/s on the
 reference body."""
