@@ -116,7 +116,7 @@ def test_a_click_lands_in_its_frame(encoder):
 
 
 def test_long_sounds_are_processed_in_chunks_with_context(encoder, copy):
-    """What enters the layers is exact; their outputs differ a little, less with more context."""
+    """Inputs of the layers are exact; their outputs differ a little, less with more context."""
     if encoder[0] == "whisper":  # its positions count from the start of a chunk
         without_positions(copy)
     wave = af.Wave(sound(2.9), 16_000)

@@ -285,7 +285,7 @@ def test_a_bad_liveliness_is_one_error(model, plain, speech, value):
 
 
 def test_more_liveliness_asks_for_more_movement(model, speech):
-    """What is asked for rises everywhere, and hands are faster on average."""
+    """The movement asked for rises everywhere, and hands are faster on average."""
     searched = []
 
     class Spy:

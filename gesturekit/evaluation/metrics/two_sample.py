@@ -119,7 +119,7 @@ def motion_windows(motions: Motions, joints: Sequence[str] | None = None) -> Mot
 def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int = 0) -> float:
     """Return the leave-one-out accuracy of a 1-nearest-neighbour classifier of two sets (1-NN).
 
-    0.5: the sets cannot be told apart; 1: no window resembles the other set. Well below 0.5 one
+    0.5: the sets are indistinguishable; 1: no window resembles the other set. Well below 0.5 one
     set copies the other: the nearest window is the one it was copied from. The larger set is
     subsampled to the size of the smaller one; the accuracy is the mean over 20 seeded draws.
     (Lopez-Paz and Oquab 2017.)

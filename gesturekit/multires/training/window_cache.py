@@ -226,8 +226,8 @@ class WindowCache:
         one_hot = []
         if self.data.styles:
             one_hot = style_levels(styles, len(self.data.styles), lengths)
-        heard = speech[:, self.columns]
-        conditions = condition_levels(heard, lengths, self.config.residual, one_hot)
+        features = speech[:, self.columns]
+        conditions = condition_levels(features, lengths, self.config.residual, one_hot)
         to = self.device
         conditions = [level.to(to) for level in conditions]
         noises = [None if noise is None else noise.to(to) for noise in noises]
