@@ -100,8 +100,8 @@ def figures(gesturer: Gesturer, wave: Wave) -> np.ndarray:
         for one, other in combinations(motions, 2)
     ]
     found = [sync(motion, wave) for motion in motions]
-    heard = np.mean([[each.r, each.chance_mean] for each in found], axis=0)
-    return np.array([*np.mean(rows, axis=0), np.mean(apart), *heard])
+    synced = np.mean([[each.r, each.chance_mean] for each in found], axis=0)
+    return np.array([*np.mean(rows, axis=0), np.mean(apart), *synced])
 
 
 def hands(motion: gk.Motion) -> np.ndarray:

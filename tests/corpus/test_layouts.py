@@ -32,7 +32,7 @@ Object class = "TextGrid"
 """
 
 
-def told(report: Report, severity: str) -> str:
+def messages(report: Report, severity: str) -> str:
     return "\n".join(p.text for p in report.problems if p.severity == severity)
 
 
@@ -107,7 +107,7 @@ def test_beat2(beat2, tmp_path):
         ("1_wayne_0_103_103", "train", "wayne", "fear", True, True),
     }
     assert report.is_complete
-    assert "additional, in no split and left out: 1: 30_katya_1_9_9" in told(report, "note")
+    assert "additional, in no split and left out: 1: 30_katya_1_9_9" in messages(report, "note")
     item = Manifest.load(tmp_path / "corpus.jsonl").in_split("test")[0]
     assert item.conditions["words"].name == "1_wayne_0_86_87.TextGrid"
     assert item.conditions["semantics"] == beat2 / "sem" / "1_wayne_0_86_87.txt"
@@ -124,13 +124,13 @@ def test_what_beat2_lacks_and_what_is_broken_in_it_is_told_by_name(beat2):
     shutil.copy(beat2 / "wave16k" / "2_scott_0_65_65.wav", beat2 / "wave16k" / "9_new_0_1_1.wav")
     report = prepare(beat2, layout="beat2")
     assert {item.id for item in report.manifest} == {"2_scott_0_65_65", "1_wayne_0_86_87"}
-    errors = told(report, "error")
+    errors = messages(report, "error")
     assert "not there: 1 wav file: 2_scott_0_1_1.wav" in errors
     assert "1_wayne_0_103_103.npz" in errors
-    warnings = told(report, "warning")
+    warnings = messages(report, "warning")
     assert "sem/1_wayne_0_86_87.txt: line 1" in warnings
     assert "textgrid/1_wayne_0_86_87.TextGrid" in warnings
-    assert "1 TextGrid: 2_scott_0_65_65.TextGrid" in told(report, "note")
+    assert "1 TextGrid: 2_scott_0_65_65.TextGrid" in messages(report, "note")
     (item,) = report.manifest.in_split("test")
     assert not item.conditions and report.left_over == (beat2 / "wave16k" / "9_new_0_1_1.wav",)
     index = beat2 / "train_test_split.csv"
@@ -186,14 +186,14 @@ def test_zeggs(zeggs):
         ("067_Speech_2_x_1_0", "valid", "zeggs", "Speech", True, True),
     }
     assert report.is_complete
-    assert "left out: 2: 001_Neutral_0_mirror_x_1_0.bvh, 001_Neutral_0_x_0_9" in told(
+    assert "left out: 2: 001_Neutral_0_mirror_x_1_0.bvh, 001_Neutral_0_x_0_9" in messages(
         report, "note"
     )
     (zeggs / "clean" / "001_Neutral_0_x_1_0.wav").unlink()
     (zeggs / "clean" / "005_Neutral_4_x_1_0.bvh").write_text("HIERARCHY")
     (zeggs / "clean" / "067_Speech_2_x_1_0.wav").unlink()
     (zeggs / "clean" / "067_Speech_2_x_1_0.bvh").unlink()
-    errors = told(prepare(zeggs, layout="zeggs"), "error")
+    errors = messages(prepare(zeggs, layout="zeggs"), "error")
     for name in ("001_Neutral_0_x_1_0.wav", "005_Neutral_4_x_1_0.bvh", "info.csv: 067_Speech_2"):
         assert name in errors
     text = (zeggs / "info.csv").read_text()
@@ -219,7 +219,7 @@ def test_original_zeggs_is_aligned_trimmed_and_masked(tmp_path, write_bvh, write
     assert item.load_motion().n_frames == 90
     heard = np.flatnonzero(item.load_wave().samples) / 16_000
     assert heard.size and heard.min() >= 0.25 and heard.max() < 0.5
-    errors = told(report, "error")
+    errors = messages(report, "error")
     assert "003_Neutral_2.csv, line 2: start is 'soon'" in errors
     assert "002_Neutral_1.bvh: no row in" in errors
     manifest = tmp_path / "corpus.jsonl"
@@ -233,7 +233,7 @@ def test_zeggs_on_real_files(shared_data):
         ("train", "zeggs", "Speech"),
         ("test", "zeggs", "Speech"),
     }
-    assert "30 fps; published at 60 fps" in told(report, "note")
+    assert "30 fps; published at 60 fps" in messages(report, "note")
     assert report.is_complete
 
 
@@ -263,16 +263,18 @@ def test_genea2023(tmp_path, write_bvh, write_speech):
     item = report.manifest.in_split("valid")[0]
     assert set(item.conditions) == {"words", "partner_audio", "partner_motion", "partner_words"}
     assert item.conditions["partner_audio"].name == "val_2023_v0_000_interloctr.wav"
-    assert "fingers were not recorded (metadata.csv): 1: trn_2023_v0_001" in told(report, "note")
+    assert "fingers were not recorded (metadata.csv): 1: trn_2023_v0_001" in messages(
+        report, "note"
+    )
     (root / "trn" / "main-agent" / "bvh" / "trn_2023_v0_001_main-agent.bvh").unlink()
     (root / "val" / "main-agent" / "wav" / "val_2023_v0_000_main-agent.wav").write_text("x")
     words = root / "trn" / "main-agent" / "tsv" / "trn_2023_v0_000_main-agent.tsv"
     words.write_text("a\tb\n")
     report = prepare(root, layout="genea2023")
     assert len(report.manifest) == 2
-    assert "trn_2023_v0_001_main-agent.bvh" in told(report, "error")
-    assert "val_2023_v0_000_main-agent.wav" in told(report, "error")
-    assert f"{words}, line 1" in told(report, "warning")
+    assert "trn_2023_v0_001_main-agent.bvh" in messages(report, "error")
+    assert "val_2023_v0_000_main-agent.wav" in messages(report, "error")
+    assert f"{words}, line 1" in messages(report, "warning")
 
 
 def test_motorica(tmp_path, write_bvh, write_speech):
@@ -291,7 +293,7 @@ def test_motorica(tmp_path, write_bvh, write_speech):
         (names[1], "test", "d01", "gPO", True, True),
         (names[2], "train", "d02", "gPO", False, True),
     }
-    assert f"(motion alone): {names[2]}.wav" in told(report, "note")
+    assert f"(motion alone): {names[2]}.wav" in messages(report, "note")
     assert report.left_over == (tmp_path / "bvh" / "mine.bvh",)
     with pytest.raises(CorpusError, match="no recording of Motorica"):
         prepare(tmp_path / "wav", layout="motorica")
@@ -313,8 +315,8 @@ def test_100style(tmp_path, write_bvh):
     }
     cuts = {i.id: (i.motion_start, i.duration) for i in report.manifest}
     assert cuts["Angry/Angry_BR"] == (0.1, 0.9) and cuts["Angry/Angry_ID"] == (0.2, 1.3)
-    assert "not there: 1 bvh file: Old_ID.bvh" in told(report, "error")
-    assert "without a cut in Frame_Cuts.csv, left out: 1: Angry_FW.bvh" in told(report, "note")
+    assert "not there: 1 bvh file: Old_ID.bvh" in messages(report, "error")
+    assert "without a cut in Frame_Cuts.csv, left out: 1: Angry_FW.bvh" in messages(report, "note")
     text = (tmp_path / "Frame_Cuts.csv").read_text()
     write(tmp_path / "Frame_Cuts.csv", text.replace("12,90", "90,12"))
     with pytest.raises(CorpusError, match=r"Frame_Cuts.csv, line 2: ID_START"):
@@ -332,7 +334,7 @@ def test_trinity(tmp_path, write_bvh, write_speech):
         ("Recording_001", "train", "trinity", None, True, True),
         ("Recording_008", "test", "trinity", None, True, True),
     }
-    assert "Recording_009.wav" in told(report, "error")
+    assert "Recording_009.wav" in messages(report, "error")
     write_bvh(tmp_path / "raw" / "NaturalTalking_001.bvh")
     with pytest.raises(CorpusError, match="raw form"):
         prepare(tmp_path / "raw", layout="trinity")
@@ -365,7 +367,7 @@ def test_seamless(tmp_path, write_speech):
         (f"{at}/{two.name}@0.00-1.33", "train", "P0951", "improvised", True, True),
         (f"{at.replace('train', 'dev')}/{three.name}", "valid", "P0947", "improvised", True, True),
     }
-    assert "6 of 90 frames are marked invalid" in told(report, "note")
+    assert "6 of 90 frames are marked invalid" in messages(report, "note")
     (item,) = (item for item in report.manifest if item.id == f"{at}/{one.name}")
     assert item.conditions["partner_motion"] == two.with_suffix(".npz")
     assert [word.text for word in load_words(item.conditions["words"])] == ["well", "yes"]
@@ -375,7 +377,7 @@ def test_seamless(tmp_path, write_speech):
     assert (positions[:, head, 1] - positions[:, foot, 1]).min() > 1.0  # upright
     np.savez(three.with_suffix(".npz"), **{"smplh:body_pose": np.zeros((90, 20, 3))})
     one.with_suffix(".wav").unlink()
-    errors = told(prepare(tmp_path, layout="seamless"), "error")
+    errors = messages(prepare(tmp_path, layout="seamless"), "error")
     assert f"{three.name}.npz" in errors and f"1 wav file: {one.name}.wav" in errors
 
 

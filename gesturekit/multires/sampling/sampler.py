@@ -99,7 +99,9 @@ class Sampler:
             motion = self._along_path(pyramid)
         else:
             output = pyramid.random()
-            values = self._cropped(output if choice is None else self._at_rest(output, choice))
+            if choice is not None:
+                output = self._at_rest(output, choice, pyramid.recalled)
+            values = self._cropped(output)
             motion = self._finished(self._decoded(values), values)
         return motion if choice is None else self._with_passive(motion, choice)
 
@@ -161,10 +163,12 @@ class Sampler:
         motions = [recording.motion for recording in self.request.library.recordings]
         return choice.vectors(motions, self.request.lengths[self.request.library.level - 1])[None]
 
-    def _at_rest(self, values: np.ndarray, choice: RecalledMotion) -> np.ndarray:
-        """Return vectors (T, D) without the detail of finer levels where a recalled hand rests."""
-        coarse = resample(self._recalled_level(choice), len(values))
-        coarse = plain_values(self.normaliser, coarse)
+    def _at_rest(self, values: np.ndarray, choice: RecalledMotion, recalled: Tensor) -> np.ndarray:
+        """Return vectors (T, D) without the detail of finer levels where a recalled hand rests.
+
+        `recalled` (1, D, T_i) is the recalled level, normalised.
+        """
+        coarse = plain_values(self.normaliser, resample(recalled, len(values)))
         return coarse + self.request.library.detail(choice, len(values)).T * (values - coarse)
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion) -> Motion:

@@ -290,12 +290,7 @@ class Stage:
                 share = self.config.recall.own_movement
                 for i, motion in enumerate(self._within(windows.recalled, n_frames)):
                     values, stride = self.normaliser.inverse(motion), n_frames / motion.shape[-1]
-                    own = log_movement(
-                        self.kinematics.arm_speed(values, stride),
-                        self.kinematics.arm_acceleration(values, stride),
-                        stride / self.config.fps,
-                        weights.arm_floors,
-                    )
+                    own = self._arm_movement(values, stride)
                     aims[i] = share * own + (1 - share) * aims[i]
 
         def of_level(i: int) -> Batch:
@@ -322,15 +317,19 @@ class Stage:
                 parts["detail"] = self.details[level](places, windows.styles[:, level])
             if aims and moves:
                 parts["arm_target"] = aims[i]
-                parts["arms"] = log_movement(
-                    kinematics.arm_speed(values, stride),
-                    kinematics.arm_acceleration(values, stride),
-                    stride / self.config.fps,
-                    weights.arm_floors,
-                )
+                parts["arms"] = self._arm_movement(values, stride)
             return Batch(**parts)
 
         return self._descend(of_level)
+
+    def _arm_movement(self, values: Tensor, stride: float) -> Tensor:
+        """Return (B, 2, T) log arm movement of vectors (B, D, T) in their own units."""
+        return log_movement(
+            self.kinematics.arm_speed(values, stride),
+            self.kinematics.arm_acceleration(values, stride),
+            stride / self.config.fps,
+            self.config.losses.arm_floors,
+        )
 
     def _scores(self, i: int, motion: Tensor, style: Tensor | None) -> Tensor:
         """Return the (B,) scores of generated motions, without gradients for the discriminator."""
