@@ -192,8 +192,19 @@ def test_arms_and_the_rest_are_recalled_apart(model, speech):
     assert left.moving == ("left_wrist",) or left.moving == ("left_elbow",)
     assert {"left_index1", "left_elbow", "left_shoulder"} <= {*left.joints}
     assert "right_thumb2" in right.joints and {"pelvis", "head", "left_hip"} <= {*rest.joints}
+    assert rest.moving == ("head",)
+    # Finer levels keep their detail in legs, contacts and the root, which foot locking needs.
+    columns = model.representation.joint_columns
+    calmed = [name for name in model.representation.joints if columns(name).start in rest.calmed]
+    assert {"pelvis", "spine1", "head"} <= {*calmed} and not {"left_hip", "left_knee"} & {*calmed}
+    assert rest.calmed.max() < columns(model.representation.joints[-1]).stop
     names = [name for part in model.library.parts for name in part.joints]
     assert sorted(names) == sorted(model.skeleton.names)
+
+
+def test_the_rest_is_recalled_in_longer_pieces_than_the_arms(model):
+    left, _, rest = model.library.searches
+    assert rest.piece == pytest.approx(2 * left.piece, abs=1) and rest.overlap >= left.overlap
 
 
 def chosen(model, wave: af.Wave, seed: int = 0, **options):

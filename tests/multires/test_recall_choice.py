@@ -54,26 +54,30 @@ def placed(pieces: Pieces) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("speed, share", [(0.05, 0.0), (0.1, 0.0), (0.225, 0.5), (1.0, 1.0)])
-def test_finer_levels_add_nothing_to_an_arm_whose_recalled_hand_rests(speed, share):
-    """The share of detail is 0 up to 0.1 m/s, 1 from 0.35 m/s, and linear between."""
+def test_finer_levels_add_nothing_to_a_part_that_rests(speed, share):
+    """The share of detail is 0 up to 0.1 m/s, 1 from `full_detail`, and linear between."""
+    none = np.zeros(0, int)
     parts = (
-        MotionPart("left", np.array([0, 2]), (), ()),
-        MotionPart("right", np.array([1]), (), ()),
-        MotionPart("rest", np.array([3]), (), ()),
+        MotionPart("left", np.array([0, 2]), (), (), np.array([0, 2]), 0.35, 1.0),
+        MotionPart("right", np.array([1]), (), (), np.array([1]), 0.6, 1.0),
+        MotionPart("rest", np.array([3, 4]), (), (), np.array([4]), 0.35, 2.0),
+        MotionPart("none", np.array([5]), (), (), none, 0.35, 1.0),
     )
-    profiles = torch.zeros(6, 12)
-    profiles[0] = (np.log(speed + 0.05) + 1.0) / 2.0  # in standard deviations of log speed
-    recording = RecalledRecording(torch.zeros(4, 12), torch.zeros(0, 12), profiles)
+    profiles = torch.zeros(8, 12)
+    profiles[0] = profiles[4] = (
+        np.log(speed + 0.05) + 1.0
+    ) / 2.0  # of the log speed: sd 2, mean -1
+    recording = RecalledRecording(torch.zeros(6, 12), torch.zeros(0, 12), profiles)
     library = RecallLibrary(
         2, 4, 25.0, 1.0, 0.2, parts, (recording,), np.array([2.0, 1.0]), -1.0, None
     )
     pieces = Pieces(np.array([0]), np.array([0]), hop=12, overlap=0, n_frames=12)
-    detail = library.detail(RecalledMotion(parts, (pieces,) * 3, (12,)), 20)
-    assert detail.shape == (4, 20)
-    np.testing.assert_allclose(detail[[0, 2]], share, atol=1e-5)
-    mean = (np.exp(-1.0) - 0.05 - 0.1) / 0.25  # the right hand moves at the mean log speed
+    detail = library.detail(RecalledMotion(parts, (pieces,) * 4, (12,)), 20)
+    assert detail.shape == (6, 20)
+    np.testing.assert_allclose(detail[[0, 2, 4]], share, atol=1e-5)
+    mean = (np.exp(-1.0) - 0.05 - 0.1) / 0.5  # the right hand moves at the mean log speed
     np.testing.assert_allclose(detail[1], mean, atol=1e-5)
-    assert (detail[3] == 1.0).all(), "the trunk may always move"
+    assert (detail[[3, 5]] == 1.0).all(), "legs and the root keep their detail"
 
 
 # Joining of pieces.

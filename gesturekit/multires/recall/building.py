@@ -30,7 +30,9 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         movements(parts, representation, fps, data.normaliser.inverse(sequence.motion[None])[0])
         for sequence in sequences
     ]
-    every = [np.mean(of_parts, axis=0) for of_parts in moved]
+    # Speech is asked for the movement of the hands: that of both arms, or of the only part.
+    asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
+    every = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
     goals = [np.concatenate(curves) for curves in _with_slow(every, fps)]
     mean = float(goals[0].mean())
     spread = np.array([max(goal.std(), 1e-3) for goal in goals])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,9 +19,8 @@ from gesturekit.multires.recall.pieces import Pieces
 from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.wanted import WantedMovement
 
-_REST, _MOVING = 0.1, 0.35
-"""A hand of a recalled piece rests below the first speed, and moves above the second, m/s on the
-reference body."""
+_REST = 0.1
+"""A part of a recalled piece rests below this speed, m/s on the reference body."""
 _REST_SECONDS = 0.08
 """Standard deviation of the Gaussian that smooths the change between rest and movement."""
 
@@ -131,15 +130,14 @@ class RecallLibrary:
     @cached_property
     def searches(self) -> tuple[PieceSearch, ...]:
         """One search for each part."""
-        piece = max(2, round(self.piece * self.level_fps))
-        overlap = max(1, round(self.overlap * self.level_fps))
         return tuple(
             PieceSearch(
                 [recording.motion[part.columns].T.numpy() for recording in self.recordings],
                 [recording.profiles[2 * i : 2 * i + 2].T.numpy() for recording in self.recordings],
-                piece,
-                overlap,
-                self.weights,
+                max(2, round(part.length * self.piece * self.level_fps)),
+                max(1, round(part.length * self.overlap * self.level_fps)),
+                # Longer pieces meet less often, so that each border counts for more.
+                replace(self.weights, continuity=part.length * self.weights.continuity),
             )
             for i, part in enumerate(self.parts)
         )
@@ -179,18 +177,18 @@ class RecallLibrary:
     def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:
         """Return how much detail finer levels may add to each column, (D, n_frames), 0 to 1.
 
-        It is 0 in the columns of an arm while its recalled hand rests, so that rests stay rests,
-        and 1 while it moves and in all other columns.
+        It is 0 in the calmed columns of a part while its recalled pieces rest, so that rests stay
+        rests, and 1 while they move fast and in all other columns.
         """
         rows = [np.array([2 * i, 2 * i + 1]) for i in range(len(self.parts))]
         curves = [recording.profiles for recording in self.recordings]
         profiles = choice.channels(curves, rows, n_frames).numpy()
         shares = np.ones((len(self.recordings[0].motion), n_frames), np.float32)
         for i, part in enumerate(self.parts):
-            if part.is_arm:
+            if len(part.calmed):
                 speed = np.exp(profiles[2 * i] * self.spread[0] + self.mean) - SPEED_FLOOR
-                share = np.clip((speed - _REST) / (_MOVING - _REST), 0.0, 1.0)
-                shares[part.columns] = gaussian_filter1d(share, _REST_SECONDS * self.fps)
+                share = np.clip((speed - _REST) / (part.full_detail - _REST), 0.0, 1.0)
+                shares[part.calmed] = gaussian_filter1d(share, _REST_SECONDS * self.fps)
         return shares
 
     def _allowed(

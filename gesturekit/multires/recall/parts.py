@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts import SIDES, find_parts
+from gesturekit.motion.parts import SIDES, Arm, find_parts
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.training.kinematics import VectorKinematics
@@ -19,6 +19,12 @@ from gesturekit.multires.training.kinematics import VectorKinematics
 SPEED_FLOOR = 0.05
 """Added to speeds before the logarithm, m/s on the reference body."""
 _SMOOTHING_SECONDS = 0.1
+_ARM_DETAIL, _TRUNK_DETAIL = 0.35, 0.7
+"""`MotionPart.full_detail` of an arm and of the trunk. Profiles give the trunk's movement as the
+hand speed of the same quantile."""
+_REST_LENGTH = 2.0
+"""`MotionPart.length` of all but the arms: feet slide where pieces of different stances meet, and
+only arms have to follow every word."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +36,19 @@ class MotionPart:
         columns: (C,) columns of the motion vector.
         joints: names of all the rig's joints that belong to it.
         moving: names of the modelled joints whose speed is the part's movement.
+        calmed: (C',) columns that finer levels leave alone while the part rests.
+        full_detail: speed from which finer levels add all their detail to them, m/s on the
+            reference body.
+        length: of its pieces, as a multiple of the library's.
     """
 
     name: str
     columns: np.ndarray
     joints: tuple[str, ...]
     moving: tuple[str, ...]
+    calmed: np.ndarray
+    full_detail: float
+    length: float
 
     @property
     def is_arm(self) -> bool:
@@ -52,19 +65,31 @@ def motion_parts(representation: MultiresRepresentation, separate: bool) -> tupl
     """
     skeleton, every = representation.skeleton, np.arange(representation.n_features)
     hands = _hands(representation)
-    whole = MotionPart("body", every, tuple(skeleton.names), hands or representation.joints)
     if not separate or len(hands) < 2:
-        return (whole,)
+        moving = hands or representation.joints
+        return (MotionPart("body", every, tuple(skeleton.names), moving, every[:0], 0.0, 1.0),)
+    body = find_parts(skeleton)
     arms = []
     for side, hand in zip(SIDES, hands, strict=True):
-        joints = _limb(skeleton, find_parts(skeleton).arms, side)
-        own = [representation.joint_columns(n) for n in representation.joints if n in joints]
-        columns = np.concatenate([every[part] for part in own])
-        arms.append(MotionPart(side, columns, joints, (hand,)))
+        joints = _limb(skeleton, body.arms, side)
+        columns = _columns(representation, joints)
+        arms.append(MotionPart(side, columns, joints, (hand,), columns, _ARM_DETAIL, 1.0))
     taken = {name for arm in arms for name in arm.joints}
-    columns = np.setdiff1d(every, np.concatenate([arm.columns for arm in arms]))
     others = tuple(name for name in skeleton.names if name not in taken)
-    return (*arms, MotionPart("rest", columns, others, hands))
+    columns = np.setdiff1d(every, np.concatenate([arm.columns for arm in arms]))
+    hips = [skeleton.index(leg.hip) for leg in body.legs.values()]
+    legs = {skeleton.names[j] for hip in hips for j in (hip, *skeleton.descendants(hip))}
+    trunk = _columns(representation, [name for name in others if name not in legs])
+    moving = (body.head,) if body.head in representation.joints else hands
+    rest = MotionPart("rest", columns, others, moving, trunk, _TRUNK_DETAIL, _REST_LENGTH)
+    return (*arms, rest)
+
+
+def _columns(representation: MultiresRepresentation, joints: Sequence[str]) -> np.ndarray:
+    """Return the columns of these joints' rotations, as far as they are modelled."""
+    every = np.arange(representation.n_features)
+    own = [every[representation.joint_columns(n)] for n in representation.joints if n in joints]
+    return np.concatenate([every[:0], *own])
 
 
 def _hands(representation: MultiresRepresentation) -> tuple[str, ...]:
@@ -83,28 +108,14 @@ def _hands(representation: MultiresRepresentation) -> tuple[str, ...]:
     return tuple(hands)
 
 
-def _limb(skeleton: Skeleton, arms: dict, side: str) -> tuple[str, ...]:
+def _limb(skeleton: Skeleton, arms: Mapping[str, Arm], side: str) -> tuple[str, ...]:
     """Return the joints of an arm: from the last joint that both arms hang on, downwards."""
-    ancestors = [
-        _ancestors(skeleton, skeleton.index(arms[other].shoulder))
-        for other in SIDES
-        if other != side
-    ]
-    top = skeleton.index(arms[side].shoulder)
-    while skeleton.parents[top] >= 0 and skeleton.parents[top] not in ancestors[0]:
+    own, other = (skeleton.index(arms[s].shoulder) for s in sorted(SIDES, key=lambda s: s != side))
+    both = skeleton.ancestors(other)
+    top = own
+    while skeleton.parents[top] >= 0 and skeleton.parents[top] not in both:
         top = skeleton.parents[top]
-    return tuple(
-        name
-        for joint, name in enumerate(skeleton.names)
-        if joint == top or top in _ancestors(skeleton, joint)
-    )
-
-
-def _ancestors(skeleton: Skeleton, joint: int) -> set[int]:
-    found = set()
-    while (joint := skeleton.parents[joint]) >= 0:
-        found.add(joint)
-    return found
+    return tuple(skeleton.names[j] for j in (top, *skeleton.descendants(top)))
 
 
 def movements(

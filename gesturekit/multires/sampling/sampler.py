@@ -22,7 +22,7 @@ from gesturekit.multires.constraints.keyframes import (
 from gesturekit.multires.constraints.path import PathConstraint
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.network.resampling import resample_smoothly
 from gesturekit.multires.recall.library import RecalledMotion
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource
@@ -168,7 +168,8 @@ class Sampler:
 
         `recalled` (1, D, T_i) is the recalled level, normalised.
         """
-        coarse = plain_values(self.normaliser, resample(recalled, len(values)))
+        # Linear interpolation would leave a corner at every frame of the recalled level.
+        coarse = plain_values(self.normaliser, resample_smoothly(recalled, len(values)))
         return coarse + self.request.library.detail(choice, len(values)).T * (values - coarse)
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion) -> Motion:
