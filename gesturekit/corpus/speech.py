@@ -140,16 +140,25 @@ class SpeechConditioner:
     @property
     def effort(self) -> tuple[int, ...]:
         """Columns of vocal effort (`af.Effort`); empty without that extractor."""
-        names = np.array(self.extractor.names)
-        if self.components is not None:
-            names = names[~wide_columns(self.extractor, self.components.shape[1])]
-        return tuple(i for i, name in enumerate(names) if name.startswith("effort_"))
+        return tuple(i for i, name in enumerate(self._names) if name.startswith("effort_"))
+
+    @property
+    def prosody(self) -> tuple[int, ...]:
+        """Columns of `af.Prosody`; empty without that extractor."""
+        return tuple(i for i, name in enumerate(self._names) if name in af.Prosody().names)
 
     @property
     def acoustic(self) -> tuple[int, ...]:
         """Columns that are no components."""
-        count = 0 if self.components is None else self.components.shape[1]
-        return tuple(range(self.dim - count))
+        return tuple(range(len(self._names)))
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """Names of the columns that are no components."""
+        names = np.array(self.extractor.names)
+        if self.components is not None:
+            names = names[~wide_columns(self.extractor, self.components.shape[1])]
+        return tuple(names)
 
     def reduced(self, clips: Iterable[RawFeatures], count: int) -> SpeechConditioner:
         """Return a conditioner with the wide features reduced to `count` principal components.

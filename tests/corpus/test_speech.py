@@ -152,7 +152,7 @@ def test_only_wide_extractors_are_reduced_and_effort_never():
     heard = [voice(4.0, seed=s) for s in range(3)]
     plain = fitted(heard, af.Stack(parts))
     raw = [extract(wave, plain.extractor, 25.0, "mean") for wave in heard]
-    assert plain.acoustic == tuple(range(19))
+    assert plain.acoustic == tuple(range(19)) and plain.prosody == (15, 16, 17, 18)
     for count, kept in ((8, [0, 1, 2, 15, 16, 17, 18]), (2, [0, 1, 2])):
         reduced = plain.reduced(raw, count)
         before, after = plain(voice(3.0, seed=9)), reduced(voice(3.0, seed=9))

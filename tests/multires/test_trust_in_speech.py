@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from gesturekit.multires.recall.wanted import WantedMovement, slow_part
 
 FPS = 25.0
-EFFORT, ACOUSTIC = (0,), (0, 1, 2)
+EFFORT, ACOUSTIC = (0,), [(0, 1, 2)]
 
 
 def recordings(predictable: bool, seed: int = 0):
@@ -35,6 +35,19 @@ def test_an_encoder_that_says_nothing_leaves_the_choice_to_acoustic_features():
     np.testing.assert_allclose(fitted(other), alone(other[:3]))
     everything = WantedMovement.fit(speeches, movements, FPS, EFFORT)
     assert fitted.fast.r > everything.fast.r
+
+
+def test_few_features_are_used_where_they_predict_as_well_as_many():
+    """Column 2 of a stranger may be anything: it is not used, as column 1 says all there is."""
+    speeches, movements = recordings(predictable=True)
+    fitted = WantedMovement.fit(speeches, movements, FPS, EFFORT, [(0, 1, 2), (1,)])
+    other = recordings(predictable=True, seed=1)[0][0]
+    strange = other.copy()
+    strange[2:] += 3.0 * gaussian_filter1d(np.random.default_rng(2).standard_normal(700), 4.0)
+    np.testing.assert_array_equal(fitted(other), fitted(strange))
+    # A set that says nothing is not used, however small.
+    useless = WantedMovement.fit(speeches, movements, FPS, EFFORT, [(0, 1, 2), (2,)])
+    assert useless.fast.r > 0.5 and useless.basis.shape == (11, 2)
 
 
 def test_an_encoder_that_tells_when_the_hands_move_is_heard():

@@ -58,8 +58,9 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     wanted = None
     if data.conditioner is not None:
         speeches = [sequence.speech.numpy() for sequence in sequences]
-        conditioner = data.conditioner
-        wanted = WantedMovement.fit(speeches, every, fps, conditioner.effort, conditioner.acoustic)
+        effort = data.conditioner.effort
+        smaller = (data.conditioner.acoustic, data.conditioner.prosody)
+        wanted = WantedMovement.fit(speeches, every, fps, effort, smaller)
         if not wanted.predicts:
             log.info("Speech does not predict hand movement: recorded pieces do not depend on it.")
             wanted = None

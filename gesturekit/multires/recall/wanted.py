@@ -5,8 +5,9 @@ effort, its fast part (when the hands move) from the speech features around each
 ridge regression. Predictions vary less than the recordings, so they are mapped to the recorded
 distribution, quantile by quantile.
 
-Predictions of left-out recordings tell how far speech is trusted: an encoder's features are used
-where they predict better than acoustic ones, and no prediction counts for more than it is worth.
+Predictions of left-out recordings tell how far speech is trusted: a few features are used in the
+place of many that predict hardly better, since few hold for unknown voices, and no prediction
+counts for more than it is worth.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ _FOLDS = 4
 _GAP_SECONDS = 1.0
 _CREDIBLE = 0.3
 """Correlation of left-out predictions from which they are trusted in full."""
+_HARDLY_BETTER = 0.03
+"""A larger set of speech features has to raise the correlation of left-out predictions by more."""
 _QUANTILES = np.linspace(0.01, 0.99, 50)
 
 
@@ -163,8 +166,8 @@ class WantedMovement:
     Attributes:
         fps: frames per second of the speech features.
         effort: columns of the features with vocal effort; empty if there are none.
-        basis: (S', M) principal components of the other features, or the choice of the acoustic
-            ones; None for the features themselves.
+        basis: (S', M) principal components of the other features, or the choice of some of them;
+            None for the features themselves.
         fast: regression of the fast part.
         slow: regression of the slow part.
         predicted: (Q,) quantiles of the movement predicted for left-out recordings.
@@ -188,7 +191,7 @@ class WantedMovement:
         movements: Sequence[np.ndarray],
         fps: float,
         effort: Sequence[int],
-        acoustic: Sequence[int] = (),
+        smaller: Sequence[Sequence[int]] = (),
     ) -> WantedMovement:
         """Fit to speech features (S, T_k) and movement (T_k,) of each recording.
 
@@ -197,7 +200,8 @@ class WantedMovement:
             movements: (T_k,).
             fps: frames per second of both.
             effort: columns of vocal effort.
-            acoustic: columns that are not an encoder's, to fall back on; empty if no others are.
+            smaller: sets of columns to use in the place of all, the largest first, where they
+                predict about as well.
         """
         slow = [slow_part(movement, fps) for movement in movements]
         fast = [movement - part for movement, part in zip(movements, slow, strict=True)]
@@ -208,12 +212,17 @@ class WantedMovement:
                 Regression.fit([fast_inputs(s, effort, basis, fps) for s in speeches], fast, gap),
                 basis,
             )
-            for basis in _bases(speeches, effort, acoustic)
+            for basis in _bases(speeches, effort, smaller)
         ]
-        of_fast, basis = max(fitted, key=lambda both: both[0].r)
+        enough = max(regression.r for regression, _ in fitted) - _HARDLY_BETTER
+        of_fast, basis = [each for each in fitted if each[0].r >= enough][-1]
         if len(fitted) > 1:
-            message = "Left-out hand movement: r %.2f from all features, %.2f from acoustic ones."
-            log.info(message, *(regression.r for regression, _ in fitted))
+            log.info(
+                "Left-out hand movement: r %s from %s speech features; %d are used.",
+                ", ".join(f"{regression.r:.2f}" for regression, _ in fitted),
+                ", ".join(str(len(regression.mean) // _BINS) for regression, _ in fitted),
+                len(of_fast.mean) // _BINS,
+            )
         of_slow = Regression.fit([slow_inputs(s, effort, basis, fps) for s in speeches], slow, gap)
         efforts = np.concatenate([speech[list(effort)] for speech in speeches], axis=1)
         voices = np.stack(
@@ -311,16 +320,16 @@ def slow_inputs(
 
 
 def _bases(
-    speeches: Sequence[np.ndarray], effort: Sequence[int], acoustic: Sequence[int]
+    speeches: Sequence[np.ndarray], effort: Sequence[int], smaller: Sequence[Sequence[int]]
 ) -> list[np.ndarray | None]:
-    """Return the values of `WantedMovement.basis` to choose from."""
+    """Return the values of `WantedMovement.basis` to choose from, the largest first."""
     others = _without(speeches[0].shape[0], effort)
     basis = None
     if len(others) > _MOST_FEATURES:
         x = np.concatenate([speech[others] for speech in speeches], axis=1).astype(float)
         basis = np.linalg.eigh(np.cov(x))[1][:, -_MOST_FEATURES:]
-    chosen = np.eye(len(others))[:, [i in set(acoustic) for i in others]]
-    return [basis, chosen] if 0 < chosen.shape[1] < len(others) else [basis]
+    chosen = [np.eye(len(others))[:, [i in set(own) for i in others]] for own in smaller]
+    return [basis, *(part for part in chosen if 0 < part.shape[1] < len(others))]
 
 
 def _without(count: int, columns: Sequence[int]) -> list[int]:
