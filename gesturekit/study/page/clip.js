@@ -44,7 +44,7 @@ class MotionClip {
       .replace("{{motion}}", () => JSON.stringify(motions.get(this.id)).replaceAll("<", "\\u003c"));
     motions.delete(this.id);
     this.element.srcdoc = page;
-    const root = () => this.element.contentDocument?.documentElement.dataset ?? {};
+    const root = () => this.element.contentDocument?.documentElement?.dataset ?? {};
     await until(
       () => root().state === "ready",
       () => root().state === "failed" && this.element.contentDocument.getElementById("failure").textContent,

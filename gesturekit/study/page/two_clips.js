@@ -46,7 +46,12 @@ class TwoClips {
     this.jsPsych = jsPsych;
   }
 
-  async trial(display, trial) {
+  // No async function: jsPsych would end the trial when its promise resolves.
+  trial(display, trial) {
+    this.show(display, trial).catch(this.fail);
+  }
+
+  async show(display, trial) {
     const started = performance.now();
     const clips = trial.sides.map(makeClip);
     const plays = [0, 0];
@@ -124,11 +129,7 @@ class TwoClips {
       });
     });
 
-    try {
-      seconds = Math.min(...(await Promise.all(clips.map((clip) => clip.load()))));
-    } catch (error) {
-      return this.fail(error);
-    }
+    seconds = Math.min(...(await Promise.all(clips.map((clip) => clip.load()))));
     for (const button of buttons) button.disabled = false;
   }
 
