@@ -188,7 +188,8 @@ def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
 def _check_header(path: Path, header: list[str]) -> None:
     missing = [name for name in _REQUIRED if name not in header]
     if missing:
-        near = did_you_mean(missing[0], header, " (there is {!r})")
+        others = [name for name in header if name not in _REQUIRED]
+        near = did_you_mean(missing[0], others, " (there is {!r})")
         has = listed([printable(name) for name in header], 10) or "nothing"
         raise EvaluationError(
             f"{path}: no column {', '.join(missing)}{near}. A CSV of answers has the columns "

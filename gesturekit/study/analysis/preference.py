@@ -78,7 +78,7 @@ class Preference:
         systems: best first, by Elo rating or, where there is none, by merit.
         pairs: all pairs that were compared.
         not_compared: pairs of systems without a single answer.
-        anova: one-way ANOVA of merit scores; None if all scores are equal.
+        anova: one-way ANOVA of merit scores; None if scores of a system do not vary.
         separate: groups of systems that no comparison connects, if there are several.
         bounded: False if a system never lost or never won, so that ratings have no finite value.
         votes: counts behind it.
@@ -114,8 +114,8 @@ def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Pre
     total = wins.sum(axis=0)
     separate = bradley_terry.groups(total)
     variance = anova(*_responses(votes))
-    merit = _merit(votes, rounds, seed)
-    ratings = _ratings(wins, len(separate) > 1, rounds, seed)
+    merit = merit_estimates(votes, rounds, seed)
+    ratings = elo_estimates(wins, rounds, seed)
     shown = merit_scores(votes)[1].sum(axis=0)
     systems = [
         SystemScore(name, int(shown[i]), merit[i], ratings[i])
@@ -153,7 +153,8 @@ def _responses(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(scores), np.concatenate(systems)
 
 
-def _merit(votes: Votes, rounds: int, seed: int) -> list[Estimate]:
+def merit_estimates(votes: Votes, rounds: int, seed: int) -> list[Estimate]:
+    """Return the merit score of each system, with intervals by bootstrap over raters."""
     counts = np.stack(merit_scores(votes), axis=1)  # (R, 2, k)
 
     def mean(sums: np.ndarray) -> np.ndarray:
@@ -165,8 +166,15 @@ def _merit(votes: Votes, rounds: int, seed: int) -> list[Estimate]:
     return [Estimate(*map(float, found)) for found in zip(values, low, high)]
 
 
-def _ratings(wins: np.ndarray, separate: bool, rounds: int, seed: int) -> list[Estimate]:
-    if separate:
+def elo_estimates(wins: np.ndarray, rounds: int, seed: int) -> list[Estimate]:
+    """Return the Elo rating of each system, with intervals by bootstrap over raters.
+
+    Args:
+        wins: (R, k, k) weighted wins of each rater; NaN where comparisons do not connect systems.
+        rounds: rounds of the bootstrap.
+        seed: the same seed gives the same intervals.
+    """
+    if len(bradley_terry.groups(wins.sum(axis=0))) > 1:
         return [Estimate(float("nan"), float("nan"), float("nan"))] * wins.shape[1]
 
     def rate(sums: np.ndarray) -> np.ndarray:

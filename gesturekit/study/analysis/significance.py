@@ -126,13 +126,14 @@ def two_proportions(one: tuple[int, int], other: tuple[int, int]) -> float:
 
 
 def anova(scores: np.ndarray, group: np.ndarray) -> Anova | None:
-    """Return the one-way ANOVA and Tukey's test; None if all scores are equal.
+    """Return the one-way ANOVA and Tukey's test; None if scores do not vary within groups.
 
     Args:
         scores: (n,) scores.
         group: (n,) index of the group of each.
     """
-    if np.ptp(scores) == 0 or len(np.unique(group)) < 2:
+    groups = np.unique(group)
+    if len(groups) < 2 or all(np.ptp(scores[group == g]) == 0 for g in groups):
         return None
     formula = statsmodels_module("formula.api")
     import pandas
