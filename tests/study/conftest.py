@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
@@ -26,10 +27,11 @@ class Browser:
     def __init__(self, folder: Path) -> None:
         self.lines: list[str] = []
         self.requests: list[str] = []
-        self._buffer = b""
-        self._id = 0
+        self._buffer, self._id, self._loaded = b"", 0, False
         ours_in, theirs_out = os.pipe()
         theirs_in, ours_out = os.pipe()
+        # Away from 3 and 4, which the protocol uses in the browser.
+        given = [fcntl.fcntl(end, fcntl.F_DUPFD, 20) for end in (theirs_in, theirs_out)]
         command = ["chromium", "--headless", "--no-sandbox", "--use-angle=swiftshader"]
         command += ["--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"]
         command += ["--disable-background-networking", "--disable-component-update"]
@@ -38,13 +40,14 @@ class Browser:
             "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
             f"--user-data-dir={folder}/profile",
         ]
-        # The protocol runs over file descriptors 3 and 4.
-        shell = f'exec 3<&{theirs_in} 4>&{theirs_out}; exec "$@"'
+        shell = f'exec 3<&{given[0]} 4>&{given[1]}; exec "$@"'
         self.process = subprocess.Popen(
-            ["sh", "-c", shell, "sh", *command, "--remote-debugging-pipe", "about:blank"],
-            pass_fds=(theirs_in, theirs_out),
+            ["bash", "-c", shell, "bash", *command, "--remote-debugging-pipe", "about:blank"],
+            pass_fds=given,
             stderr=subprocess.DEVNULL,
         )
+        for end in given:
+            os.close(end)
         os.close(theirs_in)
         os.close(theirs_out)
         self._in, self._out = ours_in, ours_out
@@ -74,12 +77,16 @@ class Browser:
         while b"\0" not in self._buffer:
             ready, _, _ = select.select([self._in], [], [], max(0.0, deadline - time.monotonic()))
             assert ready, "the browser does not answer"
-            self._buffer += os.read(self._in, 1 << 20)
+            received = os.read(self._in, 1 << 20)
+            assert received, "the browser has ended"
+            self._buffer += received
         text, self._buffer = self._buffer.split(b"\0", 1)
         message = json.loads(text)
         method, params = message.get("method"), message.get("params", {})
         if method in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded"):
             self.lines.append(json.dumps(params)[:1200])
+        elif method == "Page.loadEventFired":
+            self._loaded = True
         elif method == "Network.requestWillBeSent":
             self.requests.append(params["request"]["url"])
         elif method == "Page.javascriptDialogOpening":
@@ -97,7 +104,11 @@ class Browser:
         )  # fmt: skip
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
+        self._loaded = False
         self.call("Page.navigate", url=url)
+        deadline = time.monotonic() + 60
+        while not self._loaded:
+            self._read(deadline)
 
     def run(self, code: str) -> Any:
         """Return the value of an expression, awaited."""
