@@ -1,4 +1,4 @@
-"""Hatch's build hook: bundles the scripts of HTML pages before the package is built or installed."""
+"""Hatch's build hook: scripts of HTML pages are bundled before the package is built."""
 
 from __future__ import annotations
 

@@ -38,10 +38,12 @@ def test_the_public_format_of_genea_is_read(tmp_path):
     assert not found.has_checks and not found.excluded and not found.notes
 
 
-def test_excel_s_byte_order_mark_and_windows_lines_are_read(tmp_path):
+def test_tables_saved_by_a_spreadsheet_are_read(tmp_path):
     path = tmp_path / "é ä.csv"
     path.write_bytes(b"\xef\xbb\xbf" + GENEA.replace("\n", "\r\n").encode())
     assert len(read_answers([path]).kept) == 5
+    path.write_text(",".join(GENEA_COLUMNS).replace(",", ";") + "\nu;c;a;b;model_b;True;{};\n")
+    assert [answer.score for answer in read_answers([path]).kept] == [-2]
 
 
 def ours(path: Path, user: str, failed: int, winner: str = "model_a") -> Path:
@@ -94,7 +96,7 @@ HEAD = ",".join(GENEA_COLUMNS) + "\n"
     ("text", "message"),
     [
         ("", "no column user, input_code"),
-        ("a;b;c\n1;2;3\n", "this one has a;b;c"),
+        ("a;b;c\n1;2;3\n", "this one has a, b, c"),
         ("user,input_code,model_A,model_b,winner,is_strong\n", "there is 'model_A'"),
         (HEAD, "no answer to analyse"),
         (HEAD + "u,c,a,b,left,True,,\n", "line 2: winner is 'left'; expected model_a"),

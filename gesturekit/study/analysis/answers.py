@@ -167,7 +167,11 @@ def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
         if path.stat().st_size > _MOST_BYTES:
             raise EvaluationError(f"{path}: larger than 200 MB, which is no table of answers")
         with path.open(encoding="utf-8-sig", newline="") as lines:
-            reader = csv.reader(lines, strict=True)
+            first = lines.readline()
+            lines.seek(0)
+            # Spreadsheets of some countries separate by semicolons.
+            separator = ";" if first.count(";") > first.count(",") else ","
+            reader = csv.reader(lines, strict=True, delimiter=separator)
             header = [name.strip() for name in next(reader, [])]
             _check_header(path, header)
             for cells in reader:
