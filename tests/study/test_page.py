@@ -16,6 +16,7 @@ import pytest
 import gesturekit.study.build as build_module
 from gesturekit.cli import main
 from gesturekit.study import build_study, read_answers
+from gesturekit.study.analysis.answers import GENEA_COLUMNS, OWN_COLUMNS
 from gesturekit.study.config import StudyConfig
 from gesturekit.viewer import html as player_module
 
@@ -107,7 +108,7 @@ def test_twelve_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_
     assert all(url.startswith(("file:", "blob:", "data:")) for url in browser.requests)
 
     lines = files[0].read_text().splitlines()
-    assert lines[0].startswith("user,input_code,model_a,model_b,winner,is_strong,juiceOptions,")
+    assert lines[0].split(",") == [*GENEA_COLUMNS, *OWN_COLUMNS]
     found = read_answers(files)
     assert found.excluded == {"p2": "failed 2 of 2 attention checks"}
     assert len(found.kept) == len({answer.clip for answer in found.kept}) == 12

@@ -43,6 +43,12 @@ def test_merit_scores_and_win_rates_by_hand():
     assert pair.win_rate.value == pytest.approx(2 / 3)
 
 
+def test_clear_wins_weigh_four_slight_ones_two_and_ties_one_to_each():
+    wins = bradley_terry.weighted_wins(Votes.of(BY_HAND)).sum(axis=0)
+    # a over b: 4 + 2 + 1, b over a: 1 + 2; a over c: 4; b over c: 2.
+    assert wins.tolist() == [[0, 7, 4], [3, 0, 2], [0, 0, 0]]
+
+
 def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
     wins = bradley_terry.weighted_wins(simulate([0.5, 0.1, -0.2, -0.4])).sum(axis=0)
     strengths = bradley_terry.fit(wins)
