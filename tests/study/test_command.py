@@ -62,7 +62,8 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of,
 
 
 def test_random_answers_allow_no_conclusion(simulate, answers_of, tmp_path, run):
-    path = write(tmp_path / "x.csv", answers_of(simulate([0, 0, 0], seed=3)), {})
+    # One of the three pairs has p = .037, which Holm's method makes .11.
+    path = write(tmp_path / "x.csv", answers_of(simulate([0, 0, 0], seed=12, answers=12)), {})
     code, out, err = run("analyse", path, "--rounds", 100)
     assert code == 0 and "is preferred to" not in out
     assert "No difference was found between" in out and "not show that they are equally good" in out
