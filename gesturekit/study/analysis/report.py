@@ -1,0 +1,272 @@
+"""Report of a user study: one HTML file, and all figures as JSON."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from gesturekit.atomic import atomic_write
+from gesturekit.study.analysis.conclusions import (
+    conclusions,
+    is_significant,
+    p_text,
+    reservations,
+)
+from gesturekit.study.analysis.plots import all_plots
+from gesturekit.study.analysis.preference import Preference
+from gesturekit.study.analysis.result import StudyResult
+from gesturekit.study.analysis.significance import Estimate
+
+_HERE = Path(__file__).parent / "page"
+_METHOD = """<ul>
+<li>Merit score (Parizet et al. 2005): 2 for a clear preference, 1 for a slight one, 0 for a tie or
+a preference for the other system; mean over all answers in which the system was shown.</li>
+<li>ANOVA and Tukey's test treat every answer as independent, as in the diffusion paper. Answers of
+one rater are not: where they disagree with the tests of raters, trust those.</li>
+<li>p of a pair: t-test of the raters' mean scores (2, 1, 0, -1, -2) against 0, adjusted by Holm's
+method for the number of pairs.</li>
+<li>Bradley-Terry model by logistic regression on weighted wins: clear 4, slight 2, a tie 1 to each
+side. Elo = 400 &middot; strength / ln 10 + 1000.</li>
+<li>Alignment: clear preferences weigh 2, ties half; chance is 50 %. Barnard's exact test compares
+two systems' win rates.</li>
+<li>Intervals of merit, Elo and alignment: bootstrap over raters, 95 %, {rounds} rounds, seed
+{seed}. Intervals of win rates, ties excluded: Wilson.</li>
+</ul>"""
+
+
+def write_study_report(
+    found: StudyResult, path: str | os.PathLike[str], *, title: str = "User study"
+) -> None:
+    """Write the report of a study.
+
+    Args:
+        found: the result of `analyse_study`.
+        path: the .html file to write.
+        title: its heading.
+    """
+    sections = [
+        _section("What may be concluded", "", _list(conclusions(found)) + _notes(found)),
+        *(_preference_sections(found.preference, "") if found.preference else ()),
+        *(s for name, one in found.by_style.items() for s in _preference_sections(one, name)),
+        *([_alignment_section(found)] if found.alignment else ()),
+        _plots(found),
+        _reasons(found),
+        _excluded(found),
+        _section("Method", "", _METHOD.format(rounds=f"{found.rounds:,}", seed=found.seed)),
+    ]
+    values = {
+        "title": html.escape(title),
+        "style": (_HERE / "style.css").read_text(encoding="utf-8"),
+        "sections": "\n".join(filter(None, sections)),
+    }
+    template = (_HERE / "template.html").read_text(encoding="utf-8")
+    text = re.sub(r"\{\{(\w+)\}\}", lambda place: values[place[1]], template)
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(found: StudyResult, path: str | os.PathLike[str]) -> None:
+    """Write all figures of a study as JSON; undefined ones are null."""
+    values = {
+        "format": 1,
+        "answers": len(found.answers.kept),
+        "raters": found.raters,
+        "clips": found.clips,
+        "excluded": found.answers.excluded,
+        "conclusions": conclusions(found),
+        "reservations": reservations(found),
+        "left": asdict(found.left),
+        "preference": _figures(found.preference),
+        "by_style": {name: _figures(one) for name, one in found.by_style.items()},
+        "alignment": asdict(found.alignment) if found.alignment else None,
+        "reasons": found.reasons,
+        "rounds": found.rounds,
+        "seed": found.seed,
+    }
+    with atomic_write(path) as temporary:
+        text = json.dumps(_plain(values), indent=1, ensure_ascii=False, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _figures(preference: Preference | None) -> dict[str, Any] | None:
+    if preference is None:
+        return None
+    anova = preference.anova
+    return {
+        "systems": [asdict(system) for system in preference.systems],
+        "pairs": [asdict(pair) for pair in preference.pairs],
+        "not_compared": preference.not_compared,
+        "anova": {"f": anova.f, "p": anova.p, "df": [anova.between, anova.within]}
+        if anova
+        else None,
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _section(title: str, lead: str, body: str) -> str:
+    lead = f'<p class="lead">{lead}</p>' if lead else ""
+    return f"<section><h2>{html.escape(title)}</h2>{lead}{body}</section>"
+
+
+def _list(lines: Iterable[str]) -> str:
+    return f"<ul>{''.join(f'<li>{html.escape(line)}</li>' for line in lines)}</ul>"
+
+
+def _notes(found: StudyResult) -> str:
+    return "".join(f'<p class="note">{html.escape(line)}</p>' for line in reservations(found))
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table; the first column and the head are escaped, other cells are HTML."""
+    heads = "".join(f"<th>{html.escape(name)}</th>" for name in head)
+    body = "".join(
+        f"<tr><th>{html.escape(name)}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+        for name, *cells in rows
+    )
+    return (
+        f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _estimate(found: Estimate, digits: int, factor: float = 1.0) -> str:
+    if math.isnan(found.value):
+        return "–"
+    value = f"{factor * found.value:.{digits}f}"
+    if math.isnan(found.low):
+        return value
+    low, high = (f"{factor * bound:.{digits}f}" for bound in (found.low, found.high))
+    return f"{value} <small>[{low}, {high}]</small>"
+
+
+def _p(p: float) -> str:
+    return f'<span class="yes">{p_text(p)}</span>' if is_significant(p) else p_text(p)
+
+
+def _preference_sections(preference: Preference, style: str) -> list[str]:
+    about = f"Style {style}: " if style else ""
+    systems = _table(
+        ("System", "Answers", "Merit score", "Elo"),
+        (
+            (s.name, str(s.n), _estimate(s.merit, 2), _estimate(s.elo, 0))
+            for s in preference.systems
+        ),
+    )
+    anova = preference.anova
+    lead = (
+        f"One-way ANOVA of merit scores: F({anova.between}, {anova.within}) = {anova.f:.2f}, "
+        f"{p_text(anova.p)}."
+        if anova
+        else ""
+    )
+    pairs = _table(
+        ("Pair", "Clear", "Slight", "Equal", "Slight", "Clear", "Win rate, %", "p (Holm)", "Tukey"),
+        (
+            (
+                f"{p.a} : {p.b}",
+                *map(str, p.counts),
+                _estimate(p.win_rate, 0, 100.0),
+                _p(p.p_holm),
+                _p(p.p_tukey),
+            )
+            for p in preference.pairs
+        ),
+    )
+    return [
+        _section(f"{about}systems" if style else "Systems", lead, systems),
+        _section(
+            f"{about}pairs" if style else "Pairs",
+            "Answers for the first and for the second system; the win rate is the first one's.",
+            pairs + "<h3>Win, tie, loss</h3>" + _matrix(preference),
+        ),
+    ]
+
+
+def _matrix(preference: Preference) -> str:
+    """Return the win-tie-loss matrix: the row's system against the column's."""
+    votes = preference.votes
+    names = [system.name for system in preference.systems]
+    place = [votes.systems.index(name) for name in names]
+    wins, ties = votes.wins.astype(int), votes.ties.sum(axis=0).astype(int)
+
+    def cell(i: int, j: int) -> str:
+        if i == j:
+            return ""
+        if votes.compared[i, j] == 0:
+            return "not compared"
+        return f"{wins[i, j]} · {ties[i, j]} · {wins[j, i]}"
+
+    rows = ((name, *(cell(i, j) for j in place)) for name, i in zip(names, place, strict=True))
+    return _table(("", *names), rows)
+
+
+def _alignment_section(found: StudyResult) -> str:
+    systems = _table(
+        (
+            "System",
+            "Clear",
+            "Slight",
+            "Equal",
+            "Slight",
+            "Clear",
+            "Alignment, %",
+            "Win rate, %",
+            "p",
+        ),
+        (
+            (
+                s.name,
+                *map(str, s.counts),
+                _estimate(s.score, 1, 100.0),
+                _estimate(s.win_rate, 0, 100.0),
+                _p(s.p_holm),
+            )
+            for s in found.alignment.systems
+        ),
+    )
+    pairs = _table(
+        ("Difference between", "p (Barnard)", "p (Holm)"),
+        ((f"{a} : {b}", p_text(p), _p(q)) for a, b, p, q in found.alignment.differences),
+    )
+    lead = "Matched against mismatched motion of the same system; chance is 50 %."
+    body = systems + (pairs if found.alignment.differences else "")
+    return _section("Alignment with speech", lead, body)
+
+
+def _plots(found: StudyResult) -> str:
+    figures = "".join(
+        f"<figure><figcaption>{html.escape(title)}</figcaption>"
+        f'<img alt="{html.escape(title)}" src="data:image/svg+xml;base64,'
+        f'{base64.b64encode(svg.encode()).decode()}"></figure>'
+        for title, svg in all_plots(found).items()
+    )
+    return _section("Plots", "", figures)
+
+
+def _reasons(found: StudyResult) -> str:
+    if not found.reasons:
+        return ""
+    rows = ((name, str(n)) for name, n in found.reasons.items())
+    return _section("Reasons given", "", _table(("Reason", "Answers"), rows))
+
+
+def _excluded(found: StudyResult) -> str:
+    if not found.answers.excluded:
+        return ""
+    rows = ((user, html.escape(why)) for user, why in found.answers.excluded.items())
+    return _section("Excluded raters", "", _table(("Rater", "Reason"), rows))

@@ -1,0 +1,152 @@
+"""Significance tests, from scipy and statsmodels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import ConfigError
+
+ALPHA = 0.05
+_MOST_TABLES = 250_000
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its 95 % interval; NaN bounds where there is none."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Anova:
+    """One-way analysis of variance, and p-values of Tukey's test for all pairs.
+
+    Attributes:
+        f, p: F statistic and its p-value.
+        between, within: degrees of freedom.
+        tukey: {(i, j), i < j: p-value} by indices of groups.
+    """
+
+    f: float
+    p: float
+    between: int
+    within: int
+    tukey: dict[tuple[int, int], float]
+
+
+def statsmodels_module(name: str) -> Any:
+    """Import a module of statsmodels.
+
+    Raises:
+        ConfigError: statsmodels is not installed.
+    """
+    import importlib
+
+    try:
+        return importlib.import_module(f"statsmodels.{name}")
+    except ImportError as error:
+        raise ConfigError(
+            f"the analysis of user studies needs statsmodels ({error}): "
+            "pip install 'gesturekit[study]'"
+        ) from None
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values adjusted by Holm's method; NaN stays NaN and is not counted."""
+    adjusted = np.full(len(p_values), np.nan)
+    known = ~np.isnan(p_values)
+    if known.any():
+        tests = statsmodels_module("stats.multitest")
+        adjusted[known] = tests.multipletests(np.asarray(p_values)[known], method="holm")[1]
+    return [float(p) for p in adjusted]
+
+
+def rater_test(scores: np.ndarray, n: np.ndarray) -> float:
+    """Return the p-value of "raters prefer neither side": a t-test of the raters' means.
+
+    Answers of one rater are not independent, raters are.
+
+    Args:
+        scores: (R,) sum of the rater's answers, positive for one side and negative for the other.
+        n: (R,) number of the rater's answers; raters without any are left out.
+
+    Returns:
+        p, two-sided; NaN with fewer than two raters.
+    """
+    from scipy.stats import ttest_1samp
+
+    means = scores[n > 0] / n[n > 0]
+    if len(means) < 2:
+        return float("nan")
+    if np.ptp(means) == 0:
+        # The t statistic is infinite or 0 / 0. All raters agree: the sign test can be computed.
+        return 1.0 if means[0] == 0 else float(2.0 ** (1 - len(means)))
+    return float(ttest_1samp(means, 0.0).pvalue)
+
+
+def wilson(successes: float, n: float) -> Estimate:
+    """Return a proportion with its Wilson interval; NaN if n is 0."""
+    from scipy.stats import binomtest
+
+    if n == 0:
+        return Estimate(float("nan"), float("nan"), float("nan"))
+    bounds = binomtest(int(successes), int(n)).proportion_ci(0.95, method="wilson")
+    return Estimate(successes / n, float(bounds.low), float(bounds.high))
+
+
+def two_proportions(one: tuple[int, int], other: tuple[int, int]) -> float:
+    """Return the p-value of "both proportions are equal": Barnard's exact test.
+
+    With very many answers its time is prohibitive and its p-value that of the z-test, which is
+    returned instead.
+
+    Args:
+        one: successes and failures.
+        other: successes and failures.
+
+    Returns:
+        p, two-sided; NaN if one has no answers.
+    """
+    from scipy.stats import barnard_exact
+
+    n_one, n_other = sum(one), sum(other)
+    if min(n_one, n_other) == 0:
+        return float("nan")
+    if n_one * n_other > _MOST_TABLES:
+        test = statsmodels_module("stats.proportion").proportions_ztest
+        p = float(test([one[0], other[0]], [n_one, n_other])[1])
+        return 1.0 if np.isnan(p) else p
+    return float(barnard_exact([[one[0], other[0]], [one[1], other[1]]]).pvalue)
+
+
+def anova(scores: np.ndarray, group: np.ndarray) -> Anova | None:
+    """Return the one-way ANOVA and Tukey's test; None if scores do not vary within groups.
+
+    Args:
+        scores: (n,) scores.
+        group: (n,) index of the group of each.
+    """
+    groups = np.unique(group)
+    if len(groups) < 2 or all(np.ptp(scores[group == g]) == 0 for g in groups):
+        return None
+    formula = statsmodels_module("formula.api")
+    import pandas
+
+    model = formula.ols("score ~ C(group)", pandas.DataFrame({"score": scores, "group": group}))
+    table = statsmodels_module("stats.anova").anova_lm(model.fit())
+    found = statsmodels_module("stats.multicomp").pairwise_tukeyhsd(scores, group)
+    levels = [int(level) for level in found.groupsunique]
+    pairs = [(i, j) for at, i in enumerate(levels) for j in levels[at + 1 :]]
+    return Anova(
+        f=float(table["F"].iloc[0]),
+        p=float(table["PR(>F)"].iloc[0]),
+        between=int(table["df"].iloc[0]),
+        within=int(table["df"].iloc[1]),
+        tukey=dict(zip(pairs, map(float, found.pvalues), strict=True)),
+    )

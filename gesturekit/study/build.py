@@ -1,0 +1,272 @@
+"""The page of a study: a folder with index.html and the clips, which needs no server."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from audio_features import Wave
+from gesturekit.atomic import atomic_write
+from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.formats.conversion import load
+from gesturekit.progress import Progress
+from gesturekit.study.analysis.answers import MISMATCHED
+from gesturekit.study.clips import Material, Segment, find_clips
+from gesturekit.study.config import INTRODUCTION, SILENT_INTRODUCTION, StudyConfig
+from gesturekit.study.lists import Comparison, make_lists, mismatches
+from gesturekit.viewer import player_data, player_shell
+
+CODES = (
+    "LeftClearlyBetter",
+    "LeftSlightlyBetter",
+    "TheyAreEqual",
+    "RightSlightlyBetter",
+    "RightClearlyBetter",
+)
+"""GENEA's codes of the five answers."""
+_PREFERENCE = (
+    "Clear preference for left",
+    "Slight preference for left",
+    "No preference",
+    "Slight preference for right",
+    "Clear preference for right",
+)
+_STYLE = (
+    "Clearly the left one",
+    "Probably the left one",
+    "I can not tell",
+    "Probably the right one",
+    "Clearly the right one",
+)
+_QUESTIONS = {
+    "preference": "Which character's motion do you prefer, taking into account both how "
+    "natural-looking the motion is and how well it matches the speech rhythm and intonation?",
+    "style": "Based on the body movements alone (disregarding the face), which of the two clips "
+    "looks most like *{style}*?",
+    "mismatch": "In which of the two clips do the movements match the speech better?",
+    "silent": "Which character's motion do you prefer?",
+}
+REASONS = {
+    "none": {},
+    "realism": {
+        "MotionSmoothness": "Smoothness of the motion",
+        "AmountIntensityOfMotion": "Amount or intensity of motion",
+        "RecognisableGestures": "Recognisable gestures",
+        "UnrealisticMotion": "Unrealistic motion in the other clip",
+        "MotionOther": "Something else",
+    },
+    "speech": {
+        "FitRhythmTiming": "Fits the rhythm and timing",
+        "EmphasizeCorrectParts": "Emphasises the right parts",
+        "BetterMatchContentMeaning": "Matches the content or meaning",
+        "BetterFitForEmotion": "Fits the emotion",
+        "SpeechOther": "Something else",
+    },
+}
+"""GENEA's codes of reasons, with our words."""
+_HERE = Path(__file__).parent
+_BUNDLE = _HERE / "study.bundle.js"
+
+
+@dataclass(frozen=True)
+class BuiltStudy:
+    """A study that was written.
+
+    Attributes:
+        page: index.html.
+        segments, clips: numbers of speech segments and of clips in the folder.
+        trials: comparisons of a rater, attention checks not counted.
+        page_bytes: size of the page without its clips.
+    """
+
+    page: Path
+    segments: int
+    clips: int
+    trials: int
+    page_bytes: int
+
+
+def build_study(
+    config: StudyConfig,
+    out: str | os.PathLike[str],
+) -> BuiltStudy:
+    """Write the page of a study into a folder: index.html, and the clips in `clips/`.
+
+    Names of clips do not tell raters the system. The page comes last, so that a folder with a page
+    has all its clips.
+
+    Args:
+        config: see `load_study_config`.
+        out: the folder.
+
+    Raises:
+        ConfigError: no clips that fit, or fewer than a design needs.
+        GestureKitError: a clip that cannot be read, or scripts that were not bundled.
+    """
+    out = Path(out)
+    script = _bundle()
+    material = find_clips(config)
+    others = {}
+    if config.design == "mismatch":
+        if len(material.segments) < 2:
+            raise ConfigError("design mismatch: needs at least two segments, found 1")
+        others = mismatches(material.segments, config.seed)
+    lists = make_lists(config, material.segments)
+    clips = _Clips(config, material, others)
+    page_lists = [[clips.trial(comparison) for comparison in one] for one in lists]
+    clips.write(out)
+    setup = _setup(config, material, page_lists, out)
+    page = out / "index.html"
+    text = _page(config, setup, script, "" if material.videos else player_shell())
+    with atomic_write(page) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return BuiltStudy(
+        page, len(material.segments), len(clips.sources), len(lists[0]), page.stat().st_size
+    )
+
+
+class _Clips:
+    """Clips that the lists use, each once, under names that tell nothing.
+
+    Attributes:
+        sources: {(system, segment, segment of the sound): name}.
+    """
+
+    def __init__(self, config: StudyConfig, material: Material, others: dict[str, Segment]) -> None:
+        self.config, self.material, self.others = config, material, others
+        self.sources: dict[tuple[str, str, str], str] = {}
+        self.segments = {segment.name: segment for segment in material.segments}
+        self.seconds: dict[str, float] = {}
+        self._sides: list[tuple[dict[str, Any], str]] = []
+
+    def trial(self, comparison: Comparison) -> dict[str, Any]:
+        """Return a comparison as the page reads it."""
+        segment = comparison.segment
+        names = (comparison.left, comparison.right)
+        trial = {
+            "clip": segment.name,
+            "systems": names,
+            "sides": [self._side(name, segment) for name in names],
+        }
+        return trial | ({"style": segment.style} if segment.style else {})
+
+    def _side(self, name: str, segment: Segment) -> dict[str, Any]:
+        system = name.removesuffix(MISMATCHED)
+        shown = segment if system == name else self.others[segment.name]
+        if not self.material.videos:
+            motion = self._name(system, shown, segment)
+            side: dict[str, Any] = {"motion": motion}
+            self._sides.append((side, motion))
+            return side
+        side = {"video": self._name(system, shown, shown), "silent": self.config.design == "style"}
+        if shown is not segment:
+            side["sound"] = self._name(system, segment, segment)
+        return side
+
+    def _name(self, system: str, shown: Segment, heard: Segment) -> str:
+        key = (system, shown.name, heard.name)
+        suffix = shown.clips[system].suffix.lower() if self.material.videos else ""
+        return self.sources.setdefault(key, f"c{len(self.sources) + 1:04d}{suffix}")
+
+    def write(self, out: Path) -> None:
+        """Write all clips, and the lengths of motions into the comparisons."""
+        sources = Progress(self.sources.items(), unit="clip")
+        for (system, shown, heard), name in sources:
+            source = self.segments[shown].clips[system]
+            if self.material.videos:
+                with atomic_write(out / "clips" / name) as temporary:
+                    shutil.copyfile(source, temporary)
+            else:
+                sound = self.segments[heard].sound
+                self.seconds[name] = _write_motion(source, sound, out / "clips" / f"{name}.js")
+        for side, name in self._sides:
+            side["seconds"] = self.seconds[name]
+
+
+def _write_motion(source: Path, sound: Path | None, path: Path) -> float:
+    """Write a motion as a script, and return the seconds that both motion and sound last."""
+    motion = load(source, {}, {})
+    seconds = motion.duration
+    if sound is not None:
+        seconds = min(seconds, Wave.load(sound).duration)
+    data = player_data(motion, sound)
+    with atomic_write(path) as temporary:
+        temporary.write_text(f'gesturekitClip("{path.stem}",{data});\n', encoding="utf-8")
+    return round(seconds, 3)
+
+
+def _setup(
+    config: StudyConfig, material: Material, lists: Sequence[Any], out: Path
+) -> dict[str, Any]:
+    silent = config.design == "style" or not (material.videos or material.segments[0].sound)
+    usual = _QUESTIONS["silent" if silent and config.design == "preference" else config.design]
+    question = config.question or usual
+    texts = config.answers or (_STYLE if config.design == "style" else _PREFERENCE)
+    return {
+        "format": 1,
+        "name": re.sub(r"[^\w.-]+", "_", out.resolve().name) or "study",
+        "title": config.title,
+        "introduction": config.introduction or (SILENT_INTRODUCTION if silent else INTRODUCTION),
+        "consent": config.consent or "",
+        "question": question,
+        "styles": [
+            {"name": name, "question": question.replace("{style}", words)}
+            for name, words in config.styles.items()
+        ],
+        "answers": [{"code": c, "text": t} for c, t in zip(CODES, texts, strict=True)],
+        "reasons": [{"code": c, "text": t} for c, t in REASONS[config.reasons].items()],
+        "checks": config.attention_checks,
+        "lists": lists,
+        "post": config.post_url or "",
+        "completion": config.completion_url or "",
+        "seed": config.seed,
+    }
+
+
+def _page(config: StudyConfig, setup: dict[str, Any], script: str, shell: str) -> str:
+    template = (_HERE / "page" / "template.html").read_text(encoding="utf-8")
+    values = {
+        "title": html.escape(config.title),
+        "policy": html.escape(_policy(config.post_url)),
+        "style": (_HERE / "page" / "style.css").read_text(encoding="utf-8"),
+        "setup": _json(setup),
+        "shell": _json(shell),
+        "script": script,
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda place: values[place[1]], template)
+
+
+def _policy(post_url: str | None) -> str:
+    """Return what the page may load: its own clips, and nothing from elsewhere."""
+    # Browsers differ in whether 'self' includes other files of a disk.
+    rules = {
+        "default-src": "'none'",
+        "script-src": "'unsafe-inline' 'self' file:",
+        "style-src": "'unsafe-inline'",
+        "media-src": "'self' file: blob:",
+        "img-src": "data: blob:",
+        "connect-src": post_url or "'none'",
+    }
+    return "; ".join(f"{name} {value}" for name, value in rules.items())
+
+
+def _bundle() -> str:
+    if not _BUNDLE.is_file():
+        raise GestureKitError(
+            f"the script of study pages is not there: {_BUNDLE} is made when gesturekit is set up. "
+            "In a checkout run `make setup`; an installed package holds it already."
+        )
+    # The HTML parser ends a script at these letters wherever they stand.
+    return re.sub(r"</(?=script)", r"<\\/", _BUNDLE.read_text(encoding="utf-8"), flags=re.I)
+
+
+def _json(value: object) -> str:
+    # "<" only occurs inside strings of JSON; escaped, no string can end the script element.
+    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")

@@ -1,0 +1,151 @@
+"""Clips of a study: one of each system for each speech segment."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gesturekit.corpus.pairing import scan
+from gesturekit.errors import ConfigError
+from gesturekit.formats.sources import visible_folders
+from gesturekit.study.config import StudyConfig
+from gesturekit.wording import counted, listed
+
+VIDEOS = (".mp4", ".webm", ".m4v")
+_WORD = re.compile(r"[^\W_]+")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A speech segment with the clip of every system.
+
+    Attributes:
+        name: path of its clips without suffix; `input_code` in the answers.
+        clips: {system: file}.
+        sound: the speech, for motions; None if silent.
+        style: the style that its question asks for; "" in other designs.
+    """
+
+    name: str
+    clips: dict[str, Path]
+    sound: Path | None
+    style: str
+
+    @property
+    def speaker(self) -> str:
+        """Folder of the clips: mismatched motion is of the same folder."""
+        return self.name.rpartition("/")[0]
+
+
+@dataclass(frozen=True)
+class Material:
+    """All segments, and whether their clips are videos (or motions)."""
+
+    segments: tuple[Segment, ...]
+    videos: bool
+
+
+def find_clips(config: StudyConfig) -> Material:
+    """Find the clips of a study.
+
+    Warns:
+        UserWarning: segments that not all systems have, or without sound or style.
+
+    Raises:
+        ConfigError: a missing folder, videos and motions mixed, no common segment.
+    """
+    found = {name: _in_folder(name, Path(folder)) for name, folder in config.systems.items()}
+    kinds = {name: {path.suffix.lower() in VIDEOS for path in clips.values()}
+             for name, clips in found.items()}  # fmt: skip
+    if len(set().union(*kinds.values())) > 1:
+        told = ", ".join(f"{n}: {'videos' if True in k else 'motions'}" for n, k in kinds.items())
+        raise ConfigError(f"systems: all need clips of one kind, videos or motions ({told})")
+    videos = kinds[next(iter(found))] == {True}
+    by_key = _by_common_key(found)
+    common = sorted(set.intersection(*(set(clips) for clips in by_key.values())))
+    if not common:
+        some = {name: next(iter(clips)) for name, clips in found.items()}
+        raise ConfigError(f"systems: no clip of the same name in all folders; found {some}")
+    for name, clips in by_key.items():
+        _warn(f"{name}: left out, as other systems lack them:", set(clips) - set(common))
+    sounds = {} if videos else _sounds(config, common)
+    styles = {key: _style_of(key, config.styles) for key in common}
+    if config.styles:
+        nameless = [key for key in common if not styles[key]]
+        _warn("left out, as their names hold none of the styles:", nameless)
+    segments = [
+        Segment(key, {name: by_key[name][key] for name in by_key}, sounds.get(key), styles[key])
+        for key in common
+        if (not sounds or key in sounds) and (styles[key] or not config.styles)
+    ]
+    if not segments:
+        raise ConfigError("no segment is left for the study")
+    return Material(tuple(segments), videos)
+
+
+def _in_folder(system: str, folder: Path) -> dict[str, Path]:
+    """Return {relative path without suffix: clip}; videos if there are any, else motions."""
+    if not folder.is_dir():
+        raise ConfigError(f"systems: {system}: {folder} is no folder")
+    files = [path for _, _, inside in visible_folders(folder, _ignore) for path in inside]
+    found = [path for path in files if path.suffix.lower() in VIDEOS]
+    if not found:
+        found = [item.path for item in scan(folder)[0] if not item.is_speech]
+    if not found:
+        raise ConfigError(f"systems: {system}: {folder} has no mp4, webm, bvh or npz")
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
+
+
+def _ignore(error: OSError) -> None:
+    warnings.warn(f"{error.filename}: cannot open folder: {error.strerror}", stacklevel=2)
+
+
+def _by_common_key(found: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
+    """Key clips by relative path, or by unique stem where no path is common."""
+    if set.intersection(*(set(clips) for clips in found.values())):
+        return found
+    return {name: _by_stem(clips) for name, clips in found.items()}
+
+
+def _by_stem(clips: dict[str, Path]) -> dict[str, Path]:
+    stems = Counter(key.rpartition("/")[2] for key in clips)
+    return {stem: path for key, path in clips.items() if stems[stem := key.rpartition("/")[2]] == 1}
+
+
+def _sounds(config: StudyConfig, keys: Iterable[str]) -> dict[str, Path]:
+    """Return {segment: sound}; empty where the study is silent."""
+    if config.design == "style":
+        return {}
+    if config.audio is None:
+        if config.design == "mismatch":
+            raise ConfigError("audio: the design mismatch needs a folder of speech for motions")
+        return {}
+    speech = {item.key: item.path for item in scan(config.audio)[0] if item.is_speech}
+    stems = _by_stem(speech)
+    found = {key: speech.get(key) or stems.get(key.rpartition("/")[2]) for key in keys}
+    missing = [key for key, path in found.items() if path is None]
+    if len(missing) == len(found):
+        raise ConfigError(f"audio: {config.audio} has no sound of the clips' names")
+    _warn(f"left out, as {config.audio} has no sound of them:", missing)
+    return {key: path for key, path in found.items() if path is not None}
+
+
+def _style_of(key: str, styles: Iterable[str]) -> str:
+    """Return the style that the longest name in a path tells; "" for none."""
+    named = [style for style in styles if _words(style) in _words(key)]
+    return max(named, key=len, default="")
+
+
+def _words(text: str) -> str:
+    """Return the words of a name in lower case, with a space before and after each."""
+    return f" {' '.join(_WORD.findall(text.lower()))} "
+
+
+def _warn(what: str, keys: Iterable[str]) -> None:
+    keys = sorted(keys)
+    if keys:
+        warnings.warn(f"{counted(len(keys), 'clip')} {what} {listed(keys)}", stacklevel=3)

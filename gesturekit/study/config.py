@@ -1,0 +1,128 @@
+"""Configuration of a user study: the schema of the YAML file of `gesturekit study build`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+from urllib.parse import urlsplit
+
+from gesturekit.errors import ConfigError
+from gesturekit.training.config import load_config
+
+INTRODUCTION = """You will see pairs of short clips of a moving figure. Play both clips of a pair \
+to the end, then answer the question below them. There are no right or wrong answers: we want to \
+know how the motion looks to you.
+
+*Please use headphones, and keep the sound on.* Some pairs ask you, in a line of text on the \
+clip, to choose a certain answer: please do so. It shows us that you are paying attention."""
+SILENT_INTRODUCTION = INTRODUCTION.replace(
+    "*Please use headphones, and keep the sound on.* Some", "The clips have no sound. Some"
+)
+
+
+@dataclass(frozen=True)
+class StudyConfig:
+    """A user study.
+
+    A clip of every system is needed for each speech segment, under the same path in the folder of
+    each system (`ours/day1/take2.mp4`, `baseline/day1/take2.mp4`). Paths are relative to the file.
+    """
+
+    title: str
+    """Heading of the page, shown to raters. It should not name the systems."""
+    systems: dict[str, str]
+    """Folder of clips by name of the system: videos with sound (mp4, webm), or motions (bvh, npz)
+    that are shown in 3D."""
+    design: Literal["preference", "style", "mismatch"] = "preference"
+    """`preference`: two systems, same speech. `style`: which of two systems looks most like a
+    style, without sound. `mismatch`: a system's motion against its own motion of other speech."""
+    audio: Path | None = None
+    """Folder of the speech of motions, under the same paths; videos have their own sound."""
+    styles: dict[str, str] = field(default_factory=dict)
+    """Words for the question by style, such as `happy: the person is happy`. The style of a clip is
+    a folder or a part of its file name (`style`)."""
+    question: str | None = None
+    """Question below the clips; `*words*` are bold, `{style}` is the style's words.
+    By default those of the diffusion paper and of GENEA."""
+    answers: tuple[str, ...] | None = None
+    """The five answers, from left clearly to right clearly."""
+    reasons: Literal["none", "realism", "speech"] = "none"
+    """Reasons that raters may give for a preference: GENEA's on realism or on speech."""
+    introduction: str | None = None
+    """First screen; an empty line begins a paragraph, `*words*` are bold."""
+    consent: str | None = None
+    """A sentence that raters must tick before they start."""
+    pairs: int | None = None
+    """Comparisons of one rater, attention checks not counted; all segments by default."""
+    lists: int = 24
+    """Number of balanced lists. `?list=3` opens a certain one; other raters get one by their id."""
+    attention_checks: int = 2
+    """Attention checks of each rater."""
+    post_url: str | None = None
+    """Send answers there by HTTP POST (CSV as text). Without it they are downloaded as a file."""
+    completion_url: str | None = None
+    """Link at the end, such as Prolific's completion URL."""
+    seed: int = 0
+    """The same seed gives the same page, and the same order to the same rater."""
+
+    def __post_init__(self) -> None:
+        if not self.title.strip():
+            raise ConfigError("title is empty; it is the heading that raters see")
+        self._check_systems()
+        for name, least in (("lists", 1), ("attention_checks", 0), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name}: {getattr(self, name)} is below {least}")
+        if self.lists > 1000:
+            raise ConfigError(f"lists: {self.lists} is more than 1000")
+        if self.pairs is not None and self.pairs < 1:
+            raise ConfigError(f"pairs: {self.pairs}; a rater needs at least 1")
+        if self.answers is not None and len(self.answers) != 5:
+            raise ConfigError(f"answers: {len(self.answers)} given; five are expected")
+        for name in ("post_url", "completion_url"):
+            url = getattr(self, name)
+            if url is not None and not _is_web_address(url):
+                raise ConfigError(f"{name}: {url!r} is no address; expected https://...")
+        self._check_styles()
+
+    def _check_systems(self) -> None:
+        least = 1 if self.design == "mismatch" else 2
+        if len(self.systems) < least:
+            raise ConfigError(
+                f"systems: {len(self.systems)} given; design {self.design} needs {least} or more"
+            )
+        for name, folder in self.systems.items():
+            if not isinstance(name, str) or not isinstance(folder, str) or not name.strip():
+                raise ConfigError(f"systems: {name!r}: {folder!r}; expected NAME: FOLDER")
+            if name.endswith("_Mismatched"):
+                raise ConfigError(f"systems: {name!r} ends in _Mismatched: choose another name")
+
+    def _check_styles(self) -> None:
+        if bool(self.styles) != (self.design == "style"):
+            need = "needs styles" if self.design == "style" else "has no styles"
+            raise ConfigError(f"styles: design {self.design} {need} (NAME: words of the question)")
+        for name, words in self.styles.items():
+            if not isinstance(name, str) or not isinstance(words, str):
+                raise ConfigError(f"styles: {name!r}: {words!r}; expected NAME: WORDS")
+
+
+def _is_web_address(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+    except ValueError:
+        return False
+    safe = not any(sign.isspace() or sign in "\"'<>;," for sign in url)
+    return safe and parts.scheme in ("http", "https") and bool(parts.hostname)
+
+
+def load_study_config(path: str | os.PathLike[str], overrides: tuple[str, ...] = ()) -> StudyConfig:
+    """Read the configuration of a study; folders of systems become absolute.
+
+    Raises:
+        ConfigError: an unknown key, a wrong type, a value out of range.
+    """
+    config = load_config(Path(path), StudyConfig, overrides)
+    here = Path(path).resolve().parent
+    folders = {name: str(here / Path(f).expanduser()) for name, f in config.systems.items()}
+    return replace(config, systems=folders)

@@ -1,0 +1,129 @@
+"""Reading of answers: GENEA's public format, our own columns, and what is no such file."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from gesturekit.errors import EvaluationError
+from gesturekit.study import read_answers
+from gesturekit.study.analysis.answers import GENEA_COLUMNS
+
+# Lines as in battles_elo.csv and battles_mismatch.csv of GENEA's public analysis.
+GENEA = (
+    ",".join(GENEA_COLUMNS) + "\n"
+    '56b7,10_kieks_0_73,Seamless,BEAT2,model_a,True,"[""MotionSmoothness""]",\n'
+    "56b7,13_lu_0_95,BEAT2,Seamless,tie,,{},\n"
+    '5c04,13_lu_0_81,SemanticGesticulator,Seamless,model_b,False,"[""MotionOther"",'
+    '""RecognisableGestures""]","""Right has a glitch, but\nis better."""\n'
+    "5c04,6_carla,RAG-Gesture,AMUSE,tie,False,[],\n"
+    '6741,11_nidal,BEAT_Mismatched,BEAT,model_b,False,"[""FitRhythmTiming""]",\n'
+)
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_public_format_of_genea_is_read(tmp_path):
+    found = read_answers([write(tmp_path / "battles.csv", GENEA)])
+    assert [a.score for a in found.kept] == [2, 0, -1, 0, -1]
+    assert [a.matched for a in found.kept] == [None] * 4 + ["BEAT"]
+    assert found.kept[0].reasons == ("MotionSmoothness",)
+    assert found.kept[2].reasons == ("MotionOther", "RecognisableGestures")
+    assert found.kept[1].user == "56b7" and found.kept[1].clip == "13_lu_0_95"
+    assert not found.has_checks and not found.excluded and not found.notes
+
+
+def test_tables_saved_by_a_spreadsheet_are_read(tmp_path):
+    path = tmp_path / "é ä.csv"
+    path.write_bytes(b"\xef\xbb\xbf" + GENEA.replace("\n", "\r\n").encode())
+    assert len(read_answers([path]).kept) == 5
+    path.write_text(",".join(GENEA_COLUMNS).replace(",", ";") + "\nu;c;a;b;model_b;True;{};\n")
+    assert [answer.score for answer in read_answers([path]).kept] == [-2]
+
+
+def ours(path: Path, user: str, failed: int, winner: str = "model_a") -> Path:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [*GENEA_COLUMNS, "checks", "checks_failed", "style"])
+        writer.writeheader()
+        for clip in "pq":
+            writer.writerow(
+                {"user": user, "input_code": clip, "model_a": "x", "model_b": "y",
+                 "winner": winner, "is_strong": "False", "checks": 2, "checks_failed": failed}
+            )  # fmt: skip
+    return path
+
+
+def test_raters_who_failed_attention_checks_are_excluded_and_named(tmp_path):
+    for user, failed in (("good", 0), ("half", 1), ("bad", 2)):
+        ours(tmp_path / f"{user}.csv", user, failed)
+    by_default = read_answers([tmp_path])
+    assert {a.user for a in by_default.kept} == {"good"}
+    assert by_default.excluded == {
+        "half": "failed 1 of 2 attention checks",
+        "bad": "failed 2 of 2 attention checks",
+    }
+    assert by_default.has_checks
+    as_in_the_paper = read_answers([tmp_path], failed_checks=2)
+    assert {a.user for a in as_in_the_paper.kept} == {"good", "half"}
+    assert len(read_answers([tmp_path], failed_checks=None).kept) == 6
+
+
+def test_a_file_read_twice_counts_once(tmp_path):
+    one = ours(tmp_path / "one.csv", "u", 0)
+    copy = write(tmp_path / "copy (1).csv", one.read_text())
+    found = read_answers([one, copy, one])
+    assert len(found.kept) == 2
+    assert found.notes == ("2 lines found in two files were counted once",)
+
+
+def test_what_is_left_out_or_guessed_is_said(tmp_path):
+    text = ",".join(GENEA_COLUMNS) + "\nu,c,a,a,model_a,True,{},\nu,c,a,b,model_b,,{},\n"
+    found = read_answers([write(tmp_path / "x.csv", text)])
+    assert [a.score for a in found.kept] == [-1]
+    assert any("same system on both sides" in note for note in found.notes)
+    assert any("without is_strong count as slight" in note for note in found.notes)
+
+
+HEAD = ",".join(GENEA_COLUMNS) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no column user, input_code"),
+        ("a;b;c\n1;2;3\n", "this one has a, b, c"),
+        ("user,input_code,model_A,model_b,winner,is_strong\n", "there is 'model_A'"),
+        (HEAD, "no answer to analyse"),
+        (HEAD + "u,c,a,b,left,True,,\n", "line 2: winner is 'left'; expected model_a"),
+        (HEAD + "u,c,a,b,model_a,perhaps,,\n", "line 2: is_strong is 'perhaps'"),
+        (HEAD + "u,c,,b,model_a,True,,\n", "line 2: model_a is empty"),
+        (HEAD + "u,c,a,b,model_a,True,,\nu,c,a\n", "line 3: 3 cells, but the header has 8"),
+        (HEAD.strip() + ",checks,checks_failed\nu,c,a,b,tie,,,,2,x\n", "checks_failed is 'x'"),
+        (HEAD + 'u,c,a,b,model_a,True,"open', "no CSV file in UTF-8"),
+        ("\x00\x01" * 50, "no column user"),
+    ],
+)
+def test_what_is_no_table_of_answers_is_refused_with_its_place(tmp_path, text, message):
+    with pytest.raises(EvaluationError, match="x.csv") as refused:
+        read_answers([write(tmp_path / "x.csv", text)])
+    assert message in str(refused.value)
+
+
+def test_missing_files_empty_folders_and_other_encodings_are_refused(tmp_path):
+    with pytest.raises(EvaluationError, match="no such file"):
+        read_answers([tmp_path / "absent.csv"])
+    with pytest.raises(EvaluationError, match=r"no \.csv file in this folder"):
+        read_answers([tmp_path])
+    (tmp_path / "x.csv").write_bytes("é".encode("latin-1"))
+    with pytest.raises(EvaluationError, match="UTF-8"):
+        read_answers([tmp_path])
+
+
+def test_a_nest_of_brackets_is_no_reason(tmp_path):
+    text = HEAD + f"u,c,a,b,model_a,True,{'[' * 100_000},\n"
+    assert read_answers([write(tmp_path / "x.csv", text)]).kept[0].reasons == ()

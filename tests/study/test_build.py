@@ -1,0 +1,165 @@
+"""Configuration, clips and balanced lists of a study."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from gesturekit.errors import ConfigError
+from gesturekit.study import build_study
+from gesturekit.study.clips import Segment, find_clips
+from gesturekit.study.config import StudyConfig, load_study_config
+from gesturekit.study.lists import make_lists, mismatches
+
+
+def segments(n: int, style: str = "", folder: str = "") -> list[Segment]:
+    return [Segment(f"{folder}s{k:02d}{style}", {}, None, style) for k in range(n)]
+
+
+def config_of(n_systems: int, **options) -> StudyConfig:
+    return StudyConfig("Title", {f"s{k}": "unused" for k in range(n_systems)}, **options)
+
+
+def test_four_systems_and_36_segments_give_the_design_of_the_paper():
+    config = config_of(4, lists=24)
+    lists = make_lists(config, segments(36))
+    over_all = Counter()
+    for one in lists:
+        pairs = Counter((c.left, c.right) for c in one)
+        assert len(pairs) == 12 and set(pairs.values()) == {3}
+        assert len({c.segment.name for c in one}) == 36
+        over_all.update((c.segment.name, c.left, c.right) for c in one)
+    # 24 lists and 12 ordered pairs: each pair of each segment twice.
+    assert set(over_all.values()) == {2}
+
+
+def test_shorter_lists_use_all_segments_equally_often():
+    lists = make_lists(config_of(3, lists=30, pairs=7), segments(20))
+    assert {len(one) for one in lists} == {7}
+    used = Counter(c.segment.name for one in lists for c in one)
+    assert len(used) == 20 and max(used.values()) - min(used.values()) <= 1
+    pairs = Counter((c.left, c.right) for one in lists for c in one)
+    assert len(pairs) == 6 and max(pairs.values()) - min(pairs.values()) <= 1
+    assert make_lists(config_of(3, lists=30, pairs=7, seed=1), segments(20)) != lists
+    assert make_lists(config_of(3, lists=30, pairs=7), segments(20)) == lists
+
+
+def test_every_style_has_its_share():
+    config = config_of(2, design="style", styles={"old": "an old person", "sad": "sad"}, pairs=10)
+    found = make_lists(config, [*segments(8, "old"), *segments(8, "sad")])
+    assert Counter(c.segment.style for c in found[0]) == {"old": 5, "sad": 5}
+
+
+def test_mismatched_motion_is_another_clip_of_the_same_folder():
+    clips = [*segments(5, folder="anna/"), *segments(4, folder="ben/"), *segments(1, folder="eve/")]
+    found = mismatches(clips, seed=0)
+    assert set(found) == {s.name for s in clips}
+    assert all(other.name != name for name, other in found.items())
+    same = [name for name, other in found.items() if other.speaker == name.split("/")[0]]
+    assert len(same) >= 8
+    pairs = {(c.left, c.right) for one in make_lists(config_of(1, design="mismatch"), clips)
+             for c in one}  # fmt: skip
+    assert pairs == {("s0", "s0_Mismatched"), ("s0_Mismatched", "s0")}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("titel: x", "titel"),
+        ("systems: {a: x, b: y}", "title is missing"),
+        ("title: x\nsystems: {a: x}", "needs 2 or more"),
+        ("title: x\nsystems: {a: x, b_Mismatched: y}", "choose another name"),
+        ("title: x\nsystems: {a: x, b: 3}", "expected NAME: FOLDER"),
+        ("title: x\nsystems: {a: x, b: y}\ndesign: prefer", "'prefer' is not one of"),
+        ("title: x\nsystems: {a: x, b: y}\ndesign: style", "needs styles"),
+        ("title: x\nsystems: {a: x, b: y}\nanswers: [better, worse]", "five are expected"),
+        ('title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"', "is no address"),
+        ('title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"', "no address"),
+        ("title: x\nsystems: {a: x, b: y}\npairs: 0", "at least 1"),
+        ("title: x\nsystems: {a: x, b: y}\nattention_check: 3", "attention_checks"),
+    ],
+)
+def test_a_wrong_configuration_is_named(tmp_path, text, message):
+    (tmp_path / "study.yaml").write_text(text)
+    with pytest.raises(ConfigError, match="study.yaml") as refused:
+        load_study_config(tmp_path / "study.yaml")
+    assert message in str(refused.value)
+
+
+def video_study(folder: Path, clips: dict[str, list[str]], **options) -> StudyConfig:
+    for system, names in clips.items():
+        for name in names:
+            (folder / system / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / system / name).write_bytes(f"{system} {name}".encode())
+    return StudyConfig("T <b>", {name: str(folder / name) for name in clips}, **options)
+
+
+def test_clips_are_matched_by_path_then_by_name_and_others_are_named(tmp_path):
+    config = video_study(tmp_path, {"a": ["d/x y.mp4", "d/é.mp4"], "b": ["d/x y.webm", "d/z.mp4"]})
+    with pytest.warns(UserWarning, match=r"1 clip (a|b): left out.*d/(é|z)"):
+        found = find_clips(config)
+    assert [segment.name for segment in found.segments] == ["d/x y"] and found.videos
+    flat = video_study(tmp_path / "2", {"a": ["one/x.mp4"], "b": ["x.mp4"]})
+    assert [segment.name for segment in find_clips(flat).segments] == ["x"]
+
+
+def test_styles_are_found_in_folders_and_file_names(tmp_path):
+    names = ["happy/1.mp4", "067_Very_Old_2.mp4", "very happy-3.mp4", "unhappy.mp4"]
+    styles = {"happy": "happy", "very happy": "very happy", "old": "an old person"}
+    config = video_study(tmp_path, {"a": names, "b": names}, design="style", styles=styles)
+    with pytest.warns(UserWarning, match="unhappy"):
+        found = {segment.name: segment.style for segment in find_clips(config).segments}
+    expected = {"happy/1": "happy", "067_Very_Old_2": "old", "very happy-3": "very happy"}
+    assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("clips", "message"),
+    [
+        ({"a": ["x.mp4"], "b": ["y.mp4"]}, "no clip of the same name"),
+        ({"a": ["x.mp4"], "b": ["x.bvh"]}, "of one kind"),
+        ({"a": ["x.mp4"], "b": ["x.txt"]}, "has no mp4, webm, bvh or npz"),
+    ],
+)
+def test_folders_that_do_not_fit_are_refused(tmp_path, clips, message):
+    with pytest.raises(ConfigError, match=message):
+        find_clips(video_study(tmp_path, clips))
+
+
+def setup_of(page: Path) -> dict:
+    text = page.read_text(encoding="utf-8")
+    return json.loads(re.search(r'id="setup">(.*?)</script>', text, re.S)[1])
+
+
+def test_the_page_tells_no_system_by_the_names_of_its_clips(tmp_path):
+    names = [f"speaker/clip {k}.mp4" for k in range(4)]
+    config = video_study(tmp_path, {"ours": names, "baseline": names})
+    built = build_study(config, tmp_path / "out")
+    files = sorted(path.name for path in (tmp_path / "out" / "clips").iterdir())
+    assert len(files) == 8 and all(re.fullmatch(r"c\d{4}\.mp4", name) for name in files)
+    assert (built.segments, built.clips, built.trials) == (4, 8, 4)
+    for trial in (t for one in setup_of(built.page)["lists"] for t in one):
+        for system, side in zip(trial["systems"], trial["sides"], strict=True):
+            content = (tmp_path / "out" / "clips" / side["video"]).read_bytes()
+            assert content == f"{system} {trial['clip']}.mp4".encode()
+    text = built.page.read_text(encoding="utf-8")
+    assert "T &lt;b&gt;" in text and built.page_bytes < 2_000_000
+    assert "connect-src &#x27;none&#x27;" in text or "connect-src 'none'" in text
+
+
+def test_mismatched_videos_keep_the_sound_of_the_segment(tmp_path):
+    names = [f"clip{k}.mp4" for k in range(3)]
+    config = video_study(tmp_path, {"ours": names}, design="mismatch")
+    built = build_study(config, tmp_path / "out")
+    clips = tmp_path / "out" / "clips"
+    for trial in (t for one in setup_of(built.page)["lists"] for t in one):
+        own = f"ours {trial['clip']}.mp4".encode()
+        for system, side in zip(trial["systems"], trial["sides"], strict=True):
+            shown = (clips / side["video"]).read_bytes()
+            assert (shown == own) == (not system.endswith("_Mismatched"))
+            if shown != own:
+                assert (clips / side["sound"]).read_bytes() == own

@@ -1,0 +1,132 @@
+"""gesturekit study on the command line, and the report that it writes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from gesturekit.cli import main
+from gesturekit.study.analysis.answers import GENEA_COLUMNS, Answer
+
+
+@pytest.fixture
+def run(capsys):
+    """run(*arguments): exit code, output and errors of a command."""
+
+    def command(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["study", *map(str, arguments)])
+        return (ended.value.code, *capsys.readouterr())
+
+    return command
+
+
+def write(path: Path, answers: list[Answer], failed: dict[str, int]) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*GENEA_COLUMNS, "checks", "checks_failed"])
+        for a in answers:
+            winner = "tie" if not a.score else "model_a" if a.score > 0 else "model_b"
+            strong = "" if not a.score else str(abs(a.score) == 2)
+            names = (a.user, a.clip, a.left, a.right)
+            writer.writerow([*names, winner, strong, "{}", "", 2, failed.get(a.user, 0)])
+    return path
+
+
+def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of, tmp_path, run):
+    answers = answers_of(simulate([0.6, 0.0, -0.6], answers=24))
+    names = {"a": "ours", "b": "base é <script>alert(1)</script>", "c": "third"}
+    answers = [Answer(a.user, a.clip, names[a.left], names[a.right], a.score) for a in answers]
+    path = write(tmp_path / "all answers.csv", answers, {"r00007": 1})
+    report, figures = tmp_path / "report.html", tmp_path / "figures.json"
+    code, out, _ = run("analyse", path, "--out", report, "--json", figures, "--rounds", 300)
+    assert code == 0
+    assert "of 39 raters on 36 speech segments; 1 rater excluded by attention checks." in out
+    assert f"best first: ours, {names['b']}, third." in out
+    assert f"ours is preferred to {names['b']}: win rate" in out and "p < .001" in out
+    page = report.read_text(encoding="utf-8")
+    assert "<script" not in page and "&lt;script&gt;" in page
+    assert not re.search(r"(src|href)=\"(?!data:)", page) and "{{" not in page
+    assert "r00007" in page and "failed 1 of 2 attention checks" in page
+    assert page.count("data:image/svg+xml") == 3
+    found = json.loads(figures.read_text())
+    assert [s["name"] for s in found["preference"]["systems"]] == list(names.values())
+    assert len(found["preference"]["pairs"]) == 3
+    code, _, err = run("analyse", path, "--out", report)
+    assert code == 2 and "report.html" in err
+
+
+def test_random_answers_allow_no_conclusion(simulate, answers_of, tmp_path, run):
+    # One of the three pairs has p = .037, which Holm's method makes .11.
+    path = write(tmp_path / "x.csv", answers_of(simulate([0, 0, 0], seed=12, answers=12)), {})
+    code, out, err = run("analyse", path, "--rounds", 100)
+    assert code == 0 and "is preferred to" not in out
+    assert "No difference was found between" in out and "not show that they are equally good" in out
+
+
+def test_small_studies_come_with_reservations(tmp_path, run):
+    path = write(tmp_path / "x.csv", [Answer("u", "c", "a", "b", 2)] * 3, {})
+    code, _, err = run("analyse", path)
+    assert code == 0
+    assert "A single rater" in err and "1 speech segment: findings may hold" in err
+
+
+def test_nonsense_is_one_line_and_code_2(tmp_path, run):
+    (tmp_path / "x.csv").write_text("some,thing\n1,2\n")
+    for arguments in (
+        ("analyse", tmp_path / "x.csv"),
+        ("analyse", tmp_path / "absent.csv"),
+        ("build", tmp_path / "absent.yaml"),
+        ("power", "--win-rate", "0.4"),
+        ("power", "--ties", "1"),
+    ):
+        code, out, err = run(*arguments)
+        assert code == 2 and out == "" and len(err.strip().splitlines()) <= 3, err
+        assert "Traceback" not in err
+
+
+def test_without_statsmodels_the_extra_is_named(tmp_path, run, monkeypatch):
+    path = write(tmp_path / "x.csv", [Answer("u", "c", "a", "b", 2)] * 3, {})
+    monkeypatch.setitem(sys.modules, "statsmodels", None)
+    for name in [name for name in sys.modules if name.startswith("statsmodels.")]:
+        monkeypatch.setitem(sys.modules, name, None)
+    code, _, err = run("analyse", path)
+    assert code == 2 and "pip install 'gesturekit[study]'" in err
+
+
+def test_the_size_of_a_study_is_printed(run):
+    code, out, _ = run("power", "--win-rate", "0.65", "--systems", "3")
+    assert code == 0
+    rows = re.findall(r"^ +(\d+) +(\d+) +(\d+) +([\d,]+)$", out, re.MULTILINE)
+    assert len(rows) == 6
+    needed = [int(row[2]) for row in rows]
+    assert needed == sorted(needed, reverse=True)
+    for a_rater, of_a_pair, raters, in_all in rows:
+        assert int(a_rater) == 3 * int(of_a_pair)
+        assert int(in_all.replace(",", "")) == int(raters) * int(a_rater)
+
+
+def test_all_settings_are_shown_with_their_meaning(tmp_path, run):
+    (tmp_path / "study.yaml").write_text("title: x\nsystems: {a: a, b: b}\n")
+    code, out, _ = run("build", tmp_path / "study.yaml", "--show", "pairs=12")
+    assert code == 0 and "pairs: 12" in out and "Comparisons of one rater" in out
+
+
+def test_a_page_is_built_and_not_overwritten(tmp_path, run):
+    for system in ("a", "b"):
+        (tmp_path / system).mkdir()
+        for k in range(3):
+            (tmp_path / system / f"{k}.mp4").write_bytes(b"video")
+    (tmp_path / "study.yaml").write_text("title: x\nsystems: {a: a, b: b}\nlists: 2\n")
+    code, out, _ = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
+    assert code == 0 and "3 comparisons a rater, 3 segments, 6 clips, 2 lists" in out
+    before = (tmp_path / "out" / "index.html").read_bytes()
+    code, _, err = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
+    assert code == 2 and "index.html" in err
+    run("build", tmp_path / "study.yaml", "--out", tmp_path / "out", "--existing", "replace")
+    assert (tmp_path / "out" / "index.html").read_bytes() == before

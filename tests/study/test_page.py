@@ -1,0 +1,255 @@
+"""The page of a study in a headless browser without network, as raters meet it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+
+import gesturekit.study.build as build_module
+from gesturekit.cli import main
+from gesturekit.study import build_study, read_answers
+from gesturekit.study.analysis.answers import GENEA_COLUMNS, OWN_COLUMNS
+from gesturekit.study.config import StudyConfig
+from gesturekit.viewer import html as player_module
+
+pytestmark = pytest.mark.skipif(
+    not (build_module._BUNDLE.is_file() and player_module._BUNDLE.is_file()),
+    reason="the pages are not bundled: run `make setup`",
+)
+
+CODES = build_module.CODES
+TEXTS = dict(zip(build_module._PREFERENCE, CODES, strict=True))
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory) -> dict[str, str]:
+    """Folders of 12 videos of a quarter of a second with a tone, of two systems."""
+    if not shutil.which("ffmpeg"):
+        pytest.skip("ffmpeg is not installed")
+    folder = tmp_path_factory.mktemp("videos")
+    for system, hue in (("ours", "red"), ("base line", "blue")):
+        (folder / system).mkdir()
+        first = folder / system / "clip 00.webm"
+        command = ["ffmpeg", "-v", "error", "-f", "lavfi", "-i", f"color={hue}:s=64x64:d=0.24:r=25"]
+        command += ["-f", "lavfi", "-i", "sine=300:d=0.24", "-c:v", "libvpx", "-c:a", "libopus"]
+        subprocess.run([*command, str(first)], check=True)
+        for k in range(1, 12):
+            shutil.copy(first, first.with_name(f"clip {k:02d}.webm"))
+    return {path.name: str(path) for path in folder.iterdir()}
+
+
+def start(browser, page: Path, query: str = "", **options) -> None:
+    browser.open(f"{page.as_uri()}?{query}", **options)
+    browser.wait("document.querySelector('.page .next')")
+    browser.run("document.querySelector('.consent input')?.click()")
+    browser.run("document.querySelector('.page .next').click()")
+
+
+def play_both(browser) -> None:
+    """Play both sides; the five answers are locked until then."""
+    for side in (0, 1):
+        browser.wait("document.querySelectorAll('.play:enabled').length == 2")
+        assert browser.run("document.querySelectorAll('.answer :enabled').length") == 0
+        browser.run(f"document.querySelectorAll('.play')[{side}].click()")
+        again = "Play left again" if side == 0 else "Play right again"
+        browser.wait(f"document.querySelectorAll('.play')[{side}].textContent == '{again}'")
+
+
+def rate(browser, choose: Callable[[int, str], str]) -> int:
+    """Go through a study; `choose(index, message)` gives the code of an answer."""
+    n = 0
+    while True:
+        browser.wait(
+            "document.querySelector('.clips') || document.querySelector('.page .next')"
+            " || document.documentElement.dataset.study"
+        )
+        if browser.run("document.documentElement.dataset.study"):
+            return n
+        if browser.run("Boolean(document.querySelector('.page .next'))"):
+            browser.run("document.querySelector('.page .next').click()")
+            continue
+        play_both(browser)
+        message = browser.run("document.querySelector('.message').textContent")
+        code = choose(n, message)
+        browser.run(f"document.querySelector('input[value={code}]').click()")
+        browser.run("document.querySelector('.foot .next').click()")
+        n += 1
+
+
+def attentive(n: int, message: str) -> str:
+    return next((c for t, c in TEXTS.items() if t in message), CODES[n % 5])
+
+
+def downloaded(folder: Path, name: str) -> Path:
+    for _ in range(100):
+        if (folder / name).is_file():
+            return folder / name
+        time.sleep(0.05)
+    raise AssertionError(f"{name} was not downloaded: {list(folder.iterdir())}")
+
+
+def test_twelve_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser, capsys):
+    browser, files = open_browser(), []
+    for user, pairs, choose in (("p1", 12, attentive), ("p2", 3, lambda *_: "TheyAreEqual")):
+        config = StudyConfig("Study", videos, consent="I *agree*.", pairs=pairs)
+        page = build_study(config, tmp_path / "my study").page
+        start(browser, page, f"PROLIFIC_PID={user}&STUDY_ID=st&SESSION_ID=se&list=3")
+        assert rate(browser, choose) == pairs + 2
+        files.append(downloaded(tmp_path, f"my_study_{user}.csv"))
+    assert browser.lines == []
+    assert all(url.startswith(("file:", "blob:", "data:")) for url in browser.requests)
+
+    lines = files[0].read_text().splitlines()
+    assert lines[0].split(",") == [*GENEA_COLUMNS, *OWN_COLUMNS]
+    found = read_answers(files)
+    assert found.excluded == {"p2": "failed 2 of 2 attention checks"}
+    assert len(found.kept) == len({answer.clip for answer in found.kept}) == 12
+    sides = [(answer.left, answer.right) for answer in found.kept]
+    assert sides.count(("ours", "base line")) == sides.count(("base line", "ours")) == 6
+    rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
+    scores = dict(zip(CODES, (2, 1, 0, -1, -2), strict=True))
+    for row, answer in zip(rows, found.kept, strict=True):
+        assert scores[row["answer"]] == answer.score
+        assert (row["study_id"], row["session_id"], row["list"]) == ("st", "se", "3")
+        assert row["plays_left"] == row["plays_right"] == "1"
+
+    with pytest.raises(SystemExit) as ended:
+        main(["study", "analyse", *map(str, files), "--out", str(tmp_path / "report.html")])
+    assert ended.value.code == 0
+    assert (
+        "12 answers of 1 rater on 12 speech segments; 1 rater excluded" in capsys.readouterr().out
+    )
+    browser.open((tmp_path / "report.html").as_uri())
+    browser.wait("document.querySelectorAll('section').length > 4")
+    assert browser.lines == []
+
+
+def test_the_same_rater_gets_the_same_order_and_others_another(videos, tmp_path, open_browser):
+    page = build_study(StudyConfig("Study", videos, attention_checks=0), tmp_path / "out").page
+    browser, orders = open_browser(), []
+    for user in "aabcd":
+        start(browser, page, f"user={user}&list=1")
+        browser.wait("document.querySelectorAll('.play:enabled').length == 2")
+        clip = "document.querySelector('video').src.split('/').pop()"
+        orders.append(browser.run(clip))
+    assert orders[0] == orders[1] and len(set(orders)) > 1, orders
+
+
+def test_motions_are_shown_in_3d_on_a_phone_without_controls(
+    tmp_path, gesture, write_speech, open_browser
+):
+    for k, system in enumerate(("ours", "base <b>")):
+        for clip in ("a b", "c"):
+            gesture(0.6, seed=k).save(tmp_path / system / f"{clip}.bvh")
+            write_speech(tmp_path / "speech" / f"{clip}.wav", 0.5, 44100)
+    systems = {name: str(tmp_path / name) for name in ("ours", "base <b>")}
+    config = StudyConfig(
+        "Study", systems, audio=tmp_path / "speech", reasons="realism", attention_checks=0
+    )
+    built = build_study(config, tmp_path / "out")
+    assert built.page_bytes < 2_000_000
+    browser = open_browser()
+    start(browser, built.page, "user=u", width=390, height=700, dark=True)
+    play_both(browser)
+    inside = "document.querySelector('iframe').contentDocument"
+    assert browser.run(f"{inside}.querySelector('footer').offsetHeight") == 0
+    assert browser.run(f"{inside}.title") == ""
+    assert browser.run(f"{inside}.documentElement.dataset.state") == "ready"
+    assert browser.run("document.documentElement.scrollWidth") <= 390
+    browser.run("document.querySelector('input[value=LeftSlightlyBetter]').click()")
+    browser.run("document.querySelector('input[value=MotionSmoothness]').click()")
+    browser.run("document.querySelector('textarea').value = 'it, \"glides\"\\nwell'")
+    browser.run("document.querySelector('.foot .next').click()")
+    assert rate(browser, lambda n, message: "TheyAreEqual") == 1
+    assert browser.lines == []
+    first, second = read_answers([downloaded(tmp_path, "out_u.csv")]).kept
+    assert (first.score, first.reasons, second.score) == (1, ("MotionSmoothness",), 0)
+    assert {first.clip, second.clip} == {"a b", "c"}
+
+
+def test_silent_styles_are_asked_one_after_the_other(videos, tmp_path, open_browser):
+    styles = {"clip": "the person is happy"}
+    config = StudyConfig("Study", videos, "style", styles=styles, pairs=2, attention_checks=0)
+    browser = open_browser()
+    start(browser, build_study(config, tmp_path / "out").page, "user=u")
+    browser.wait("document.querySelector('h1').textContent == 'Next part'")
+    browser.run("document.querySelector('.page .next').click()")
+    browser.wait("document.querySelector('.clips')")
+    strong = "document.querySelector('.question strong').textContent"
+    assert browser.run(strong) == "the person is happy"
+    assert browser.run("document.querySelector('video').muted") is True
+    rate(browser, lambda n, message: "RightClearlyBetter")
+    answers = read_answers([downloaded(tmp_path, "out_u.csv")]).kept
+    assert [(answer.style, answer.score) for answer in answers] == [("clip", -2)] * 2
+
+
+@pytest.mark.parametrize("status", [200, 500])
+def test_answers_are_posted_and_never_lost(videos, tmp_path, open_browser, status):
+    received = []
+
+    class Collector(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            received.append(self.rfile.read(int(self.headers["Content-Length"])).decode())
+            self.send_response(status)
+            self.send_header("Access-Control-Allow-Origin", "*")
+            self.end_headers()
+
+        def log_message(self, *args: object) -> None:
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Collector)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        config = StudyConfig(
+            "Study", videos, "mismatch", pairs=1, attention_checks=0,
+            post_url=f"http://127.0.0.1:{server.server_port}/answers",
+            completion_url="https://app.prolific.com/submissions/complete?cc=ABC",
+        )  # fmt: skip
+        browser = open_browser()
+        start(browser, build_study(config, tmp_path / "out").page, "user=u")
+        rate(browser, lambda n, message: "LeftClearlyBetter")
+        browser.wait("document.querySelector('a.next')")
+        assert browser.run("document.querySelector('a.next').href") == config.completion_url
+        state = browser.run("document.documentElement.dataset.study")
+    finally:
+        server.shutdown()
+        server.server_close()
+    (text,) = received
+    assert state == ("sent" if status == 200 else "downloaded")
+    if status == 500:
+        assert downloaded(tmp_path, "out_u.csv").read_bytes().decode() == text
+    (tmp_path / "posted.csv").write_text(text, encoding="utf-8", newline="")
+    (answer,) = read_answers([tmp_path / "posted.csv"]).kept
+    assert answer.matched in videos and answer.score == 2
+
+
+def test_a_video_that_cannot_be_played_is_said(tmp_path, open_browser):
+    for system in ("a", "b"):
+        (tmp_path / system).mkdir()
+        (tmp_path / system / "x.mp4").write_text("no video")
+    config = StudyConfig("Study", {name: str(tmp_path / name) for name in "ab"})
+    browser = open_browser()
+    start(browser, build_study(config, tmp_path / "out").page)
+    browser.wait("!document.getElementById('failure').hidden")
+    text = browser.run("document.getElementById('failure').textContent")
+    assert "could not be played" in text
+
+
+def test_titles_cannot_become_code(tmp_path):
+    for system in ("a", "b"):
+        (tmp_path / system).mkdir()
+        (tmp_path / system / "x.mp4").write_bytes(b"")
+    title = "</script><script>alert(1)</script>{{setup}}"
+    config = StudyConfig(title, {name: str(tmp_path / name) for name in "ab"})
+    text = build_study(config, tmp_path / "out").page.read_text(encoding="utf-8")
+    assert "<script>alert" not in text
+    setup = text.split('id="setup">')[1].split("</script>")[0]
+    assert json.loads(setup)["title"] == title

@@ -1,0 +1,263 @@
+"""Figures of the analysis, against statsmodels, scipy, and counting by hand."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import statsmodels.api as sm
+from scipy import stats
+from statsmodels.stats.proportion import proportion_confint
+
+from gesturekit.study import analyse_study
+from gesturekit.study.analysis import bradley_terry
+from gesturekit.study.analysis.alignment import analyse_alignment
+from gesturekit.study.analysis.answers import Answer, Answers
+from gesturekit.study.analysis.power import Expected, power_of, raters_needed
+from gesturekit.study.analysis.preference import (
+    analyse_preference,
+    elo_estimates,
+    merit_estimates,
+)
+from gesturekit.study.analysis.significance import anova, holm, two_proportions, wilson
+from gesturekit.study.analysis.votes import Votes
+
+BY_HAND = [
+    Answer("u", "1", "a", "b", 2),
+    Answer("u", "2", "b", "a", -1),
+    Answer("v", "1", "a", "b", 0),
+    Answer("v", "2", "a", "b", -1),
+    Answer("w", "1", "a", "c", 2),
+    Answer("w", "2", "b", "c", 1),
+]
+
+
+def test_merit_scores_and_win_rates_by_hand():
+    found = analyse_preference(BY_HAND, rounds=200, seed=0)
+    merit = {system.name: system.merit.value for system in found.systems}
+    # a: 2 + 1 + 0 + 0 + 2 of 5 answers; b: 0 + 0 + 0 + 1 + 1 of 5; c: nothing of 2.
+    assert merit == pytest.approx({"a": 5 / 5, "b": 2 / 5, "c": 0})
+    (pair,) = (p for p in found.pairs if {p.a, p.b} == {"a", "b"})
+    assert (pair.a, pair.counts, pair.n, pair.raters) == ("a", (1, 1, 1, 1, 0), 4, 2)
+    assert pair.win_rate.value == pytest.approx(2 / 3)
+
+
+def test_clear_wins_weigh_four_slight_ones_two_and_ties_one_to_each():
+    wins = bradley_terry.weighted_wins(Votes.of(BY_HAND)).sum(axis=0)
+    # a over b: 4 + 2 + 1, b over a: 1 + 2; a over c: 4; b over c: 2.
+    assert wins.tolist() == [[0, 7, 4], [3, 0, 2], [0, 0, 0]]
+
+
+def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
+    wins = bradley_terry.weighted_wins(simulate([0.5, 0.1, -0.2, -0.4])).sum(axis=0)
+    strengths = bradley_terry.fit(wins)
+    pairs = list(itertools.permutations(range(4), 2))
+    design = np.zeros((len(pairs), 3))  # the last system is the reference
+    for row, (i, j) in enumerate(pairs):
+        for column, sign in ((i, 1.0), (j, -1.0)):
+            if column < 3:
+                design[row, column] = sign
+    weights = np.array([wins[i, j] for i, j in pairs])
+    fit = sm.GLM(
+        np.ones(len(pairs)), design, family=sm.families.Binomial(), freq_weights=weights
+    ).fit(tol=1e-12)
+    assert strengths[:3] - strengths[3] == pytest.approx(fit.params, abs=1e-5)
+    assert bradley_terry.elo(strengths).mean() == pytest.approx(1000)
+    ten_to_one = bradley_terry.fit(np.array([[0.0, 10.0], [1.0, 0.0]]))
+    assert np.diff(bradley_terry.elo(ten_to_one))[0] == pytest.approx(-400, abs=0.01)
+
+
+def test_anova_and_tukey_equal_those_of_scipy(simulate, answers_of):
+    answers = answers_of(simulate([0.3, 0.0, -0.2]))
+    found = analyse_preference(answers, rounds=10, seed=0)
+    scores = {name: [] for name in "abc"}
+    for answer in answers:
+        scores[answer.left].append(max(answer.score, 0))
+        scores[answer.right].append(max(-answer.score, 0))
+    expected = stats.f_oneway(*scores.values())
+    assert (found.anova.f, found.anova.p) == pytest.approx((expected.statistic, expected.pvalue))
+    assert (found.anova.between, found.anova.within) == (2, 2 * len(answers) - 3)
+    tukey = stats.tukey_hsd(*scores.values()).pvalue
+    for (i, j), p in found.anova.tukey.items():
+        assert p == pytest.approx(tukey[i, j], abs=1e-6)
+    assert {(p.a, p.b): p.p_tukey for p in found.pairs}["a", "b"] == found.anova.tukey[0, 1]
+
+
+def test_pairs_are_tested_by_the_means_of_raters(simulate, answers_of):
+    answers = answers_of(simulate([0.3, 0.0], answers=6))
+    (pair,) = analyse_preference(answers, rounds=10, seed=0).pairs
+    means = {}
+    for answer in answers:
+        own = answer.score if answer.left == pair.a else -answer.score
+        means.setdefault(answer.user, []).append(own)
+    expected = stats.ttest_1samp([np.mean(scores) for scores in means.values()], 0)
+    assert pair.p == pytest.approx(expected.pvalue)
+
+
+def test_holm_by_hand_and_undefined_p_values_stay():
+    assert holm([0.01, 0.04, float("nan"), 0.03]) == pytest.approx(
+        [0.03, 0.06, float("nan"), 0.06], nan_ok=True
+    )
+
+
+def test_wilson_equals_that_of_statsmodels():
+    found = wilson(13, 40)
+    assert found.value == 13 / 40
+    assert (found.low, found.high) == pytest.approx(proportion_confint(13, 40, method="wilson"))
+    assert np.isnan(wilson(0, 0).value)
+
+
+def test_barnard_equals_the_largest_probability_over_the_common_rate():
+    a, b = (9, 3), (4, 8)
+    n, m = sum(a), sum(b)
+    x, y = np.meshgrid(np.arange(n + 1), np.arange(m + 1), indexing="ij")
+    pooled = (x + y) / (n + m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.nan_to_num((x / n - y / m) / np.sqrt(pooled * (1 - pooled) * (1 / n + 1 / m)))
+    extreme = np.abs(z) >= np.abs(z[a[0], b[0]]) - 1e-9
+    rates = np.linspace(0.001, 0.999, 2001)[:, None, None]
+    p = stats.binom.pmf(x, n, rates) * stats.binom.pmf(y, m, rates)
+    assert two_proportions(a, b) == pytest.approx((p * extreme).sum(axis=(1, 2)).max(), rel=1e-3)
+    assert np.isnan(two_proportions((0, 0), (3, 4)))
+
+
+def test_thousands_of_answers_are_compared_in_no_time():
+    assert two_proportions((5_200, 4_800), (4_800, 5_200)) < 1e-6
+    assert two_proportions((5_000, 5_000), (5_000, 5_000)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("scores", [[0, 0, 0, 0], [0, 0, 2, 2]])
+def test_equal_scores_have_no_variance_to_analyse(scores):
+    assert anova(np.array(scores, dtype=float), np.array([0, 0, 1, 1])) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_forty_raters_find_the_known_order(simulate, answers_of, seed):
+    votes = simulate([0.6, 0.0, -0.6], seed=seed)
+    found = analyse_preference(answers_of(votes), rounds=200, seed=0)
+    assert [system.name for system in found.systems] == ["a", "b", "c"]
+    assert {(p.a, p.b) for p in found.pairs} == {("a", "b"), ("a", "c"), ("b", "c")}
+    assert all(p.p_holm < 0.01 and p.p_tukey < 0.01 for p in found.pairs)
+    elo = [system.elo for system in found.systems]
+    assert elo[0].low > elo[1].high and elo[1].low > elo[2].high
+
+
+def test_random_raters_find_none(simulate, answers_of):
+    p_values = []
+    for seed in range(6):
+        found = analyse_preference(answers_of(simulate([0, 0, 0], seed=seed)), rounds=10, seed=0)
+        p_values.append(min(p.p_holm for p in found.pairs))
+    assert min(p_values) > 0.01 and sum(p < 0.05 for p in p_values) <= 1
+
+
+def coverage(simulate, simulations: int, rounds: int) -> dict[str, float]:
+    """Return the share of 95 % intervals that hold the value of a very large study."""
+    strengths = [0.4, 0.0, -0.3]
+    large = simulate(strengths, raters=100_000, seed=99)
+    merit = [e.value for e in merit_estimates(large, 1, 0)]
+    elo = bradley_terry.elo(bradley_terry.fit(bradley_terry.weighted_wins(large).sum(axis=0)))
+    held = {"merit": [], "elo": []}
+    for seed in range(simulations):
+        votes = simulate(strengths, seed=seed)
+        wins = bradley_terry.weighted_wins(votes)
+        for name, truth, found in (
+            ("merit", merit, merit_estimates(votes, rounds, seed)),
+            ("elo", elo, elo_estimates(wins, rounds, seed)),
+        ):
+            held[name] += [e.low <= value <= e.high for value, e in zip(truth, found)]
+    return {name: float(np.mean(inside)) for name, inside in held.items()}
+
+
+def test_intervals_hold_the_true_value(simulate):
+    for name, share in coverage(simulate, simulations=60, rounds=200).items():
+        assert 0.87 < share <= 0.99, name
+
+
+@pytest.mark.stress
+def test_ninety_five_percent_intervals_cover_ninety_five_percent(simulate):
+    for name, share in coverage(simulate, simulations=500, rounds=500).items():
+        assert 0.92 < share < 0.98, (name, share)
+
+
+def mismatch(rater: int, clip: int, score: int, system: str = "a") -> Answer:
+    return Answer(f"r{rater}", f"c{clip}", system, f"{system}_Mismatched", score)
+
+
+def test_alignment_by_hand_and_sides_do_not_matter():
+    scores = [2, 1, 0, -1]
+    answers = [mismatch(k, k, score) for k, score in enumerate(scores)]
+    turned = [Answer(a.user, a.clip, a.right, a.left, -a.score) for a in answers]
+    for given in (answers, turned):
+        (found,) = analyse_alignment(given, rounds=50, seed=0).systems
+        # (2·1 + 1 + 0.5) / (2 + 1 + 1 + 1)
+        assert found.score.value == pytest.approx(3.5 / 5)
+        assert found.counts == (1, 1, 1, 1, 0)
+        assert found.win_rate.value == pytest.approx(2 / 3)
+
+
+def test_alignment_above_chance_is_found_and_chance_is_not():
+    rng = np.random.default_rng(1)
+    answers = [
+        mismatch(r, c, int(rng.choice([-2, -1, 0, 1, 2], p=p)), system)
+        for system, p in (("good", [0.05, 0.15, 0.2, 0.3, 0.3]), ("none", [0.2] * 5))
+        for r in range(40)
+        for c in range(6)
+    ]
+    found = analyse_alignment(answers, rounds=500, seed=0)
+    good, none = found.systems
+    assert (good.name, none.name) == ("good", "none")
+    assert good.p_holm < 0.001 and good.score.low > 0.5
+    assert none.p_holm > 0.05 and none.score.low < 0.5 < none.score.high
+    assert found.differences[0][3] < 0.01
+
+
+def test_no_pair_is_dropped_in_silence():
+    answers = [Answer(f"r{r}", "c", "a", "b", 1) for r in range(3)]
+    answers += [Answer(f"r{r}", "c", "x", "y", r - 1) for r in range(3)]
+    found = analyse_study(Answers(tuple(answers)), rounds=20)
+    assert found.preference.separate == (("a", "b"), ("x", "y"))
+    assert set(found.preference.not_compared) == {("a", "x"), ("a", "y"), ("b", "x"), ("b", "y")}
+    assert all(np.isnan(system.elo.value) for system in found.preference.systems)
+    assert len(found.preference.pairs) == 2
+
+
+def test_a_system_that_always_wins_has_finite_figures_and_is_marked():
+    answers = [Answer(f"r{r}", "c", "a", "b", 2) for r in range(5)]
+    found = analyse_preference(answers, rounds=50, seed=0)
+    assert not found.bounded
+    assert all(np.isfinite(system.elo.value) for system in found.systems)
+    assert found.pairs[0].p == pytest.approx(2 * 0.5**5)  # the sign test, as all means are equal
+
+
+def test_a_single_rater_gives_figures_without_intervals_or_tests():
+    found = analyse_preference([Answer("r", "c", "a", "b", 1)] * 4, rounds=20, seed=0)
+    assert np.isnan(found.systems[0].merit.low) and np.isnan(found.pairs[0].p_holm)
+
+
+def test_the_same_seed_gives_the_same_intervals(simulate):
+    votes = simulate([0.2, 0.0])
+    assert merit_estimates(votes, 50, 3) == merit_estimates(votes, 50, 3)
+    assert merit_estimates(votes, 50, 3) != merit_estimates(votes, 50, 4)
+
+
+def test_the_power_is_that_of_simulated_studies():
+    expected = Expected(win_rate=0.65, ties=0.2, clear=0.4, agreement=0.0)
+    raters = raters_needed(expected, answers=3)
+    assert power_of(expected, raters, 3) >= 0.8 > power_of(expected, raters - 1, 3)
+    shares = np.array([0.65 * 0.4, 0.65 * 0.6, 0.35 * 0.6, 0.35 * 0.4]) * 0.8
+    rng = np.random.default_rng(0)
+    scores = rng.choice([2, 1, -1, -2, 0], p=[*shares, 0.2], size=(2000, raters, 3)).mean(axis=2)
+    p = stats.ttest_1samp(scores, 0, axis=1).pvalue
+    assert (p < 0.05).mean() == pytest.approx(0.8, abs=0.04)
+
+
+def test_alike_answers_of_a_rater_need_more_raters():
+    needed = [raters_needed(Expected(agreement=share), answers=6) for share in (0.0, 0.1, 0.5)]
+    assert needed == sorted(needed) and needed[2] > 2 * needed[0]
+
+
+def test_votes_count_each_answer_once():
+    votes = Votes.of(BY_HAND)
+    assert votes.compared.sum() == 2 * len(BY_HAND)
+    assert votes.wins[votes.systems.index("a"), votes.systems.index("b")] == 2
