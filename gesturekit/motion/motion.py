@@ -35,7 +35,8 @@ _WRITERS = {
     ".npz": ("gesturekit.formats.npz", "write_npz"),
     ".obj": ("gesturekit.formats.obj", "write_obj"),
     ".html": ("gesturekit.viewer", "write_html"),
-    ".png": ("gesturekit.viewer", "write_picture"),
+    **dict.fromkeys((".png", ".svg", ".pdf"), ("gesturekit.viewer", "write_picture")),
+    ".mp4": ("gesturekit.viewer", "write_video"),
 }
 
 
@@ -294,7 +295,7 @@ class Motion:
 
     @gesturekit_errors()
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write a .bvh, .npz, .obj, .html or .png file.
+        """Write a .bvh, .npz, .obj, .html, .mp4, .png, .svg or .pdf file.
 
         Args:
             path: the file; its suffix selects the format.
