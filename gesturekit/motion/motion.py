@@ -307,6 +307,17 @@ class Motion:
         """
         _dispatch(_WRITERS, path, "write", options)(self, path, **options)
 
+    @gesturekit_errors()
+    def show(self, audio: Any = None, **options: Any) -> Any:
+        """Return a player with sound that a notebook displays as the output of a cell.
+
+        Args:
+            audio: the speech: a file, a `Wave`, or (samples, rate).
+            options: `title`, `body_model` and `height` in pixels; see
+                `gesturekit.viewer.display`.
+        """
+        return import_module("gesturekit.viewer").display(self, audio, **options)
+
 
 def _refuse_special(path: Path) -> None:
     """Raise FormatError for a missing file, pipe or device; reading a pipe may never end."""

@@ -63,14 +63,20 @@ def write_html(
     sound, FormatError where `body_model` is none.
     """
     path = Path(path)
-    shell = player_shell()
-    places = {
-        "title": html.escape(title if title is not None else path.stem),
-        "motion": player_data(motion, audio, body_model),
-    }
-    text = _fill(shell, places)
+    text = page_text(motion, audio, title if title is not None else path.stem, body_model)
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def page_text(
+    motion: Motion | Mapping[str, Motion],
+    audio: str | os.PathLike[str] | Wave | None,
+    title: str,
+    body_model: BodyModel | str | os.PathLike[str] | None,
+) -> str:
+    """Return the page that `write_html` writes."""
+    places = {"title": html.escape(title), "motion": player_data(motion, audio, body_model)}
+    return _fill(player_shell(), places)
 
 
 def player_shell() -> str:
