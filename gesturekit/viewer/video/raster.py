@@ -188,6 +188,18 @@ def blur(mask, box, radius, other):
 
 
 @compiled(fastmath=_FAST)
+def _line(at, thick):
+    """Return the strength of the grid lines across an axis; `at` and `thick` are in cells."""
+    cell = np.floor(at + np.float32(0.5))
+    near = abs(at - cell) / thick
+    if near >= 1:
+        return np.float32(0.0)
+    # Every metre is drawn stronger than the half metres between.
+    is_metre = cell == 2 * np.floor(np.float32(0.5) * cell)
+    return (1 - near) * np.float32(0.30 if is_metre else 0.16)
+
+
+@compiled(fastmath=_FAST)
 def paint_floor(image, camera, focal, ground, shadow, shade):
     """Paint the background of an image (H, W, 3) uint8: a floor with a grid, and the shadow.
 
@@ -203,45 +215,48 @@ def paint_floor(image, camera, focal, ground, shadow, shade):
     height, width = image.shape[:2]
     right, up, back, eye = camera[0], camera[1], camera[2], camera[3]
     floor, mid_x, mid_z, size, metre = ground
+    every = 0.5 * metre
+    # Cells are counted from an even one near the middle: float32 holds no large numbers.
+    origin_x, origin_z = 2 * np.floor(0.5 * mid_x / every), 2 * np.floor(0.5 * mid_z / every)
+    cx, cz = np.float32(mid_x / every - origin_x), np.float32(mid_z / every - origin_z)
+    share = np.float32((every / size) ** 2)
     for row in range(height):
         slope = (0.5 * height - row - 0.5) / focal
         down = slope * up[1] - back[1]
         # A gradient from light above to slightly darker below.
         way = np.float32(row / height)
         red, green, blue = 249 - 14 * way, 249 - 12 * way, 248 - 9 * way
-        has_floor = down < -1e-6 and eye[1] > floor
-        far = (floor - eye[1]) / down if has_floor else 0.0
-        below = (slope - 1 / focal) * up[1] - back[1]
-        # Width of a pixel on the floor, along the columns and along the rows.
-        thick = max(far / focal, abs((floor - eye[1]) / below - far)) / metre if has_floor else 1.0
+        if down >= -1e-6 or eye[1] <= floor:
+            image[row, :, 0], image[row, :, 1], image[row, :, 2] = red, green, blue
+            continue
+        far = (floor - eye[1]) / down
+        # Width of a pixel on the floor, along the columns or along the rows, in grid cells.
+        below = far - (floor - eye[1]) / (down - up[1] / focal)
+        thick = np.float32(max(far / focal, abs(below)) / every)
+        ink = np.float32(min(1.0, 0.12 / thick))
+        # Places on the floor in grid cells, and squared distances in radii of the floor.
+        step_x, step_z = far / focal * right[0], far / focal * right[2]
+        left_x = eye[0] + far * (slope * up[0] - back[0]) - (0.5 * width - 0.5) * step_x
+        left_z = eye[2] + far * (slope * up[2] - back[2]) - (0.5 * width - 0.5) * step_z
+        x, z = np.float32(left_x / every - origin_x), np.float32(left_z / every - origin_z)
+        dx, dz = np.float32(step_x / every), np.float32(step_z / every)
         for column in range(width):
             r, g, b = red, green, blue
-            if has_floor:
-                aside = (column + 0.5 - 0.5 * width) / focal
-                x = eye[0] + far * (aside * right[0] + slope * up[0] - back[0])
-                z = eye[2] + far * (aside * right[2] + slope * up[2] - back[2])
-                distance = np.sqrt((x - mid_x) ** 2 + (z - mid_z) ** 2) / size
-                if distance < 1:
-                    fade = 1 - max((distance - 0.25) / 0.75, 0.0)
-                    fade *= fade
-                    strength = 0.0
-                    for n in range(2):  # every half metre thin, every metre stronger
-                        every, ink = (0.5, 0.16) if n == 0 else (1.0, 0.30)
-                        for at in (x, z):
-                            place = at / (every * metre)
-                            near = abs(place - np.floor(place + 0.5)) * every / thick
-                            if near < 1:
-                                strength = max(strength, ink * (1 - near) * min(1, 0.06 / thick))
-                    strength *= fade
-                    r += strength * (128 - r)
-                    g += strength * (140 - g)
-                    b += strength * (153 - b)
-                dark = shadow[row >> 1, column >> 1]
-                if dark > 0:
-                    dark = shade * min(dark, 1.0)
-                    r += dark * (48 - r)
-                    g += dark * (60 - g)
-                    b += dark * (76 - b)
+            at_x, at_z = x + column * dx, z + column * dz
+            strength = max(_line(at_x, thick), _line(at_z, thick))
+            distance = share * ((at_x - cx) ** 2 + (at_z - cz) ** 2)
+            if strength > 0 and distance < 1:
+                fade = min(np.float32(1.0), (1 - np.sqrt(distance)) / np.float32(0.75))
+                strength *= ink * fade * fade
+                r, g, b = (
+                    r + strength * (128 - r),
+                    g + strength * (140 - g),
+                    b + strength * (153 - b),
+                )
+            dark = shadow[row >> 1, column >> 1]
+            if dark > 0 and distance < 1:
+                dark = shade * min(dark, np.float32(1.0))
+                r, g, b = r + dark * (48 - r), g + dark * (60 - g), b + dark * (76 - b)
             image[row, column, 0] = np.uint8(r)
             image[row, column, 1] = np.uint8(g)
             image[row, column, 2] = np.uint8(b)

@@ -104,5 +104,5 @@ class Scene:
         x, _, z = self._camera.middle(time)
         size = max(_GROUND * body, 0.8 * self._camera.distance)
         ground = np.array([floor, x, z, size, metre])
-        raster.paint_floor(image, camera, focal, ground, shadow, _SHADE)
+        raster.paint_floor(image, camera, focal, ground, shadow, np.float32(_SHADE))
         shadow[box[0] : box[1], box[2] : box[3]] = 0
