@@ -13,8 +13,13 @@ import pytest
 
 from audio_features import AudioError, Wave
 from gesturekit.errors import FormatError
+from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
+from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer import write_video
+from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.video import raster
+from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
 
 RATE, JUMP = 16_000, 0.5
 
@@ -107,3 +112,39 @@ def test_what_cannot_be_used_is_refused_and_leaves_no_file(tmp_path, gesture):
     with pytest.raises(FormatError, match="720p or 1080p"):
         gesture(0.2).save(tmp_path / "x.mp4", size="huge")
     assert not (tmp_path / "x.mp4").exists()
+
+
+def placed(body, time: float) -> np.ndarray:
+    mesh = body.mesh
+    vertices, normals = np.empty_like(mesh.vertices), np.empty_like(mesh.vertices)
+    raster.place(
+        *(mesh.vertices, mesh.normals, mesh.parts, mesh.weights, body.transforms(time)),
+        *(vertices, normals),
+    )
+    return vertices
+
+
+def test_limbs_reach_from_point_to_point(gesture):
+    motion = gesture(0.5)
+    figure = Figure.of(motion)
+    body = Mannequin(figure)
+    vertices = placed(body, 7 / motion.fps)
+    for k, limb in enumerate(figure.limbs):
+        own = vertices[body.mesh.parts[:, 0] == k]
+        for end, radius in zip(limb.ends, limb.radii, strict=True):
+            gap = np.linalg.norm(own - figure.points[7, end], axis=1)
+            assert gap.min() <= radius * limb.width + 0.02 * figure.height
+
+
+def test_a_body_model_is_worn(tmp_path, capsule_body):
+    np.savez(tmp_path / "BODY.npz", **capsule_body(24))
+    body = BodyModel.load(tmp_path / "BODY.npz")
+    angles = 0.3 * np.sin(np.arange(20)[:, None, None] / 5 + np.arange(24)[:, None])
+    turns = np.concatenate([np.repeat(np.sin(angles), 3, axis=2) / 3**0.5, np.cos(angles)], axis=2)
+    path = np.linspace([0, 0.9, 0], [1, 0.9, 2], 20)
+    motion = fit_body(Motion(smpl_skeleton(24), turns, path, 20.0), body)
+    worn = SkinnedBody(motion, body, Figure.of(motion))
+    # The corrections for the pose, millimetres here, are left out.
+    np.testing.assert_allclose(placed(worn, 0.5), body.vertices(motion)[10], atol=0.01)
+    motion.trim(0, 0.2).save(tmp_path / "x.mp4", body_model=tmp_path / "BODY.npz")
+    assert len(read(tmp_path / "x.mp4")[0]) == 4

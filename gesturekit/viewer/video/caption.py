@@ -35,9 +35,12 @@ def write(image: np.ndarray, text: str, at: tuple[float, float], size: float) ->
 
 @lru_cache(64)
 def text_mask(text: str, size: float) -> np.ndarray:
-    """Return how much of each pixel a line of text covers, (H, W) float32 from 0 to 1."""
+    """Return how much of each pixel a line of text covers, (H, W) float32 from 0 to 1.
+
+    Letters that the font lacks are question marks.
+    """
     font = FT2Font(font_manager.findfont("DejaVu Sans"))
     font.set_size(size, _DPI)
-    font.set_text("".join(letter if letter.isprintable() else " " for letter in text))
+    font.set_text("".join(letter if font.get_char_index(ord(letter)) else "?" for letter in text))
     font.draw_glyphs_to_bitmap(antialiased=True)
     return np.asarray(font.get_image(), np.float32) / 255
