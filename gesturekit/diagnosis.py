@@ -152,16 +152,14 @@ def _transformers() -> Finding:
 
 
 def _ffmpeg() -> Finding:
-    found = shutil.which("ffmpeg")
-    if found:
-        return Finding("ffmpeg", "ok", found)
+    """Check imageio-ffmpeg, which brings its own ffmpeg or finds the system's."""
     try:
         import imageio_ffmpeg
 
         return Finding("ffmpeg", "ok", imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError):
-        text = "not found; only videos need it, and sound in m4a"
-        return Finding("ffmpeg", "note", text, "apt install ffmpeg, or brew install ffmpeg")
+        text = "imageio-ffmpeg is not installed; only mp4 files need it"
+        return Finding("ffmpeg", "note", text, "pip install 'gesturekit[video]'")
 
 
 def _player() -> Finding:

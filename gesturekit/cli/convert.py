@@ -18,6 +18,7 @@ from gesturekit.cli.options import (
     reading_options,
     resumable,
     rig_part_option,
+    size_option,
 )
 
 if TYPE_CHECKING:
@@ -38,7 +39,10 @@ WIDTH = 100
 )
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option(
-    "--format", "formats", metavar="LIST", help="Formats of a folder: any of bvh,npz,html,png,obj."
+    "--format",
+    "formats",
+    metavar="LIST",
+    help="Formats of a folder: any of bvh,npz,html,mp4,png,svg,pdf,obj.",
 )
 @click.option(
     "--rig", metavar="RIG", help="Skeleton to retarget to: a motion file, smpl, smplh or smplx."
@@ -60,6 +64,7 @@ WIDTH = 100
 @click.option(
     "--frame", type=int, metavar="N", help="Frame to write as obj; -1 is the last.  [default: 0]"
 )
+@size_option
 @existing_option("refuse")
 @click.option("--dry-run", is_flag=True, help="Read and report, but write nothing.")
 @reading_options
@@ -87,7 +92,7 @@ def command(
     from gesturekit.progress import Progress
 
     changes, parts = _changes(options), parse_parts(options.pop("parts"))
-    write = given(**{name: options.pop(name) for name in ("up", "unit", "frame")})
+    write = given(**{name: options.pop(name) for name in ("up", "unit", "frame", "size")})
     outcomes = convert(
         sources,
         out,

@@ -69,6 +69,11 @@ rig_part_option = click.option(
 )
 
 
+size_option = click.option(
+    "--size", type=click.Choice(["720p", "1080p"]), help="Size of mp4 videos.  [default: 720p]"
+)
+
+
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that override what is detected in a motion file; see `read_from`."""
     for option in reversed(_OPTIONS):

@@ -21,6 +21,7 @@ from gesturekit.cli.options import (
     parse_placed_files,
     resumable,
     rig_part_option,
+    size_option,
 )
 from gesturekit.cli.render_output import Summary, print_preview
 
@@ -44,7 +45,7 @@ GROUPS = {
     "What to render": (
         *("model", "corpus", "split", "seconds", "samples", "seed", "channel", "weights"),
     ),
-    "Output": ("out", "formats", "fps", "unit", "up", "rig", "rig_parts", "existing")
+    "Output": ("out", "formats", "fps", "unit", "up", "size", "rig", "rig_parts", "existing")
     + ("skip_existing",),
     "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
     "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth"),
@@ -76,12 +77,15 @@ GROUPS = {
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
 )
-@click.option("--format", "formats", default="bvh", help="Any of bvh,npz,html,png.  [default: bvh]")
+@click.option(
+    "--format", "formats", default="bvh", help="Any of bvh,npz,html,mp4,png.  [default: bvh]"
+)
 @click.option("--fps", cls=ControlOption, type=RATE, metavar="RATE")
 @click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH files.  [default: cm]")
 @click.option(
     "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; z for AMASS readers."
 )
+@size_option
 @click.option("--seed", default=0, show_default=True, help="Random seed.")
 @click.option(
     "--samples",
@@ -365,7 +369,7 @@ def _output(options: dict[str, Any]) -> Output:
     return Output(
         formats=options.pop("formats"),
         rig=None if rig is None else Rig.load(rig, parts),
-        **{name: options.pop(name) for name in ("existing", "unit", "up")},
+        **{name: options.pop(name) for name in ("existing", "unit", "up", "size")},
     )
 
 

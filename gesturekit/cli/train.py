@@ -65,6 +65,7 @@ def command(
         return
     model = train(config, overrides, resume=resume)
     run = model.parent
+    click.echo(f"Report: {run / 'report.html'}")
     click.echo(f"Losses and metrics: {run / 'metrics.jsonl'}")
     click.echo(f"Curves: tensorboard --logdir {run / 'events'}")
     click.echo(f"Model: {model}")

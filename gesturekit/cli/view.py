@@ -1,19 +1,23 @@
-"""gesturekit view: play motion with sound in the browser."""
+"""gesturekit view: play motion with sound in the browser, or write it as a video or picture."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from gesturekit.cli.options import (
+    RATE,
     existing_option,
+    given,
     is_left,
     part_option,
     read_from,
     reading_options,
+    size_option,
 )
 
 if TYPE_CHECKING:
@@ -28,18 +32,22 @@ _TOLERANCE = 1.0
 @click.command(
     "view",
     epilog="Example: gesturekit view take.bvh --audio take.wav\n\n"
-    "Example: gesturekit view recorded.bvh rendered.bvh --out compare.html",
+    "Example: gesturekit view recorded.bvh rendered.bvh --out compare.html\n\n"
+    "Example: gesturekit view recorded.bvh rendered.bvh --audio take.wav -o compare.mp4",
 )
 @click.argument(
     "clips", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="MOTION..."
 )
 @click.option("--audio", type=click.Path(path_type=Path), metavar="WAV", help="Sound to play.")
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    metavar="HTML",
-    help="Write the page to this file and do not open it.",
+    metavar="FILE",
+    help="Write a page (.html), video (.mp4) or picture (.png, .svg, .pdf) and do not open it.",
 )
+@size_option
+@click.option("--fps", type=RATE, metavar="RATE", help="Frames per second of an mp4 video.")
 @existing_option("replace")
 @reading_options
 @part_option
@@ -49,6 +57,8 @@ def command(
     clips: tuple[Path, ...],
     audio: Path | None,
     out: Path | None,
+    size: str | None,
+    fps: float | None,
     existing: str,
     parts: tuple[str, ...],
     **reading: object,
@@ -56,14 +66,14 @@ def command(
     """Play MOTION (bvh, npz, EasyMocap, or a folder of them) in the browser; several are shown
     side by side.
 
-    The page is one file that needs no network: send it by mail, put it on a server.
+    The page is one file that needs no network: send it by mail, put it on a server. With --out
+    NAME.mp4 a video is written instead, with --out NAME.png, .svg or .pdf a picture.
     """
     import tempfile
 
-    from audio_features import Wave
     from gesturekit.errors import ConfigError
-    from gesturekit.viewer import write_html
 
+    write = _writer(out, given(size=size, fps=fps))
     if out is not None and is_left([out], existing):
         return
     options = read_from(reading)
@@ -73,23 +83,49 @@ def command(
         raise ConfigError("no motion to show")
     if out is None:
         page = Path(tempfile.mkdtemp(prefix="gesturekit-")) / f"{found[0].stem or 'motion'}.html"
-    elif out.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"{out}: the page is HTML; give a name ending in .html")
     else:
         page = out
-    longest = max(motion.duration for motion in motions.values())
-    if audio is not None and abs((sound := Wave.load(audio).duration) - longest) > _TOLERANCE:
-        click.echo(
-            f"Warning: {audio} lasts {sound:.1f} s, the motion {longest:.1f} s: the page plays "
-            "the longer of the two; check that they belong together",
-            err=True,
-        )
+    if audio is not None:
+        _compare_lengths(audio, max(motion.duration for motion in motions.values()))
     shown = motions if len(motions) > 1 else next(iter(motions.values()))
-    write_html(shown, page, audio=audio, body_model=options.get("body_model"))
+    write(shown, page, audio=audio, **given(body_model=options.get("body_model")))
     click.echo(click.format_filename(page))
     if out is None and not _opened(page):
         click.echo("No browser found here: open this file in one.", err=True)
     ctx.exit(1 if n_failed else 0)
+
+
+def _writer(out: Path | None, of_videos: Mapping[str, Any]) -> Callable[..., None]:
+    """Return the function that writes a file of this name, by default a page.
+
+    Raises:
+        ConfigError: an unknown format, or `of_videos` has options and the file is no video.
+    """
+    from gesturekit.errors import ConfigError
+    from gesturekit.viewer import write_html, write_picture, write_video
+
+    kind = ".html" if out is None else out.suffix.lower()
+    if kind == ".mp4":
+        return partial(write_video, **of_videos)
+    if of_videos:
+        raise ConfigError(f"--{next(iter(of_videos))} is an option of mp4; give --out NAME.mp4")
+    if kind in (".html", ".htm"):
+        return write_html
+    if kind in (".png", ".svg", ".pdf"):
+        return write_picture
+    raise ConfigError(f"{out}: give a name ending in .html, .mp4, .png, .svg or .pdf")
+
+
+def _compare_lengths(audio: Path, longest: float) -> None:
+    """Warn of sound that is longer or shorter than the motion, which lasts `longest` seconds."""
+    from audio_features import Wave
+
+    if abs((sound := Wave.load(audio).duration) - longest) > _TOLERANCE:
+        click.echo(
+            f"Warning: {audio} lasts {sound:.1f} s, the motion {longest:.1f} s: the longer of the "
+            "two is played to its end; check that they belong together",
+            err=True,
+        )
 
 
 def _found(clips: tuple[Path, ...]) -> list[Path]:

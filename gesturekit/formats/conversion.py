@@ -35,6 +35,7 @@ _WRITES = {
     ".npz": {"up"},
     ".obj": {"body_model", "frame"},
     ".html": {"body_model"},
+    ".mp4": {"body_model", "size"},
 }
 
 
@@ -92,7 +93,7 @@ def convert(
     Args:
         sources: motion files, and folders to search for motions.
         out: a file for a single motion, otherwise a folder; see `gesturekit.formats.sources.plan`.
-        formats: formats to write into a folder: bvh, npz, html, png, obj.
+        formats: formats to write into a folder: bvh, npz, html, mp4, png, svg, pdf, obj.
         changes: changes to make to each motion.
         options: options of readers and writers.
         existing: "refuse", "skip" or "replace" files that exist.

@@ -29,7 +29,7 @@ OTHER_MOTION_SUFFIXES = (
     *(".usd", ".usda", ".usdc", ".usdz", ".dae", ".blend"),
 )
 """Unsupported motion files; Blender and other programs convert most of them to BVH."""
-WRITABLE = ("bvh", "npz", "html", "png", "obj")
+WRITABLE = ("bvh", "npz", "html", "mp4", "png", "svg", "pdf", "obj")
 EXISTING = ("refuse", "skip", "replace")
 _NO_MOTION = f"no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap folders"
 _SHOWN = 3

@@ -35,7 +35,8 @@ _WRITERS = {
     ".npz": ("gesturekit.formats.npz", "write_npz"),
     ".obj": ("gesturekit.formats.obj", "write_obj"),
     ".html": ("gesturekit.viewer", "write_html"),
-    ".png": ("gesturekit.viewer", "write_picture"),
+    **dict.fromkeys((".png", ".svg", ".pdf"), ("gesturekit.viewer", "write_picture")),
+    ".mp4": ("gesturekit.viewer", "write_video"),
 }
 
 
@@ -294,7 +295,7 @@ class Motion:
 
     @gesturekit_errors()
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write a .bvh, .npz, .obj, .html or .png file.
+        """Write a .bvh, .npz, .obj, .html, .mp4, .png, .svg or .pdf file.
 
         Args:
             path: the file; its suffix selects the format.
@@ -305,6 +306,17 @@ class Motion:
                 format does not have.
         """
         _dispatch(_WRITERS, path, "write", options)(self, path, **options)
+
+    @gesturekit_errors()
+    def show(self, audio: Any = None, **options: Any) -> Any:
+        """Return a player with sound that a notebook displays as the output of a cell.
+
+        Args:
+            audio: the speech: a file, a `Wave`, or (samples, rate).
+            options: `title`, `body_model` and `height` in pixels; see
+                `gesturekit.viewer.display`.
+        """
+        return import_module("gesturekit.viewer").display(self, audio, **options)
 
 
 def _refuse_special(path: Path) -> None:

@@ -54,7 +54,7 @@ def render(
         options: fields of `gesturekit.rendering.render.Output` (formats, existing, rig, unit, up)
             and of `gesturekit.rendering.execution.Execution` (workers, shard, deadline ...), and
             arguments of the model's `generate` (seed, samples, style, foot_lock, smooth ...).
-            `formats` are of bvh, npz, html and png: `("bvh", "html")` or `"bvh,html"`.
+            `formats` are of bvh, npz, html, mp4 and png: `("bvh", "html")` or `"bvh,html"`.
 
     Raises:
         ModelError: no such model, or a control, style or level that it does not have.

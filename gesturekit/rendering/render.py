@@ -25,8 +25,9 @@ from gesturekit.motion.motion import Motion
 from gesturekit.rendering.record import described, file_facts, model_fingerprint, path_digest
 from gesturekit.rendering.tasks import Task
 from gesturekit.systems import controls_type
+from gesturekit.viewer.video.encoder import require_encoder
 
-FORMATS = ("bvh", "npz", "html", "png")
+FORMATS = ("bvh", "npz", "html", "mp4", "png")
 # torch raises RuntimeError when memory runs out.
 _FAILURES = (GestureKitError, af.AudioFeaturesError, OSError, MemoryError, RuntimeError)
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
@@ -37,14 +38,15 @@ class Output:
     """Settings of the files that are written.
 
     Attributes:
-        formats: of bvh, npz, html (a player with sound), png (a picture); `"bvh,html"` or
-            `(".BVH", "html")` mean the same as `("bvh", "html")`.
+        formats: of bvh, npz, html (a player with sound), mp4 (a video with sound), png (a
+            picture); `"bvh,html"` or `(".BVH", "html")` mean the same as `("bvh", "html")`.
         existing: treatment of existing files that were made with another model, settings or
             input: refuse, skip or replace. Files made with the same ones are kept.
         rig: skeleton to retarget to: a motion file with any joint names, size and rest pose, or
             smpl, smplh or smplx; see `gesturekit.formats.rig`. None for the model's own.
         unit: unit of BVH files; None for cm.
         up: up axis of SMPL npz files, "y" or "z"; None for y.
+        size: of videos, "720p" or "1080p"; None for 720p.
     """
 
     formats: str | Sequence[str] = ("bvh",)
@@ -52,6 +54,7 @@ class Output:
     rig: str | os.PathLike[str] | Rig | None = None
     unit: str | None = None
     up: str | None = None
+    size: str | None = None
 
     def __post_init__(self) -> None:
         formats = self.formats.split(",") if isinstance(self.formats, str) else self.formats
@@ -123,7 +126,8 @@ class Renderer:
     Raises:
         ConfigError: an unknown format.
         ModelError: a control that this kind of model does not have.
-        FormatError, MotionError: a rig cannot be read, or its body parts cannot be found.
+        FormatError, MotionError: a rig cannot be read, or its body parts cannot be found; or no
+            encoder of videos is installed.
     """
 
     model: Model
@@ -142,13 +146,15 @@ class Renderer:
             raise ConfigError(
                 f"format {', '.join(unknown) or '(none)'}: known: {', '.join(FORMATS)}"
             )
+        if "mp4" in output.formats:
+            require_encoder()
         if output.existing not in EXISTING:
             raise ConfigError(f"existing is {output.existing!r}; expected {', '.join(EXISTING)}")
         self.samples = self.controls.get("samples", 1)
         self.controls = _without_defaults(self.controls, self.model.kind)
         rig = output.rig
         self.body = rig if rig is None or isinstance(rig, Rig) else Rig.load(rig)
-        written = {"unit": output.unit, "up": output.up}
+        written = {"unit": output.unit, "up": output.up, "size": output.size}
         self.written = writer_options(
             output.formats, {name: value for name, value in written.items() if value is not None}
         )
@@ -298,7 +304,7 @@ class Renderer:
         options = dict(self.written[file.suffix[1:]])
         if self.body is not None:
             options |= self.body.options.get(file.suffix, {})
-        if file.suffix in (".html", ".png") and sound is not None:
+        if file.suffix in (".html", ".mp4", ".png") and sound is not None:
             options["audio"] = sound
         motion.save(file, **options)
 

@@ -1,4 +1,4 @@
-"""Visualisation of motion: an HTML player with sound, and pictures."""
+"""Visualisation of motion: an HTML player with sound, videos, and pictures."""
 
 from gesturekit.lazy import attach
 
@@ -6,10 +6,12 @@ __all__, __getattr__, __dir__ = attach(
     __name__,
     {
         "contact_sheet": "pictures",
+        "display": "notebook",
         "player_data": "html",
         "player_shell": "html",
         "speech_and_motion": "pictures",
         "write_html": "html",
         "write_picture": "pictures",
+        "write_video": "video.writer",
     },
 )

@@ -72,6 +72,7 @@ class Figure:
         fps: frames per second.
         limbs: drawn between the points.
         head: None if no head could be identified.
+        hands: indices into `points` of the wrists, or the ends of arms without; empty if unknown.
         hand_speed: (T,) m/s, sum of both hands' speeds relative to the root, smoothed by a Gaussian
             of SPEED_SMOOTHING; the mean over all joints if hands cannot be identified.
         speed_of: label of `hand_speed`: "hand speed" or "mean speed of all joints".
@@ -84,6 +85,7 @@ class Figure:
     fps: float
     limbs: tuple[Limb, ...]
     head: Head | None
+    hands: tuple[int, ...]
     hand_speed: np.ndarray
     speed_of: str
     height: float
@@ -124,6 +126,7 @@ class Figure:
             fps=motion.fps,
             limbs=limbs,
             head=head,
+            hands=_hands(points, parts),
             hand_speed=_hand_speed(points, parts),
             speed_of="hand speed" if parts else "mean speed of all joints",
             height=height,
@@ -258,15 +261,18 @@ def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Lim
     return tuple(limbs)
 
 
+def _hands(points: _Points, parts: BodyParts | None) -> tuple[int, ...]:
+    arms = parts.arms.values() if parts else ()
+    return tuple(points.skeleton.index(arm.wrist or arm.elbow) for arm in arms)
+
+
 def _hand_speed(points: _Points, parts: BodyParts | None) -> np.ndarray:
     motion = points.motion
     if motion.n_frames < 2:
         return np.zeros(motion.n_frames)
     moving = points.joints - points.joints[:, :1]
     if parts:
-        moving = moving[
-            :, [points.skeleton.index(arm.wrist or arm.elbow) for arm in parts.arms.values()]
-        ]
+        moving = moving[:, list(_hands(points, parts))]
     speed = np.linalg.norm(np.gradient(moving, axis=0), axis=-1) * motion.fps
     total = speed.sum(axis=1) if parts else speed.mean(axis=1)
     return gaussian_filter1d(total, SPEED_SMOOTHING * motion.fps, mode="nearest")

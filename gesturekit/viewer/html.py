@@ -26,6 +26,7 @@ from gesturekit.atomic import atomic_write
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.viewer import tracks
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.skin import Skin, steady_turns
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
@@ -62,14 +63,20 @@ def write_html(
     sound, FormatError where `body_model` is none.
     """
     path = Path(path)
-    shell = player_shell()
-    places = {
-        "title": html.escape(title if title is not None else path.stem),
-        "motion": player_data(motion, audio, body_model),
-    }
-    text = _fill(shell, places)
+    text = page_text(motion, audio, title if title is not None else path.stem, body_model)
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def page_text(
+    motion: Motion | Mapping[str, Motion],
+    audio: str | os.PathLike[str] | Wave | None,
+    title: str,
+    body_model: BodyModel | str | os.PathLike[str] | None,
+) -> str:
+    """Return the page that `write_html` writes."""
+    places = {"title": html.escape(title), "motion": player_data(motion, audio, body_model)}
+    return _fill(player_shell(), places)
 
 
 def player_shell() -> str:
@@ -143,10 +150,13 @@ def _page(motions: Mapping[str, Motion], audio: Any, body: BodyModel | None) -> 
     if audio is not None:
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
         sound = Sound.of(audio)
+        spectrum, rate = tracks.spectrogram(wave)
         page["speech"] = {
             "duration": wave.duration,
             "rate": OUTLINE_RATE,
             "peaks": _levels(outline(wave)),
+            "onsets": _times(tracks.onsets(wave)),
+            "spectrum": {"bands": tracks.BANDS, "rate": rate, "values": _levels(spectrum)},
         }
         page["audio"] = {"type": sound.type, "data": _base64(sound.data)}
     return page
@@ -158,6 +168,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
     relative = points - root
     step = max(STEP * figure.height, float(np.abs(relative).max()) / 32_767)
     peak = figure.top_speed
+    contacts = tracks.contacts(motion)
     return {
         "label": label,
         "fps": figure.fps,
@@ -181,6 +192,9 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
             for limb in figure.limbs
         ],
         "head": vars(figure.head) if figure.head else None,
+        "hands": figure.hands,
+        "contacts": None if contacts is None else _base64(contacts.tobytes()),
+        "beats": _times(tracks.motion_beats(figure.hand_speed, figure.fps)),
         "speed": {
             "of": figure.speed_of,
             "peak": peak,
@@ -211,6 +225,10 @@ def _pack(steps: np.ndarray) -> bytes:
 def _short(length: float) -> float:
     """Return a length with four digits."""
     return float(f"{length:.4g}")
+
+
+def _times(seconds: np.ndarray) -> list[float]:
+    return [round(float(second), 3) for second in seconds]
 
 
 def _levels(values: np.ndarray) -> str:

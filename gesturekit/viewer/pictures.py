@@ -1,8 +1,10 @@
-"""Pictures: one PNG of a motion, its hand speed and its speech."""
+"""Pictures of motions, their hand speed and their speech: PNG, SVG or PDF."""
 
 from __future__ import annotations
 
+import itertools
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +16,7 @@ from matplotlib.patches import Ellipse, Polygon
 
 from audio_features import LogMel, Wave
 from gesturekit.atomic import atomic_write
+from gesturekit.errors import MotionError
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.sound import as_sound
@@ -26,27 +29,44 @@ COLOURS = {MIDDLE: "#d9d2c5", LEFT: "#e88a62", RIGHT: "#5d97bf"}
 _EDGE = "#26303b"
 _NOSE = "#a89d88"
 _SOFT = "#6b7785"
-_SPEED = "#c8643a"
+_SPEEDS = ("#c8643a", "#3d7d5e", "#6a5fae", "#57616c")
+"""Colours of the motions' hand speeds, as in the page."""
+_METADATA = {
+    "png": {"Software": "gesturekit"},
+    "svg": {"Creator": "gesturekit", "Date": None},
+    "pdf": {"Creator": "gesturekit", "CreationDate": None},
+}
+_REPRODUCIBLE = {"svg.hashsalt": "gesturekit"}
+"""Settings with which the same motion makes the same bytes."""
 _INCHES_PER_FIGURE = 1.3
 _ROW_INCHES = 2.9
 _DPI = 110
 
 
 def write_picture(
-    motion: Motion,
+    motion: Motion | Mapping[str, Motion],
     path: str | os.PathLike[str],
     audio: str | os.PathLike[str] | Wave | None = None,
 ) -> None:
     """Write a picture: `speech_and_motion` with sound, `contact_sheet` without.
 
-    Raises AudioError where `audio` is no sound.
+    Args:
+        motion: what to draw; or {label: motion} for several, one below the other.
+        path: the .png, .svg or .pdf file to write.
+        audio: the speech that belongs to it, a file or a `Wave`.
+
+    Raises:
+        AudioError: `audio` is no sound.
+        MotionError: no motion.
     """
-    if audio is None:
-        contact_sheet(motion, path)
-    else:
+    wave = None
+    if audio is not None:
         audio = as_sound(audio)
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
-        speech_and_motion(motion, wave, path)
+    motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
+    if not motions:
+        raise MotionError("no motion to draw: the mapping of motions is empty")
+    _write(motions, wave, path, 10, None)
 
 
 def contact_sheet(
@@ -56,15 +76,15 @@ def contact_sheet(
     frames: int = 10,
     title: str | None = None,
 ) -> None:
-    """Draw the figure from the front at evenly spaced times, above its hand speed, as a PNG.
+    """Draw the figure from the front at evenly spaced times, above its hand speed.
 
     Args:
         motion: what to draw.
-        path: the .png file to write.
+        path: the .png, .svg or .pdf file to write.
         frames: how many times the figure is drawn.
         title: the heading; the file's stem by default.
     """
-    _write(motion, None, path, frames, title)
+    _write({"": motion}, None, path, frames, title)
 
 
 def speech_and_motion(
@@ -79,19 +99,21 @@ def speech_and_motion(
 
     The speech starts with the motion; other arguments as in `contact_sheet`.
     """
-    _write(motion, wave, path, frames, title)
+    _write({"": motion}, wave, path, frames, title)
 
 
 def _write(
-    motion: Motion,
+    motions: Mapping[str, Motion],
     wave: Wave | None,
     path: str | os.PathLike[str],
     frames: int,
     title: str | None,
 ) -> None:
-    figure = Figure.of(motion)
-    seconds = max(motion.duration, wave.duration if wave else 0.0)
-    heights = [1.1, 1.2, _ROW_INCHES] if wave else [_ROW_INCHES, 1.0]
+    figures = {label: Figure.of(motion) for label, motion in motions.items()}
+    seconds = max(motion.duration for motion in motions.values())
+    seconds = max(seconds, wave.duration if wave else 0.0)
+    bodies = [_ROW_INCHES] * len(figures)
+    heights = [1.1, 1.2, *bodies] if wave else [*bodies, 1.0]
     canvas = matplotlib.figure.Figure(
         figsize=(max(6.0, _INCHES_PER_FIGURE * frames), sum(heights) + 0.9),
         dpi=_DPI,
@@ -107,14 +129,16 @@ def _write(
         color=_EDGE,
         parse_math=False,
     )
-    rows = canvas.subplots(len(heights), 1, gridspec_kw={"height_ratios": heights})
+    rows = list(canvas.subplots(len(heights), 1, gridspec_kw={"height_ratios": heights}))
     rows[-1].set_xlabel("seconds", fontsize=9, color=_SOFT)
     if wave:
-        _speech(rows[0], wave, seconds)
-    _speed(rows[1], figure, wave, seconds)
-    _figures(rows[2 if wave else 0], figure, frames, seconds)
-    with atomic_write(path) as temporary:
-        canvas.savefig(temporary, format="png", metadata={"Software": "gesturekit"})
+        _speech(rows.pop(0), wave, seconds)
+    _speed(rows.pop(0 if wave else -1), figures, wave, seconds)
+    for axes, (label, figure) in zip(rows, figures.items(), strict=True):
+        _figures(axes, figure, label, frames, seconds)
+    kind = Path(path).suffix[1:].lower()
+    with atomic_write(path) as temporary, matplotlib.rc_context(_REPRODUCIBLE):
+        canvas.savefig(temporary, format=kind, metadata=_METADATA[kind])
 
 
 def _style(axes: Axes, seconds: float) -> None:
@@ -126,7 +150,12 @@ def _style(axes: Axes, seconds: float) -> None:
 
 
 def _label(axes: Axes, text: str) -> None:
-    axes.set_title(text, loc="left", fontsize=9, color=_SOFT, pad=3)
+    axes.set_title(text, loc="left", fontsize=9, color=_SOFT, pad=3, parse_math=False)
+
+
+def _plain(label: str) -> str:
+    """Return a label that matplotlib's legends show, and in which it finds no formulas."""
+    return label.lstrip("_").replace("$", r"\$")
 
 
 def _speech(axes: Axes, wave: Wave, seconds: float) -> None:
@@ -144,32 +173,38 @@ def _speech(axes: Axes, wave: Wave, seconds: float) -> None:
     _label(axes, "speech, log-mel")
 
 
-def _speed(axes: Axes, figure: Figure, wave: Wave | None, seconds: float) -> None:
-    times = np.arange(len(figure.points)) / figure.fps
-    top = max(1.08 * figure.top_speed, 0.06 * figure.height)
+def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None, seconds: float) -> None:
+    top = max(max(1.08 * each.top_speed, 0.06 * each.height) for each in figures.values())
+    name = next(iter(figures.values())).speed_of
     if wave:
         at = np.arange(0, wave.duration, 0.02)
         loudness = np.log(wave.rms(at) + 1e-4)
         low, high = np.quantile(loudness, [0.05, 0.995])
         shape = np.clip((loudness - low) / max(high - low, 1e-3), 0, 1)
         axes.fill_between(at, 0, shape * top, color="#c9d3dc", linewidth=0)
-        _label(axes, f"{figure.speed_of}, m/s (orange), over the energy of speech (grey)")
+        colour = " (orange)" if len(figures) == 1 else ""
+        _label(axes, f"{name}, m/s{colour}, over the energy of speech (grey)")
     else:
-        axes.fill_between(times, 0, figure.hand_speed, color=_SPEED, alpha=0.15, linewidth=0)
-        _label(axes, f"{figure.speed_of}, m/s")
-    axes.plot(times, figure.hand_speed, color=_SPEED, linewidth=1.4)
+        _label(axes, f"{name}, m/s")
+    for (label, figure), ink in zip(figures.items(), itertools.cycle(_SPEEDS)):
+        times = np.arange(len(figure.points)) / figure.fps
+        if not wave:
+            axes.fill_between(times, 0, figure.hand_speed, color=ink, alpha=0.15, linewidth=0)
+        axes.plot(times, figure.hand_speed, color=ink, linewidth=1.4, label=_plain(label))
+    if len(figures) > 1:
+        axes.legend(loc="upper right", fontsize=8, frameon=False, labelcolor=_SOFT, ncols=4)
     _style(axes, seconds)
     axes.set_ylim(0, top)
 
 
-def _figures(axes: Axes, figure: Figure, frames: int, seconds: float) -> None:
+def _figures(axes: Axes, figure: Figure, label: str, frames: int, seconds: float) -> None:
     """Draw the figure `frames` times along the axis, each centred on its own time."""
     n_frames = len(figure.points)
     _style(axes, seconds)
     low, high = -0.05 * figure.height, 1.09 * figure.height
     axes.set_ylim(low, high)
     axes.set_yticks([])
-    _label(axes, "from the front; its left is orange")
+    _label(axes, f"{label}{': ' if label else ''}from the front; its left is orange")
     axes.axhline(0, color="#d5dae0", linewidth=1)
     # The axis counts seconds, the body metres: a metre is this many seconds wide, once the rows
     # have their final sizes.

@@ -102,16 +102,17 @@ def test_every_sound_becomes_motion_of_its_own_length(gesturekit, model, tmp_pat
 def test_every_format_holds_the_same_motion(gesturekit, model, wav, tmp_path):
     out = tmp_path / "a folder" / "ausgabe für später"
     done = gesturekit(
-        "render", wav, "--model", model, "--out", out, "--format", "bvh,npz, html ,png"
+        "render", wav, "--model", model, "--out", out, "--format", "bvh,npz, html ,png,mp4"
     )
     assert (done.status, problems(done.err)) == (0, [])
-    assert names(out) == [f"speech.{kind}" for kind in ("bvh", "html", "npz", "png")]
+    assert names(out) == [f"speech.{kind}" for kind in ("bvh", "html", "mp4", "npz", "png")]
     bvh, npz = Motion.load(out / "speech.bvh"), Motion.load(out / "speech.npz")
     assert bvh.skeleton.names == npz.skeleton.names
     np.testing.assert_allclose(bvh.positions(), npz.positions(), atol=1e-4)
     page = (out / "speech.html").read_text(encoding="utf-8")
     assert "<script" in page and "audio" in page and page.rstrip().endswith("</html>")
     assert (out / "speech.png").read_bytes().startswith(b"\x89PNG")
+    assert b"mp4a" in (out / "speech.mp4").read_bytes()  # with its sound
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
@@ -292,7 +293,7 @@ def test_a_file_named_twice_is_rendered_once(gesturekit, model, wav, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--format", "bvh,fbx"], "fbx: known: bvh, npz, html, png"),
+        (["--format", "bvh,fbx"], "fbx: known: bvh, npz, html, mp4, png"),
         (["--format", ","], "known: bvh"),
         (["--model", "demmo"], "demmo: neither a model folder nor a bundled model"),
         (["--samples", "0"], "samples"),

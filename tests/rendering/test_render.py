@@ -161,7 +161,7 @@ def test_sound_that_no_file_can_be_made_of_leaves_nothing(model, tmp_path):
     ("formats", "names"), [(("bvh", "obj"), "obj"), ((), "none"), ((".fbx",), "fbx")]
 )
 def test_unknown_formats(model, sounds, tmp_path, formats, names):
-    with pytest.raises(ConfigError, match=f"{names}.*known: bvh, npz, html, png"):
+    with pytest.raises(ConfigError, match=f"{names}.*known: bvh, npz, html, mp4, png"):
         next(render(model, sounds, tmp_path / "out", output=Output(formats=formats)))
     assert not (tmp_path / "out").exists()
 

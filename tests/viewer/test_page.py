@@ -155,7 +155,7 @@ def test_every_key_of_the_player_is_in_its_list_of_shortcuts() -> None:
     table = script[script.index("const keys = {") : script.index("window.addEventListener(")]
     keys = re.findall(r'^    (?:([a-z])|"(\?)"): ', table, re.MULTILINE)
     shown = re.findall(r"<dt>(.*?)</dt>", template)
-    assert len(keys) == 4
+    assert len(keys) == 7
     for key in map("".join, keys):
         assert any(key.upper() in words.split(" or ") for words in shown), key
 

@@ -15,6 +15,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.renamed_keys import with_new_keys
 from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.training.run.report import RunReport
 
 _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "transformers")
 
@@ -24,7 +25,7 @@ _REPORTING = ("out", "checkpoint_every", "log_every", "eval_every")
 
 class Run:
     """A run folder: `config.yaml`, `command.txt`, `versions.json`, `metrics.jsonl`,
-    TensorBoard events under `events/`, `checkpoints/`, and at the end `model/`.
+    `report.html`, TensorBoard events under `events/`, `checkpoints/`, and at the end `model/`.
 
     Args:
         folder: where the run lives.
@@ -42,6 +43,7 @@ class Run:
         self.checkpoints = Checkpoints(folder / "checkpoints")
         self._metrics = folder / "metrics.jsonl"
         self._events: Any = None
+        self._report = RunReport(folder)
         config_file = folder / "config.yaml"
         if folder.exists() and not folder.is_dir():
             raise ConfigError(f"{folder}: a file, not a run folder; name a folder by out=OTHER")
@@ -99,7 +101,7 @@ class Run:
             temporary.write_text("".join(kept), encoding="utf-8")
 
     def log(self, step: int, values: dict[str, float], **labels: int | str) -> None:
-        """Add one line to `metrics.jsonl` and the same numbers to TensorBoard."""
+        """Add a line to `metrics.jsonl`, the same numbers to TensorBoard, and renew the report."""
         if self._events is None:
             from torch.utils.tensorboard import SummaryWriter
 
@@ -109,6 +111,7 @@ class Run:
             file.write(json.dumps({"step": step, **labels, **values}) + "\n")
         for name, value in values.items():
             self._events.add_scalar(name, value, step)
+        self._report.update()
 
     def last_metrics(self) -> dict[str, float]:
         """Return the last logged losses, without step, labels and timing."""
@@ -140,7 +143,8 @@ class Run:
         return any(line.get("kind") == kind and line["step"] == step for line in lines)
 
     def close(self) -> None:
-        """Finish writing TensorBoard events."""
+        """Finish writing TensorBoard events and the report."""
+        self._report.close()
         if self._events is not None:
             self._events.close()
 

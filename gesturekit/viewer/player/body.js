@@ -5,6 +5,7 @@ import {
   Color, Group, LatheGeometry, Matrix4, Mesh, MeshLambertMaterial, SphereGeometry, Vector2, Vector3,
 } from "three";
 import { Skin } from "./skin.js";
+import { Trail } from "./trail.js";
 
 // One palette a figure: the middle of the body, its left, its right, and its ink on the strip.
 const PALETTES = [
@@ -48,6 +49,8 @@ export class Body extends Group {
     const palette = PALETTES[index % PALETTES.length];
     figure.ink = palette.ink;
     const material = (colour) => new MeshLambertMaterial({ color: new Color(colour) });
+    this.trail = new Trail(figure, height);
+    this.add(this.trail);
     if (figure.skin) {
       this.bones = [];
       this.skin = new Skin(figure, material(palette.middle));
@@ -61,6 +64,16 @@ export class Body extends Group {
     });
     for (const { mesh } of this.bones) this.addLimb(mesh);
     if (figure.head) this.addHead(figure.head, skins[0], material("#2b3440"));
+  }
+
+  // Let what is behind shine through, or not.
+  setTransparent(transparent) {
+    this.traverse(({ material }) => {
+      if (!material || material === this.trail.material) return;
+      material.transparent = transparent;
+      material.opacity = transparent ? 0.55 : 1;
+      material.needsUpdate = true;
+    });
   }
 
   addLimb(mesh) {
@@ -96,6 +109,7 @@ export class Body extends Group {
   // Points as data.js' `pose` fills them, at `time` seconds.
   place(points, time) {
     this.skin?.place(points, time);
+    this.trail.place(time);
     for (const { mesh, ends, across, width, length } of this.bones) {
       this.point(points, ends[0], A);
       this.point(points, ends[1], B);

@@ -58,8 +58,12 @@ export async function read(element) {
     if (figure.skin) figure.skin = await skin(figure, shared);
     Object.assign(figure, await points(figure));
     figure.speed.values = bytes(figure.speed.values);
+    figure.contacts &&= bytes(figure.contacts);
   }
-  if (page.speech) page.speech.peaks = bytes(page.speech.peaks);
+  if (page.speech) {
+    page.speech.peaks = bytes(page.speech.peaks);
+    page.speech.spectrum.values = bytes(page.speech.spectrum.values);
+  }
   if (page.audio) page.audio.data = bytes(page.audio.data);
   return page;
 }
@@ -97,12 +101,32 @@ export function pose(figure, time, out) {
   return out;
 }
 
-// The root's place on the ground, averaged over a second, for the camera to follow calmly.
-export function calmRoot(figure) {
+// Fill `out` with where one of the figure's points is at `time` seconds.
+export function point(figure, index, time, out) {
+  const { steps, root, step, channels } = figure;
+  const [before, after, w] = around(figure, time);
+  for (let axis = 0; axis < 3; axis++) {
+    const c = 3 * index + axis;
+    const r = root[before * 3 + axis] * (1 - w) + root[after * 3 + axis] * w;
+    out[axis] = r + (steps[before * channels + c] * (1 - w) + steps[after * channels + c] * w) * step;
+  }
+  return out;
+}
+
+// The figure's middle, averaged over a second, for the camera to follow calmly. It is the middle of
+// all points, as some files move a body under a root that stays where it is.
+export function calmMiddle(figure) {
   const half = Math.max(1, Math.round(figure.fps / 2));
-  const { n_frames: frames, root } = figure;
+  const { n_frames: frames, root, steps, step, channels } = figure;
   const sum = new Float64Array((frames + 1) * 3);
-  for (let i = 0; i < frames * 3; i++) sum[i + 3] = sum[i] + root[i];
+  const scale = (3 * step) / channels;
+  for (let t = 0; t < frames; t++) {
+    for (let axis = 0; axis < 3; axis++) {
+      let total = 0;
+      for (let c = axis; c < channels; c += 3) total += steps[t * channels + c];
+      sum[(t + 1) * 3 + axis] = sum[t * 3 + axis] + root[t * 3 + axis] + total * scale;
+    }
+  }
   return (time, out) => {
     const t = Math.min(Math.max(Math.round(time * figure.fps), 0), frames - 1);
     const from = Math.max(0, t - half);

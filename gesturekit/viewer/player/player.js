@@ -4,7 +4,7 @@
 
 import { Body } from "./body.js";
 import { Clock } from "./clock.js";
-import { calmRoot, pose, read } from "./data.js";
+import { calmMiddle, pose, read } from "./data.js";
 import { Stage } from "./stage.js";
 import { Strip } from "./strip.js";
 
@@ -39,27 +39,43 @@ function showFacts(page) {
 }
 
 // One figure is shown where it is. Several stand side by side on one floor, in the order given,
-// all facing the same way.
-function arrange(bodies, page) {
+// or in the same place, all facing the same way.
+function arrange(bodies, page, overlaid) {
   page.spread = 0;
   page.front = page.figures[0].front;
   page.floor = page.figures[0].floor;
   if (bodies.length === 1) return;
-  const gap = 0.8 * page.height;
+  const gap = overlaid ? 0 : 0.8 * page.height;
   page.spread = (gap * (bodies.length - 1)) / 2;
   page.front = page.floor = 0;
   bodies.forEach((body, i) => {
-    const { front, floor, root: [x, , z] } = body.figure;
+    const { front, floor } = body.figure;
+    const [x, , z] = body.middle(0, [0, 0, 0]);
     body.rotation.y = -front;
     const [cos, sin] = [Math.cos(front), Math.sin(front)];
     body.position.set(i * gap - page.spread - (x * cos - z * sin), -floor, -(x * sin + z * cos));
+    body.updateMatrix();
+    if (i) body.setTransparent(overlaid);
   });
+}
+
+// The middle of all figures on the ground, at `time` seconds.
+function middleOf(bodies, time, out) {
+  out.fill(0);
+  for (const body of bodies) {
+    const [x, , z] = body.middle(time, [0, 0, 0]);
+    const [cos, sin] = [Math.cos(body.rotation.y), Math.sin(body.rotation.y)];
+    out[0] += (body.position.x + x * cos + z * sin) / bodies.length;
+    out[2] += (body.position.z - x * sin + z * cos) / bodies.length;
+  }
+  return out;
 }
 
 async function main() {
   const page = await read($("motion"));
   const bodies = page.figures.map((figure, i) => new Body(figure, i, page.height));
-  arrange(bodies, page);
+  for (const body of bodies) body.middle = calmMiddle(body.figure);
+  arrange(bodies, page, false);
   const [first] = page.figures;
   const duration = Math.max(...page.figures.map((f) => f.n_frames / f.fps), page.speech?.duration ?? 0);
   showFacts(page);
@@ -73,7 +89,6 @@ async function main() {
   stage.scene.add(...bodies);
   const strip = new Strip($("strip"), page, duration);
   const clock = new Clock(duration, page.audio);
-  const root = calmRoot(first);
   const middle = [0, 0, 0];
   let shown = -1;
 
@@ -81,8 +96,7 @@ async function main() {
     if (time === shown) return;
     shown = time;
     for (const body of bodies) body.place(pose(body.figure, time, body.points), time);
-    if (bodies.length === 1) root(time, middle);
-    stage.setMiddle(middle, $("follow").checked);
+    stage.setMiddle(middleOf(bodies, time, middle), $("follow").checked);
     strip.draw(time);
     $("scrub").value = time / duration;
     const frame = Math.min(Math.floor(time * first.fps + 1e-6), first.n_frames - 1);
@@ -102,6 +116,23 @@ async function main() {
     $("speed").selectedIndex = Math.min(Math.max(selectedIndex + by, 0), options.length - 1);
     setRate();
   };
+  const redraw = () => { const time = shown; shown = -1; show(time); };
+  const overlay = () => {
+    arrange(bodies, page, $("overlay").checked);
+    stage.spread = page.spread;
+    redraw();
+    stage.frontView();
+  };
+  const showTrails = () => {
+    for (const body of bodies) body.trail.visible = $("trail").checked;
+    redraw();
+  };
+  const fillScreen = () => {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else document.documentElement.requestFullscreen?.().catch(() => {});
+  };
+  const darkness = window.matchMedia("(prefers-color-scheme: dark)");
+  const setTheme = () => { stage.setTheme(darkness.matches); strip.paint(); strip.draw(shown); };
   const flip = (id) => { $(id).click(); };
   const showShortcuts = (shown) => {
     $("shortcuts").hidden = !shown;
@@ -113,6 +144,13 @@ async function main() {
   $("help").addEventListener("click", () => showShortcuts($("shortcuts").hidden));
   $("scrub").addEventListener("input", (event) => seek(event.target.value * duration));
   $("speed").addEventListener("change", setRate);
+  $("overlay").addEventListener("change", overlay);
+  $("trail").addEventListener("change", showTrails);
+  $("full").addEventListener("click", fillScreen);
+  $("full").hidden = !document.fullscreenEnabled;
+  $("overlay").parentElement.hidden = bodies.length === 1;
+  $("trail").parentElement.hidden = !page.figures.some((figure) => figure.hands.length);
+  darkness.addEventListener("change", setTheme);
   $("loop").addEventListener("change", (event) => { clock.loop = event.target.checked; });
 
   const stripSeek = (event) => {
@@ -135,6 +173,9 @@ async function main() {
     End: () => seek(duration),
     f: () => flip("follow"),
     l: () => flip("loop"),
+    o: () => { if (bodies.length > 1) flip("overlay"); },
+    t: () => flip("trail"),
+    s: fillScreen,
     r: () => stage.frontView(),
     "?": () => flip("help"),
     Escape: () => showShortcuts(false),
@@ -151,6 +192,7 @@ async function main() {
   window.addEventListener("resize", () => { stage.resize(); strip.resize(); strip.draw(shown); });
 
   seek(Number(new URLSearchParams(location.hash.slice(1)).get("t")) || 0);
+  setTheme();
   stage.frontView();
   const bare = "bare" in document.documentElement.dataset;
   if (!page.audio && !location.hash && !bare) { clock.play(); showPlaying(); }
@@ -163,6 +205,7 @@ async function main() {
     clock.tick(now);
     show(clock.time);
     if (clock.playing !== wasPlaying) showPlaying();
+    stage.setMoving(clock.playing);
     stage.draw();
     requestAnimationFrame(draw);
   });

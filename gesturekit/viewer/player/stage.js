@@ -39,6 +39,15 @@ function grid(size, height) {
   return mesh;
 }
 
+// Whether the processor draws: then half of what a graphics card does at once would stutter.
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const facts = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = facts ? gl.getParameter(facts.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}
+
 export class Stage {
   constructor(canvas, { height, floor, front, spread }) {
     this.canvas = canvas;
@@ -48,7 +57,9 @@ export class Stage {
     this.spread = spread;
     this.dirty = true;
     this.middle = new Vector3();
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.moving = false;
+    this.slow = isSoftware();
+    this.renderer = new WebGLRenderer({ canvas, antialias: !this.slow, alpha: true });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
     this.renderer.toneMapping = NeutralToneMapping;
@@ -136,10 +147,28 @@ export class Stage {
   resize() {
     this.covered = document.querySelector("footer").offsetHeight;
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    // A still picture has time for fine edges, a moving one on a slow machine has not.
+    this.renderer.setPixelRatio(this.slow ? (this.moving ? 0.75 : 2) : ratio);
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / Math.max(height, 1);
     this.camera.updateProjectionMatrix();
+    this.dirty = true;
+  }
+
+  // While the figure moves, a slow machine draws no shadows and fewer pixels.
+  setMoving(moving) {
+    if (moving === this.moving) return;
+    this.moving = moving;
+    if (!this.slow) return;
+    this.sun.castShadow = this.shade.visible = !moving;
+    this.resize();
+  }
+
+  setTheme(dark) {
+    this.grid.material.uniforms.ink.value.set(dark ? "#93a1af" : "#8d99a6");
+    this.shade.material.color.set(dark ? "#000000" : "#20303f");
+    this.shade.material.opacity = dark ? 0.5 : 0.26;
     this.dirty = true;
   }
 

@@ -1,8 +1,5 @@
-// The strip under the time line: speech above, hand speed below, on one time axis.
-
-const SPEECH = "#7b8794";
-const AXIS = "#d5dae0";
-const TEXT = "#6b7785";
+// The strip under the time line, on one time axis: speech with its onsets, its spectrogram, hand
+// speed with its beats, and when the feet stand.
 
 function tickStep(duration, width) {
   const wanted = (duration * 90) / width;
@@ -15,6 +12,7 @@ export class Strip {
     this.page = page;
     this.duration = duration;
     this.picture = document.createElement("canvas");
+    this.spectrum = page.speech && spectrumPicture(page.speech.spectrum);
     this.resize();
   }
 
@@ -37,29 +35,67 @@ export class Strip {
   paint() {
     const c = this.picture.getContext("2d");
     const { width, height, page } = this;
+    const style = getComputedStyle(document.documentElement);
+    for (const name of ["ink", "soft", "line", "panel", "speech"]) this[name] = style.getPropertyValue(`--${name}`);
     c.clearRect(0, 0, width, height);
     const foot = height - 15;
-    const middle = page.speech ? Math.round(foot * 0.46) : 0;
+    const isLow = height < 90; // no room for everything
+    const standing = isLow ? [] : page.figures.filter((figure) => figure.contacts);
+    const ground = foot - 7 * standing.length - (standing.length ? 3 : 0);
+    const middle = page.speech ? Math.round(ground * (isLow ? 0.46 : 0.56)) : 0;
+    const wave = isLow ? middle : Math.round(middle / 2);
     c.font = "11px system-ui, sans-serif";
     this.paintAxis(c, foot);
-    if (page.speech) this.paintSpeech(c, 2, middle - 2);
+    if (page.speech) {
+      this.paintSpeech(c, 2, wave - 2);
+      if (!isLow) this.paintSpectrum(c, wave, middle - 2);
+    }
     const top = Math.max(...page.figures.map((figure) => figure.speed.peak)) || 1;
-    for (const figure of page.figures) this.paintSpeed(c, figure, top, middle + 2, foot);
-    c.fillStyle = TEXT;
+    for (const figure of page.figures) this.paintSpeed(c, figure, top, middle + 2, ground);
+    standing.forEach((figure, i) => this.paintContacts(c, figure, ground + 3 + 7 * i));
     if (page.speech) this.label(c, "speech", 11);
     this.label(c, `${page.figures[0].speed.of}, up to ${speed(top)}`, middle + 13);
+    if (standing.length) this.label(c, "feet on the ground", ground - 1);
+  }
+
+  paintSpectrum(c, top, bottom) {
+    const { canvas, seconds } = this.spectrum;
+    c.imageSmoothingEnabled = true;
+    c.drawImage(canvas, 0, top, this.x(seconds), bottom - top);
+  }
+
+  // The left foot above, the right foot below.
+  paintContacts(c, { contacts, fps, ink }, top) {
+    c.fillStyle = ink;
+    for (const foot of [0, 1]) {
+      for (let t = 0, from = -1; t <= contacts.length; t++) {
+        const stands = (contacts[t] >> foot) & 1;
+        if (stands && from < 0) from = t;
+        if (stands || from < 0) continue;
+        c.fillRect(this.x(from / fps), top + 3 * foot, Math.max(0.5, this.x((t - from) / fps)), 2);
+        from = -1;
+      }
+    }
+  }
+
+  // Ticks at `times` seconds, unless there are too many to tell apart.
+  paintTicks(c, times, top, bottom) {
+    if (times.length * 4 > this.width) return;
+    for (const time of times) c.fillRect(this.x(time) - 0.5, top, 1, bottom - top);
   }
 
   label(c, text, y) {
-    c.fillStyle = "rgba(255, 255, 255, .8)";
+    c.globalAlpha = 0.8;
+    c.fillStyle = this.panel;
     c.fillRect(0, y - 10, c.measureText(text).width + 8, 14);
-    c.fillStyle = TEXT;
+    c.globalAlpha = 1;
+    c.fillStyle = this.soft;
     c.fillText(text, 3, y);
   }
 
   paintAxis(c, foot) {
-    c.strokeStyle = AXIS;
-    c.fillStyle = TEXT;
+    c.strokeStyle = this.line;
+    c.fillStyle = this.soft;
     const step = tickStep(this.duration, this.width);
     for (let t = 0; t <= this.duration + 1e-6; t += step) {
       const x = Math.round(this.x(t)) + 0.5;
@@ -89,12 +125,14 @@ export class Strip {
 
   paintSpeech(c, top, bottom) {
     const half = (bottom - top) / 2;
-    c.fillStyle = SPEECH;
+    c.fillStyle = this.speech;
     this.columns(this.page.speech.peaks, this.page.speech.rate).forEach((value, x) => {
       // Bent upwards, or the quiet half of speech could not be seen.
       const h = Math.max(0.5, (value / 255) ** 0.6 * half);
       c.fillRect(x, top + half - h, 1, 2 * h);
     });
+    c.fillStyle = this.ink;
+    this.paintTicks(c, this.page.speech.onsets, bottom - 4, bottom);
   }
 
   paintSpeed(c, figure, peak, top, bottom) {
@@ -117,6 +155,7 @@ export class Strip {
     c.fill();
     c.globalAlpha = 1;
     c.lineWidth = 1;
+    this.paintTicks(c, figure.beats, bottom - 4, bottom);
   }
 
   draw(time) {
@@ -127,9 +166,27 @@ export class Strip {
     c.drawImage(this.picture, 0, 0, width, height);
     c.fillStyle = "rgba(47, 111, 159, .09)";
     c.fillRect(0, 0, x, height - 15);
-    c.fillStyle = "#26303b";
+    c.fillStyle = this.ink;
     c.fillRect(Math.min(Math.max(x - 0.75, 0), width - 1.5), 0, 1.5, height - 13);
   }
+}
+
+// The spectrogram as a canvas of one pixel a value, low bands at the bottom.
+function spectrumPicture({ bands, rate, values }) {
+  const canvas = document.createElement("canvas");
+  const columns = values.length / bands;
+  canvas.width = columns;
+  canvas.height = bands;
+  const c = canvas.getContext("2d");
+  const image = c.createImageData(columns, bands);
+  for (let t = 0; t < columns; t++) {
+    for (let band = 0; band < bands; band++) {
+      const at = 4 * ((bands - 1 - band) * columns + t);
+      image.data.set([74, 134, 178, values[t * bands + band]], at);
+    }
+  }
+  c.putImageData(image, 0, 0);
+  return { canvas, seconds: columns / rate };
 }
 
 // In words that an idle body has too: "0.0 m/s" would say that it does not move at all.

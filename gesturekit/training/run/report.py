@@ -1,0 +1,206 @@
+"""Report of a run: a page with its losses, metrics and samples that reloads itself."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from gesturekit.atomic import atomic_write
+
+PAGE = "report.html"
+REFRESH = 10
+"""Seconds after which a browser reads the page of a running training again."""
+SHARE = 0.005
+"""Largest share of the training time spent on the page."""
+_LEAST_SECONDS = 2.0
+_MOST_POINTS = 500
+"""Points of a curve on the page; of more, every other one is dropped."""
+_MOST_SAMPLES = 100
+_WIDTH, _HEIGHT = 320, 120
+_LOG_SCALE = 50.0
+"""Ratio of the largest to the least value from which an axis is logarithmic."""
+_TITLES = {
+    "loss": "Losses",
+    "evaluation": "Samples for training recordings",
+    "held_out": "On held-out recordings",
+    "recorded": "On training recordings",
+}
+_NO_LOSSES = ("seconds_per_iteration", "learning_rate")
+_STYLE = """
+:root { color-scheme: light dark; --ink: #26303b; --soft: #6b7785; --line: #d5dae0; --room: #f6f7f8;
+  --panel: #fff; --light: 42%; font: 15px/1.4 system-ui, sans-serif; color: var(--ink); }
+@media (prefers-color-scheme: dark) { :root { --ink: #e4e8ec; --soft: #9aa6b2; --line: #3a444e;
+  --room: #181d23; --panel: #242b33; --light: 62%; } }
+body { margin: 0 auto; padding: 16px 22px 40px; max-width: 1100px; background: var(--room); }
+h1 { font-size: 20px; margin: 0; overflow-wrap: anywhere; }
+h2 { font-size: 16px; margin: 26px 0 8px; }
+p { color: var(--soft); margin: 4px 0; } a { color: inherit; }
+.charts { display: grid; grid-template-columns: repeat(auto-fill, minmax(260px, 1fr)); gap: 12px; }
+figure { margin: 0; padding: 8px 12px; background: var(--panel); border: 1px solid var(--line);
+  border-radius: 10px; }
+figcaption { display: flex; justify-content: space-between; gap: 10px; font-size: 13px; }
+figcaption span, small { color: var(--soft); font-size: 12px; }
+svg { display: block; width: 100%; height: 120px; margin: 4px 0; }
+polyline { fill: none; stroke-width: 1.6; vector-effect: non-scaling-stroke; }
+ul { columns: 160px; padding-left: 18px; }
+"""
+
+Curve = list[tuple[int, float]]
+
+
+class RunReport:
+    """Page of a run folder, made from its `metrics.jsonl` and the pages in `samples/`.
+
+    Args:
+        folder: the run.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._read = 0
+        # By section, title of the chart, and label of the curve.
+        self._curves: dict[str, dict[str, dict[str, Curve]]] = defaultdict(
+            lambda: defaultdict(lambda: defaultdict(list))
+        )
+        self._step, self._due = 0, 0.0
+
+    def update(self) -> None:
+        """Write the page, unless that would take more than SHARE of the time."""
+        began = time.monotonic()
+        if began < self._due:
+            return
+        self._write(is_running=True)
+        end = time.monotonic()
+        self._due = end + max(_LEAST_SECONDS, (end - began) / SHARE)
+
+    def close(self) -> None:
+        """Write the page for the last time; it no longer reloads itself."""
+        if self._due:
+            self._write(is_running=False)
+
+    def _write(self, *, is_running: bool) -> None:
+        # A page to look at is not worth ending a training for.
+        with suppress(OSError):
+            for line in self._new_lines():
+                self._add(line)
+            text = self._text(is_running)
+            with atomic_write(self._folder / PAGE) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+
+    def _new_lines(self) -> Iterator[dict[str, Any]]:
+        with (self._folder / "metrics.jsonl").open("rb") as file:
+            file.seek(self._read)
+            for line in file:
+                if not line.endswith(b"\n"):
+                    return
+                self._read += len(line)
+                with suppress(ValueError):
+                    yield json.loads(line)
+
+    def _add(self, line: dict[str, Any]) -> None:
+        step, level = int(line.pop("step")), line.pop("level", None)
+        section = line.pop("kind", "loss")
+        self._step = max(self._step, step)
+        for name, value in line.items():
+            if not isinstance(value, int | float) or not math.isfinite(value):
+                continue
+            title = name.rpartition("/")[2]
+            label = "" if level is None else f"level {level}"
+            if title.startswith("sync"):  # belongs beside its chance level and the recording's
+                title, label = "sync", title.removeprefix("sync").strip("_") or "model"
+            part = "pace" if name in _NO_LOSSES else section
+            curve = self._curves[part][title][label]
+            curve.append((step, float(value)))
+            if len(curve) > 2 * _MOST_POINTS:
+                del curve[1:-1:2]
+
+    def _text(self, is_running: bool) -> str:
+        name = html.escape(self._folder.resolve().name)
+        reload = f'<meta http-equiv="refresh" content="{REFRESH}">' if is_running else ""
+        is_finished = (self._folder / "model" / "config.yaml").is_file()
+        state = "running" if is_running else "finished" if is_finished else "stopped"
+        clock = time.strftime("%Y-%m-%d %H:%M:%S")
+        sections = [*_TITLES, *(part for part in self._curves if part not in _TITLES)]
+        body = "".join(self._section(part) for part in sections if part in self._curves)
+        return (
+            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">'
+            '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+            f"style-src 'unsafe-inline'\">{reload}<title>{name}: step {self._step}</title>"
+            f"<style>{_STYLE}</style></head>\n<body><h1>{name}</h1>"
+            f"<p>{state}, step {self._step}, written {clock}</p>\n"
+            f"{body}{self._samples()}</body></html>\n"
+        )
+
+    def _section(self, part: str) -> str:
+        charts = "".join(_chart(title, curves) for title, curves in self._curves[part].items())
+        title = html.escape(_TITLES.get(part, part.capitalize()))
+        return f'<h2>{title}</h2><div class="charts">{charts}</div>\n'
+
+    def _samples(self) -> str:
+        """Return links to the pages of the samples, the newest first."""
+        pages = sorted((self._folder / "samples").glob("step_*.html"), reverse=True)
+        if not pages:
+            return ""
+        links = "".join(
+            f'<li><a href="samples/{html.escape(page.name)}" target="_blank">step '
+            f"{html.escape(page.stem.removeprefix('step_').lstrip('0') or '0')}</a></li>"
+            for page in pages[:_MOST_SAMPLES]
+        )
+        return f"<h2>Samples, with their motion</h2><ul>{links}</ul>\n"
+
+
+def _chart(title: str, curves: dict[str, Curve]) -> str:
+    """Return one chart with a line for each label."""
+    values = [value for curve in curves.values() for _, value in curve]
+    low, high = min(values), max(values)
+    is_log = low > 0 and high / low > _LOG_SCALE
+    last_step = max(curve[-1][0] for curve in curves.values())
+    first_step = min(curve[0][0] for curve in curves.values())
+    lines, labels = [], []
+    for number, (label, curve) in enumerate(curves.items()):
+        hue = round(205 + 360 * number / max(len(curves), 1)) % 360
+        places = _places(curve, (first_step, last_step), (low, high), is_log)
+        colour = f"hsl({hue} 60% var(--light))"
+        named = html.escape(f"{label} {curve[-1][1]:.4g}".strip())
+        labels.append(f'; <b style="color: {colour}">{html.escape(label)}</b>' if label else "")
+        lines.append(
+            f'<polyline points="{places}" style="stroke: {colour}">'
+            f"<title>{named}</title></polyline>"
+        )
+    newest = max(curves.values(), key=lambda curve: curve[-1][0])[-1][1]
+    name = html.escape(title.replace("_", " "))
+    scale = ", log scale" if is_log else ""
+    return (
+        f"<figure><figcaption><b>{name}</b><span>{newest:.4g}</span></figcaption>"
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" preserveAspectRatio="none">{"".join(lines)}</svg>'
+        f"<small>{low:.3g} to {high:.3g}{scale}; steps {first_step} to {last_step}"
+        f"{''.join(labels)}</small></figure>"
+    )
+
+
+def _places(
+    curve: Sequence[tuple[int, float]],
+    steps: tuple[int, int],
+    limits: tuple[float, float],
+    is_log: bool,
+) -> str:
+    """Return a curve as the points of a polyline."""
+    points = curve if len(curve) > 1 else [(steps[0], curve[0][1]), (steps[1], curve[0][1])]
+    low, high = (math.log(limit) for limit in limits) if is_log else limits
+    span, width = (high - low) or 1.0, (steps[1] - steps[0]) or 1
+    if points is not curve and steps[0] == steps[1]:
+        points = [(steps[0], curve[0][1]), (steps[0] + 1, curve[0][1])]
+    found = []
+    for step, value in points:
+        share = ((math.log(value) if is_log else value) - low) / span
+        x = (step - steps[0]) / width * _WIDTH
+        found.append(f"{x:.1f},{_HEIGHT - 3 - share * (_HEIGHT - 6):.1f}")
+    return " ".join(found)

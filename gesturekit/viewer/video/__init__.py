@@ -1,0 +1,1 @@
+"""Video: frames drawn by a software rasteriser, encoded with sound by ffmpeg."""

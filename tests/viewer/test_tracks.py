@@ -1,0 +1,65 @@
+"""What is drawn under the time line of the player must be where it is heard and seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from audio_features import Wave
+from gesturekit.viewer import display, tracks
+
+RATE = 16_000
+
+
+def bursts(*times: float, seconds: float = 4.0) -> Wave:
+    samples = np.random.default_rng(0).normal(0, 1e-4, int(seconds * RATE)).astype(np.float32)
+    for time in times:
+        samples[int(time * RATE) :][:1600] += np.random.default_rng(1).normal(0, 0.3, 1600)
+    return Wave(samples, RATE)
+
+
+def test_onsets_are_where_the_sound_begins():
+    np.testing.assert_allclose(tracks.onsets(bursts(1.0, 2.5)), [1.0, 2.5], atol=0.03)
+
+
+@pytest.mark.parametrize("seconds", [4.0, 200.0])
+def test_the_spectrogram_is_small_and_in_time(seconds):
+    values, rate = tracks.spectrogram(bursts(0.75 * seconds, seconds=seconds))
+    assert len(values) <= 3_000 and values.shape[1] == tracks.BANDS
+    assert len(values) / rate == pytest.approx(seconds, abs=2 / rate)
+    assert np.argmax(values.sum(axis=1)) / rate == pytest.approx(0.75 * seconds, abs=0.15)
+
+
+def test_motion_beats_are_the_minima_of_speed():
+    time = np.arange(300) / 100
+    np.testing.assert_allclose(
+        tracks.motion_beats(1 + np.cos(2 * np.pi * time), 100.0), [0.5, 1.5, 2.5], atol=0.011
+    )
+    assert len(tracks.motion_beats(np.zeros(50), 30.0)) == 0
+
+
+def test_contacts_tell_the_feet_apart(gesture, skeleton):
+    motion = gesture(1.0)
+    rotations = motion.rotations.copy()
+    legs = [
+        skeleton.index(f"{side}{joint}")
+        for side in ("Left", "Right")
+        for joint in ("UpLeg", "Leg", "Foot")
+    ]
+    rotations[:, [0, *legs]] = [0, 0, 0, 1]
+    swing = np.sin(2 * np.pi * 3 * motion.times)  # the left thigh, about x
+    rotations[:, skeleton.index("LeftUpLeg"), 0] = swing
+    rotations[:, skeleton.index("LeftUpLeg"), 3] = np.sqrt(1 - swing**2)
+    found = tracks.contacts(replace(motion, rotations=rotations))
+    assert (found & 2 == 2).all()
+    assert (found & 1).mean() < 0.3
+
+
+def test_notebooks_get_the_page_in_a_frame(gesture):
+    shown = gesture(0.2).show(audio=bursts(0.1, seconds=0.5), title='a "b" <c>')
+    assert shown._repr_html_().startswith("<iframe srcdoc=")
+    assert "<script" not in shown._repr_html_() and "&lt;script" in shown._repr_html_()
+    assert len(repr(shown)) < 100
+    assert display({"a": gesture(0.2), "b": gesture(0.2)}).page.count('"label":') == 2

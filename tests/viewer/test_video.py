@@ -1,0 +1,150 @@
+"""Videos must show the motion at the right time, with its sound."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from audio_features import AudioError, Wave
+from gesturekit.errors import FormatError
+from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.viewer import write_video
+from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.video import raster
+from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
+
+RATE, JUMP = 16_000, 0.5
+
+
+def read(path: Path) -> tuple[np.ndarray, float]:
+    """Return frames (T, H, W, 3) and frames a second."""
+    stream = imageio_ffmpeg.read_frames(path)
+    facts = next(stream)
+    width, height = facts["size"]
+    frames = [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in stream]
+    return np.array(frames), facts["fps"]
+
+
+def sound_of(path: Path) -> np.ndarray:
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(path), "-ac", "1"]
+    command += ["-ar", str(RATE), "-f", "f32le", "-"]
+    return np.frombuffer(subprocess.run(command, check=True, capture_output=True).stdout, "<f4")
+
+
+def a_jump(gesture, seconds: float = 1.0, fps: float = 30.0) -> Motion:
+    motion = gesture(seconds, fps)
+    up = np.where(motion.times >= JUMP - 1e-9, 0.4, 0.0)
+    return replace(motion, translation=motion.translation + up[:, None] * [0, 1, 0])
+
+
+def a_clap(seconds: float = 1.0) -> Wave:
+    samples = np.zeros(int(seconds * RATE), np.float32)
+    samples[int(JUMP * RATE) :][:320] = np.random.default_rng(0).normal(0, 0.3, 320)
+    return Wave(samples, RATE)
+
+
+def coloured(frames: np.ndarray) -> np.ndarray:
+    """Return where the limbs are: the floor, the text and the trunk are almost grey."""
+    frames = frames.astype(int)
+    return frames.max(axis=-1) - frames.min(axis=-1) > 60
+
+
+def test_a_jump_and_a_clap_are_at_the_same_time(tmp_path, gesture):
+    write_video(a_jump(gesture), tmp_path / "jump.mp4", audio=a_clap())
+    frames, fps = read(tmp_path / "jump.mp4")
+    assert frames.shape[1:] == (720, 1280, 3)
+    assert (len(frames), fps) == (30, 30.0)
+    heights = [np.argwhere(frame)[:, 0].mean() for frame in coloured(frames)]
+    assert np.argmin(np.diff(heights)) + 1 == round(JUMP * fps)
+    sound = sound_of(tmp_path / "jump.mp4")
+    assert np.argmax(np.abs(sound) > 0.1) / RATE == pytest.approx(JUMP, abs=0.02)
+    assert len(sound) / RATE == pytest.approx(1.0, abs=1 / 30)
+
+
+def test_the_whole_figure_is_framed_whatever_its_size_and_path(tmp_path, gesture):
+    motion = gesture(2.0, 4.0)
+    walk = np.linspace(0, 3, motion.n_frames)[:, None] * [1.0, 0, 0]
+    motion = replace(motion, translation=motion.translation + walk)
+    write_video({"giant": motion.scaled(50), "dwarf": motion.scaled(0.01)}, tmp_path / "two.mp4")
+    frames, _ = read(tmp_path / "two.mp4")
+    for panel in (coloured(frames)[:, :, :640], coloured(frames)[:, :, 640:]):
+        for frame in panel:
+            rows, columns = np.nonzero(frame)
+            assert 300 < np.ptp(rows) < 700
+            assert rows.min() > 5 and rows.max() < 715
+            assert columns.min() > 5 and columns.max() < 635
+
+
+def test_rate_size_and_length_can_be_chosen(tmp_path, gesture):
+    write_video(gesture(0.5, 120.0), tmp_path / "x.mp4", size="1080p", fps=25, audio=a_clap(0.9))
+    frames, fps = read(tmp_path / "x.mp4")
+    assert frames.shape[1:3] == (1080, 1920)
+    assert fps == 25.0 and abs(len(frames) - 0.9 * 25) <= 1
+    write_video(gesture(0.5, 120.0), tmp_path / "y.mp4")
+    assert read(tmp_path / "y.mp4")[1] == 30.0
+
+
+def test_the_same_motion_makes_the_same_bytes(tmp_path, gesture):
+    for name in ("a", "b"):
+        write_video(gesture(0.2), tmp_path / name / "x.mp4", audio=a_clap(0.6))
+    assert (tmp_path / "a/x.mp4").read_bytes() == (tmp_path / "b/x.mp4").read_bytes()
+
+
+def test_without_the_extra_the_error_names_it(tmp_path, gesture, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(FormatError, match=r"gesturekit\[video\]"):
+        gesture(0.2).save(tmp_path / "x.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_used_is_refused_and_leaves_no_file(tmp_path, gesture):
+    (tmp_path / "x.wav").write_text("no sound")
+    with pytest.raises(AudioError):
+        write_video(gesture(0.2), tmp_path / "x.mp4", audio=tmp_path / "x.wav")
+    with pytest.raises(FormatError, match="720p or 1080p"):
+        gesture(0.2).save(tmp_path / "x.mp4", size="huge")
+    assert not (tmp_path / "x.mp4").exists()
+
+
+def placed(body, time: float) -> np.ndarray:
+    mesh = body.mesh
+    vertices, normals = np.empty_like(mesh.vertices), np.empty_like(mesh.vertices)
+    raster.place(
+        *(mesh.vertices, mesh.normals, mesh.parts, mesh.weights, body.transforms(time)),
+        *(vertices, normals),
+    )
+    return vertices
+
+
+def test_limbs_reach_from_point_to_point(gesture):
+    motion = gesture(0.5)
+    figure = Figure.of(motion)
+    body = Mannequin(figure)
+    vertices = placed(body, 7 / motion.fps)
+    for k, limb in enumerate(figure.limbs):
+        own = vertices[body.mesh.parts[:, 0] == k]
+        for end, radius in zip(limb.ends, limb.radii, strict=True):
+            gap = np.linalg.norm(own - figure.points[7, end], axis=1)
+            assert gap.min() <= radius * limb.width + 0.02 * figure.height
+
+
+def test_a_body_model_is_worn(tmp_path, capsule_body):
+    np.savez(tmp_path / "BODY.npz", **capsule_body(24))
+    body = BodyModel.load(tmp_path / "BODY.npz")
+    angles = 0.3 * np.sin(np.arange(20)[:, None, None] / 5 + np.arange(24)[:, None])
+    turns = np.concatenate([np.repeat(np.sin(angles), 3, axis=2) / 3**0.5, np.cos(angles)], axis=2)
+    path = np.linspace([0, 0.9, 0], [1, 0.9, 2], 20)
+    motion = fit_body(Motion(smpl_skeleton(24), turns, path, 20.0), body)
+    worn = SkinnedBody(motion, body, Figure.of(motion))
+    # The corrections for the pose, millimetres here, are left out.
+    np.testing.assert_allclose(placed(worn, 0.5), body.vertices(motion)[10], atol=0.01)
+    motion.trim(0, 0.2).save(tmp_path / "x.mp4", body_model=tmp_path / "BODY.npz")
+    assert len(read(tmp_path / "x.mp4")[0]) == 4
