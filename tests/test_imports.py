@@ -19,6 +19,7 @@ from gesturekit.cli import VERBS, cli
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.training.config import load_config, read_chain
+from gesturekit.training.recipes import find_config
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG_CLASSES = {"multires": MultiresConfig, "diffusion": DiffusionConfig}
@@ -107,7 +108,7 @@ def check_command_line(line: str) -> None:
     command = cli.get_command(click.Context(cli), verb)
     parameters = command.make_context(verb, arguments).params
     if verb == "train":
-        config = ROOT / parameters["config"]
+        config = find_config(parameters["config"])
         schema = CONFIG_CLASSES[read_chain(config)["system"]]
         load_config(config, schema, parameters["overrides"])
 

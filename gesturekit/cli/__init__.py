@@ -16,6 +16,7 @@ from gesturekit.wording import did_you_mean
 
 VERBS = (
     "demo",
+    "recipes",
     "features",
     "prepare",
     "train",

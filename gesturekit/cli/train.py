@@ -41,6 +41,8 @@ def command(
 ) -> None:
     """Train the model that CONFIG describes; KEY=VALUE changes a setting (training.batch=8).
 
+    CONFIG is a YAML file or the name of a recipe: multires_speech/light (gesturekit recipes ls).
+
     The run folder (out=...) gets the resolved config, metrics, TensorBoard events, checkpoints,
     and at the end the model.
     """
@@ -54,7 +56,7 @@ def command(
         if text.startswith("-"):
             key = text.lstrip("-").partition("=")[0]
             if "." not in key:
-                raise click.NoSuchOption(text, ["--resume", "--plan", "--show"])
+                raise click.NoSuchOption(text, possibilities=["--resume", "--plan", "--show"])
             raise click.UsageError(f"No such option: {text}; a setting is written as {key}=VALUE.")
     if show:
         _show(resolved_settings(config, overrides))
