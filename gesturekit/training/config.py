@@ -1,10 +1,9 @@
 """Configurations: dataclasses are the schema, YAML files hold the values.
 
-A file may name a parent with `base: other.yaml`, or a recipe with `base: multires_speech/light`, and
-then holds only what differs from it. On the
-command line, dotted `key=value` changes single values. An unknown key is an error that names the
-nearest known one. Paths are relative to the file that names them, or to the current folder when
-they come from the command line.
+A file may name a parent with `base: other.yaml`, or a recipe with `base: multires_speech/light`,
+and then holds only what differs from it. On the command line, dotted `key=value` changes single
+values. An unknown key is an error that names the nearest known one. Paths are relative to the file
+that names them, or to the current folder when they come from the command line.
 """
 
 from __future__ import annotations
