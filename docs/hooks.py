@@ -51,7 +51,7 @@ def python_page(package: str) -> str:
     doc = (inspect.getdoc(importlib.import_module(package)) or "").splitlines()
     lines = [f"# {package}", "", doc[0] if doc else "", ""]
     for name, place in public_names(package).items():
-        lines += [f"## {name}", "", f"::: {place}", ""]
+        lines += [f"::: {place}", "    options:", f"      heading: {name}", ""]
     return "\n".join(lines)
 
 
