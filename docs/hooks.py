@@ -47,11 +47,32 @@ def public_names(package: str) -> dict[str, str]:
 
 
 def python_page(package: str) -> str:
-    """Return the reference of a package as Markdown."""
+    """Return the reference of a package as Markdown.
+
+    What an earlier package exports too is described there.
+    """
+    before = PACKAGES[: PACKAGES.index(package)]
+    elsewhere = {place: name for name in reversed(before) for place in public_names(name).values()}
     doc = (inspect.getdoc(importlib.import_module(package)) or "").splitlines()
     lines = [f"# {package}", "", doc[0] if doc else "", ""]
     for name, place in public_names(package).items():
-        lines += [f"::: {place}", "    options:", f"      heading: {name}", ""]
+        if place in elsewhere:
+            lines += [f"## {name}", "", f"See [{elsewhere[place]}.{name}][{place}].", ""]
+        else:
+            lines += [f"::: {place}", "    options:", f"      heading: {name}", ""]
+    return "\n".join(lines)
+
+
+def controls_page() -> str:
+    """Return the keywords of `Model.generate` of both systems as Markdown."""
+    from gesturekit.systems import SYSTEMS, controls_type
+
+    lines = ["# Controls", "", "Keywords of `Model.generate`, for each system.", ""]
+    for kind in SYSTEMS:
+        schema = controls_type(kind)
+        place = f"{schema.__module__}.{schema.__qualname__}"
+        lines += [f"::: {place}", "    options:", f"      heading: {kind}"]
+        lines += ["      inherited_members: true", ""]
     return "\n".join(lines)
 
 
@@ -101,7 +122,7 @@ def on_files(files: Any, config: Any) -> Any:
     from pictures import write_pictures
 
     made: dict[str, str | bytes] = {f"api/{name}.md": python_page(name) for name in PACKAGES}
-    made["cli.md"] = commands_page()
+    made |= {"cli.md": commands_page(), "api/controls.md": controls_page()}
     for place, file in repository_pages().items():
         made[place] = file.read_text(encoding="utf-8")
         for picture in file.parent.glob("*.png"):
@@ -123,7 +144,13 @@ def on_config(config: Any) -> Any:
     recipes = [{p.stem: place} for place, p in _recipe_places()]
     config.nav += [
         {"Recipes": recipes},
-        {"Reference": [{"Commands": "cli.md"}, *({n: f"api/{n}.md"} for n in PACKAGES)]},
+        {
+            "Reference": [
+                {"Commands": "cli.md"},
+                {"Controls": "api/controls.md"},
+                *({name: f"api/{name}.md"} for name in PACKAGES),
+            ]
+        },
         {"Contributing": "contributing.md"},
     ]
     return config

@@ -193,7 +193,10 @@ def test_every_public_name_is_in_the_reference(hooks):
     for package in hooks.PACKAGES:
         page = hooks.python_page(package)
         for name in importlib.import_module(package).__all__:
-            assert f"heading: {name}\n" in page
+            assert f"heading: {name}\n" in page or f"\n## {name}\n" in page
+    assert "See [gesturekit.Motion][gesturekit.motion.motion.Motion]." in hooks.python_page(
+        "gesturekit.motion"
+    )
     names = hooks.public_names("audio_features")
     assert names["Wave"] == "audio_features.wave.Wave"
 
