@@ -26,6 +26,7 @@ VERBS = (
     "inspect",
     "view",
     "evaluate",
+    "genea",
     "fit-features",
     "cache",
     "doctor",
