@@ -47,6 +47,7 @@ def command(
     and at the end the model.
     """
     import logging
+    import shlex
 
     from gesturekit.systems import plan, resolved_settings, train
 
@@ -68,7 +69,7 @@ def command(
     model = train(config, overrides, resume=resume)
     run = model.parent
     click.echo(f"Losses and metrics: {run / 'metrics.jsonl'}")
-    click.echo(f"Curves: tensorboard --logdir {run / 'events'}")
+    click.echo(f"Curves: {shlex.join(['tensorboard', '--logdir', str(run / 'events')])}")
     click.echo(f"Model: {model}")
     for line in _next_steps(model):
         click.echo(line)
