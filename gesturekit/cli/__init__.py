@@ -16,9 +16,9 @@ from gesturekit.wording import did_you_mean
 
 VERBS = (
     "demo",
-    "recipes",
     "features",
     "prepare",
+    "recipes",
     "train",
     "render",
     "jobs",
