@@ -13,7 +13,7 @@ from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.field_docs import field_docs
 from gesturekit.model import Controls, Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
-from gesturekit.training.recipes import find_config, is_recipe_copy, main_configs
+from gesturekit.training.recipes import find_config, main_configs, named_config
 from gesturekit.training.run_config import RunConfig
 from gesturekit.training.settings import Setting, list_settings
 
@@ -216,7 +216,8 @@ def _config_file(
     """
     if resume and not path.exists():
         raise ConfigError(f"{path}: no such run")
-    if path.is_dir() and not is_recipe_copy(path):
+    path = named_config(path) or path
+    if path.is_dir():
         if _is_model(path) and (path.parent / "config.yaml").is_file():
             path = path.parent  # the run of a model folder
         if not (path / "config.yaml").is_file():

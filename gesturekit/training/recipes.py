@@ -26,8 +26,8 @@ class Recipe:
     Attributes:
         name: name of its folder.
         about: one line for the list of recipes.
-        debug: settings, by configuration, with which it trains for two steps
-            beside those of its system.
+        debug: settings, by configuration, with which it trains for two steps, beside those of its
+            system.
     """
 
     name: str
@@ -56,6 +56,12 @@ def recipes_folder() -> Path:
         if (folder / _TABLE).is_file():
             return folder
     raise ConfigError(f"{_PLACES[0]}: the recipes are missing; install gesturekit again")
+
+
+def read_table() -> dict[str, Any]:
+    """Return `recipes/recipes.toml`: what a training makes, debug settings, recipes."""
+    with (recipes_folder() / _TABLE).open("rb") as file:
+        return tomllib.load(file)
 
 
 def recipes() -> dict[str, Recipe]:
@@ -90,32 +96,33 @@ def recipe_config(name: str | Path) -> Path | None:
     words = [part.removesuffix(".yaml").replace("_", "a") for part in parts]
     if not 1 <= len(parts) <= 2 or not all(word.isalnum() for word in words):
         return None
-    recipe, variant = parts[0], parts[1] if len(parts) == 2 else "config"
-    path = recipes_folder() / recipe / f"{variant.removesuffix('.yaml')}.yaml"
+    variant = parts[1] if len(parts) == 2 else "config"
+    path = recipes_folder() / parts[0] / f"{variant.removesuffix('.yaml')}.yaml"
     return path if path.is_file() else None
 
 
-def is_recipe_copy(folder: Path) -> bool:
-    """Return whether a folder holds a recipe: a config.yaml that is neither a run nor a model."""
-    others = ("versions.json", "model.safetensors", "checkpoints")
-    has_config = (folder / "config.yaml").is_file() and (folder / "README.md").is_file()
-    return has_config and not any((folder / name).exists() for name in others)
+def named_config(path: Path) -> Path | None:
+    """Return the configuration in the copy of a recipe, or of a recipe by its name; else None.
+
+    Files, and folders with a config.yaml, take precedence over recipes that come with gesturekit;
+    a folder of data named `zeggs` does not.
+    """
+    if _is_copy(path):
+        return path / "config.yaml"
+    if path.is_file() or (path / "config.yaml").is_file():
+        return None
+    return recipe_config(path)
 
 
 def find_config(path: Path | str) -> Path:
     """Return the configuration file that a path, the copy of a recipe, or a name denotes.
 
-    Files and folders take precedence over recipes that come with gesturekit.
-
     Raises:
         ConfigError: there is none; the message suggests the nearest.
     """
-    path = Path(path)
-    if path.is_dir() and is_recipe_copy(path):
-        return path / "config.yaml"
-    found = path if path.exists() else recipe_config(path)
-    if found is None:
-        raise ConfigError(f"{path}: no such configuration file{_near(path)}")
+    found = named_config(Path(path)) or Path(path)
+    if not found.exists():
+        raise ConfigError(f"{path}: no such configuration file{_near(found)}")
     return found
 
 
@@ -146,6 +153,13 @@ def main_configs() -> list[str]:
     return [name for name in _config_names() if Path(name).name == "config.yaml"]
 
 
+def _is_copy(folder: Path) -> bool:
+    """Return whether a folder holds a recipe: a config.yaml that is neither a run nor a model."""
+    others = ("versions.json", "model.safetensors", "checkpoints")
+    has_config = (folder / "config.yaml").is_file() and (folder / "README.md").is_file()
+    return has_config and not any((folder / name).exists() for name in others)
+
+
 def _near(path: Path) -> str:
     """Return the end of a message that suggests configurations with a similar name."""
     beside = [str(file) for file in path.parent.glob("*.yaml")] if path.parent.is_dir() else []
@@ -168,9 +182,3 @@ def _config_names() -> list[str]:
     folders: Sequence[Path] = (Path(), recipes_folder().parent)
     found = {path.relative_to(f) for f in folders for path in f.glob("recipes/*/*.yaml")}
     return sorted(path.as_posix() for path in found)
-
-
-def read_table() -> dict[str, Any]:
-    """Return `recipes/recipes.toml`: what a training makes, debug settings, recipes."""
-    with (recipes_folder() / _TABLE).open("rb") as file:
-        return tomllib.load(file)

@@ -49,6 +49,14 @@ def test_a_file_of_the_user_takes_precedence(tmp_path):
     assert find_config("recipes/multires_speech/light.yaml").resolve() == own
 
 
+def test_a_folder_of_data_does_not_hide_the_recipe_of_its_name(gesturekit, tmp_path):
+    (tmp_path / "zeggs" / "clean").mkdir(parents=True)
+    assert "[styles]" in gesturekit("train", "zeggs", "--show").out
+    (tmp_path / "recordings").mkdir()
+    done = gesturekit("train", "recordings", "--show")
+    assert done.status == 2 and "run gesturekit prepare on it" in done.err
+
+
 def test_the_list_names_recipes_and_configurations(gesturekit):
     listed = gesturekit("recipes", "ls")
     folders = {path.parent.name for path in ROOT.glob("recipes/*/config.yaml")}
