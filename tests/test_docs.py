@@ -56,12 +56,17 @@ def commands(page: Path) -> list[str]:
     ]
 
 
-@pytest.fixture(scope="module")
-def hooks() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("docs_hooks", ROOT / "docs" / "hooks.py")
+def script(name: str) -> ModuleType:
+    """Return a module of docs/, which is no package."""
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def hooks() -> ModuleType:
+    return script("hooks")
 
 
 def check_command(line: str) -> None:
@@ -217,6 +222,16 @@ def test_links_of_the_repository_become_links_of_the_site(hooks):
         "../experiments/demo.md"
     )
     assert hooks.site_link(readme, "no.md", pages) is None
+
+
+def test_pages_show_every_picture_that_is_made_and_it_is_a_picture(tmp_path):
+    """Those that need the demo model are made by `make docs`."""
+    pictures = script("pictures").PICTURES
+    shown = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").glob("*.md"))
+    assert all(f"(pictures/{name}.png)" in shown for name in pictures)
+    for name in ("alternation", "guidance", "experts"):
+        pictures[name](tmp_path / f"{name}.png")
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_readme_is_short():

@@ -35,11 +35,14 @@ def test_a_name_denotes_a_configuration(name, file):
     assert find_config(name) == ROOT / "recipes" / file
 
 
-@pytest.mark.parametrize(
-    "name", ["../gesturekit/models/demo/config", "multires_speech/../demo/config", "/etc", ".", ""]
-)
-def test_a_name_does_not_leave_the_folder_of_recipes(name):
+@pytest.mark.parametrize("name", ["../own", "./own", "inside/../own", "/etc", ".", ""])
+def test_a_name_does_not_leave_the_folder_of_recipes(name, tmp_path, monkeypatch):
+    for file in ("own.yaml", "shipped/recipes.toml", "shipped/inside/own.yaml"):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    monkeypatch.setattr(by_name, "_PLACES", (tmp_path / "shipped",))
     assert recipe_config(name) is None
+    assert recipe_config("inside/own") is not None
 
 
 def test_a_file_of_the_user_takes_precedence(tmp_path):
