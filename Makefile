@@ -14,7 +14,7 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test stress mutants lint format bench interop picture clean
+.PHONY: help setup demo test stress mutants lint format bench interop picture docs clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
@@ -25,6 +25,7 @@ help:
 	@echo "make lint    check style only          make format  fix style"
 	@echo "make bench   run all benchmarks in quick mode"
 	@echo "make interop open files written by gesturekit in Blender and three.js (installs Blender: 1.6 GB)"
+	@echo "make docs    build the documentation site in build/site (installs mkdocs)"
 	@echo "make picture render docs/demo.png again (needs chromium)"
 	@echo "make clean   remove everything that these commands created, including $(VENV)"
 
@@ -76,6 +77,16 @@ picture: setup
 	    --disable-background-networking --hide-scrollbars --window-size=1100,720 \
 	    --virtual-time-budget=8000 --screenshot="$(CURDIR)/docs/demo.png" \
 	    "file://$$folder/speech.html#t=5.6" 2>/dev/null; rm -rf "$$folder"
+
+$(VENV)/.docs-ready: pyproject.toml constraints.txt | $(READY)
+	@echo "Installing mkdocs into $(VENV) ..."
+	@$(BIN)/python -m pip install -qq -e '.[docs]'
+	@touch $@
+
+# Any dead link, missing anchor or undocumented parameter is an error.
+docs: setup $(VENV)/.docs-ready
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+	@echo "build/site/index.html"
 
 clean:
 	rm -rf $(VENV) $(BUNDLES) $(PLAYER)/node_modules $(STUDY)/node_modules build dist .pytest_cache .ruff_cache .hypothesis

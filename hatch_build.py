@@ -1,4 +1,4 @@
-"""Hatch's build hook: scripts of HTML pages are bundled before the package is built."""
+"""Hatch's build hook: bundles the scripts of HTML pages, and puts the recipes into the wheel."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
-class PlayerHook(BuildHookInterface):
-    """Bundles the scripts of HTML pages where they are missing or out of date."""
+class PackageHook(BuildHookInterface):
+    """Bundles the scripts of HTML pages where they are missing or out of date, and adds `recipes/`
+    to wheels as `gesturekit/recipes/`."""
 
     def dependencies(self) -> list[str]:
         """Ask for Node.js from PyPI only where a bundle is needed and no Node.js is found."""
@@ -19,8 +20,10 @@ class PlayerHook(BuildHookInterface):
         return [] if bundle.is_current() or bundle.find_node() else [bundle.NODE_FROM_PYPI]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Bundle the scripts."""
+        """Bundle the scripts; an editable installation uses the recipes of the checkout."""
         self._bundle_module().main()
+        if self.target_name == "wheel" and version != "editable":
+            build_data["force_include"]["recipes"] = "gesturekit/recipes"
 
     def _bundle_module(self) -> ModuleType:
         # Loaded by path: importing gesturekit would need what is only being installed.

@@ -39,10 +39,13 @@ def interpolation_weights(
     (k + ½)·n_in/n_out - ½, clamped to the first and the last frame.
 
     Args:
-        n_in, n_out: numbers of frames.
-        start, stop: range of M output frames; by default all M = n_out.
+        n_in: number of input frames.
+        n_out: number of output frames.
+        start: first output frame.
+        stop: end of the M output frames; by default all M = n_out.
 
-    Returns lo (M,) int64, hi (M,) int64, w (M,) float64 in [0, 1).
+    Returns:
+        lo (M,) int64, hi (M,) int64, w (M,) float64 in [0, 1).
     """
     if n_in < 1 or n_out < 1:
         raise FeatureError(f"cannot interpolate from {n_in} to {n_out} frames: at least 1 each")

@@ -98,8 +98,9 @@ class Wave:
 
         Args:
             path: the file; any sample rate, any number of channels.
-            start, duration: segment to read, in seconds; None reads to the end, and a segment
-                that extends past the end is cut there.
+            start: start of the segment to read, in seconds.
+            duration: its length in seconds; None reads to the end, and a segment that extends
+                past the end is cut there.
             channel: channel to read, counted from 1 as in sox and audio editors (1 is the left
                 one); by default the mean of all. Give it if two speakers share a stereo file.
             max_seconds: longest segment that is read into memory.

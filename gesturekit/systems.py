@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import json
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.field_docs import field_docs
 from gesturekit.model import Controls, Model
 from gesturekit.training.config import load_config, read_chain, read_yaml
+from gesturekit.training.recipes import find_config, main_configs, named_config
 from gesturekit.training.run_config import RunConfig
 from gesturekit.training.settings import Setting, list_settings
 
@@ -147,8 +147,8 @@ def train(
     `train("light.yaml", {"training.batch": 8}, corpus="corpus.jsonl", out="runs/mine")`.
 
     Args:
-        config: YAML file, whose `system:` (or its parent's) is one of `SYSTEMS`. To resume, the
-            run folder is enough.
+        config: YAML file, whose `system:` (or its parent's) is one of `SYSTEMS`, or the name of a
+            recipe (`multires_speech/light`). To resume, the run folder is enough.
         overrides: single settings, as `key=value` strings, or by dotted name.
         resume: continue from the last checkpoint of the run folder.
         settings: further settings by name; a mapping changes single settings of a section.
@@ -216,6 +216,7 @@ def _config_file(
     """
     if resume and not path.exists():
         raise ConfigError(f"{path}: no such run")
+    path = named_config(path) or path
     if path.is_dir():
         if _is_model(path) and (path.parent / "config.yaml").is_file():
             path = path.parent  # the run of a model folder
@@ -228,8 +229,7 @@ def _config_file(
             raise ConfigError(f"{path}: a run folder; add --resume to go on with it")
         # Its own config.yaml holds every setting, and the folder may have been moved.
         return path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
-    if not path.exists():
-        raise ConfigError(f"{path}: no such configuration file{_near(path)}")
+    path = find_config(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise ConfigError(f"{path}: {_not_a_config(path)}")
     return path, overrides
@@ -245,9 +245,10 @@ def _system_name(path: Path, overrides: Sequence[str]) -> str:
     for override in overrides:
         key, _, value = override.partition("=")
         if key == "system" and value in SYSTEMS and value != name:
+            same = [n for n in main_configs() if read_chain(find_config(n)).get("system") == value]
             raise ConfigError(
                 f"{path}: has the settings of {name!r}; for {value!r} take one of its recipes: "
-                f"{', '.join(_main(_recipes(value))) or f'a config with system: {value}'}"
+                f"{', '.join(same)}"
             )
         if key == "system":
             name = value
@@ -272,37 +273,7 @@ def _not_a_config(path: Path) -> str:
         what = "a recording, not a configuration; run gesturekit prepare on its folder"
     else:
         what = "not a configuration, which is a .yaml file"
-    some = _main(_recipes())
-    return what + (f": {', '.join(some)}" if some else "")
-
-
-def _near(path: Path) -> str:
-    """Return the end of a message that suggests configurations with a similar name."""
-    beside = [str(file) for file in path.parent.glob("*.yaml")] if path.parent.is_dir() else []
-    known = {name: name for name in [*beside, *_recipes()]}
-    # A recipe may be meant by its folder's name, as in `recipes/multires_speech`.
-    known |= {str(Path(name).parent): name for name in known if Path(name).name == "config.yaml"}
-    same = [name for name in known if Path(name).name == path.name]
-    if same:
-        return f"; did you mean {' or '.join(same)}?"
-    near = difflib.get_close_matches(str(path), known, n=1, cutoff=0.6)
-    if near:
-        return f"; did you mean {known[near[0]]}?"
-    some = _main(_recipes()) or beside
-    return f"; there are {', '.join(some)}" if some else ""
-
-
-def _main(configs: Sequence[str]) -> list[str]:
-    """Return the main configuration of each recipe, without its variants."""
-    return [name for name in configs if Path(name).name == "config.yaml"]
-
-
-def _recipes(system: str | None = None) -> list[str]:
-    """Return the configurations below `recipes/` in the current folder, of one system or all."""
-    found = sorted(Path("recipes").glob("*/*.yaml"))
-    if system is not None:
-        found = [file for file in found if read_chain(file).get("system") == system]
-    return [str(file) for file in found]
+    return f"{what}: {', '.join(main_configs())}"
 
 
 def _part(where: str) -> Any:

@@ -6,19 +6,16 @@ import ast
 import importlib
 import inspect
 import re
-import shlex
 import subprocess
 import sys
 import typing
 from pathlib import Path
 
-import click
 import pytest
 
-from gesturekit.cli import VERBS, cli
+from gesturekit.cli import VERBS
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.training.config import load_config, read_chain
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG_CLASSES = {"multires": MultiresConfig, "diffusion": DiffusionConfig}
@@ -89,44 +86,3 @@ def test_the_program_and_the_module_are_the_same():
     assert (done.returncode, done.stderr) == (0, "")
     for verb in VERBS:
         assert re.search(rf"^  {verb} ", done.stdout, re.MULTILINE), verb
-
-
-def examples_of(verb: str) -> list[str]:
-    """Return the command lines in a verb's help."""
-    command = cli.get_command(click.Context(cli), verb)
-    shown = " ".join(command.get_help(click.Context(command, info_name=verb)).split())
-    lines = [line.removeprefix("Example: ") for line in command.epilog.splitlines() if line]
-    assert lines and all(" ".join(line.split()) in shown for line in lines), verb
-    return lines
-
-
-def check_command_line(line: str) -> None:
-    """Check that the verb has these options, and that a named config exists and has these keys."""
-    program, verb, *arguments = shlex.split(line, comments=True)
-    assert program == "gesturekit" and verb in VERBS, line
-    command = cli.get_command(click.Context(cli), verb)
-    parameters = command.make_context(verb, arguments).params
-    if verb == "train":
-        config = ROOT / parameters["config"]
-        schema = CONFIG_CLASSES[read_chain(config)["system"]]
-        load_config(config, schema, parameters["overrides"])
-
-
-@pytest.mark.parametrize("verb", VERBS)
-def test_the_examples_in_the_help_work(verb):
-    for line in examples_of(verb):
-        assert line.startswith(f"gesturekit {verb} ")
-        check_command_line(line)
-
-
-@pytest.mark.parametrize(
-    "page", ["README.md", *(p.relative_to(ROOT) for p in ROOT.glob("recipes/*/README.md"))], ids=str
-)
-def test_command_lines_on_the_pages_work(page):
-    text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
-    fenced = re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    indented = re.findall(r"^    .*$", text, re.MULTILINE)
-    for line in "\n".join([*fenced, *indented]).splitlines():
-        line = line.strip().removeprefix("$ ").removeprefix(".venv/bin/")
-        if line.startswith("gesturekit "):
-            check_command_line(line)

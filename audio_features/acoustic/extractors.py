@@ -97,7 +97,8 @@ class MFCC(AcousticExtractor):
 
     Args:
         n: number of coefficients.
-        backend, device: see `LogMel`.
+        backend: see `LogMel`.
+        device: see `LogMel`.
     """
 
     def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:

@@ -41,10 +41,13 @@ def command(
 ) -> None:
     """Train the model that CONFIG describes; KEY=VALUE changes a setting (training.batch=8).
 
+    CONFIG is a YAML file or the name of a recipe: multires_speech/light (gesturekit recipes ls).
+
     The run folder (out=...) gets the resolved config, metrics, TensorBoard events, checkpoints,
     and at the end the model.
     """
     import logging
+    import shlex
 
     from gesturekit.systems import plan, resolved_settings, train
 
@@ -54,7 +57,7 @@ def command(
         if text.startswith("-"):
             key = text.lstrip("-").partition("=")[0]
             if "." not in key:
-                raise click.NoSuchOption(text, ["--resume", "--plan", "--show"])
+                raise click.NoSuchOption(text, possibilities=["--resume", "--plan", "--show"])
             raise click.UsageError(f"No such option: {text}; a setting is written as {key}=VALUE.")
     if show:
         _show(resolved_settings(config, overrides))
@@ -67,7 +70,7 @@ def command(
     run = model.parent
     click.echo(f"Report: {run / 'report.html'}")
     click.echo(f"Losses and metrics: {run / 'metrics.jsonl'}")
-    click.echo(f"Curves: tensorboard --logdir {run / 'events'}")
+    click.echo(f"Curves: {shlex.join(['tensorboard', '--logdir', str(run / 'events')])}")
     click.echo(f"Model: {model}")
     for line in _next_steps(model):
         click.echo(line)

@@ -1,9 +1,9 @@
 """Configurations: dataclasses are the schema, YAML files hold the values.
 
-A file may name a parent with `base: other.yaml` and then holds only what differs from it. On the
-command line, dotted `key=value` changes single values. An unknown key is an error that names the
-nearest known one. Paths are relative to the file that names them, or to the current folder when
-they come from the command line.
+A file may name a parent with `base: other.yaml`, or a recipe with `base: multires_speech/light`,
+and then holds only what differs from it. On the command line, dotted `key=value` changes single
+values. An unknown key is an error that names the nearest known one. Paths are relative to the file
+that names them, or to the current folder when they come from the command line.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import yaml
 
 from gesturekit.errors import ConfigError
+from gesturekit.training.recipes import recipe_config
 from gesturekit.training.renamed_keys import with_new_keys
 
 Schema = TypeVar("Schema")
@@ -71,7 +72,7 @@ def load_config(
     """Read a configuration file, its parents, and command-line overrides into `schema`.
 
     Args:
-        path: YAML file; its `base:` names a parent, relative to itself.
+        path: YAML file; its `base:` names a parent, relative to itself, or a recipe.
         schema: the dataclass that holds names, types and defaults.
         overrides: `key.subkey=value` strings; values are read as YAML.
         settings: the same as Python values, by (dotted) name; they take precedence.
@@ -113,7 +114,10 @@ def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, 
         raise ConfigError(f"{path}: its base files go on and on; is one its own parent?")
     if not isinstance(base, str):
         raise ConfigError(f"{path}: base: {base!r} is not a file name")
-    return _merge(_with_parents(path.parent / base, schema, depth - 1), values)
+    parent = path.parent / base
+    if not parent.exists():
+        parent = recipe_config(base) or parent
+    return _merge(_with_parents(parent, schema, depth - 1), values)
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

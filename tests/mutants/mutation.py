@@ -33,7 +33,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = ("audio_features", "gesturekit", "tests", "recipes", "benchmarks", "docs")
-COPIED_FILES = ("pyproject.toml", "Makefile", "README.md", "CONTRIBUTING.md", "constraints.txt")
+COPIED_FILES = (
+    "pyproject.toml",
+    "Makefile",
+    "README.md",
+    "CONTRIBUTING.md",
+    "constraints.txt",
+    "mkdocs.yml",
+)
 SECONDS_PER_MUTANT = 300.0
 _KEYS = {"function", "before", "after", "tests", "equivalent"}
 

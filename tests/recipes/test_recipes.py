@@ -1,4 +1,4 @@
-"""Every configuration in recipes/ trains for two steps a pair, through the command line."""
+"""Every configuration in recipes/ trains for two steps a stage, as recipes/recipes.toml says."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from gesturekit.corpus import Manifest, prepare
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.training.config import load_config, read_chain
+from gesturekit.training.recipes import read_table, recipes
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = sorted((ROOT / "recipes").glob("*/*.yaml"))
@@ -23,33 +24,7 @@ SCRIPTS = sorted(
     path for path in (ROOT / "recipes").glob("*/*.py") if "__main__" in path.read_text("utf-8")
 )
 
-# What makes a recipe of each system a matter of a second. What a recipe is about (features, losses,
-# steps, noise, FiLM, joints) stays as it is.
-TINY = {
-    "multires": (
-        "threads=1",
-        "network.levels=4",
-        "network.channels=[2,2]",
-        "network.embedding=4",
-        "training.first_stage=2",
-        "training.further_stages=2",
-        "training.batch=2",
-        "training.window=2",
-        "training.window_cache=2",
-    ),
-    "diffusion": (
-        "threads=1",
-        "network.blocks=2",
-        "network.layers=1",
-        "network.channels=8",
-        "network.heads=2",
-        "network.feedforward=8",
-        "network.embedding=8",
-        "training.updates=2",
-        "training.batch=2",
-        "training.window=2",
-    ),
-}
+TABLE = read_table()
 CONFIG_CLASSES = {"multires": MultiresConfig, "diffusion": DiffusionConfig}
 
 
@@ -79,6 +54,15 @@ def with_events(corpus: Path, path: Path) -> Path:
     return path
 
 
+def with_words(corpus: Path, path: Path) -> Path:
+    """The same corpus, with a word in each recording."""
+    words = path.with_suffix(".tsv")
+    words.write_text("0.1\t0.4\thello\n0.5\t0.9\tthere\n", encoding="utf-8")
+    items = [replace(item, conditions={"words": words}) for item in Manifest.load(corpus)]
+    Manifest(items).save(path)
+    return path
+
+
 @pytest.fixture(scope="module")
 def idle(tmp_path_factory, gesture) -> Path:
     """A manifest of motion alone."""
@@ -92,10 +76,11 @@ def name_of(path: Path) -> str:
     return path.relative_to(ROOT / "recipes").as_posix()
 
 
-def test_there_are_recipes():
-    assert {"demo/config.yaml", "multires_speech/config.yaml", "multires_speech/light.yaml"} <= {
-        name_of(path) for path in CONFIGS
-    }
+def test_the_table_names_every_recipe_and_its_configurations():
+    assert set(recipes()) == {path.parent.name for path in CONFIGS}
+    for recipe in recipes().values():
+        assert recipe.about.endswith(".") and len(recipe.about) < 100
+        assert set(recipe.debug) <= {path.stem for path in recipe.configs}
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=name_of)
@@ -106,22 +91,20 @@ def test_the_recipe_trains_and_its_model_moves(path, corpus, wavlm, idle, tmp_pa
     if read_chain(path).get("events"):
         corpus = with_events(corpus, tmp_path / "events.jsonl")
     config = load_config(path, CONFIG_CLASSES[system], [f"corpus={corpus}"])
-    features = getattr(config, "features", None)
-    extractors = features.extractors if features is not None else ()
-    hears_wavlm = any(part["kind"] == "wavlm" for part in extractors)
-    more = [f"features.weights={wavlm}"] if hears_wavlm else []
-    if getattr(config, "unpaired", None) is not None:
-        more.append(f"unpaired.corpus={idle}")
-    recall = getattr(config, "recall", None)
-    if recall is not None:  # the tiny network has 4 levels; the finest is retrieval
-        more.append(f"recall.level={4 if recall.level == config.network.levels else 2}")
+    kinds = {part["kind"] for part in config.features.extractors} if config.features else set()
+    if "words" in kinds:
+        corpus = with_words(corpus, tmp_path / "words.jsonl")
+    flags = [
+        flag.replace("WAVLM", str(wavlm)).replace("IDLE", str(idle))
+        for flag in [*TABLE["debug"][system], *recipes()[path.parent.name].debug.get(path.stem, ())]
+    ]
     run = tmp_path / "run"
     with pytest.raises(SystemExit) as left:
-        main(["train", str(path), f"corpus={corpus}", f"out={run}", *TINY[system], *more])
+        main(["train", name_of(path), f"corpus={corpus}", f"out={run}", *flags])
     assert left.value.code == 0
-    for name in ("config.yaml", "skeleton.json", "model.safetensors", "README.md"):
-        assert (run / "model" / name).is_file(), name
-    model = gk.load(run / "model", weights=wavlm if hears_wavlm else None)
+    for name in TABLE["makes"]:
+        assert (run / name).is_file(), name
+    model = gk.load(run / "model", weights=wavlm if "wavlm" in kinds else None)
     told = {"path": tmp_path / "path.csv"} if getattr(config, "path", False) else {"seconds": 2.0}
     rows = "".join(f"{k / 30:.5f},0,{k / 30:.5f}\n" for k in range(60))
     (tmp_path / "path.csv").write_text(f"time,x,z\n{rows}", encoding="utf-8")
@@ -172,7 +155,7 @@ def test_fine_tuning_goes_on_from_what_pretraining_made(corpus, idle, tmp_path):
         with pytest.raises(SystemExit) as left:
             main(
                 ["train", str(recipe / f"{name}.yaml"), f"corpus={corpus}"]
-                + [*TINY["diffusion"], *more]
+                + [*TABLE["debug"]["diffusion"], *more]
             )
         assert left.value.code == 0, name
     page = (after / "model" / "README.md").read_text(encoding="utf-8")

@@ -1,0 +1,86 @@
+"""gesturekit genea: render a submission to the GENEA leaderboard, and check it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command(
+    epilog="Example: gesturekit genea export beat_english_v2.0.0/ --model runs/mine/model "
+    "--out submission\n\nExample: gesturekit genea check beat_english_v2.0.0/ --out submission"
+)
+@click.argument("action", type=click.Choice(["export", "check"]))
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--model", help="For export: a bundled name (demo) or a model folder.")
+@click.option(
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder of the submission.",
+)
+@click.option(
+    "--layout",
+    type=click.Choice(["beat2", "seamless"]),
+    default="beat2",
+    show_default=True,
+    help="FOLDER is this corpus as published. BEAT2 is written as SMPL-X, Seamless as SMPL-H.",
+)
+@click.option(
+    "--samples",
+    type=click.IntRange(min=1),
+    default=5,
+    show_default=True,
+    help="Motions for each sound; the leaderboard asks for 5 of a model with randomness.",
+)
+@click.option("--seed", default=0, show_default=True, help="Random seed.")
+@click.option(
+    "--weights", type=click.Path(path_type=Path), help="Weights the model was trained with."
+)
+@click.option("--workers", type=click.IntRange(1, 1024), default=1, show_default=True)
+def command(
+    action: str,
+    folder: Path,
+    model: str | None,
+    out: Path,
+    layout: str,
+    samples: int,
+    **options: object,
+) -> int:
+    """Render the test split in FOLDER for the GENEA leaderboard (export), or check a submission.
+
+    Each sound of the published test split becomes NAME_s1.npz to NAME_s5.npz: SMPL-X at 30 fps,
+    exactly as long as the sound. A repeated export makes what is missing. `export` checks what it
+    has made; `check` checks any folder of files with these names.
+
+    Exit codes: 0 complete; 1 something is missing or wrong, each with its file; 2 nothing started.
+    """
+    from gesturekit.progress import Progress
+    from gesturekit.rendering.genea import RIGS, check, export, sounds_of
+    from gesturekit.systems import load
+    from gesturekit.wording import counted
+
+    sounds = sounds_of(folder, layout)
+    if action == "export":
+        if model is None:
+            raise click.UsageError("export: give --model")
+        outcomes = export(
+            load(model, weights=options.pop("weights")),
+            folder,
+            out,
+            layout=layout,
+            samples=samples,
+            progress=lambda tasks: Progress(tasks, unit="file", desc="Rendering"),
+            **options,
+        )
+        for outcome in outcomes:
+            if outcome.error is not None:
+                click.echo(f"Failed: {outcome.error}", err=True)
+    faults = check(out, sounds, RIGS[layout], samples)
+    for fault in faults:
+        click.echo(f"Failed: {fault}", err=True)
+    total = counted(samples * len(sounds), "file")
+    right = f"all {total} are right" if not faults else f"{len(faults)} of {total} are wrong"
+    click.echo(f"{counted(len(sounds), 'sound')}, {right}: {out}")
+    return 1 if faults else 0

@@ -1,0 +1,126 @@
+"""Recipes by name: listed, copied, trained from anywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+import gesturekit.training.recipes as by_name
+from gesturekit.errors import ConfigError
+from gesturekit.training.config import read_chain
+from gesturekit.training.recipes import find_config, recipe_config
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch) -> None:
+    """A folder without recipes, as after pip install."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("multires_speech", "multires_speech/config.yaml"),
+        ("multires_speech/no_recall", "multires_speech/no_recall.yaml"),
+        ("multires_speech/light.yaml", "multires_speech/light.yaml"),
+        ("recipes/multires_speech/light.yaml", "multires_speech/light.yaml"),
+        ("path_100style", "path_100style/config.yaml"),
+    ],
+)
+def test_a_name_denotes_a_configuration(name, file):
+    assert find_config(name) == ROOT / "recipes" / file
+
+
+@pytest.mark.parametrize("name", ["../own", "./own", "inside/../own", "/etc", ".", ""])
+def test_a_name_does_not_leave_the_folder_of_recipes(name, tmp_path, monkeypatch):
+    for file in ("own.yaml", "shipped/recipes.toml", "shipped/inside/own.yaml"):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    monkeypatch.setattr(by_name, "_PLACES", (tmp_path / "shipped",))
+    assert recipe_config(name) is None
+    assert recipe_config("inside/own") is not None
+
+
+def test_a_file_of_the_user_takes_precedence(tmp_path):
+    own = tmp_path / "recipes" / "multires_speech" / "light.yaml"
+    own.parent.mkdir(parents=True)
+    own.write_text("system: multires\n")
+    assert find_config("recipes/multires_speech/light.yaml").resolve() == own
+
+
+def test_a_folder_of_data_does_not_hide_the_recipe_of_its_name(gesturekit, tmp_path):
+    (tmp_path / "zeggs" / "clean").mkdir(parents=True)
+    assert "[styles]" in gesturekit("train", "zeggs", "--show").out
+    (tmp_path / "recordings").mkdir()
+    done = gesturekit("train", "recordings", "--show")
+    assert done.status == 2 and "run gesturekit prepare on it" in done.err
+
+
+def test_the_list_names_recipes_and_configurations(gesturekit):
+    listed = gesturekit("recipes", "ls")
+    folders = {path.parent.name for path in ROOT.glob("recipes/*/config.yaml")}
+    assert {line.split()[0] for line in listed.out.splitlines()} == folders
+    one = gesturekit("recipes", "ls", "experts").out
+    assert "gesturekit train experts corpus=" in one
+    assert "gesturekit train experts/second corpus=" in one and "moves_like" in one
+
+
+def test_a_copy_can_be_edited_and_is_trained_by_its_folder(gesturekit, tmp_path):
+    """Parents in other recipes are found from the copy too."""
+    done = gesturekit("recipes", "cp", "diffusion_styles", "new/my styles")
+    assert done.status == 0 and "gesturekit train" in done.out
+    copy = tmp_path / "new" / "my styles"
+    assert {path.name for path in copy.iterdir()} == {
+        path.name for path in (ROOT / "recipes" / "diffusion_styles").glob("*.*")
+    }
+    text = (copy / "config.yaml").read_text()
+    (copy / "config.yaml").write_text(text.replace("updates: 4000", "updates: 7"))
+    shown = gesturekit("train", copy, "--show").out
+    assert "training.updates=7" in shown and "network.architecture=diffwave" in shown
+
+
+def test_a_copy_replaces_nothing(gesturekit, tmp_path):
+    assert gesturekit("recipes", "cp", "ganimator").status == 0
+    (tmp_path / "ganimator" / "config.yaml").write_text("mine")
+    again = gesturekit("recipes", "cp", "ganimator")
+    assert again.status == 2 and "ganimator: exists already" in again.err
+    assert (tmp_path / "ganimator" / "config.yaml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["cp"], "name the recipe to copy"),
+        (["cp", "own_corpse"], "'own_corpse' is not a recipe; did you mean own_corpus?"),
+        (["ls", "x"], "'x' is not a recipe; it is one of own_corpus, "),
+        (["ls", "demo", "there"], "ls takes one recipe at most"),
+    ],
+)
+def test_mistakes(gesturekit, arguments, says):
+    done = gesturekit("recipes", *arguments)
+    assert done.status == 2 and says in done.err
+
+
+def test_base_names_a_recipe_or_the_nearest_file(tmp_path):
+    (tmp_path / "mine.yaml").write_text("base: multires_speech/light\nfps: 30\n")
+    chain = read_chain(tmp_path / "mine.yaml")
+    assert (chain["fps"], chain["system"], chain["recall"]["level"]) == (30, "multires", 4)
+    (tmp_path / "mine.yaml").write_text("base: multires_speech/lite\n")
+    with pytest.raises(ConfigError, match="multires_speech/lite: no such"):
+        read_chain(tmp_path / "mine.yaml")
+
+
+def test_an_installation_without_recipes_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr(by_name, "_PLACES", (tmp_path / "none",))
+    with pytest.raises(ConfigError, match="install gesturekit again"):
+        by_name.recipes()
+
+
+def test_every_configuration_is_valid_yaml_with_a_known_parent():
+    for path in ROOT.glob("recipes/*/*.yaml"):
+        base = yaml.safe_load(path.read_text(encoding="utf-8")).get("base")
+        assert base is None or "/" not in base or recipe_config(base), path

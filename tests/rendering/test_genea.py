@@ -1,0 +1,103 @@
+"""Submissions to the GENEA leaderboard: written from a tiny BEAT2, and checked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gesturekit.cli import main
+from gesturekit.errors import CorpusError
+from gesturekit.motion import Motion
+from gesturekit.rendering.genea import check, export, sounds_of
+
+# Seconds of sound of each recording; the motion of each lasts 1 s.
+SECONDS = {"2_scott_0_1_1": 1.51, "1_wayne_0_86_87": 2.0, "1_wayne_0_1_1": 1.0}
+SPLITS = {"2_scott_0_1_1": "test", "1_wayne_0_86_87": "test", "1_wayne_0_1_1": "train"}
+
+
+@pytest.fixture(scope="module")
+def beat2(tmp_path_factory, write_speech) -> Path:
+    root = tmp_path_factory.mktemp("beat2")
+    (root / "smplxflame_30").mkdir()
+    for name, seconds in SECONDS.items():
+        write_speech(root / "wave16k" / f"{name}.wav", seconds)
+        np.savez(
+            root / "smplxflame_30" / f"{name}.npz",
+            poses=np.zeros((30, 165)),
+            trans=np.zeros((30, 3)),
+            mocap_frame_rate=30,
+        )
+    rows = "".join(f"{name},{split}\n" for name, split in SPLITS.items())
+    (root / "train_test_split.csv").write_text(f"id,type\n{rows}")
+    return root
+
+
+@pytest.fixture(scope="module")
+def submission(beat2, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("submission")
+    export("demo", beat2, out, samples=2)
+    return out
+
+
+def test_the_test_split_is_rendered_to_the_length_of_the_sound(beat2, submission):
+    """1.51 s are 45.3 frames, so 45; the recorded motion, 30 frames, does not count."""
+    frames = {}
+    for path in sorted(submission.glob("*.npz")):
+        with np.load(path) as file:
+            assert file["poses"].shape[1] == 165 and file["mocap_frame_rate"] == 30
+            assert file["surface_model_type"] == "smplx" and file["trans"].shape[1] == 3
+            frames[path.stem] = len(file["poses"])
+    assert frames == {
+        "1_wayne_0_86_87_s1": 60,
+        "1_wayne_0_86_87_s2": 60,
+        "2_scott_0_1_1_s1": 45,
+        "2_scott_0_1_1_s2": 45,
+    }
+    assert check(submission, sounds_of(beat2), "smplx", 2) == []
+
+
+def test_every_fault_is_named(beat2, submission, tmp_path):
+    sounds = sounds_of(beat2)
+    assert list(sounds) == ["1_wayne_0_86_87", "2_scott_0_1_1"]
+    good = Motion.load(submission / "2_scott_0_1_1_s1.npz")
+    good.save(tmp_path / "2_scott_0_1_1_s1.npz")
+    good.save(tmp_path / "2_scott_0_1_1_s2.npz")
+    good.slice(0, 44).save(tmp_path / "2_scott_0_1_1_s3.npz")
+    (tmp_path / "1_wayne_0_86_87_s1.npz").write_bytes(b"no npz")
+    faults = check(tmp_path, sounds, "smplx", 3)
+    assert len(faults) == 5
+    text = "\n".join(faults)
+    assert "2_scott_0_1_1_s2.npz: the same motion as another sample" in text
+    assert "2_scott_0_1_1_s3.npz: 44 frames; the sound has 45 at 30 fps" in text
+    assert "1_wayne_0_86_87_s2.npz: missing" in text and "1_wayne_0_86_87_s1.npz: " in text
+    (fault,) = check(submission, {"2_scott_0_1_1": sounds["2_scott_0_1_1"]}, "smplh", 2)[:1]
+    assert "55 joints; smplh has 52" in fault
+
+
+def test_the_command_makes_what_is_missing_and_says_what_is_wrong(beat2, tmp_path, capsys):
+    def run(*arguments: str) -> int:
+        with pytest.raises(SystemExit) as left:
+            main(["genea", *arguments, str(beat2), "--out", str(tmp_path), "--samples", "1"])
+        return left.value.code
+
+    assert run("check") == 1
+    assert "2 of 2 files are wrong" in capsys.readouterr().out
+    assert run("export") == 2
+    assert "give --model" in capsys.readouterr().err
+    assert run("export", "--model", "demo") == 0
+    assert "2 sounds, all 2 files are right" in capsys.readouterr().out
+    (tmp_path / "2_scott_0_1_1.npz").unlink()
+    kept = (tmp_path / "1_wayne_0_86_87.npz").stat().st_mtime_ns
+    assert run("export", "--model", "demo") == 0
+    assert (tmp_path / "1_wayne_0_86_87.npz").stat().st_mtime_ns == kept
+    assert run("check") == 0
+
+
+def test_other_corpora_are_refused(beat2, tmp_path):
+    with pytest.raises(CorpusError, match="a submission is for beat2 or seamless"):
+        sounds_of(beat2, "zeggs")
+    (tmp_path / "train_test_split.csv").write_text("id,type\n")
+    with pytest.raises(CorpusError, match="no sound in the test split"):
+        sounds_of(tmp_path)
