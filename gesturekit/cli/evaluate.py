@@ -169,6 +169,8 @@ def _evaluated(
     folders: dict[str, Path], recordings: Path | Items, options: Mapping[str, Any]
 ) -> Evaluation:
     """Run the evaluation with the options of the command line."""
+    import os
+
     from gesturekit.evaluation import FeatureModel, PatchOptions, evaluate
     from gesturekit.progress import Progress
 
@@ -184,10 +186,17 @@ def _evaluated(
             baselines=comma_separated(options["baseline"]),
             features=None if features is None else FeatureModel.load(features),
             seed=options["seed"],
-            progress=lambda pairs, label: Progress(pairs, desc=label, unit="clip"),
+            workers=options["workers"] or os.cpu_count() or 1,
+            progress=lambda tasks, total, label: Progress(
+                tasks, total=total, desc=label, unit="recording"
+            ),
         )
     except KeyboardInterrupt:
-        click.echo("Stopped, and nothing was written. The same command measures anew.", err=True)
+        click.echo(
+            "Stopped, and nothing was written. What was measured is kept: the same command goes "
+            "on from there.",
+            err=True,
+        )
         raise
 
 

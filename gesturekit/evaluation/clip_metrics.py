@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -107,6 +108,15 @@ class ReferenceStatistics:
         if kept and turning:
             statistics.limits = JointLimits.fit(kept, turning)
         return statistics
+
+    def digest(self) -> str:
+        """Return a digest of the statistics, which are a part of every clip's measurement."""
+        found = hashlib.sha256(repr(sorted(self.mean_speed.items())).encode())
+        if self.limits is not None:
+            found.update(repr(self.limits.joints).encode())
+            for values in (self.limits.mean, self.limits.low, self.limits.high):
+                found.update(np.ascontiguousarray(values))
+        return found.hexdigest()
 
 
 def _roots(motions: Iterable[Motion]) -> set[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,11 @@ class MetricResult:
     chance: float | None = None
     mismatched: float | None = None
     note: str = ""
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> MetricResult:
+        """Return the result that `dataclasses.asdict` described."""
+        return cls(**{k: Interval(**v) if isinstance(v, dict) else v for k, v in values.items()})
 
 
 @dataclass
