@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,12 +28,18 @@ if TYPE_CHECKING:
 @click.command(
     "evaluate",
     epilog="Example: gesturekit evaluate rendered recordings --audio recordings --out report.html "
-    "--compare rendered_without_film baseline",
+    "--compare rendered_without_film --compare other=baseline/rendered",
 )
 @click.argument("generated")
 @click.argument("reference", type=click.Path(path_type=Path), required=False)
-@click.argument("others", nargs=-1, metavar="[MODEL]...")
-@click.option("--compare", is_flag=True, help="Compare with the models given last.")
+@click.argument("surplus", nargs=-1, metavar="")
+@click.option(
+    "--compare",
+    multiple=True,
+    metavar="[NAME=]DIR",
+    help="Compare with another model: its folder of motion, named in the report by NAME. May be "
+    "repeated.",
+)
 @click.option(
     "--baseline",
     metavar="NAMES",
@@ -64,11 +71,22 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="HTML report.")
 @click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="JSON.")
 @click.option(
+    "--csv", type=click.Path(path_type=Path, dir_okay=False), help="Table of all metrics as CSV."
+)
+@click.option(
+    "--markdown", type=click.Path(path_type=Path, dir_okay=False), help="The table in Markdown."
+)
+@click.option(
+    "--latex",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The table in LaTeX (booktabs).",
+)
+@click.option(
     "--protocol",
     type=click.Choice(["multires", "lda"]),
     help="multires: patches of each training sequence, 200 samples of twice its length. lda: "
     "Fréchet distances of 10 s windows, 3 samples each, against all of REFERENCE. With a protocol, "
-    "GENERATED and MODEL may be model folders: motion is sampled first.",
+    "GENERATED and --compare may be model folders: motion is sampled first.",
 )
 @click.option(
     "--samples",
@@ -100,6 +118,11 @@ if TYPE_CHECKING:
     help="Coverage threshold: largest distance of a covered patch.  [default: 2.0; none for paper]",
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of samples and intervals.")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    help="Number of processes; the figures are the same for any number.  [default: the cores]",
+)
 @existing_option("replace", note="; samples of an earlier run are only skipped or refused")
 @recording_options
 @click.pass_context
@@ -107,17 +130,18 @@ def command(
     ctx: click.Context,
     generated: str,
     reference: Path | None,
-    others: tuple[str, ...],
-    compare: bool,
+    surplus: tuple[str, ...],
+    compare: tuple[str, ...],
     out: Path | None,
     json_out: Path | None,
     **options: Any,
 ) -> None:
     """Measure generated motion (GENERATED: folder or file, npz or BVH) against recordings.
 
-    Clips are matched with recordings by name; STEM_s1, STEM_s2 ... are samples for STEM. With
-    --compare, each further folder is another model. Without --audio, speech metrics are left out.
-    Prints a verdict in words and a table; --out and --json write all results. Held-out recordings:
+    Clips are matched with recordings by name; STEM_s1, STEM_s2 ... are samples for STEM. GENERATED
+    may be NAME=DIR too. Without --audio, speech metrics are left out. Prints a verdict in words and
+    a table; --out and --json write all results. What has been measured is kept by content in the
+    cache (gesturekit cache): a rerun measures what is new. Held-out recordings:
 
     \b
     gesturekit render --corpus corpus.jsonl --split test --model M --out rendered
@@ -129,40 +153,68 @@ def command(
     measured. Clips of other splits of --corpus, and of its items without motion, are not expected
     to be measured: a note lists them.
     """
-    import shlex
     import sys
 
     from gesturekit.evaluation import write_report
+    from gesturekit.evaluation.report.figure_table import WRITERS, terminal_lines, write_table
 
-    if options["corpus"] is not None and reference is not None:
-        # With --corpus there is no REFERENCE: the argument is the first of the models.
-        reference, others = None, (str(reference), *others)
+    _refuse_surplus(reference, surplus, options["corpus"])
     recordings = _recordings(reference, options)
-    if others and not compare:
-        raise click.UsageError(f"what is {others[0]}? Add --compare to compare with it")
+    names = (generated, *compare)
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
-    if compare and not others:
-        raise click.UsageError("--compare needs folders to compare with, named last")
+    tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
-    folders = _folders((generated, *others), reference, options)
+    folders = _folders(names, reference, options)
     found = _evaluated(folders, recordings, options)
-    for line in (*found.verdicts(), *_table(found)):
+    for line in (*found.verdicts(), *terminal_lines(found)):
         click.echo(line)
     for line in _notes(found):
         click.echo(line, err=True)
-    for model, name in zip(found.models, (generated, *others)):
+    for model, name in zip(found.models, map(_place, names)):
         if warning := _trained_on(model, name):
             click.echo(f"Warning: {model.label}: {warning}", err=True)
             model.notes.append(warning)
     if json_out is not None:
         found.write_json(json_out)
         click.echo(f"written  {json_out}")
+    for form, path in tables.items():
+        if path is not None:
+            write_table(found, path, form)
+            click.echo(f"written  {path}")
     if out is not None:
         write_report(found, out, command=shlex.join(["gesturekit", *sys.argv[1:]]))
         click.echo(f"written  {out}")
     click.echo(_summary(found, out or json_out))
     ctx.exit(0 if found.is_complete else 1)
+
+
+def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path | None) -> None:
+    """Refuse positional arguments after GENERATED and REFERENCE.
+
+    Raises:
+        UsageError: there are some.
+    """
+    if corpus is not None and reference is not None:
+        surplus = (str(reference), *surplus)
+    if surplus:
+        raise click.UsageError(
+            f"what is {surplus[0]}? Each model to compare with has its own --compare, such as "
+            f"{' '.join(f'--compare {shlex.quote(name)}' for name in surplus)}"
+        )
+
+
+def _named(text: str) -> tuple[str | None, str]:
+    """Return (name or None, folder) of [NAME=]DIR; a folder that exists is no NAME=DIR."""
+    name, equals, folder = text.partition("=")
+    if not equals or not name or Path(text).exists():
+        return None, text
+    return name, folder
+
+
+def _place(text: str) -> str:
+    """Return the folder of [NAME=]DIR."""
+    return _named(text)[1]
 
 
 def _evaluated(
@@ -302,16 +354,20 @@ def _folders(
     from gesturekit.systems import bundled_models
 
     folders: dict[str, Path] = {}
-    places = [Path(name).resolve() for name in names]
-    for name, place in zip(names, places):
+    places = [Path(_place(name)).resolve() for name in names]
+    for text, place in zip(names, places):
         if places.count(place) > 1:
-            raise click.UsageError(f"{name} is named twice")
+            raise click.UsageError(f"{text} is named twice")
+        label, name = _named(text)
         path = Path(name)
-        label = place.stem if path.is_file() else place.name
         if label in folders:
-            label = f"{place.parent.name}/{label}"
-        if label in folders:
-            label = str(place)
+            raise click.UsageError(f"two models are named {label}")
+        if label is None:
+            label = place.stem if path.is_file() else place.name
+            if label in folders:
+                label = f"{place.parent.name}/{label}"
+            if label in folders:
+                label = str(place)
         folders[label] = path
         if path.exists() and not (path / "config.yaml").is_file():
             continue
@@ -355,32 +411,3 @@ def _sample(
     with resumable(lambda: "With --existing skip the same command goes on."):
         for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
             pass
-
-
-def _table(found: Evaluation) -> list[str]:
-    """Return the lines of the table: mean and interval of each model, and the recordings' value."""
-    from tqdm.utils import disp_len
-
-    from gesturekit.evaluation.report.tables import number
-
-    rows = [["", *(model.label for model in found.models), "recording"]]
-    for definition in found.definitions():
-        figures = [model.figures.get(definition.key) for model in found.models]
-        unit = f", {definition.unit}" if definition.unit else ""
-        row = [f"{definition.name}{unit}"]
-        for figure in figures:
-            if figure is None:
-                row.append("-")
-                continue
-            i = figure.interval
-            spread = "" if i.low is None else f" [{number(i.low)}, {number(i.high)}]"
-            row.append(f"{number(i.value)}{spread}")
-        own = next((f.recording for f in figures if f and f.recording is not None), None)
-        row.append("" if own is None else number(own))
-        rows.append(row)
-    # Wide characters, as in Chinese names, take two columns.
-    widths = [max(disp_len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(cell + " " * (w - disp_len(cell)) for cell, w in zip(row, widths)).rstrip()
-        for row in rows
-    ]

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import audio_features
-import gesturekit
 from audio_features.disk_cache import (
     DiskCache,
     default_folder,
@@ -91,7 +90,7 @@ def content_of(source: Path | Stretch) -> str | None:
 
 def metric_version() -> dict[str, Any]:
     """Return the part of every key that changes with code and libraries."""
-    root = Path(gesturekit.__file__).parent
+    root = Path(__file__).parents[2]
     code = [digest_of_sources(root / name) for name in _CODE]
     code.append(digest_of_sources(Path(audio_features.__file__).parent))
     return {"code": code, "versions": installed_versions(_NUMERICAL)}

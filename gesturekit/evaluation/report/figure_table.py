@@ -1,0 +1,202 @@
+"""The table of all metrics as text: for the terminal, CSV, Markdown and LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from gesturekit.atomic import atomic_write
+from gesturekit.evaluation.definitions import GROUPS, Definition
+from gesturekit.evaluation.report.tables import number
+from gesturekit.evaluation.results import Evaluation, MetricResult
+from gesturekit.wording import printable
+
+ARROWS = {"higher": "↑", "lower": "↓", "reference": "≈"}
+"""Sign of the better direction; ≈ is the recording's value."""
+CSV_COLUMNS = (
+    "model", "key", "name", "group", "unit", "better", "value", "low", "high", "n", "units", "over",
+    "recording", "chance", "mismatched", "note",
+)  # fmt: skip
+
+_LATEX = {
+    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
+    "≈": r"$\approx$",
+    "²": r"$^2$",
+    "³": r"$^3$",
+    "–": "--",
+    "−": r"$-$",
+    "\u202f": r"\,",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A metric: its result for each model, None where it was not measured."""
+
+    definition: Definition
+    figures: tuple[MetricResult | None, ...]
+
+    @property
+    def name(self) -> str:
+        """Name and unit."""
+        unit = f", {self.definition.unit}" if self.definition.unit else ""
+        return f"{self.definition.name}{unit}"
+
+    @property
+    def arrow(self) -> str:
+        """Sign of the better direction."""
+        return ARROWS[self.definition.better]
+
+    @property
+    def recording(self) -> str:
+        """The recordings' own value; "" if it has none."""
+        return self._first("recording")
+
+    @property
+    def chance(self) -> str:
+        """The higher one of the chance level and that of other recordings, of the first model."""
+        known = [f for f in self.figures if f is not None]
+        levels = [v for f in known[:1] for v in (f.chance, f.mismatched) if v is not None]
+        return number(max(levels)) if levels else ""
+
+    def _first(self, name: str) -> str:
+        values = (getattr(figure, name) for figure in self.figures if figure is not None)
+        return next((number(value) for value in values if value is not None), "")
+
+
+def rows_by_group(evaluation: Evaluation) -> Iterator[tuple[str, list[Row]]]:
+    """Yield each group of metrics that has any, with its rows."""
+    for group in GROUPS:
+        rows = [
+            Row(d, tuple(model.figures.get(d.key) for model in evaluation.models))
+            for d in evaluation.definitions()
+            if d.group == group
+        ]
+        if rows:
+            yield group, rows
+
+
+def terminal_lines(evaluation: Evaluation) -> list[str]:
+    """Return the table for a terminal, in groups: direction, figures, recording and chance."""
+    from tqdm.utils import disp_len
+
+    labels = [printable(model.label) for model in evaluation.models]
+    table: list[list[str]] = [["", "", *labels, "recording", "chance"]]
+    for group, rows in rows_by_group(evaluation):
+        table.append([f"{group}:"])
+        table += [
+            [f"  {row.name}", row.arrow, *map(_figure, row.figures), row.recording, row.chance]
+            for row in rows
+        ]
+    # Wide characters, as in Chinese names, take two columns; headings of groups may run on.
+    whole = [row for row in table if len(row) > 1]
+    widths = [max(disp_len(row[i]) for row in whole) for i in range(len(table[0]))]
+    return [
+        "  ".join(cell + " " * (w - disp_len(cell)) for cell, w in zip(row, widths)).rstrip()
+        for row in table
+    ]
+
+
+def markdown(evaluation: Evaluation) -> str:
+    """Return the table in Markdown, one heading line a group."""
+    labels = [_markdown(model.label) for model in evaluation.models]
+    head = ["Metric", "", *labels, "Recording", "Chance"]
+    lines = [f"| {' | '.join(head)} |", f"|---|---|{'---:|' * (len(head) - 2)}"]
+    for group, rows in rows_by_group(evaluation):
+        lines.append(f"| **{group}** |{' |' * (len(head) - 1)}")
+        for row in rows:
+            cells = [_markdown(row.name), row.arrow, *map(_figure, row.figures)]
+            lines.append(f"| {' | '.join((*cells, row.recording, row.chance))} |")
+    return "\n".join((*lines, "", _caption(evaluation), ""))
+
+
+def latex(evaluation: Evaluation) -> str:
+    """Return the table in LaTeX (booktabs), without a float around it."""
+    labels = [_latex(model.label) for model in evaluation.models]
+    width = len(labels) + 4
+    lines = [
+        f"% {_latex(_caption(evaluation))}",
+        rf"\begin{{tabular}}{{ll{'r' * (width - 2)}}}",
+        r"\toprule",
+        " & ".join(["Metric", "", *labels, "Recording", "Chance"]) + r" \\",
+    ]
+    for group, rows in rows_by_group(evaluation):
+        lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textit{{{_latex(group)}}}}} \\"]
+        for row in rows:
+            cells = [row.name, row.arrow, *map(_figure, row.figures), row.recording, row.chance]
+            lines.append(" & ".join(map(_latex, cells)) + r" \\")
+    return "\n".join((*lines, r"\bottomrule", r"\end{tabular}", ""))
+
+
+def csv_text(evaluation: Evaluation) -> str:
+    """Return one line for each model and metric, with `CSV_COLUMNS` and all digits."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, CSV_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for group, rows in rows_by_group(evaluation):
+        for row in rows:
+            for model, figure in zip(evaluation.models, row.figures):
+                if figure is None:
+                    continue
+                definition, interval = row.definition, figure.interval
+                values = {
+                    "model": model.label,
+                    "group": group,
+                    **{k: getattr(definition, k) for k in ("key", "name", "unit", "better")},
+                    **{k: getattr(interval, k) for k in ("value", "low", "high")},
+                    **{k: getattr(interval, k) for k in ("n", "units", "over")},
+                    **{k: getattr(figure, k) for k in ("recording", "chance", "mismatched")},
+                    "note": figure.note,
+                }
+                writer.writerow({k: "" if v is None else v for k, v in values.items()})
+    return text.getvalue()
+
+
+WRITERS: Mapping[str, Callable[[Evaluation], str]] = {
+    "csv": csv_text,
+    "markdown": markdown,
+    "latex": latex,
+}
+"""Functions that return the table as text, by name of the form."""
+
+
+def write_table(evaluation: Evaluation, path: str | os.PathLike[str], form: str) -> None:
+    """Write the table of all metrics to a file; `form` is a name in `WRITERS`."""
+    with atomic_write(Path(path)) as temporary:
+        temporary.write_text(WRITERS[form](evaluation), encoding="utf-8")
+
+
+def _figure(figure: MetricResult | None) -> str:
+    if figure is None:
+        return "–"
+    interval = figure.interval
+    if interval.low is None or interval.high is None:
+        return number(interval.value)
+    return f"{number(interval.value)} [{number(interval.low)}, {number(interval.high)}]"
+
+
+def _caption(evaluation: Evaluation) -> str:
+    arrows = "↑ higher is better, ↓ lower is better, ≈ as the recording is best"
+    return f"Mean and 95 % bootstrap interval at {evaluation.fps:g} fps. {arrows}."
+
+
+def _markdown(text: str) -> str:
+    return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", _one_line(text))
+
+
+def _latex(text: str) -> str:
+    return "".join(_LATEX.get(sign, sign) for sign in _one_line(text))
+
+
+def _one_line(text: str) -> str:
+    return "".join(sign if sign.isprintable() or sign == "\u202f" else " " for sign in text)
