@@ -167,14 +167,15 @@ def command(
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
     folders = _folders(names, reference, options)
     found = _evaluated(folders, recordings, options)
-    for line in (*found.verdicts(), *terminal_lines(found)):
-        click.echo(line)
-    for line in _notes(found):
-        click.echo(line, err=True)
     for model, name in zip(found.models, map(_place, names)):
         if warning := _trained_on(model, name):
             click.echo(f"Warning: {model.label}: {warning}", err=True)
             model.notes.append(warning)
+            model.marks.append("trained on these")
+    for line in (*found.verdicts(), *terminal_lines(found)):
+        click.echo(line)
+    for line in _notes(found):
+        click.echo(line, err=True)
     if json_out is not None:
         found.write_json(json_out)
         click.echo(f"written  {json_out}")

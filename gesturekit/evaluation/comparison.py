@@ -12,8 +12,8 @@ import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.baselines import baseline_pairs
-from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
-from gesturekit.evaluation.clips import LENGTH_TOLERANCE
+from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics, load_sound
+from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_files
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
@@ -27,6 +27,11 @@ from gesturekit.evaluation.definitions import (
 from gesturekit.evaluation.frame_rate import RULE
 from gesturekit.evaluation.intervals import Interval, interval_of
 from gesturekit.evaluation.life.verdict import verdict
+from gesturekit.evaluation.measuring.alike import (
+    joints_to_leave_out,
+    keep_common_recordings,
+    mark_unlike,
+)
 from gesturekit.evaluation.measuring.run import Progress, measure_all
 from gesturekit.evaluation.measuring.work import MISMATCHED, Work
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
@@ -129,6 +134,8 @@ def evaluate(
         UnknownOptionError: a keyword that is not an option.
     """
     chosen = build_options(EvaluationOptions, options, "evaluate")
+    forget_files()
+    load_sound.cache_clear()
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
@@ -141,6 +148,8 @@ def evaluate(
         label: find_pairs(folder, reference, audio=audio, semantic=semantic)
         for label, folder in folders.items()
     }
+    if len(found) > 1:
+        keep_common_recordings(found)
     fps = _frame_rate(next(iter(found.values())))
     found |= baseline_pairs(chosen.baselines, found, reference, fps)
     statistics = ReferenceStatistics.of(recordings(reference), fps)
@@ -152,6 +161,7 @@ def evaluate(
         path = folders.get(label, Path(label))
         models.append(run.model(label, path, pairs, measured.clips[label], measured.sets[label]))
     first = measured.sets[models[0].label]["pooled"]
+    mark_unlike(models)
     models[0].excluded += statistics.excluded
     models[0].excluded += [Excluded(**item) for item in first.get("training_excluded", ())]
     return Evaluation(
@@ -191,6 +201,7 @@ def _work(
         length=MULTIRES_LENGTH if options.protocol == "multires" else 1.0,
         features=options.features,
         seed=options.seed,
+        without=joints_to_leave_out(found, fps),
         local=frozenset(options.baselines),
     )
 

@@ -81,6 +81,7 @@ class ModelResult:
         clips: results of each clip.
         excluded: clips and metrics left out, and why.
         notes: for the reader of the report.
+        marks: words on what sets the model apart from the others, such as "retargeted".
         speeds: histogram of joint speeds.
         wrists: (N,) wrist speeds, m/s; a sample of at most some thousands.
     """
@@ -93,6 +94,7 @@ class ModelResult:
     clips: list[ClipResult] = field(default_factory=list)
     excluded: list[Excluded] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    marks: list[str] = field(default_factory=list)
     speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
     wrists: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
@@ -202,4 +204,5 @@ def _model(model: ModelResult) -> dict[str, Any]:
         ],
         "excluded": [asdict(item) for item in model.excluded],
         "notes": model.notes,
+        "marks": model.marks,
     }

@@ -65,6 +65,7 @@ class Work:
         length: expected length of a clip relative to its recording.
         features: the extractor of FGD, or None.
         seed: seed of intervals and subsamples.
+        without: bare names of joints that some model lacks, which no model is measured with.
         local: labels of models whose motion is made in memory.
     """
 
@@ -76,9 +77,12 @@ class Work:
     length: float
     features: FeatureModel | None
     seed: int
+    without: frozenset[str] = frozenset()
     local: frozenset[str] = frozenset()
-    _own: dict[tuple[Window, tuple[str, ...]], dict[str, float]] = field(default_factory=dict)
-    _contents: dict[Pair, str | None] = field(default_factory=dict)
+    _own: dict[tuple[Window, tuple[str, ...]], dict[str, float]] = field(
+        default_factory=dict, init=False
+    )
+    _contents: dict[Pair, str | None] = field(default_factory=dict, init=False)
 
     def __call__(self, task: ClipTask | SetTask) -> list[Any]:
         """Return the results of a task, which are stored as well; see `clip` and `set`.
@@ -97,7 +101,7 @@ class Work:
         """Measure a clip; a clip that cannot be read is {"reason": text}."""
         pair = self.pairs[label][index]
         try:
-            clip = load_clip(pair, self.fps)
+            clip = load_clip(pair, self.fps, self.without)
         except (GestureKitError, AudioFeaturesError) as error:
             return {"reason": str(error)}
         figures, problems = self.measure.generated(clip)
@@ -127,7 +131,7 @@ class Work:
         windows, speeds, wrists = {}, {}, {}
         for pair in self.pairs[task.label]:
             try:
-                clip = load_clip(pair, self.fps)
+                clip = load_clip(pair, self.fps, self.without)
             except (GestureKitError, AudioFeaturesError):
                 continue  # reported by `clip`
             window = (pair.stem, pair.window)
@@ -194,6 +198,7 @@ class Work:
             "groups": list(measure.groups),
             "patches": asdict(measure.patches),
             "statistics": measure.statistics.digest(),
+            "without": sorted(self.without),
         }
 
     def _content(self, pair: Pair) -> str | None:

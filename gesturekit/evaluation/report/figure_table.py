@@ -13,7 +13,7 @@ from pathlib import Path
 from gesturekit.atomic import atomic_write
 from gesturekit.evaluation.definitions import GROUPS, Definition
 from gesturekit.evaluation.report.tables import number
-from gesturekit.evaluation.results import Evaluation, MetricResult
+from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
 from gesturekit.wording import printable
 
 ARROWS = {"higher": "↑", "lower": "↓", "reference": "≈"}
@@ -86,11 +86,16 @@ def rows_by_group(evaluation: Evaluation) -> Iterator[tuple[str, list[Row]]]:
             yield group, rows
 
 
+def heading(model: ModelResult) -> str:
+    """Return the name of a model with its marks."""
+    return f"{model.label} ({', '.join(model.marks)})" if model.marks else model.label
+
+
 def terminal_lines(evaluation: Evaluation) -> list[str]:
     """Return the table for a terminal, in groups: direction, figures, recording and chance."""
     from tqdm.utils import disp_len
 
-    labels = [printable(model.label) for model in evaluation.models]
+    labels = [printable(heading(model)) for model in evaluation.models]
     table: list[list[str]] = [["", "", *labels, "recording", "chance"]]
     for group, rows in rows_by_group(evaluation):
         table.append([f"{group}:"])
@@ -109,7 +114,7 @@ def terminal_lines(evaluation: Evaluation) -> list[str]:
 
 def markdown(evaluation: Evaluation) -> str:
     """Return the table in Markdown, one heading line a group."""
-    labels = [_markdown(model.label) for model in evaluation.models]
+    labels = [_markdown(heading(model)) for model in evaluation.models]
     head = ["Metric", "", *labels, "Recording", "Chance"]
     lines = [f"| {' | '.join(head)} |", f"|---|---|{'---:|' * (len(head) - 2)}"]
     for group, rows in rows_by_group(evaluation):
@@ -122,7 +127,7 @@ def markdown(evaluation: Evaluation) -> str:
 
 def latex(evaluation: Evaluation) -> str:
     """Return the table in LaTeX (booktabs), without a float around it."""
-    labels = [_latex(model.label) for model in evaluation.models]
+    labels = [_latex(heading(model)) for model in evaluation.models]
     width = len(labels) + 4
     lines = [
         f"% {_latex(_caption(evaluation))}",
