@@ -22,6 +22,7 @@ from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
+    from gesturekit.evaluation.agreement.answers import Answer
     from gesturekit.evaluation.results import ModelResult
 
 
@@ -67,6 +68,13 @@ if TYPE_CHECKING:
     "--features",
     type=click.Path(path_type=Path, file_okay=False),
     help="Feature model of gesturekit fit-features, for FGD.",
+)
+@click.option(
+    "--study",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="CSV",
+    help="Results of a user study on these models (user, input_code, model_a, model_b, winner): "
+    "how far each metric orders the models as people did.",
 )
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="HTML report.")
 @click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="JSON.")
@@ -156,7 +164,13 @@ def command(
     import sys
 
     from gesturekit.evaluation import write_report
-    from gesturekit.evaluation.report.figure_table import WRITERS, terminal_lines, write_table
+    from gesturekit.evaluation.agreement.correlation import agreement, shared_models
+    from gesturekit.evaluation.report.figure_table import (
+        WRITERS,
+        agreement_lines,
+        terminal_lines,
+        write_table,
+    )
 
     _refuse_surplus(reference, surplus, options["corpus"])
     recordings = _recordings(reference, options)
@@ -165,14 +179,19 @@ def command(
         raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
     tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
+    answers = _answers(options["study"])
     folders = _folders(names, reference, options)
+    if answers:
+        shared_models(list(folders), answers)  # before hours of measuring
     found = _evaluated(folders, recordings, options)
+    if answers:
+        found.agreement = agreement(found.models, answers, options["seed"])
     for model, name in zip(found.models, map(_place, names)):
         if warning := _trained_on(model, name):
             click.echo(f"Warning: {model.label}: {warning}", err=True)
             model.notes.append(warning)
             model.marks.append("trained on these")
-    for line in (*found.verdicts(), *terminal_lines(found)):
+    for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
         click.echo(line)
     for line in _notes(found):
         click.echo(line, err=True)
@@ -216,6 +235,15 @@ def _named(text: str) -> tuple[str | None, str]:
 def _place(text: str) -> str:
     """Return the folder of [NAME=]DIR."""
     return _named(text)[1]
+
+
+def _answers(study: Path | None) -> list[Answer]:
+    """Read the results of a study."""
+    if study is None:
+        return []
+    from gesturekit.evaluation.agreement.answers import read_answers
+
+    return read_answers(study)
 
 
 def _evaluated(

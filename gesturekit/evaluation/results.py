@@ -68,6 +68,30 @@ class MetricResult:
         return cls(**{k: Interval(**v) if isinstance(v, dict) else v for k, v in values.items()})
 
 
+@dataclass(frozen=True)
+class Agreement:
+    """Agreement of one metric with people.
+
+    Attributes:
+        key: key of `definitions`.
+        kendall: Kendall's tau-b over models; 1 is the order of people.
+        spearman: Spearman's rho.
+        low, high: 95 % bootstrap interval of Kendall's tau over the study's users.
+        n: number of models.
+        users: number of users.
+        answers: number of judgements between these models.
+    """
+
+    key: str
+    kendall: float
+    spearman: float
+    low: float
+    high: float
+    n: int
+    users: int
+    answers: int
+
+
 @dataclass
 class ModelResult:
     """Metrics of one folder of generated motion.
@@ -122,6 +146,7 @@ class Evaluation:
         settings: seeds and options, as plain values.
         recorded_speeds: histogram of joint speeds of the recordings.
         recorded_wrists: (N,) wrist speeds of the recordings, m/s; a sample of some thousands.
+        agreement: agreement of the metrics with the answers of a user study, if there is one.
         versions: {library: version}.
     """
 
@@ -132,6 +157,7 @@ class Evaluation:
     settings: dict[str, Any]
     recorded_speeds: SpeedHistogram
     recorded_wrists: np.ndarray
+    agreement: list[Agreement] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=library_versions)
 
     @property
@@ -161,6 +187,7 @@ class Evaluation:
             "versions": self.versions,
             "definitions": {d.key: d.to_json() for d in self.definitions()},
             "models": [_model(model) for model in self.models],
+            "agreement": [asdict(one) for one in self.agreement],
         }
 
     def write_json(self, path: str | os.PathLike[str]) -> None:

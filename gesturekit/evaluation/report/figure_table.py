@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -11,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gesturekit.atomic import atomic_write
-from gesturekit.evaluation.definitions import GROUPS, Definition
+from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
 from gesturekit.evaluation.report.tables import number
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
-from gesturekit.wording import printable
+from gesturekit.wording import counted, printable
 
 ARROWS = {"higher": "↑", "lower": "↓", "reference": "≈"}
 """Sign of the better direction; ≈ is the recording's value."""
@@ -109,6 +110,27 @@ def terminal_lines(evaluation: Evaluation) -> list[str]:
     return [
         "  ".join(cell + " " * (w - disp_len(cell)) for cell, w in zip(row, widths)).rstrip()
         for row in table
+    ]
+
+
+def agreement_lines(evaluation: Evaluation) -> list[str]:
+    """Return the agreement with a study as lines; none without a study."""
+    found = evaluation.agreement
+    if not found:
+        return []
+    width = max(len(DEFINITIONS[one.key].name) for one in found)
+    first, most = found[0], max(one.n for one in found)
+    return [
+        "",
+        f"Agreement with {counted(first.users, 'person', 'people')}: rank correlation over models, "
+        "Kendall's tau [95 % over people], Spearman's rho, number of models.",
+        f"By chance alone, {most} models are in the order of people once in "
+        f"{math.factorial(most)} times.",
+        *(
+            f"  {DEFINITIONS[one.key].name:<{width}}  {one.kendall:+.2f} [{one.low:+.2f}, "
+            f"{one.high:+.2f}]  {one.spearman:+.2f}  {one.n}"
+            for one in found
+        ),
     ]
 
 

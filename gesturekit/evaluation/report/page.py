@@ -48,6 +48,7 @@ def write_report(
         tables.figures(evaluation),
         tables.recordings(evaluation),
         _plots_section(evaluation),
+        _agreement_section(evaluation),
         _clips_section(shown, evaluation),
         tables.per_clip(evaluation),
         tables.excluded(evaluation),
@@ -112,6 +113,13 @@ def _plots_section(evaluation: Evaluation) -> str:
         for title, svg in all_plots(evaluation).items()
     )
     return section("Plots", "", figures) if figures else ""
+
+
+def _agreement_section(evaluation: Evaluation) -> str:
+    if not evaluation.agreement:
+        return ""
+    title, *lead, _ = agreement_lines(evaluation)[1].partition(": ")
+    return title
 
 
 def _clips_section(shown: list[Shown], evaluation: Evaluation) -> str:
