@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gesturekit.cli.evaluate_sanity import sanity
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
     comma_separated,
@@ -18,12 +19,12 @@ from gesturekit.cli.options import (
     recording_options,
     resumable,
 )
+from gesturekit.cli.trained_on import trained_on
 from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
     from gesturekit.evaluation.agreement.answers import Answer
-    from gesturekit.evaluation.results import ModelResult
 
 
 @click.command(
@@ -125,6 +126,12 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=0, min_open=True),
     help="Coverage threshold: largest distance of a covered patch.  [default: 2.0; none for paper]",
 )
+@click.option(
+    "--sanity",
+    is_flag=True,
+    help="GENERATED is a folder of recordings (with their sound, or --audio): evaluate known-bad "
+    "motion made from them, and print what each metric notices.",
+)
 @click.option("--seed", default=0, show_default=True, help="Seed of samples and intervals.")
 @click.option(
     "--workers",
@@ -169,9 +176,10 @@ def command(
         WRITERS,
         agreement_lines,
         terminal_lines,
-        write_table,
     )
 
+    if options["sanity"]:
+        ctx.exit(sanity(generated, out, json_out, options))
     _refuse_surplus(reference, surplus, options["corpus"])
     recordings = _recordings(reference, options)
     names = (generated, *compare)
@@ -187,7 +195,7 @@ def command(
     if answers:
         found.agreement = agreement(found.models, answers, options["seed"])
     for model, name in zip(found.models, map(_place, names)):
-        if warning := _trained_on(model, name):
+        if warning := trained_on(model, name):
             click.echo(f"Warning: {model.label}: {warning}", err=True)
             model.notes.append(warning)
             model.marks.append("trained on these")
@@ -195,18 +203,25 @@ def command(
         click.echo(line)
     for line in _notes(found):
         click.echo(line, err=True)
+    _write_tables(found, tables)
     if json_out is not None:
         found.write_json(json_out)
         click.echo(f"written  {json_out}")
-    for form, path in tables.items():
-        if path is not None:
-            write_table(found, path, form)
-            click.echo(f"written  {path}")
     if out is not None:
         write_report(found, out, command=shlex.join(["gesturekit", *sys.argv[1:]]))
         click.echo(f"written  {out}")
     click.echo(_summary(found, out or json_out))
     ctx.exit(0 if found.is_complete else 1)
+
+
+def _write_tables(found: Evaluation, tables: Mapping[str, Path | None]) -> None:
+    """Write the table in each form that has a file."""
+    from gesturekit.evaluation.report.figure_table import write_table
+
+    for form, path in tables.items():
+        if path is not None:
+            write_table(found, path, form)
+            click.echo(f"written  {path}")
 
 
 def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path | None) -> None:
@@ -302,6 +317,9 @@ def _recordings(reference: Path | None, options: Mapping[str, Any]) -> Path | It
 
 def _notes(found: Evaluation) -> Iterator[str]:
     """Yield notes on the metrics; metrics left out for the same reason share a line."""
+    from gesturekit.evaluation.report.headline import interval_warnings
+
+    yield from (f"Warning: {warning}." for warning in interval_warnings(found))
     for model in found.models:
         yield from (f"Note: {model.label}: {note}" for note in model.notes)
         metrics: dict[str, tuple[list[str], list[str]]] = {}
@@ -315,39 +333,6 @@ def _notes(found: Evaluation) -> Iterator[str]:
         for reason, (names, left_out) in metrics.items():
             what, of = ", ".join(dict.fromkeys(left_out)), listed(list(dict.fromkeys(names)), 3)
             yield f"Left out: {model.label}: {of}: {what}: {reason}"
-
-
-def _trained_on(model: ModelResult, name: str) -> str:
-    """Return a warning if `name`, a model, was trained on recordings of its evaluation, or ""."""
-    from gesturekit.evaluation.pairs import Stretch
-    from gesturekit.systems import model_folder
-    from gesturekit.training.data.sources import is_trained_on, load_sources
-
-    sources = load_sources(_made_by(model.path) or model_folder(name))
-    measured = {clip.pair.stem: clip.pair for clip in model.clips}
-    seen = []
-    for stem, pair in measured.items():
-        if isinstance(pair.reference, Stretch):
-            item = pair.reference.item
-            stretch = {"start": item.motion_start, "duration": item.duration}
-            known = item.split == "train"
-            known = known or is_trained_on(sources, item.motion, item.audio, **stretch)
-        else:
-            known = is_trained_on(sources, pair.reference, pair.audio)
-        seen += [stem] if known else []
-    if not seen:
-        return ""
-    return (
-        f"the model was trained on {len(seen)} of {counted(len(measured), 'recording')}, or on a "
-        f"part of each ({listed(seen, 3)}): the figures do not say how it does on new ones"
-    )
-
-
-def _made_by(rendered: Path) -> Path | None:
-    """Return the model folder that the journal of rendered motion names, or None."""
-    from gesturekit.rendering.record import model_of_results
-
-    return model_of_results(rendered)
 
 
 def _summary(found: Evaluation, report: Path | None) -> str:

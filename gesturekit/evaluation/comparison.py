@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,8 @@ from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_error
 from gesturekit.evaluation.baselines import baseline_pairs
 from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics, load_sound
 from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_files
+from gesturekit.evaluation.contest.figures import figures_of
+from gesturekit.evaluation.contest.floors import floors
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
@@ -25,14 +27,15 @@ from gesturekit.evaluation.definitions import (
     PatchOptions,
 )
 from gesturekit.evaluation.frame_rate import RULE
-from gesturekit.evaluation.intervals import Interval, interval_of
+from gesturekit.evaluation.headline.questions import answers
+from gesturekit.evaluation.intervals import Interval, interval_over_samples
 from gesturekit.evaluation.life.verdict import verdict
 from gesturekit.evaluation.measuring.alike import (
     joints_to_leave_out,
     keep_common_recordings,
     mark_unlike,
 )
-from gesturekit.evaluation.measuring.run import Progress, measure_all
+from gesturekit.evaluation.measuring.run import Measured, Progress, measure_all
 from gesturekit.evaluation.measuring.work import MISMATCHED, Work
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import (
@@ -43,7 +46,7 @@ from gesturekit.evaluation.pairs import (
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.results import ClipResult, Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
@@ -155,11 +158,12 @@ def evaluate(
     statistics = ReferenceStatistics.of(recordings(reference), fps)
     work = _work(found, statistics, reference, fps, chosen)
     measured = measure_all(work, chosen.workers, chosen.progress)
-    run = _Comparison(work.measure, chosen.protocol, chosen.seed)
-    models = []
-    for label, pairs in found.items():
-        path = folders.get(label, Path(label))
-        models.append(run.model(label, path, pairs, measured.clips[label], measured.sets[label]))
+    own = floors(statistics.recordings, work.measure, chosen.features, chosen.seed)
+    run = _Comparison(work.measure, chosen.protocol, chosen.seed, own)
+    models = [
+        run.model(label, folders.get(label, Path(label)), pairs, measured)
+        for label, pairs in found.items()
+    ]
     first = measured.sets[models[0].label]["pooled"]
     mark_unlike(models)
     models[0].excluded += statistics.excluded
@@ -169,16 +173,21 @@ def evaluate(
         reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
         protocol=chosen.protocol,
-        settings={
-            **chosen.to_json(),
-            "split": split,
-            "patches": asdict(work.measure.patches),
-            "mismatched": MISMATCHED,
-            "resampling": RULE,
-        },
+        settings=_settings(chosen, split, work.measure.patches),
         recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
         recorded_wrists=np.array(first.get("recorded_wrists", ())),
     )
+
+
+def _settings(options: EvaluationOptions, split: str | None, patches: PatchOptions) -> dict:
+    """Return the settings of the report."""
+    return {
+        **options.to_json(),
+        "split": split,
+        "patches": asdict(patches),
+        "mismatched": MISMATCHED,
+        "resampling": RULE,
+    }
 
 
 def _work(
@@ -240,20 +249,21 @@ class _Comparison:
     measure: ClipMetrics
     protocol: str
     seed: int
+    floors: Mapping[str, tuple[Interval, str]]
 
     def model(
         self,
         label: str,
         path: Path,
         found: Pairs,
-        clips: Sequence[Mapping[str, Any]],
-        sets: Mapping[str, Mapping[str, Any]],
+        measured: Measured,
     ) -> ModelResult:
         """Return the results of a model, from the measurements of its clips and of their set.
 
         Raises:
             EvaluationError: no clip could be measured.
         """
+        clips, sets = measured.clips[label], measured.sets[label]
         result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
         problems: dict[tuple[str, str], list[str]] = {}
         for pair, values in zip(found.pairs, clips, strict=True):
@@ -285,25 +295,10 @@ class _Comparison:
         return result
 
     def _summarise(self, result: ModelResult, sets: Mapping[str, Mapping[str, Any]]) -> None:
-        clips = result.clips
-        for key in DEFINITIONS:
-            has = [clip for clip in clips if key in clip.figures]
-            if not has:
-                continue
-            stems = [clip.pair.stem for clip in has]
-            result.figures[key] = MetricResult(
-                key,
-                interval_of([clip.figures[key] for clip in has], stems, self.seed),
-                recording=_mean(clip.recording.get(key) for clip in has),
-                chance=_mean(clip.figures.get(f"{key}_chance") for clip in has),
-                mismatched=_mean(clip.mismatched.get(key) for clip in has),
-                note="" if len(has) == len(clips) else f"{len(has)} of {len(clips)} clips",
-            )
-        for part in ("pooled", "frechet"):
-            for key, values in sets[part]["figures"].items():
-                result.figures[key] = MetricResult.from_json(values)
+        result.figures = figures_of(result.clips, sets, self.floors, self.seed)
         if LIFE in self.measure.groups:
             result.verdict = verdict(result.figures)
+            result.answers = answers(result.clips, result.figures)
         if PATCHES in self.measure.groups:
             result.by_recording = self._by_recording(result.clips)
         result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
@@ -322,7 +317,7 @@ class _Comparison:
                     if clip.pair.stem == stem and key in clip.figures
                 ]
                 if definition.group == PATCHES and values:
-                    figures[key] = interval_of(values, [stem] * len(values), self.seed)
+                    figures[key] = interval_over_samples(values, self.seed)
             by_recording[stem] = figures
         return by_recording
 
@@ -344,8 +339,3 @@ class _Comparison:
                     "Fréchet distances"
                 )
         return notes
-
-
-def _mean(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None

@@ -49,10 +49,13 @@ class MetricResult:
     Attributes:
         key: key of `definitions`.
         interval: the model's mean, with its interval.
-        recording: value of the recordings themselves, or None.
+        recording: the recordings' own value, or None.
+        recording_interval: the same with its interval; None where it has none.
         chance: mean chance level over circular shifts of the sound, or None.
         mismatched: mean over other recordings' sounds or motion, or None.
         note: "" or a remark on how to read the value.
+        informative: False where the recordings' own value is at its chance level, so that the
+            metric says nothing about these recordings.
     """
 
     key: str
@@ -61,6 +64,8 @@ class MetricResult:
     chance: float | None = None
     mismatched: float | None = None
     note: str = ""
+    recording_interval: Interval | None = None
+    informative: bool = True
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> MetricResult:
@@ -92,6 +97,23 @@ class Agreement:
     answers: int
 
 
+@dataclass(frozen=True)
+class Answer:
+    """The answer to one of the three questions that head a report.
+
+    Attributes:
+        question: such as "In time with the speech?".
+        key: key of `definitions` of its figure.
+        state: "yes", "partly", "no", "not informative here" or "not measured".
+        sentence: the answer in words.
+    """
+
+    question: str
+    key: str
+    state: str
+    sentence: str
+
+
 @dataclass
 class ModelResult:
     """Metrics of one folder of generated motion.
@@ -100,6 +122,7 @@ class ModelResult:
         label: name of the model.
         path: its folder.
         verdict: the result in words, one line; "" without measures of life and sync.
+        answers: answers to the three questions that head the report.
         figures: {key of `definitions`: result}.
         by_recording: {recording: {key: interval over its samples}} of the patch metrics.
         clips: results of each clip.
@@ -113,6 +136,7 @@ class ModelResult:
     label: str
     path: Path
     verdict: str = ""
+    answers: list[Answer] = field(default_factory=list)
     figures: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)
@@ -202,11 +226,15 @@ def _model(model: ModelResult) -> dict[str, Any]:
         "label": model.label,
         "path": str(model.path),
         "verdict": model.verdict,
+        "answers": [asdict(answer) for answer in model.answers],
         "figures": {
             key: {
                 **asdict(figure.interval),
                 "recording": figure.recording,
                 "chance": figure.chance,
+                "recording_low": figure.recording_interval and figure.recording_interval.low,
+                "recording_high": figure.recording_interval and figure.recording_interval.high,
+                "informative": figure.informative,
                 "mismatched": figure.mismatched,
                 "note": figure.note,
             }

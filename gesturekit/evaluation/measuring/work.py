@@ -149,6 +149,7 @@ class Work:
         values = {
             "figures": {key: asdict(figure) for key, figure in figures.items()},
             "problems": clip_set.problems,
+            "by_clip": clip_set.life.by_clip() if task.part == "pooled" else [],
             "speeds": pooled(clip_set.histograms).to_json(),
             "wrists": thinned(clip_set.wrists).tolist(),
             "recorded_speeds": pooled(list(speeds.values())).to_json(),

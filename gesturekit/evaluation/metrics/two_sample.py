@@ -127,24 +127,63 @@ def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int =
     Raises:
         MotionError: a set of fewer than 2 windows, or windows of different joints.
     """
+    right, drawn = two_sample_votes(one, other, seed=seed)
+    return float(right.sum() / drawn.sum())
+
+
+def two_sample_votes(
+    one: MotionWindows, other: MotionWindows, *, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Classify windows as `two_sample_accuracy` does.
+
+    Returns:
+        (N + M,) number of draws in which each window was classified right, and in which it was
+        drawn; those of `one` first.
+
+    Raises:
+        MotionError: a set of fewer than 2 windows, or windows of different joints.
+    """
     _require_same_joints(one, other)
     size = min(len(one), len(other), MOST_WINDOWS)
     if size < 2:
         raise MotionError("a two-sample test needs at least 2 windows of either set")
     rng = np.random.default_rng(seed)
-    a, b = (_subsample(windows, rng) for windows in (one, other))
-    values = np.concatenate([a.values, b.values])
+    kept = [_kept(windows, rng) for windows in (one, other)]
+    values = np.concatenate([one.values[kept[0]], other.values[kept[1]]])
     distances = frame_distances(values, values, squared=True)
     np.fill_diagonal(distances, np.inf)
-    draws = DRAWS if len(a) != len(b) else 1
+    first = len(kept[0])
+    place = np.concatenate([kept[0], len(one) + kept[1]])
     label = np.arange(2 * size) < size
-    accuracies = []
-    for _ in range(draws):
-        drawn = [rng.choice(len(windows), size, replace=False) for windows in (a, b)]
-        chosen = np.concatenate([drawn[0], len(a) + drawn[1]])
+    right, drawn = np.zeros((2, len(one) + len(other)))
+    for _ in range(DRAWS if first != len(kept[1]) else 1):
+        sides = [rng.choice(len(side), size, replace=False) for side in kept]
+        chosen = np.concatenate([sides[0], first + sides[1]])
         nearest = distances[np.ix_(chosen, chosen)].argmin(axis=1)
-        accuracies.append((label[nearest] == label).mean())
-    return float(np.mean(accuracies))
+        right[place[chosen]] += label[nearest] == label
+        drawn[place[chosen]] += 1
+    return right, drawn
+
+
+def forward_votes(
+    generated: MotionWindows, recorded: MotionWindows, backwards: MotionWindows
+) -> np.ndarray:
+    """Return (N,) 1 for windows nearer to recordings than to recordings played backwards, else 0.
+
+    A tie is 0.5. It notices a recording that is played backwards; other motion has about 0.5.
+
+    Args:
+        generated: N windows.
+        recorded: windows of recordings.
+        backwards: windows of the same recordings in reverse order of frames.
+
+    Raises:
+        MotionError: windows of different joints.
+    """
+    _require_same_joints(generated, recorded)
+    ahead, back = (_nearest(generated.values, other.values) for other in (recorded, backwards))
+    tie = np.abs(ahead - back) < 1e-9
+    return np.where(tie, 0.5, (ahead < back).astype(np.float64))
 
 
 def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int = 0) -> float:
@@ -161,7 +200,7 @@ def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int
     """
     _require_same_joints(generated, recorded)
     rng = np.random.default_rng(seed)
-    generated, recorded = _subsample(generated, rng), _subsample(recorded, rng)
+    generated, recorded = subsample(generated, rng), subsample(recorded, rng)
     own = frame_distances(recorded.values, recorded.values)
     gap = np.abs(recorded.starts[:, None] - recorded.starts)
     own[(gap <= APART) & (recorded.clips[:, None] == recorded.clips)] = np.inf
@@ -211,22 +250,33 @@ def copying(
     training = as_list(training)
     joints = upper_joints(training[0].skeleton) if joints is None else joints
     rng = np.random.default_rng(seed)
-    sets = [
-        _subsample(motion_windows(motions, joints), rng).values for motions in (generated, held_out)
-    ]
-    queries = np.concatenate(sets)
-    nearest = np.full(len(queries), np.inf)
-    for frames in _training_copies(training, joints):
+    sets = [subsample(motion_windows(motions, joints), rng) for motions in (generated, held_out)]
+    nearest = [nearest_training(set_, training, joints) for set_ in sets]
+    return Copying(*(float(q) for set_ in nearest for q in np.quantile(set_, (0.5, LOW_QUANTILE))))
+
+
+def nearest_training(
+    windows: MotionWindows, training: Motions, joints: Sequence[str]
+) -> np.ndarray:
+    """Return (N,) distance of each window to the nearest training window, metres; see `copying`.
+
+    Raises:
+        MotionError: training clips that are too short, or a missing joint.
+    """
+    nearest = np.full(len(windows), np.inf)
+    for frames in _training_copies(as_list(training), joints):
         first = window_starts(len(frames), _WIDTH, 1.0)
         for at in range(0, len(first), _BLOCK):
             block = _windows(frames, first[at : at + _BLOCK])
-            nearest = np.minimum(nearest, frame_distances(queries, block).min(axis=1))
+            nearest = np.minimum(nearest, _nearest(windows.values, block))
     if not np.isfinite(nearest).all():
         raise MotionError(f"no training clip is as long as a window of {WINDOW:g} s")
-    ours, theirs = nearest[: len(sets[0])], nearest[len(sets[0]) :]
-    return Copying(
-        *(float(q) for set_ in (ours, theirs) for q in np.quantile(set_, (0.5, LOW_QUANTILE)))
-    )
+    return nearest
+
+
+def _nearest(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return (N,) distance of each row to the nearest of other rows."""
+    return frame_distances(values, others).min(axis=1)
 
 
 _WIDTH = round(WINDOW * FPS)
@@ -277,12 +327,17 @@ def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:
     )
 
 
-def _subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
+def subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
     """Return at most `MOST_WINDOWS` windows, chosen at random."""
-    if len(windows) <= MOST_WINDOWS:
-        return windows
-    kept = np.sort(rng.choice(len(windows), MOST_WINDOWS, replace=False))
+    kept = _kept(windows, rng)
     return MotionWindows(windows.values[kept], windows.clips[kept], windows.starts[kept])
+
+
+def _kept(windows: MotionWindows, rng: np.random.Generator) -> np.ndarray:
+    """Return the indices of at most `MOST_WINDOWS` windows, chosen at random."""
+    if len(windows) <= MOST_WINDOWS:
+        return np.arange(len(windows))
+    return np.sort(rng.choice(len(windows), MOST_WINDOWS, replace=False))
 
 
 def _require_same_joints(one: MotionWindows, other: MotionWindows) -> None:

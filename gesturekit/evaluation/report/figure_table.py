@@ -12,16 +12,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gesturekit.atomic import atomic_write
+from gesturekit.evaluation.contest.paired import Contest, contests
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
+from gesturekit.evaluation.report.headline import headline_lines
 from gesturekit.evaluation.report.tables import number
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
 from gesturekit.wording import counted, printable
 
-ARROWS = {"higher": "↑", "lower": "↓", "reference": "≈"}
-"""Sign of the better direction; ≈ is the recording's value."""
+ARROWS = {"higher": "↑", "lower": "↓", "reference": ""}
+"""Sign of the direction in which figures come nearer to the recordings' own."""
 CSV_COLUMNS = (
     "model", "key", "name", "group", "unit", "better", "value", "low", "high", "n", "units", "over",
-    "recording", "chance", "mismatched", "note",
+    "recording", "recording_low", "recording_high", "chance", "mismatched", "informative", "best",
+    "p", "note",
 )  # fmt: skip
 
 _LATEX = {
@@ -42,10 +45,19 @@ _LATEX = {
 
 @dataclass(frozen=True)
 class Row:
-    """A metric: its result for each model, None where it was not measured."""
+    """A metric: its result for each model, None where it was not measured.
+
+    Attributes:
+        definition: of the metric.
+        figures: of each model.
+        contest: order and bold of the models; None without a value of the recordings.
+        best: index of the model whose figure is bold, or None.
+    """
 
     definition: Definition
     figures: tuple[MetricResult | None, ...]
+    contest: Contest | None = None
+    best: int | None = None
 
     @property
     def name(self) -> str:
@@ -55,8 +67,15 @@ class Row:
 
     @property
     def arrow(self) -> str:
-        """Sign of the better direction."""
-        return ARROWS[self.definition.better]
+        """Sign of the better direction; none where a model is beyond the recordings' own."""
+        return ARROWS["reference" if self.contest is None else self.contest.direction]
+
+    def cells(self, best: Callable[[str], str]) -> list[str]:
+        """Return the models' figures as text; `best` marks the one that is bold."""
+        return [
+            best(text) if i == self.best else text
+            for i, text in enumerate(map(_figure, self.figures))
+        ]
 
     @property
     def recording(self) -> str:
@@ -77,12 +96,15 @@ class Row:
 
 def rows_by_group(evaluation: Evaluation) -> Iterator[tuple[str, list[Row]]]:
     """Yield each group of metrics that has any, with its rows."""
+    found = contests(evaluation.models)
+    labels = [model.label for model in evaluation.models]
     for group in GROUPS:
-        rows = [
-            Row(d, tuple(model.figures.get(d.key) for model in evaluation.models))
-            for d in evaluation.definitions()
-            if d.group == group
-        ]
+        rows = []
+        for d in (d for d in evaluation.definitions() if d.group == group):
+            figures = tuple(model.figures.get(d.key) for model in evaluation.models)
+            contest = found.get(d.key)
+            best = None if contest is None or contest.best is None else labels.index(contest.best)
+            rows.append(Row(d, figures, contest, best))
         if rows:
             yield group, rows
 
@@ -93,7 +115,10 @@ def heading(model: ModelResult) -> str:
 
 
 def terminal_lines(evaluation: Evaluation) -> list[str]:
-    """Return the table for a terminal, in groups: direction, figures, recording and chance."""
+    """Return the three questions and the table for a terminal.
+
+    The table is in groups: direction, figures, recording and chance.
+    """
     from tqdm.utils import disp_len
 
     labels = [printable(heading(model)) for model in evaluation.models]
@@ -101,16 +126,17 @@ def terminal_lines(evaluation: Evaluation) -> list[str]:
     for group, rows in rows_by_group(evaluation):
         table.append([f"{group}:"])
         table += [
-            [f"  {row.name}", row.arrow, *map(_figure, row.figures), row.recording, row.chance]
+            [f"  {row.name}", row.arrow, *row.cells(_starred), row.recording, row.chance]
             for row in rows
         ]
     # Wide characters, as in Chinese names, take two columns; headings of groups may run on.
     whole = [row for row in table if len(row) > 1]
     widths = [max(disp_len(row[i]) for row in whole) for i in range(len(table[0]))]
-    return [
+    lines = [
         "  ".join(cell + " " * (w - disp_len(cell)) for cell, w in zip(row, widths)).rstrip()
         for row in table
     ]
+    return [*headline_lines(evaluation), *lines]
 
 
 def agreement_lines(evaluation: Evaluation) -> list[str]:
@@ -142,7 +168,7 @@ def markdown(evaluation: Evaluation) -> str:
     for group, rows in rows_by_group(evaluation):
         lines.append(f"| **{group}** |{' |' * (len(head) - 1)}")
         for row in rows:
-            cells = [_markdown(row.name), row.arrow, *map(_figure, row.figures)]
+            cells = [_markdown(row.name), row.arrow, *row.cells("**{}**".format)]
             lines.append(f"| {' | '.join((*cells, row.recording, row.chance))} |")
     return "\n".join((*lines, "", _caption(evaluation), ""))
 
@@ -161,7 +187,10 @@ def latex(evaluation: Evaluation) -> str:
         lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textit{{{_latex(group)}}}}} \\"]
         for row in rows:
             cells = [row.name, row.arrow, *map(_figure, row.figures), row.recording, row.chance]
-            lines.append(" & ".join(map(_latex, cells)) + r" \\")
+            cells = [_latex(cell) for cell in cells]
+            if row.best is not None:
+                cells[2 + row.best] = rf"\textbf{{{cells[2 + row.best]}}}"
+            lines.append(" & ".join(cells) + r" \\")
     return "\n".join((*lines, r"\bottomrule", r"\end{tabular}", ""))
 
 
@@ -183,6 +212,11 @@ def csv_text(evaluation: Evaluation) -> str:
                     **{k: getattr(interval, k) for k in ("value", "low", "high")},
                     **{k: getattr(interval, k) for k in ("n", "units", "over")},
                     **{k: getattr(figure, k) for k in ("recording", "chance", "mismatched")},
+                    "recording_low": figure.recording_interval and figure.recording_interval.low,
+                    "recording_high": figure.recording_interval and figure.recording_interval.high,
+                    "informative": figure.informative,
+                    "best": row.contest is not None and row.contest.best == model.label,
+                    "p": row.contest and row.contest.p,
                     "note": figure.note,
                 }
                 writer.writerow({k: "" if v is None else v for k, v in values.items()})
@@ -207,14 +241,23 @@ def _figure(figure: MetricResult | None) -> str:
     if figure is None:
         return "–"
     interval = figure.interval
+    if not figure.informative:
+        return f"{number(interval.value)} (not informative)"
     if interval.low is None or interval.high is None:
         return number(interval.value)
     return f"{number(interval.value)} [{number(interval.low)}, {number(interval.high)}]"
 
 
 def _caption(evaluation: Evaluation) -> str:
-    arrows = "↑ higher is better, ↓ lower is better, ≈ as the recording is best"
-    return f"Mean and 95 % bootstrap interval at {evaluation.fps:g} fps. {arrows}."
+    return (
+        f"Mean and 95 % interval over recordings at {evaluation.fps:g} fps. Bold: nearer to the "
+        "recordings' own value than every other model (paired over recordings, Holm over rows). "
+        "No arrow: a model is beyond the recordings' own value, which is the goal."
+    )
+
+
+def _starred(text: str) -> str:
+    return f"*{text}"
 
 
 def _markdown(text: str) -> str:

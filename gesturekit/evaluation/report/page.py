@@ -11,8 +11,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from gesturekit.atomic import atomic_write
-from gesturekit.evaluation.intervals import FEW
+from gesturekit.evaluation.contest.paired import contests
 from gesturekit.evaluation.report import tables
+from gesturekit.evaluation.report.headline import headline, interval_warnings
 from gesturekit.evaluation.report.plots import all_plots
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
 from gesturekit.evaluation.report.tables import section
@@ -44,8 +45,10 @@ def write_report(
     names = ", ".join(model.label for model in evaluation.models)
     heading = title or f"{names} against {evaluation.reference.name}"
     shown = best_and_worst(evaluation)
+    rows = contests(evaluation.models)
     sections = [
-        tables.figures(evaluation),
+        headline(evaluation, rows),
+        tables.figures(evaluation, rows),
         tables.recordings(evaluation),
         _plots_section(evaluation),
         _agreement_section(evaluation),
@@ -89,19 +92,12 @@ def _facts(evaluation: Evaluation) -> Iterable[str]:
 
 
 def _warnings(evaluation: Evaluation) -> Iterable[str]:
+    yield from (f"{warning}." for warning in interval_warnings(evaluation))
     for model in evaluation.models:
         who = f"{model.label}: " if len(evaluation.models) > 1 else ""
         left_out = sum(item.what == "clip" for item in model.excluded)
         if left_out:
             yield f"{who}left out: {counted(left_out, 'clip')}; the reasons are below."
-        units = {f.interval.units for f in model.figures.values() if f.interval.units > 1}
-        if units and min(units) < FEW:
-            yield (
-                f"{who}intervals come from as few as {min(units)} recordings: they are rough, and "
-                "most likely too narrow."
-            )
-        elif not units:
-            yield f"{who}a single clip: there are no intervals, and one clip proves little."
         yield from (f"{who}{note}." for note in model.notes)
 
 
