@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gesturekit.cli.evaluate_models import folders_of, place_of
 from gesturekit.cli.evaluate_sanity import sanity
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
@@ -17,7 +18,6 @@ from gesturekit.cli.options import (
     is_left,
     read_from,
     recording_options,
-    resumable,
 )
 from gesturekit.cli.trained_on import trained_on
 from gesturekit.wording import counted, listed
@@ -168,15 +168,8 @@ def command(
     measured. Clips of other splits of --corpus, and of its items without motion, are not expected
     to be measured: a note lists them.
     """
-    import sys
-
-    from gesturekit.evaluation import write_report
     from gesturekit.evaluation.agreement.correlation import agreement, shared_models
-    from gesturekit.evaluation.report.figure_table import (
-        WRITERS,
-        agreement_lines,
-        terminal_lines,
-    )
+    from gesturekit.evaluation.report.figure_table import WRITERS
 
     if options["sanity"]:
         ctx.exit(sanity(generated, out, json_out, options))
@@ -188,40 +181,55 @@ def command(
     tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
     answers = _answers(options["study"])
-    folders = _folders(names, reference, options)
+    folders = folders_of(names, reference, options)
     if answers:
         shared_models(list(folders), answers)  # before hours of measuring
     found = _evaluated(folders, recordings, options)
     if answers:
         found.agreement = agreement(found.models, answers, options["seed"])
-    for model, name in zip(found.models, map(_place, names)):
+    for model, name in zip(found.models, map(place_of, names)):
         if warning := trained_on(model, name):
             click.echo(f"Warning: {model.label}: {warning}", err=True)
             model.notes.append(warning)
             model.marks.append("trained on these")
-    for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
-        click.echo(line)
-    for line in _notes(found):
-        click.echo(line, err=True)
-    _write_tables(found, tables)
-    if json_out is not None:
-        found.write_json(json_out)
-        click.echo(f"written  {json_out}")
-    if out is not None:
-        write_report(found, out, command=shlex.join(["gesturekit", *sys.argv[1:]]))
-        click.echo(f"written  {out}")
+    _print(found)
+    _write(found, tables, json_out, out)
     click.echo(_summary(found, out or json_out))
     ctx.exit(0 if found.is_complete else 1)
 
 
-def _write_tables(found: Evaluation, tables: Mapping[str, Path | None]) -> None:
-    """Write the table in each form that has a file."""
+def _print(found: Evaluation) -> None:
+    """Print verdicts and table, and notes to standard error."""
+    from gesturekit.evaluation.report.figure_table import agreement_lines, terminal_lines
+
+    for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
+        click.echo(line)
+    for line in _notes(found):
+        click.echo(line, err=True)
+
+
+def _write(
+    found: Evaluation,
+    tables: Mapping[str, Path | None],
+    json_out: Path | None,
+    out: Path | None,
+) -> None:
+    """Write the files that were asked for."""
+    import sys
+
+    from gesturekit.evaluation import write_report
     from gesturekit.evaluation.report.figure_table import write_table
 
     for form, path in tables.items():
         if path is not None:
             write_table(found, path, form)
             click.echo(f"written  {path}")
+    if json_out is not None:
+        found.write_json(json_out)
+        click.echo(f"written  {json_out}")
+    if out is not None:
+        write_report(found, out, command=shlex.join(["gesturekit", *sys.argv[1:]]))
+        click.echo(f"written  {out}")
 
 
 def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path | None) -> None:
@@ -237,19 +245,6 @@ def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path
             f"what is {surplus[0]}? Each model to compare with has its own --compare, such as "
             f"{' '.join(f'--compare {shlex.quote(name)}' for name in surplus)}"
         )
-
-
-def _named(text: str) -> tuple[str | None, str]:
-    """Return (name or None, folder) of [NAME=]DIR; a folder that exists is no NAME=DIR."""
-    name, equals, folder = text.partition("=")
-    if not equals or not name or Path(text).exists():
-        return None, text
-    return name, folder
-
-
-def _place(text: str) -> str:
-    """Return the folder of [NAME=]DIR."""
-    return _named(text)[1]
 
 
 def _answers(study: Path | None) -> list[Answer]:
@@ -359,69 +354,3 @@ def _to_write(path: Path | None, existing: str) -> Path | None:
             return path
     except OSError as error:
         raise click.UsageError(f"{path} cannot be written: {error.strerror}") from None
-
-
-def _folders(
-    names: Sequence[str], reference: Path | None, options: Mapping[str, Any]
-) -> dict[str, Path]:
-    """Return {label: folder of motion}; sample model folders first (not with --corpus)."""
-    from gesturekit.systems import bundled_models
-
-    folders: dict[str, Path] = {}
-    places = [Path(_place(name)).resolve() for name in names]
-    for text, place in zip(names, places):
-        if places.count(place) > 1:
-            raise click.UsageError(f"{text} is named twice")
-        label, name = _named(text)
-        path = Path(name)
-        if label in folders:
-            raise click.UsageError(f"two models are named {label}")
-        if label is None:
-            label = place.stem if path.is_file() else place.name
-            if label in folders:
-                label = f"{place.parent.name}/{label}"
-            if label in folders:
-                label = str(place)
-        folders[label] = path
-        if path.exists() and not (path / "config.yaml").is_file():
-            continue
-        if not path.exists() and name not in bundled_models():
-            continue  # `evaluate` reports that there is no such folder
-        if options["protocol"] is None:
-            raise click.UsageError(
-                f"{name} is a model: render it first (gesturekit render), or say by --protocol "
-                "how it is to be sampled"
-            )
-        folders[label] = options["samples_dir"] / label.replace("/", "_")
-        _sample(name, label, folders[label], reference, options)
-    return folders
-
-
-def _sample(
-    name: str, label: str, folder: Path, reference: Path | None, options: Mapping[str, Any]
-) -> None:
-    """Sample a model by the protocol into a folder."""
-    from gesturekit.progress import Progress
-    from gesturekit.rendering import sampling
-    from gesturekit.systems import load
-
-    skip, audio = options["existing"] == "skip", options["audio"]
-    if not skip and folder.is_dir() and any(folder.iterdir()):
-        raise click.UsageError(
-            f"{folder} holds samples of an earlier run, which would be measured too: "
-            "name another --samples-dir, measure that folder in place of the model, or go on "
-            "with the sampling by --existing skip"
-        )
-    model = load(name, weights=options["weights"])
-    settings = {"seed": options["seed"], "skip": skip}
-    if options["samples"] is not None:
-        settings["samples"] = options["samples"]
-    if options["protocol"] == "lda":
-        if audio is None:
-            raise click.UsageError("--protocol lda samples models on speech: give --audio")
-        files = sampling.sample_lda(model, audio, folder, **settings)
-    else:
-        files = sampling.sample_multires(model, reference, folder, audio=audio, **settings)
-    with resumable(lambda: "With --existing skip the same command goes on."):
-        for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
-            pass

@@ -185,7 +185,7 @@ def _read(path: Path | Stretch) -> Motion:
 _semantic = functools.lru_cache(maxsize=_CACHED)(read_semantic)
 
 
-def forget_files() -> None:
+def forget_recordings() -> None:
     """Forget recordings in memory, which may have changed on disk since the last evaluation."""
     _resampled.cache_clear()
     _semantic.cache_clear()

@@ -13,9 +13,8 @@ import numpy as np
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.baselines import baseline_pairs
 from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics, load_sound
-from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_files
+from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_recordings
 from gesturekit.evaluation.contest.figures import figures_of
-from gesturekit.evaluation.contest.floors import floors
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
@@ -137,8 +136,7 @@ def evaluate(
         UnknownOptionError: a keyword that is not an option.
     """
     chosen = build_options(EvaluationOptions, options, "evaluate")
-    forget_files()
-    load_sound.cache_clear()
+    _forget_files()
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
@@ -146,19 +144,13 @@ def evaluate(
     split = reference.split or None if isinstance(reference, Items) else None
     if split and chosen.audio is not None:
         raise EvaluationError(f"{reference.path} says where the sound is: leave audio out")
-    audio, semantic = (p if p is None else Path(p) for p in (chosen.audio, chosen.semantic))
-    found = {
-        label: find_pairs(folder, reference, audio=audio, semantic=semantic)
-        for label, folder in folders.items()
-    }
-    if len(found) > 1:
-        keep_common_recordings(found)
+    found = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(found.values())))
     found |= baseline_pairs(chosen.baselines, found, reference, fps)
     statistics = ReferenceStatistics.of(recordings(reference), fps)
     work = _work(found, statistics, reference, fps, chosen)
     measured = measure_all(work, chosen.workers, chosen.progress)
-    own = floors(statistics.recordings, work.measure, chosen.features, chosen.seed)
+    own = work.floors()
     run = _Comparison(work.measure, chosen.protocol, chosen.seed, own)
     models = [
         run.model(label, folders.get(label, Path(label)), pairs, measured)
@@ -177,6 +169,26 @@ def evaluate(
         recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
         recorded_wrists=np.array(first.get("recorded_wrists", ())),
     )
+
+
+def _forget_files() -> None:
+    """Forget what an earlier evaluation read: files may have changed since."""
+    forget_recordings()
+    load_sound.cache_clear()
+
+
+def _pairs(
+    folders: Mapping[str, Path], reference: Path | Items, options: EvaluationOptions
+) -> dict[str, Pairs]:
+    """Return {label: clips of the recordings that all models have}."""
+    audio, semantic = (p if p is None else Path(p) for p in (options.audio, options.semantic))
+    found = {
+        label: find_pairs(folder, reference, audio=audio, semantic=semantic)
+        for label, folder in folders.items()
+    }
+    if len(found) > 1:
+        keep_common_recordings(found)
+    return found
 
 
 def _settings(options: EvaluationOptions, split: str | None, patches: PatchOptions) -> dict:

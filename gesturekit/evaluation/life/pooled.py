@@ -214,7 +214,7 @@ class LifeMetrics:
 
     def _copying(self) -> dict[str, MetricResult]:
         joints, recorded = self._upper_joints(), self._all_recorded()
-        among = self.training.motions or recorded
+        among = self.training.motions or _at_most(recorded)
         rng = np.random.default_rng(self.seed)
         ours = subsample(motion_windows(self._all_generated(), joints), rng)
         distances = nearest_training(ours, among, joints)
@@ -222,7 +222,7 @@ class LifeMetrics:
         held = []
         for mine, others in self._splits():
             windows = subsample(motion_windows(mine, joints), rng)
-            held.append(nearest_training(windows, others, joints))
+            held.append(nearest_training(windows, _at_most(others), joints))
         median, low = (
             float(np.mean([np.quantile(own, q) for own in held])) for q in (0.5, LOW_QUANTILE)
         )
@@ -289,3 +289,9 @@ def _clip_means(
     return {
         clip: float(mean(values[windows.clips == clip])) for clip in set(windows.clips.tolist())
     }
+
+
+def _at_most(motions: list[Motion], seconds: float = TRAINING_SECONDS) -> list[Motion]:
+    """Return the first motions of at most that length together, and at least one."""
+    ends = np.cumsum([motion.duration for motion in motions])
+    return motions[: max(1, int(np.searchsorted(ends, seconds, side="right")))]

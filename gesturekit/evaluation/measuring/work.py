@@ -12,7 +12,9 @@ from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.clip_metrics import ClipMetrics, load_sound
 from gesturekit.evaluation.clips import Clip, clip_notes, load_clip, load_recording
+from gesturekit.evaluation.contest.floors import floors
 from gesturekit.evaluation.definitions import FRECHET, LIFE, SPEECH
+from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.life.pooled import LifeMetrics, TrainingMotion
 from gesturekit.evaluation.measuring.content import (
     Store,
@@ -136,7 +138,7 @@ class Work:
                 continue  # reported by `clip`
             window = (pair.stem, pair.window)
             if window not in windows:
-                windows[window] = clip.recording
+                windows[window] = clip.recording if task.part == "frechet" else None
                 speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
                 wrists[window] = wrists_of(clip.recording)
             clip_set.add(clip, speeds[window])
@@ -158,6 +160,20 @@ class Work:
         }
         self.store.write(self.set_key(task), values)
         return values
+
+    def floors(self) -> dict[str, tuple[Interval, str]]:
+        """Return the recordings' own values (`contest.floors`), stored or computed here."""
+        contents = [content_of(source) for source in self.recordings.values()]
+        model = self.features and self.features.fingerprint
+        parts = [self._settings, "floors", list(self.recordings), contents, model, self.seed]
+        key = None if None in contents else digest_of(parts)
+        stored = self.store.read(key)
+        if stored is None:
+            motions = self.measure.statistics.recordings
+            found = floors(motions, self.measure, self.features, self.seed)
+            stored = {name: [asdict(value), note] for name, (value, note) in found.items()}
+            self.store.write(key, stored)
+        return {name: (Interval(**value), note) for name, (value, note) in stored.items()}
 
     @functools.cached_property
     def store(self) -> Store:

@@ -41,26 +41,47 @@ MOST_WINDOWS = 2000
 LOW_QUANTILE = 0.05
 """Quantile of the distances that shows single copied windows."""
 
-_BLOCK = 2000  # training windows that are in memory at a time
+_BLOCK = 2000  # windows that are in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
 class MotionWindows:
-    """Windows of motion.
+    """Windows of motion, cut out of the frames when they are needed.
 
     Attributes:
-        values: (N, D) positions and velocities, scaled so that the Euclidean distance of two rows
-            is the distance defined above, metres.
+        frames: (T, D') positions and velocities of each clip, scaled.
         clips: (N,) index of the clip of each window.
-        starts: (N,) start within the clip, seconds.
+        first: (N,) first frame of each window within its clip.
     """
 
-    values: np.ndarray
+    frames: tuple[np.ndarray, ...]
     clips: np.ndarray
-    starts: np.ndarray
+    first: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.values)
+        return len(self.clips)
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(N,) start within the clip, seconds."""
+        return self.first / FPS
+
+    @property
+    def values(self) -> np.ndarray:
+        """(N, D) rows whose Euclidean distance is the distance defined above, metres."""
+        return self.rows(np.arange(len(self)))
+
+    def rows(self, kept: np.ndarray) -> np.ndarray:
+        """Return the rows (K, D) of `values` of some windows, (K,) indices."""
+        values = np.empty((len(kept), _WIDTH * self.frames[0].shape[1]))
+        for row, clip, first in zip(values, self.clips[kept], self.first[kept]):
+            row[:] = self.frames[clip][first : first + _WIDTH].ravel()
+        return values
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        """Yield `values` in blocks, to save memory."""
+        for at in range(0, len(self), _BLOCK):
+            yield self.rows(np.arange(at, min(at + _BLOCK, len(self))))
 
 
 @dataclass(frozen=True)
@@ -104,16 +125,12 @@ def motion_windows(motions: Motions, joints: Sequence[str] | None = None) -> Mot
     """
     motions = as_list(motions)
     joints = upper_joints(motions[0].skeleton) if joints is None else joints
-    values, clips, starts = [], [], []
-    for clip, motion in enumerate(motions):
-        frames = _frames(body_centred(motion, joints))
-        first = window_starts(len(frames), _WIDTH, HOP * FPS)
-        values.append(_windows(frames, first))
-        clips.append(np.full(len(first), clip))
-        starts.append(first / FPS)
-    if not any(map(len, values)):
+    frames = tuple(_frames(body_centred(motion, joints)) for motion in motions)
+    first = [window_starts(len(clip), _WIDTH, HOP * FPS) for clip in frames]
+    if not any(map(len, first)):
         raise MotionError(f"no clip is as long as a window of {WINDOW:g} s")
-    return MotionWindows(*map(np.concatenate, (values, clips, starts)))
+    clips = np.repeat(np.arange(len(frames)), [len(starts) for starts in first])
+    return MotionWindows(frames, clips, np.concatenate(first))
 
 
 def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int = 0) -> float:
@@ -149,7 +166,7 @@ def two_sample_votes(
         raise MotionError("a two-sample test needs at least 2 windows of either set")
     rng = np.random.default_rng(seed)
     kept = [_kept(windows, rng) for windows in (one, other)]
-    values = np.concatenate([one.values[kept[0]], other.values[kept[1]]])
+    values = np.concatenate([one.rows(kept[0]), other.rows(kept[1])])
     distances = frame_distances(values, values, squared=True)
     np.fill_diagonal(distances, np.inf)
     first = len(kept[0])
@@ -181,7 +198,15 @@ def forward_votes(
         MotionError: windows of different joints.
     """
     _require_same_joints(generated, recorded)
-    ahead, back = (_nearest(generated.values, other.values) for other in (recorded, backwards))
+    ahead, back = (
+        np.concatenate(
+            [
+                np.min([_nearest(block, others) for others in other.blocks()], axis=0)
+                for block in generated.blocks()
+            ]
+        )
+        for other in (recorded, backwards)
+    )
     tie = np.abs(ahead - back) < 1e-9
     return np.where(tie, 0.5, (ahead < back).astype(np.float64))
 
@@ -201,14 +226,15 @@ def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int
     _require_same_joints(generated, recorded)
     rng = np.random.default_rng(seed)
     generated, recorded = subsample(generated, rng), subsample(recorded, rng)
-    own = frame_distances(recorded.values, recorded.values)
+    rows = recorded.values
+    own = frame_distances(rows, rows)
     gap = np.abs(recorded.starts[:, None] - recorded.starts)
     own[(gap <= APART) & (recorded.clips[:, None] == recorded.clips)] = np.inf
     nearest = own.min(axis=1)
     nearest = nearest[np.isfinite(nearest)]
     if not len(nearest):
         raise MotionError(f"the recordings are too short: no two windows are {APART:g} s apart")
-    distances = frame_distances(recorded.values, generated.values)
+    distances = frame_distances(rows, generated.values)
     size = len(recorded)
     found = (
         [
@@ -238,7 +264,8 @@ def copying(
 
     Args:
         generated: the model's motion.
-        held_out: recordings of the same speaker that are not in `training`.
+        held_out: recordings of the same speaker that are not in `training`; `generated` itself
+            if only its distances are wanted.
         training: recordings that the model was trained on.
         joints: as for `motion_windows`; None for those of the first training motion.
         seed: seed of the subsample, if there are more than 2,000 windows.
@@ -263,12 +290,12 @@ def nearest_training(
     Raises:
         MotionError: training clips that are too short, or a missing joint.
     """
-    nearest = np.full(len(windows), np.inf)
+    rows, nearest = windows.values, np.full(len(windows), np.inf)
     for frames in _training_copies(as_list(training), joints):
         first = window_starts(len(frames), _WIDTH, 1.0)
         for at in range(0, len(first), _BLOCK):
             block = _windows(frames, first[at : at + _BLOCK])
-            nearest = np.minimum(nearest, _nearest(windows.values, block))
+            nearest = np.minimum(nearest, _nearest(rows, block))
     if not np.isfinite(nearest).all():
         raise MotionError(f"no training clip is as long as a window of {WINDOW:g} s")
     return nearest
@@ -330,7 +357,7 @@ def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:
 def subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
     """Return at most `MOST_WINDOWS` windows, chosen at random."""
     kept = _kept(windows, rng)
-    return MotionWindows(windows.values[kept], windows.clips[kept], windows.starts[kept])
+    return MotionWindows(windows.frames, windows.clips[kept], windows.first[kept])
 
 
 def _kept(windows: MotionWindows, rng: np.random.Generator) -> np.ndarray:
@@ -346,9 +373,8 @@ def _require_same_joints(one: MotionWindows, other: MotionWindows) -> None:
     Raises:
         MotionError: they differ.
     """
-    if one.values.shape[1] != other.values.shape[1]:
-        per_joint = 6 * _WIDTH
-        counts = [windows.values.shape[1] // per_joint for windows in (one, other)]
+    counts = [windows.frames[0].shape[1] // 6 for windows in (one, other)]
+    if counts[0] != counts[1]:
         raise MotionError(
             f"windows of {counts[0]} and {counts[1]} joints cannot be compared; cut both with the "
             "same joints"

@@ -13,6 +13,7 @@ from pathlib import Path
 from gesturekit.atomic import atomic_write
 from gesturekit.evaluation.contest.paired import contests
 from gesturekit.evaluation.report import tables
+from gesturekit.evaluation.report.figure_table import agreement_lines
 from gesturekit.evaluation.report.headline import headline, interval_warnings
 from gesturekit.evaluation.report.plots import all_plots
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
@@ -112,10 +113,11 @@ def _plots_section(evaluation: Evaluation) -> str:
 
 
 def _agreement_section(evaluation: Evaluation) -> str:
-    if not evaluation.agreement:
+    lines = agreement_lines(evaluation)
+    if not lines:
         return ""
-    title, *lead, _ = agreement_lines(evaluation)[1].partition(": ")
-    return title
+    lead, table = "<br>".join(map(html.escape, lines[1:3])), "\n".join(lines[3:])
+    return section("Agreement with people", lead, f"<pre>{html.escape(table)}</pre>")
 
 
 def _clips_section(shown: list[Shown], evaluation: Evaluation) -> str:
