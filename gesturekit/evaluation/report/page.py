@@ -54,9 +54,9 @@ def write_report(
         _plots_section(evaluation),
         _agreement_section(evaluation),
         _clips_section(shown, evaluation),
-        tables.per_clip(evaluation),
-        tables.excluded(evaluation),
-        _definitions_section(evaluation, command),
+        without_folders(tables.per_clip(evaluation)),
+        without_folders(tables.excluded(evaluation)),
+        without_folders(_definitions_section(evaluation, command)),
     ]
     page = {
         "title": html.escape(heading),
@@ -66,7 +66,8 @@ def write_report(
             f'<p class="verdict">{html.escape(line)}</p>' for line in evaluation.verdicts()
         ),
         "warnings": "".join(
-            f'<p class="warning">{html.escape(w)}</p>' for w in _warnings(evaluation)
+            f'<p class="warning">{html.escape(without_folders(w))}</p>'
+            for w in _warnings(evaluation)
         ),
         "sections": "\n".join(filter(None, sections)),
         "footer": html.escape(
@@ -78,6 +79,14 @@ def write_report(
     text = re.sub(r"\{\{(\w+)\}\}", lambda place: page[place[1]], template)
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def without_folders(text: str) -> str:
+    """Return a text with the name alone of each absolute path: the page is made to be mailed."""
+    for place in (Path.cwd(), Path.home()):  # these may have spaces in them
+        if place.name:
+            text = text.replace(f"{place}/", "")
+    return re.sub(r"(?<![\w/.<:~])/(?:[^\s/'\"<>:,;&]+/)+", "", text)
 
 
 def _facts(evaluation: Evaluation) -> Iterable[str]:
