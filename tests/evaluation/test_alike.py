@@ -1,4 +1,4 @@
-"""What is not alike is brought to one rig, set apart, marked, or refused."""
+"""Unlike models are brought to one rig, set apart, marked, or refused."""
 
 from __future__ import annotations
 

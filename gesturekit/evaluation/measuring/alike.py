@@ -1,4 +1,4 @@
-"""What is compared must be alike: the same recordings, the same joints, the same length."""
+"""Checks that models are compared on the same recordings, joints and lengths."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ class Work:
 
     @functools.cached_property
     def store(self) -> Store:
-        """Where measurements are kept."""
+        """Store of the measurements."""
         return Store()
 
     def clip_key(self, label: str, index: int) -> str | None:
