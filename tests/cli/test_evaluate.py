@@ -40,10 +40,11 @@ def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_p
     assert done.status == 0, done.err
     lines = done.out.splitlines()
     assert lines[0].startswith("ours: ") and lines[1].startswith("baseline: ")
-    assert lines[2].split() == ["ours", "baseline", "recording", "chance"]
-    assert lines[3] == "Speech:"
-    assert any(re.match(r"  Reach, m  +≈  0\.\d+  +0\.\d+  +0\.\d+$", line) for line in lines)
-    assert any(re.match(r"  Sync  +↑  .*\[.*  0\.\d+$", line) for line in lines)
+    assert "In time with the speech?" in lines[2] and "Is it new?" in lines[7]
+    assert lines[8].split() == ["ours", "baseline", "recording", "chance"]
+    assert lines[9] == "Headline:" and "Speech:" in lines
+    assert any(re.match(r"  Reach, m  +0\.\d+ \[.*\]  +0\.\d+$", line) for line in lines)
+    assert any(re.match(r"  Sync  .*\[.*  0\.\d+$", line) for line in lines)
     found = json.loads((tmp_path / "r.json").read_text())
     assert [model["label"] for model in found["models"]] == ["ours", "baseline"]
     page = (tmp_path / "r.html").read_text()
@@ -60,7 +61,7 @@ def test_baselines_are_columns_of_the_table(gesturekit, folders):
     )  # fmt: skip
     assert done.status == 0, done.err
     lines = done.out.splitlines()
-    assert lines[3].split() == ["ours", "mean_pose", "other_utterance", "recording", "chance"]
+    assert lines[12].split() == ["ours", "mean_pose", "other_utterance", "recording", "chance"]
     assert "9 clips measured, 0 left out" in lines[-1]
 
 
@@ -158,7 +159,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
         "--json", tmp_path / "r.json", "--out", tmp_path / "r.html",
     )  # fmt: skip
     assert done.status == 0, done.err
-    assert "Warning" not in done.err
+    assert "trained on" not in done.err and "a single recording: no intervals" in done.err
     assert f"1 clip measured, 0 left out; all of it in {tmp_path / 'r.html'}" in done.out
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["settings"]["split"] == "test"
@@ -175,7 +176,10 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     )  # fmt: skip
     assert by_hand.status == 0, by_hand.err
     ((other,),) = (m["clips"] for m in json.loads((tmp_path / "hand.json").read_text())["models"])
-    assert other["figures"] == pytest.approx(clip["figures"], rel=1e-4, abs=1e-4)
+    # Those that compare with the training split, which a folder has not, differ.
+    own = {k: v for k, v in clip["figures"].items() if k not in ("copying", "novelty")}
+    by_hand = {k: v for k, v in other["figures"].items() if k not in ("copying", "novelty")}
+    assert by_hand == pytest.approx(own, rel=1e-4, abs=1e-4)
 
 
 def test_what_was_trained_on_is_warned_about(gesturekit, held_out, tmp_path):
@@ -247,7 +251,8 @@ def test_columns_stay_under_their_headers_beside_wide_characters(gesturekit, fol
     made.mkdir()
     (made / "clip0.npz").write_bytes((folders / "ours" / "clip0.npz").read_bytes())
     done = gesturekit("evaluate", made, folders / "recordings")
-    _, header, *lines = done.out.splitlines()  # the first line is the verdict
+    *_, header = (line for line in done.out.splitlines() if line.rstrip().endswith("chance"))
+    lines = done.out.splitlines()
     (speed,) = (line for line in lines if line.startswith("  Arm speed, rad/s"))
     end = disp_len(header[: header.index("recording")])
     assert speed[:end].endswith("  ") and speed[end] != " "

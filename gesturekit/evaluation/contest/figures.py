@@ -83,7 +83,7 @@ def informative(clips: Sequence[ClipResult], metric: str) -> bool:
         if deviation > 0.0:
             above.append(value - level)
             variance.append(deviation**2)
-    return bool(above) and sum(above) >= ABOVE_CHANCE * np.sqrt(sum(variance))
+    return bool(above and sum(above) >= ABOVE_CHANCE * np.sqrt(sum(variance)))
 
 
 def _mean_figure(key: str, has: Sequence[ClipResult], total: int, seed: int) -> MetricResult:

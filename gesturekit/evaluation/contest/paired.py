@@ -1,10 +1,12 @@
 """Differences of models, recording by recording: which figures of a report may be bold.
 
-Models are ordered by the distance of their figure to the recordings' own. The best one is bold only
-if it is nearer than every other model by more than chance: the bootstrap over recordings draws the
-same ones for both models, each with all its samples; Student's t of the difference over its
-standard error gives a p-value, and the p-values of all rows are adjusted by Holm's procedure. A
-figure that has a chance level must be above it as well, and so must the recordings' own.
+Models are ordered by the distance of their figure to the recordings' own. The nearest one is bold
+only if its figure differs from that of every other model by more than chance: the bootstrap over
+recordings draws the same ones for both models, each with all its samples; Student's t of the
+difference over its standard error gives a p-value, and the p-values of all rows are adjusted by
+Holm's procedure. It must be the nearer one in three of four resamples as well: two models may
+differ and be about as far from the recordings on either side. A figure that has a chance level must
+be above it, and so must the recordings' own.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from gesturekit.evaluation.headline.questions import likeness_of
 from gesturekit.evaluation.intervals import LEVEL, draws, holm, means_by, standard_error
 from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
 
+NEARER = 0.75
+"""Share of resamples in which the best model is nearer to the recordings, at least."""
 SEED = 0
 """Seed of the bootstrap: reports of the same figures have the same bold."""
 
@@ -34,8 +38,8 @@ AT_MOST = (
 """Metrics whose own value is that of other recordings: it is good enough. Beyond it a motion is
 nearer to the very recording that it is compared with, which is no merit: it may be a copy."""
 
-_Replicates = Callable[[np.ndarray], np.ndarray]
-"""Maps weights of recordings (B, R) to the distances (B,) of a model to the recordings' own."""
+_Replicates = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Maps weights of recordings (B, R) to a model's figures (B,) and their distances (B,)."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,10 @@ def _tested(
 
 
 def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
-    """Return the two-sided p-value of the difference of two models' distances."""
+    """Return the two-sided p-value of the difference of two models' figures, the nearer one first.
+
+    1 if it is not nearer in `NEARER` of the resamples.
+    """
     both = [_by_recording(model) for model in (one, other)]
     names = sorted(
         name for name in both[0].keys() & both[1].keys()
@@ -126,12 +133,15 @@ def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
     if len(names) < 2:
         return None
     weights = draws(len(names), SEED)
-    replicates, values = [], []
+    once = np.full((1, len(names)), 1 / len(names))
+    resampled, values = [], []
     for model, side in zip((one, other), both, strict=True):
-        measured = _distances(key, model, [clip for name in names for clip in side[name]])
-        replicates.append(measured(weights))
-        values.append(measured(np.full((1, len(names)), 1 / len(names)))[0])
-    spread = float(standard_error(replicates[0] - replicates[1], len(names)))
+        measure = _figures(key, model, [clip for name in names for clip in side[name]])
+        resampled.append(measure(weights))
+        values.append(measure(once)[0][0])
+    if (resampled[0][1] < resampled[1][1]).mean() < NEARER:
+        return 1.0
+    spread = float(standard_error(resampled[0][0] - resampled[1][0], len(names)))
     return p_value(values[0] - values[1], spread, len(names))
 
 
@@ -144,21 +154,19 @@ def p_value(difference: float, error: float, units: int) -> float:
     return float(2.0 * t.sf(abs(difference) / error, units - 1))
 
 
-def _distances(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Replicates:
-    stems = [clip.pair.stem for clip in clips]
+def _figures(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Replicates:
     if key == "likeness":
-        return _unlikeness(model, clips)
+        measure = likeness_of(clips, _told(model.figures))
+        return lambda weights: ((found := measure(weights)), 1.0 - found)
+    stems = [clip.pair.stem for clip in clips]
     ours = means_by(stems, np.array([clip.figures[key] for clip in clips]))
-    own = model.figures[key].recording
+    theirs = np.full(len(ours), model.figures[key].recording)
     if all(key in clip.recording for clip in clips):
         theirs = means_by(stems, np.array([clip.recording[key] for clip in clips]))
-        return lambda weights: distance(key, weights @ ours, weights @ theirs)
-    return lambda weights: distance(key, weights @ ours, own)
-
-
-def _unlikeness(model: ModelResult, clips: Sequence[ClipResult]) -> _Replicates:
-    measure = likeness_of(clips, _told(model.figures))
-    return lambda weights: 1.0 - measure(weights)
+    return lambda weights: (
+        (found := weights @ ours),
+        distance(key, found, weights @ theirs),
+    )
 
 
 def _told(figures: Mapping[str, MetricResult]) -> float:
