@@ -20,11 +20,11 @@ ALL = set(BAD_MOTION)
 
 @pytest.fixture(scope="module")
 def spoken(shared_data, tmp_path_factory):
-    """The ZEGGS recording, 26 s of it, with its sound."""
+    """The ZEGGS recording, 34 s of it, with its sound."""
     folder = tmp_path_factory.mktemp("zeggs")
     (bvh,) = shared_data.glob("paired/zeggs*/*.bvh")
-    Motion.load(bvh).trim(20.0, 58.0).save(folder / "speech.npz")
-    wave = Wave.load(bvh.with_suffix(".wav")).slice(20.0, 38.0)
+    Motion.load(bvh).trim(20.0, 54.0).save(folder / "speech.npz")
+    wave = Wave.load(bvh.with_suffix(".wav")).slice(20.0, 34.0)
     soundfile.write(folder / "speech.wav", wave.samples, wave.sample_rate)
     return run_sanity(folder)
 

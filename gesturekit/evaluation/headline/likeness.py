@@ -38,7 +38,7 @@ ASPECTS = {
     "reach": ("reach",),
     "contrast of calm and lively": ("speed_range",),
     "smoothness": ("jerk",),
-    "sliding feet": ("foot_skate",),
+    "feet": ("foot_skate",),
     "postures and movements": ("one_nn",),
     "direction of time": ("forward",),
 }
