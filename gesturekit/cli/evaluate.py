@@ -172,7 +172,7 @@ def command(
     from gesturekit.evaluation.report.figure_table import WRITERS
 
     if options["sanity"]:
-        ctx.exit(sanity(generated, out, json_out, options))
+        ctx.exit(sanity((generated, reference, *surplus, *compare), out, json_out, options))
     _refuse_surplus(reference, surplus, options["corpus"])
     recordings = _recordings(reference, options)
     names = (generated, *compare)

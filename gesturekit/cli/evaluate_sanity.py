@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,22 @@ import click
 
 
 def sanity(
-    recordings: str, out: Path | None, json_out: Path | None, options: Mapping[str, Any]
+    names: Sequence[object], out: Path | None, json_out: Path | None, options: Mapping[str, Any]
 ) -> int:
-    """Evaluate known-bad motion made from recordings, print the table and return the exit code."""
+    """Evaluate known-bad motion made from recordings, print the table and return the exit code.
+
+    Args:
+        names: the positional arguments; the first one is the recordings.
+        out: HTML report to write, or None.
+        json_out: JSON to write, or None.
+        options: the other options of `gesturekit evaluate`.
+
+    Raises:
+        UsageError: more is named than the recordings.
+    """
+    recordings, *surplus = filter(None, names)
+    if surplus or options["corpus"] is not None:
+        raise click.UsageError("--sanity takes a folder of recordings alone, and --audio")
     from gesturekit.evaluation import PatchOptions, write_report
     from gesturekit.evaluation.report.headline import headline_lines
     from gesturekit.evaluation.sanity.run import run_sanity
@@ -21,7 +34,7 @@ def sanity(
     from gesturekit.progress import Progress
 
     found = run_sanity(
-        Path(recordings),
+        Path(str(recordings)),
         options["audio"],
         patches=PatchOptions(options["variant"], options["threshold"]),
         seed=options["seed"],
