@@ -2,72 +2,39 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import logging
 import os
-import sys
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from audio_features.atomic import atomic_write
-from audio_features.errors import AudioFeaturesError, FeatureError
+from audio_features.disk_cache import (
+    MAX_BYTES,
+    DiskCache,
+    default_folder,
+    digest_of_sources,
+    installed_versions,
+    size_limit,
+)
+from audio_features.errors import FeatureError
 from audio_features.track import FeatureTrack
 
 if TYPE_CHECKING:
     from audio_features.extractor import Extractor
     from audio_features.wave import Wave
 
-FORMAT = 1
-MAX_BYTES = 20 * 10**9
-"""Default size limit: 36 hours of WavLM Base."""
-
 # Packages of which another version may change the last bits of a feature.
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
-_SUFFIX = ".safetensors"
-_PART = ".part"  # suffix of an entry that is being written
-_STALE_SECONDS = 3600  # a temporary file older than this was left by a process that was killed
+_KIND = "features-1"
 
 log = logging.getLogger(__name__)
 
 
-def default_folder() -> Path:
-    """Return $GESTUREKIT_CACHE, or the platform's cache folder of the user.
-
-    The latter is $XDG_CACHE_HOME/gesturekit (~/.cache/gesturekit), ~/Library/Caches/gesturekit on
-    macOS, %LOCALAPPDATA%/gesturekit on Windows.
-    """
-    named = os.environ.get("GESTUREKIT_CACHE")
-    if named:
-        return Path(named)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
-    elif sys.platform == "darwin":
-        base = "~/Library/Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "gesturekit"
-
-
-@dataclass(frozen=True)
-class Contents:
-    """Summary of a cache: number of entries, bytes, and last use of the oldest and newest."""
-
-    entries: int
-    size: int
-    oldest: float | None
-    newest: float | None
-
-
-class FeatureCache:
+class FeatureCache(DiskCache):
     """Cache of features on disk, keyed by the sound and everything that affects the features.
 
     The key is a digest of the samples and their rate, the extractor's spec (settings and
@@ -100,14 +67,8 @@ class FeatureCache:
     ) -> None:
         if precision not in ("fp32", "fp16"):
             raise FeatureError(f"precision={precision!r}: fp32 or fp16")
-        if max_bytes < 0:
-            raise FeatureError(f"max_bytes={max_bytes}: 0 or more")
-        self.folder = default_folder() if folder is None else Path(folder)
-        self.max_bytes = max_bytes
+        super().__init__(folder, max_bytes=max_bytes)
         self.precision = precision
-        # Bytes written since the folder was last measured; the first write measures.
-        self._unmeasured = max_bytes
-        self._warned = False
 
     def extract(self, extractor: Extractor, wave: Wave) -> FeatureTrack:
         """Return `extractor.extract(wave)`, values (T, D), from the cache if possible."""
@@ -117,50 +78,24 @@ class FeatureCache:
             return extractor.extract(wave, self.extract)
         if not getattr(extractor, "worth_caching", True):
             return extractor.extract(wave)
-        path = self._path(extractor, wave)
+        path = self._entry(extractor, wave)
         track = self._read(path, extractor)
         if track is None:
             track = self._rounded(extractor.extract(wave))
-            self._write(path, track)
+            self._store(path, track)
         return track
 
-    def contents(self) -> Contents:
-        """Summarise the entries of the cache."""
-        found = list(self._entries())
-        used = [entry.st_mtime for _, entry in found]
-        return Contents(
-            len(found),
-            sum(entry.st_size for _, entry in found),
-            min(used, default=None),
-            max(used, default=None),
-        )
-
-    def clear(self) -> Contents:
-        """Remove all entries, and nothing else in the folder; return a summary of them."""
-        contents = self.contents()
-        for path, _ in self._entries():
-            path.unlink(missing_ok=True)
-        self._remove_leftovers(0.0)
-        for folder in (*self._subfolders(), self._root):
-            with contextlib.suppress(OSError):  # the folder holds other files
-                folder.rmdir()
-        return contents
-
-    @property
-    def _root(self) -> Path:
-        return self.folder / f"features-{FORMAT}"
-
-    def _path(self, extractor: Extractor, wave: Wave) -> Path:
+    def _entry(self, extractor: Extractor, wave: Wave) -> Path:
         made_of = {
             "sound": wave.digest,
             "spec": extractor.spec,
             "precision": self.precision,
-            "code": _code_digest(),
-            "versions": _versions(),
+            "code": digest_of_sources(Path(__file__).parent),
+            "versions": installed_versions(_NUMERICAL),
         }
         text = json.dumps(made_of, sort_keys=True, allow_nan=False)
         key = hashlib.sha256(text.encode()).hexdigest()
-        return self._root / key[:2] / f"{key}{_SUFFIX}"
+        return self.path(_KIND, key, ".safetensors")
 
     def _rounded(self, track: FeatureTrack) -> FeatureTrack:
         if self.precision == "fp32":
@@ -186,11 +121,10 @@ class FeatureCache:
         except (OSError, SafetensorError, TypeError, ValueError) as error:
             log.warning("%s: damaged (%s); extracting again", path, error)
             return None
-        with contextlib.suppress(OSError):  # another user's entry, or a read-only disk
-            os.utime(path)
+        self.mark_used(path)
         return track
 
-    def _write(self, path: Path, track: FeatureTrack) -> None:
+    def _store(self, path: Path, track: FeatureTrack) -> None:
         from safetensors.numpy import save
 
         kind = np.float16 if self.precision == "fp16" else np.float32
@@ -199,52 +133,7 @@ class FeatureCache:
             return
         about = {"spec": json.dumps(track.spec), "checksum": _checksum(values, track.times)}
         data = save({"values": values, "times": track.times}, about)
-        try:
-            with atomic_write(path, suffix=_PART) as temporary:
-                temporary.write_bytes(data)
-            self._unmeasured += len(data)
-            # Measuring the folder after every write would be slow. Other processes write too, so
-            # it is measured from time to time.
-            if self._unmeasured > self.max_bytes // 16:
-                self._make_room()
-        except OSError as error:
-            if not self._warned:
-                log.warning("%s: features are not cached (%s)", self.folder, error.strerror)
-            self._warned = True
-
-    def _make_room(self) -> None:
-        """Remove least recently used entries above the limit, and files of killed runs."""
-        entries = sorted(self._entries(), key=lambda found: found[1].st_mtime)
-        size = sum(entry.st_size for _, entry in entries)
-        for path, entry in entries:
-            if size <= self.max_bytes:
-                break
-            path.unlink(missing_ok=True)
-            size -= entry.st_size
-        self._remove_leftovers(_STALE_SECONDS)
-        self._unmeasured = 0
-
-    def _subfolders(self) -> list[Path]:
-        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-            return [path for path in self._root.iterdir() if path.is_dir()]
-        return []
-
-    def _entries(self) -> Iterator[tuple[Path, os.stat_result]]:
-        for path in self._files():
-            if path.suffix == _SUFFIX:
-                with contextlib.suppress(FileNotFoundError):  # removed by another process
-                    yield path, path.stat()
-
-    def _files(self) -> Iterator[Path]:
-        for folder in self._subfolders():
-            with contextlib.suppress(FileNotFoundError):
-                yield from list(folder.iterdir())
-
-    def _remove_leftovers(self, age: float) -> None:
-        for path in self._files():
-            with contextlib.suppress(FileNotFoundError):
-                if path.suffix == _PART and time.time() - path.stat().st_mtime >= age:
-                    path.unlink()
+        self.write(path, data)
 
 
 def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> FeatureCache:
@@ -254,14 +143,7 @@ def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> Featu
 
     Raises AudioFeaturesError if the variable is not a number of at least 0; 0 stores nothing.
     """
-    size = os.environ.get("GESTUREKIT_CACHE_GB")
-    try:
-        max_bytes = MAX_BYTES if size is None else int(float(size) * 1e9)
-        return _shared(default_folder(), max_bytes, precision)
-    except (ValueError, OverflowError) as error:
-        raise AudioFeaturesError(
-            f"GESTUREKIT_CACHE_GB={size!r}: give the gigabytes that the cache may hold, 0 for none"
-        ) from error
+    return _shared(default_folder(), size_limit(), precision)
 
 
 @lru_cache
@@ -275,23 +157,3 @@ def _checksum(values: np.ndarray, times: np.ndarray) -> str:
         digest.update(f"{array.dtype} {array.shape}".encode())
         digest.update(np.ascontiguousarray(array))
     return digest.hexdigest()
-
-
-@lru_cache
-def _code_digest() -> str:
-    """Compute a digest of this package's source code."""
-    digest = hashlib.sha256()
-    root = Path(__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-@lru_cache
-def _versions() -> dict[str, str]:
-    found = {}
-    for package in _NUMERICAL:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[package] = metadata.version(package)
-    return found

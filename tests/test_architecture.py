@@ -20,7 +20,7 @@ MAY_IMPORT: dict[str, set[str]] = {"motion": set(), "jobs": set()}
 MAY_IMPORT["formats"] = MAY_IMPORT["postprocess"] = {"motion"}
 for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
-MAY_IMPORT["evaluation"] |= {"corpus", "viewer"}  # its report embeds the player
+MAY_IMPORT["evaluation"] |= {"corpus", "jobs", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
 MAY_IMPORT["multires"] = {"model", "postprocess", "training", *MAY_IMPORT["training"]}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]

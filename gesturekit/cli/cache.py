@@ -1,4 +1,4 @@
-"""gesturekit cache: show or clear the feature cache."""
+"""gesturekit cache: show or clear the cache of features and measurements."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import click
 @click.command(epilog="Example: gesturekit cache info")
 @click.argument("action", type=click.Choice(["info", "clear"]))
 def command(action: str) -> None:
-    """Show the size of the feature cache (info), or delete its contents (clear).
+    """Show the size of the cache (info), or delete its contents (clear).
 
-    The cache holds features that are slow to extract: WavLM, and pitch by pyin. Its folder is
+    The cache holds features that are slow to extract (WavLM, and pitch by pyin) and measurements of
+    gesturekit evaluate. Its folder is
     $GESTUREKIT_CACHE, by default in the user's cache folder, and its size is limited to
     $GESTUREKIT_CACHE_GB gigabytes (20); the least recently used entries are removed first.
-    Cleared features are extracted again when needed.
+    What is cleared is made again when needed.
     """
     from datetime import datetime
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from gesturekit.cli.evaluate_models import folders_of, place_of
+from gesturekit.cli.evaluate_sanity import sanity
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
     comma_separated,
@@ -15,24 +18,30 @@ from gesturekit.cli.options import (
     is_left,
     read_from,
     recording_options,
-    resumable,
 )
+from gesturekit.cli.trained_on import trained_on
 from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
-    from gesturekit.evaluation.results import ModelResult
+    from gesturekit.evaluation.agreement.answers import Answer
 
 
 @click.command(
     "evaluate",
     epilog="Example: gesturekit evaluate rendered recordings --audio recordings --out report.html "
-    "--compare rendered_without_film baseline",
+    "--compare rendered_without_film --compare other=baseline/rendered",
 )
 @click.argument("generated")
 @click.argument("reference", type=click.Path(path_type=Path), required=False)
-@click.argument("others", nargs=-1, metavar="[MODEL]...")
-@click.option("--compare", is_flag=True, help="Compare with the models given last.")
+@click.argument("surplus", nargs=-1, metavar="")
+@click.option(
+    "--compare",
+    multiple=True,
+    metavar="[NAME=]DIR",
+    help="Compare with another model: its folder of motion, named in the report by NAME. May be "
+    "repeated.",
+)
 @click.option(
     "--baseline",
     metavar="NAMES",
@@ -61,14 +70,32 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path, file_okay=False),
     help="Feature model of gesturekit fit-features, for FGD.",
 )
+@click.option(
+    "--study",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="CSV",
+    help="Results of a user study on these models (user, input_code, model_a, model_b, winner): "
+    "how far each metric orders the models as people did.",
+)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="HTML report.")
 @click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="JSON.")
+@click.option(
+    "--csv", type=click.Path(path_type=Path, dir_okay=False), help="Table of all metrics as CSV."
+)
+@click.option(
+    "--markdown", type=click.Path(path_type=Path, dir_okay=False), help="The table in Markdown."
+)
+@click.option(
+    "--latex",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The table in LaTeX (booktabs).",
+)
 @click.option(
     "--protocol",
     type=click.Choice(["multires", "lda"]),
     help="multires: patches of each training sequence, 200 samples of twice its length. lda: "
     "Fréchet distances of 10 s windows, 3 samples each, against all of REFERENCE. With a protocol, "
-    "GENERATED and MODEL may be model folders: motion is sampled first.",
+    "GENERATED and --compare may be model folders: motion is sampled first.",
 )
 @click.option(
     "--samples",
@@ -99,7 +126,18 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=0, min_open=True),
     help="Coverage threshold: largest distance of a covered patch.  [default: 2.0; none for paper]",
 )
+@click.option(
+    "--sanity",
+    is_flag=True,
+    help="GENERATED is a folder of recordings (with their sound, or --audio): evaluate known-bad "
+    "motion made from them, and print what each metric notices.",
+)
 @click.option("--seed", default=0, show_default=True, help="Seed of samples and intervals.")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    help="Number of processes; the figures are the same for any number.  [default: the cores]",
+)
 @existing_option("replace", note="; samples of an earlier run are only skipped or refused")
 @recording_options
 @click.pass_context
@@ -107,17 +145,18 @@ def command(
     ctx: click.Context,
     generated: str,
     reference: Path | None,
-    others: tuple[str, ...],
-    compare: bool,
+    surplus: tuple[str, ...],
+    compare: tuple[str, ...],
     out: Path | None,
     json_out: Path | None,
     **options: Any,
 ) -> None:
     """Measure generated motion (GENERATED: folder or file, npz or BVH) against recordings.
 
-    Clips are matched with recordings by name; STEM_s1, STEM_s2 ... are samples for STEM. With
-    --compare, each further folder is another model. Without --audio, speech metrics are left out.
-    Prints a verdict in words and a table; --out and --json write all results. Held-out recordings:
+    Clips are matched with recordings by name; STEM_s1, STEM_s2 ... are samples for STEM. GENERATED
+    may be NAME=DIR too. Without --audio, speech metrics are left out. Prints a verdict in words and
+    a table; --out and --json write all results. What has been measured is kept by content in the
+    cache (gesturekit cache): a rerun measures what is new. Held-out recordings:
 
     \b
     gesturekit render --corpus corpus.jsonl --split test --model M --out rendered
@@ -129,46 +168,100 @@ def command(
     measured. Clips of other splits of --corpus, and of its items without motion, are not expected
     to be measured: a note lists them.
     """
-    import shlex
-    import sys
+    from gesturekit.evaluation.agreement.correlation import agreement, shared_models
+    from gesturekit.evaluation.report.figure_table import WRITERS
 
-    from gesturekit.evaluation import write_report
-
-    if options["corpus"] is not None and reference is not None:
-        # With --corpus there is no REFERENCE: the argument is the first of the models.
-        reference, others = None, (str(reference), *others)
+    if options["sanity"]:
+        ctx.exit(sanity((generated, reference, *surplus, *compare), out, json_out, options))
+    _refuse_surplus(reference, surplus, options["corpus"])
     recordings = _recordings(reference, options)
-    if others and not compare:
-        raise click.UsageError(f"what is {others[0]}? Add --compare to compare with it")
+    names = (generated, *compare)
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
-    if compare and not others:
-        raise click.UsageError("--compare needs folders to compare with, named last")
+    tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
-    folders = _folders((generated, *others), reference, options)
+    answers = _answers(options["study"])
+    folders = folders_of(names, reference, options)
+    if answers:
+        shared_models(list(folders), answers)  # before hours of measuring
     found = _evaluated(folders, recordings, options)
-    for line in (*found.verdicts(), *_table(found)):
+    if answers:
+        found.agreement = agreement(found.models, answers, options["seed"])
+    for model, name in zip(found.models, map(place_of, names)):
+        if warning := trained_on(model, name):
+            click.echo(f"Warning: {model.label}: {warning}", err=True)
+            model.notes.append(warning)
+            model.marks.append("trained on these")
+    _print(found)
+    _write(found, tables, json_out, out)
+    click.echo(_summary(found, out or json_out))
+    ctx.exit(0 if found.is_complete else 1)
+
+
+def _print(found: Evaluation) -> None:
+    """Print verdicts and table, and notes to standard error."""
+    from gesturekit.evaluation.report.figure_table import agreement_lines, terminal_lines
+
+    for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
         click.echo(line)
     for line in _notes(found):
         click.echo(line, err=True)
-    for model, name in zip(found.models, (generated, *others)):
-        if warning := _trained_on(model, name):
-            click.echo(f"Warning: {model.label}: {warning}", err=True)
-            model.notes.append(warning)
+
+
+def _write(
+    found: Evaluation,
+    tables: Mapping[str, Path | None],
+    json_out: Path | None,
+    out: Path | None,
+) -> None:
+    """Write the files that were asked for."""
+    import sys
+
+    from gesturekit.evaluation import write_report
+    from gesturekit.evaluation.report.figure_table import write_table
+
+    for form, path in tables.items():
+        if path is not None:
+            write_table(found, path, form)
+            click.echo(f"written  {path}")
     if json_out is not None:
         found.write_json(json_out)
         click.echo(f"written  {json_out}")
     if out is not None:
         write_report(found, out, command=shlex.join(["gesturekit", *sys.argv[1:]]))
         click.echo(f"written  {out}")
-    click.echo(_summary(found, out or json_out))
-    ctx.exit(0 if found.is_complete else 1)
+
+
+def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path | None) -> None:
+    """Refuse positional arguments after GENERATED and REFERENCE.
+
+    Raises:
+        UsageError: there are some.
+    """
+    if corpus is not None and reference is not None:
+        surplus = (str(reference), *surplus)
+    if surplus:
+        raise click.UsageError(
+            f"what is {surplus[0]}? Each model to compare with has its own --compare, such as "
+            f"{' '.join(f'--compare {shlex.quote(name)}' for name in surplus)}"
+        )
+
+
+def _answers(study: Path | None) -> list[Answer]:
+    """Read the results of a study."""
+    if study is None:
+        return []
+    from gesturekit.evaluation.agreement.answers import read_answers
+
+    return read_answers(study)
 
 
 def _evaluated(
     folders: dict[str, Path], recordings: Path | Items, options: Mapping[str, Any]
 ) -> Evaluation:
     """Run the evaluation with the options of the command line."""
+    import os
+
     from gesturekit.evaluation import FeatureModel, PatchOptions, evaluate
     from gesturekit.progress import Progress
 
@@ -184,10 +277,17 @@ def _evaluated(
             baselines=comma_separated(options["baseline"]),
             features=None if features is None else FeatureModel.load(features),
             seed=options["seed"],
-            progress=lambda pairs, label: Progress(pairs, desc=label, unit="clip"),
+            workers=options["workers"] or os.cpu_count() or 1,
+            progress=lambda tasks, total, label: Progress(
+                tasks, total=total, desc=label, unit="recording"
+            ),
         )
     except KeyboardInterrupt:
-        click.echo("Stopped, and nothing was written. The same command measures anew.", err=True)
+        click.echo(
+            "Stopped, and nothing was written. What was measured is kept: the same command goes "
+            "on from there.",
+            err=True,
+        )
         raise
 
 
@@ -212,6 +312,9 @@ def _recordings(reference: Path | None, options: Mapping[str, Any]) -> Path | It
 
 def _notes(found: Evaluation) -> Iterator[str]:
     """Yield notes on the metrics; metrics left out for the same reason share a line."""
+    from gesturekit.evaluation.report.headline import interval_warnings
+
+    yield from (f"Warning: {warning}." for warning in interval_warnings(found))
     for model in found.models:
         yield from (f"Note: {model.label}: {note}" for note in model.notes)
         metrics: dict[str, tuple[list[str], list[str]]] = {}
@@ -225,39 +328,6 @@ def _notes(found: Evaluation) -> Iterator[str]:
         for reason, (names, left_out) in metrics.items():
             what, of = ", ".join(dict.fromkeys(left_out)), listed(list(dict.fromkeys(names)), 3)
             yield f"Left out: {model.label}: {of}: {what}: {reason}"
-
-
-def _trained_on(model: ModelResult, name: str) -> str:
-    """Return a warning if `name`, a model, was trained on recordings of its evaluation, or ""."""
-    from gesturekit.evaluation.pairs import Stretch
-    from gesturekit.systems import model_folder
-    from gesturekit.training.data.sources import is_trained_on, load_sources
-
-    sources = load_sources(_made_by(model.path) or model_folder(name))
-    measured = {clip.pair.stem: clip.pair for clip in model.clips}
-    seen = []
-    for stem, pair in measured.items():
-        if isinstance(pair.reference, Stretch):
-            item = pair.reference.item
-            stretch = {"start": item.motion_start, "duration": item.duration}
-            known = item.split == "train"
-            known = known or is_trained_on(sources, item.motion, item.audio, **stretch)
-        else:
-            known = is_trained_on(sources, pair.reference, pair.audio)
-        seen += [stem] if known else []
-    if not seen:
-        return ""
-    return (
-        f"the model was trained on {len(seen)} of {counted(len(measured), 'recording')}, or on a "
-        f"part of each ({listed(seen, 3)}): the figures do not say how it does on new ones"
-    )
-
-
-def _made_by(rendered: Path) -> Path | None:
-    """Return the model folder that the journal of rendered motion names, or None."""
-    from gesturekit.rendering.record import model_of_results
-
-    return model_of_results(rendered)
 
 
 def _summary(found: Evaluation, report: Path | None) -> str:
@@ -284,94 +354,3 @@ def _to_write(path: Path | None, existing: str) -> Path | None:
             return path
     except OSError as error:
         raise click.UsageError(f"{path} cannot be written: {error.strerror}") from None
-
-
-def _folders(
-    names: Sequence[str], reference: Path | None, options: Mapping[str, Any]
-) -> dict[str, Path]:
-    """Return {label: folder of motion}; sample model folders first (not with --corpus)."""
-    from gesturekit.systems import bundled_models
-
-    folders: dict[str, Path] = {}
-    places = [Path(name).resolve() for name in names]
-    for name, place in zip(names, places):
-        if places.count(place) > 1:
-            raise click.UsageError(f"{name} is named twice")
-        path = Path(name)
-        label = place.stem if path.is_file() else place.name
-        if label in folders:
-            label = f"{place.parent.name}/{label}"
-        if label in folders:
-            label = str(place)
-        folders[label] = path
-        if path.exists() and not (path / "config.yaml").is_file():
-            continue
-        if not path.exists() and name not in bundled_models():
-            continue  # `evaluate` reports that there is no such folder
-        if options["protocol"] is None:
-            raise click.UsageError(
-                f"{name} is a model: render it first (gesturekit render), or say by --protocol "
-                "how it is to be sampled"
-            )
-        folders[label] = options["samples_dir"] / label.replace("/", "_")
-        _sample(name, label, folders[label], reference, options)
-    return folders
-
-
-def _sample(
-    name: str, label: str, folder: Path, reference: Path | None, options: Mapping[str, Any]
-) -> None:
-    """Sample a model by the protocol into a folder."""
-    from gesturekit.progress import Progress
-    from gesturekit.rendering import sampling
-    from gesturekit.systems import load
-
-    skip, audio = options["existing"] == "skip", options["audio"]
-    if not skip and folder.is_dir() and any(folder.iterdir()):
-        raise click.UsageError(
-            f"{folder} holds samples of an earlier run, which would be measured too: "
-            "name another --samples-dir, measure that folder in place of the model, or go on "
-            "with the sampling by --existing skip"
-        )
-    model = load(name, weights=options["weights"])
-    settings = {"seed": options["seed"], "skip": skip}
-    if options["samples"] is not None:
-        settings["samples"] = options["samples"]
-    if options["protocol"] == "lda":
-        if audio is None:
-            raise click.UsageError("--protocol lda samples models on speech: give --audio")
-        files = sampling.sample_lda(model, audio, folder, **settings)
-    else:
-        files = sampling.sample_multires(model, reference, folder, audio=audio, **settings)
-    with resumable(lambda: "With --existing skip the same command goes on."):
-        for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
-            pass
-
-
-def _table(found: Evaluation) -> list[str]:
-    """Return the lines of the table: mean and interval of each model, and the recordings' value."""
-    from tqdm.utils import disp_len
-
-    from gesturekit.evaluation.report.tables import number
-
-    rows = [["", *(model.label for model in found.models), "recording"]]
-    for definition in found.definitions():
-        figures = [model.figures.get(definition.key) for model in found.models]
-        unit = f", {definition.unit}" if definition.unit else ""
-        row = [f"{definition.name}{unit}"]
-        for figure in figures:
-            if figure is None:
-                row.append("-")
-                continue
-            i = figure.interval
-            spread = "" if i.low is None else f" [{number(i.low)}, {number(i.high)}]"
-            row.append(f"{number(i.value)}{spread}")
-        own = next((f.recording for f in figures if f and f.recording is not None), None)
-        row.append("" if own is None else number(own))
-        rows.append(row)
-    # Wide characters, as in Chinese names, take two columns.
-    widths = [max(disp_len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(cell + " " * (w - disp_len(cell)) for cell, w in zip(row, widths)).rstrip()
-        for row in rows
-    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,12 +14,14 @@ from audio_features import AudioFeaturesError, Wave
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.clips import Clip, load_recording, load_wave
 from gesturekit.evaluation.definitions import (
+    LIFE,
     MOVEMENT,
     PATCHES,
     SIMILARITY,
     SPEECH,
     PatchOptions,
 )
+from gesturekit.evaluation.life.hands import hand_figures
 from gesturekit.evaluation.metrics import feet, physical, rhythm, similarity
 from gesturekit.evaluation.metrics.derivatives import CUTOFF
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
@@ -108,6 +111,15 @@ class ReferenceStatistics:
             statistics.limits = JointLimits.fit(kept, turning)
         return statistics
 
+    def digest(self) -> str:
+        """Return a digest of the statistics, which are a part of every clip's measurement."""
+        found = hashlib.sha256(repr(sorted(self.mean_speed.items())).encode())
+        if self.limits is not None:
+            found.update(repr(self.limits.joints).encode())
+            for values in (self.limits.mean, self.limits.low, self.limits.high):
+                found.update(np.ascontiguousarray(values))
+        return found.hexdigest()
+
 
 def _roots(motions: Iterable[Motion]) -> set[str]:
     """Return the root and all joints with a translation: they turn with the whole body."""
@@ -143,15 +155,24 @@ class ClipMetrics:
         """Compute all metrics of the generated motion."""
         out = _Collected()
         self._motion_metrics(out, clip, clip.generated)
+        self._comparison(out, clip)
+        if SPEECH in self.groups and clip.semantic is not None:
+            out("srgr", lambda: self._srgr(clip))
+        return out.figures, out.problems
+
+    def against(self, clip: Clip) -> Values:
+        """Compute the metrics that compare the motion of a clip with its recording."""
+        out = _Collected()
+        self._comparison(out, clip)
+        return out.figures
+
+    def _comparison(self, out: _Collected, clip: Clip) -> None:
         if MOVEMENT in self.groups:
             out("hellinger", lambda: _speed_distance(clip))
         if SIMILARITY in self.groups:
             out("cca", lambda: similarity.cca(*self.both(clip)))
-        if SPEECH in self.groups and clip.semantic is not None:
-            out("srgr", lambda: self._srgr(clip))
         if PATCHES in self.groups:
             out("coverage", lambda: self._patches(clip))
-        return out.figures, out.problems
 
     def recording(self, clip: Clip) -> tuple[Values, Problems]:
         """Compute the metrics of the recording itself: the goal, or the upper bound."""
@@ -191,6 +212,8 @@ class ClipMetrics:
                 out.problems.append(("speech", str(error)))
             else:
                 self._speech(out, clip, motion, sound)
+        if LIFE in self.groups:
+            _hands(out, motion)
         if PATCHES in self.groups:
             out("intra_diversity", lambda: self._intra(clip, motion))
 
@@ -219,6 +242,10 @@ class ClipMetrics:
             lambda: rhythm.beat_alignment(motion, sound.pulse, joints=clip.joints),
             _score,
         )
+        if synced is not None and not (synced.note and synced.r):  # else its chance is unknown
+            out.figures["in_time"] = synced.r - synced.chance_mean
+        elif synced is None and _hardly_moves(motion, clip):
+            out.figures["in_time"] = 0.0
         consistent = out("bc", lambda: self._consistency(clip, motion, sound), _score)
         for key, result in (("sync", synced), ("bas", aligned), ("bc", consistent)):
             if result is None:
@@ -277,6 +304,15 @@ class ClipMetrics:
         return intra_diversity(self._features(clip, motion))
 
 
+def _hands(out: _Collected, motion: Motion) -> None:
+    """Add the hand movement of one clip; the pooled metric says what is missing, and why."""
+    try:
+        found = hand_figures(motion)
+    except GestureKitError:
+        return
+    out.figures |= {key: value for key, value in found.items() if np.isfinite(value)}
+
+
 def _check_size(one: Motion, other: Motion) -> None:
     if one.n_frames * other.n_frames > PATCH_PAIRS:
         raise EvaluationError(
@@ -287,13 +323,21 @@ def _check_size(one: Motion, other: Motion) -> None:
 
 def _sync(motion: Motion, clip: Clip, sound: Sound) -> SyncResult:
     result = sync(motion, sound.wave)
-    own = physical.arm_speed(clip.recording).mean()
-    if not result.note and physical.arm_speed(motion).mean() < physical.HARDLY_MOVING * own:
+    if not result.note and _hardly_moves(motion, clip):
         raise EvaluationError(
             f"not informative: the arms move at less than {100 * physical.HARDLY_MOVING:.0f} % of "
             "the recording's speed"
         )
     return result
+
+
+def _hardly_moves(motion: Motion, clip: Clip) -> bool:
+    """True if the arms move far less than the recording's; False without arms."""
+    try:
+        ours, own = (physical.arm_speed(m).mean() for m in (motion, clip.recording))
+    except GestureKitError:
+        return False
+    return bool(ours < physical.HARDLY_MOVING * own)
 
 
 def _speed_distance(clip: Clip) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,17 +11,13 @@ import numpy as np
 from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.evaluation.frame_rate import at_rate
+from gesturekit.evaluation.measuring.rigs import bare_name, matched
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair, Stretch
 from gesturekit.evaluation.semantic_track import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
-from gesturekit.motion.parts import body_joints
-from gesturekit.motion.skeleton import Skeleton
-
-MATCHED = 0.5
-"""Rigs match if at least this fraction of the recording's body joints is found by name."""
 
 LENGTH_TOLERANCE = 0.1
 """Largest difference in length between a clip and its recording without a note, seconds."""
@@ -69,12 +65,13 @@ class Clip:
         return bool(np.allclose(*bones, rtol=0.01, atol=rounding))
 
 
-def load_clip(pair: Pair, fps: float | None = None) -> Clip:
-    """Read a pair.
+def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = frozenset()) -> Clip:
+    """Read a pair, and bring the generated motion to the recording's rig (`measuring.rigs`).
 
     Args:
         pair: from `find_pairs`.
         fps: frame rate of both motions; None keeps that of the generated motion.
+        without: bare names of joints that other models lack, which are left out.
 
     Raises:
         FormatError, MotionError: a file that cannot be read (numbers that are not finite, one
@@ -96,11 +93,14 @@ def load_clip(pair: Pair, fps: float | None = None) -> Clip:
         start = pair.window * WINDOW_SECONDS
         recording = _window(recording, start, pair)
         semantic = None if semantic is None else _later(semantic, start)
-    joints, generated = _match(generated, recording.skeleton, pair)
-    known = len(body_joints(recording.skeleton))
-    if len(joints) < known:
-        notes.append(f"{known - len(joints)} of {known} body joints are not in the generated rig")
-    return Clip(pair, generated, recording, joints, semantic, tuple(notes))
+    try:
+        joints, generated, remarks = matched(generated, recording)
+    except MotionError as error:
+        raise MotionError(f"{pair.generated}: {pair.reference.name}: {error}") from None
+    joints = tuple(name for name in joints if bare_name(name) not in without)
+    if len(joints) < 2:
+        raise MotionError(f"{pair.generated}: fewer than 2 joints are common to all models")
+    return Clip(pair, generated, recording, joints, semantic, (*notes, *remarks))
 
 
 def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
@@ -145,37 +145,6 @@ def load_wave(source: Path | Stretch) -> Wave:
     return source.item.load_wave() if isinstance(source, Stretch) else Wave.load(source)
 
 
-def bare_name(name: str) -> str:
-    """Return a joint name in lower case without name space: `leftarm` for `mixamorig:LeftArm`."""
-    return name.rsplit(":", 1)[-1].lower()
-
-
-def _match(motion: Motion, rig: Skeleton, pair: Pair) -> tuple[tuple[str, ...], Motion]:
-    """Return the common body joints, and the motion with the joint names of the rig."""
-    names = body_joints(rig)
-    own = {bare_name(name): name for name in reversed(motion.skeleton.names)}
-    renamed = {own[bare_name(name)]: name for name in names if bare_name(name) in own}
-    if len(renamed) < max(2, MATCHED * len(names)):
-        missing = [name for name in names if bare_name(name) not in own]
-        raise MotionError(
-            f"{pair.generated}: rigs do not match: {len(renamed)} of {len(names)} body joints of "
-            f"{pair.reference.name} are found by name (missing: {', '.join(missing[:5])} ...); "
-            "retarget one of them, or rename its joints"
-        )
-    joints = tuple(name for name in names if name in set(renamed.values()))
-    if all(old == new for old, new in renamed.items()):
-        return joints, motion
-    skeleton = motion.skeleton
-    rename = {name: renamed.get(name, name) for name in skeleton.names}
-    rig = replace(
-        skeleton,
-        names=tuple(rename.values()),
-        end_sites={rename[name]: sites for name, sites in skeleton.end_sites.items()},
-    )
-    moved = {rename[name]: places for name, places in motion.joint_translations.items()}
-    return joints, replace(motion, skeleton=rig, joint_translations=moved)
-
-
 def _window(recording: Motion, start: float, pair: Pair) -> Motion:
     first = round(start * recording.fps)
     stop = min(recording.n_frames, first + round(WINDOW_SECONDS * recording.fps))
@@ -214,3 +183,9 @@ def _read(path: Path | Stretch) -> Motion:
 
 
 _semantic = functools.lru_cache(maxsize=_CACHED)(read_semantic)
+
+
+def forget_recordings() -> None:
+    """Forget recordings in memory, which may have changed on disk since the last evaluation."""
+    _resampled.cache_clear()
+    _semantic.cache_clear()

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from audio_features import AudioFeaturesError
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.baselines import baseline_pairs
 from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics, load_sound
-from gesturekit.evaluation.clips import LENGTH_TOLERANCE, Clip, clip_notes, load_clip
+from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_recordings
+from gesturekit.evaluation.contest.figures import figures_of
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
@@ -26,21 +26,26 @@ from gesturekit.evaluation.definitions import (
     PatchOptions,
 )
 from gesturekit.evaluation.frame_rate import RULE
-from gesturekit.evaluation.intervals import Interval, interval_of
-from gesturekit.evaluation.life.pooled import LifeMetrics, TrainingMotion
+from gesturekit.evaluation.headline.questions import answers
+from gesturekit.evaluation.intervals import Interval, interval_over_samples
 from gesturekit.evaluation.life.verdict import verdict
+from gesturekit.evaluation.measuring.alike import (
+    joints_to_leave_out,
+    keep_common_recordings,
+    mark_unlike,
+)
+from gesturekit.evaluation.measuring.run import Measured, Progress, measure_all
+from gesturekit.evaluation.measuring.work import MISMATCHED, Work
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
     Items,
-    Pair,
     Pairs,
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.results import ClipResult, Evaluation, MetricResult, ModelResult
-from gesturekit.evaluation.set_metrics import SetMetrics, pooled, speeds_of, thinned, wrists_of
+from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
@@ -59,13 +64,6 @@ MULTIRES_LENGTH = 2.0
 """Samples of each training sequence, and their length relative to the sequence."""
 LDA_SAMPLES = 3
 """Samples of each 10 s window."""
-
-MISMATCHED = 3
-"""Number of other recordings that a clip is also compared with, for the mismatched level."""
-
-Window = tuple[str, int | None]
-"""A recording and the index of its 10 s window; None for the whole recording."""
-Progress = Callable[[Sequence[Pair], str], Iterable[Pair]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,8 +91,10 @@ class EvaluationOptions:
     """Baselines to compare with, made from the recordings: "mean_pose" and "other_utterance"."""
     seed: int = 0
     """Seed of the bootstrap intervals and of subsamples."""
-    progress: Progress = lambda pairs, label: pairs
-    """Wraps the pairs of each model, such as in a progress bar."""
+    workers: int = 1
+    """Number of processes; the figures are the same for any number."""
+    progress: Progress = lambda tasks, total, label: tasks
+    """Wraps the tasks as they are done, such as in a progress bar, given number and label."""
 
     def __post_init__(self) -> None:
         if self.protocol not in PROTOCOLS:
@@ -136,6 +136,7 @@ def evaluate(
         UnknownOptionError: a keyword that is not an option.
     """
     chosen = build_options(EvaluationOptions, options, "evaluate")
+    _forget_files()
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
@@ -143,35 +144,86 @@ def evaluate(
     split = reference.split or None if isinstance(reference, Items) else None
     if split and chosen.audio is not None:
         raise EvaluationError(f"{reference.path} says where the sound is: leave audio out")
-    audio, semantic = (p if p is None else Path(p) for p in (chosen.audio, chosen.semantic))
-    found = {
-        label: find_pairs(folder, reference, audio=audio, semantic=semantic)
-        for label, folder in folders.items()
-    }
+    found = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(found.values())))
     found |= baseline_pairs(chosen.baselines, found, reference, fps)
     statistics = ReferenceStatistics.of(recordings(reference), fps)
-    patches = chosen.patches or PatchOptions()
-    measure = ClipMetrics(statistics, PROTOCOLS[chosen.protocol], patches)
-    run = _Comparison(measure, fps, chosen, reference)
+    work = _work(found, statistics, reference, fps, chosen)
+    measured = measure_all(work, chosen.workers, chosen.progress)
+    own = work.floors()
+    run = _Comparison(work.measure, chosen.protocol, chosen.seed, own)
     models = [
-        run.model(label, folders.get(label, Path(label)), pairs) for label, pairs in found.items()
+        run.model(label, folders.get(label, Path(label)), pairs, measured)
+        for label, pairs in found.items()
     ]
-    models[0].excluded += [*statistics.excluded, *run.training.excluded]
+    first = measured.sets[models[0].label]["pooled"]
+    mark_unlike(models)
+    models[0].excluded += statistics.excluded
+    models[0].excluded += [Excluded(**item) for item in first.get("training_excluded", ())]
     return Evaluation(
         models=models,
         reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
         protocol=chosen.protocol,
-        settings={
-            **chosen.to_json(),
-            "split": split,
-            "patches": asdict(patches),
-            "mismatched": MISMATCHED,
-            "resampling": RULE,
-        },
-        recorded_speeds=run.recorded_speeds(),
-        recorded_wrists=run.recorded_wrists(),
+        settings=_settings(chosen, split, work.measure.patches),
+        recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
+        recorded_wrists=np.array(first.get("recorded_wrists", ())),
+    )
+
+
+def _forget_files() -> None:
+    """Forget what an earlier evaluation read: files may have changed since."""
+    forget_recordings()
+    load_sound.cache_clear()
+
+
+def _pairs(
+    folders: Mapping[str, Path], reference: Path | Items, options: EvaluationOptions
+) -> dict[str, Pairs]:
+    """Return {label: clips of the recordings that all models have}."""
+    audio, semantic = (p if p is None else Path(p) for p in (options.audio, options.semantic))
+    found = {
+        label: find_pairs(folder, reference, audio=audio, semantic=semantic)
+        for label, folder in folders.items()
+    }
+    if len(found) > 1:
+        keep_common_recordings(found)
+    return found
+
+
+def _settings(options: EvaluationOptions, split: str | None, patches: PatchOptions) -> dict:
+    """Return the settings of the report."""
+    return {
+        **options.to_json(),
+        "split": split,
+        "patches": asdict(patches),
+        "mismatched": MISMATCHED,
+        "resampling": RULE,
+    }
+
+
+def _work(
+    found: Mapping[str, Pairs],
+    statistics: ReferenceStatistics,
+    reference: Path | Items,
+    fps: float,
+    options: EvaluationOptions,
+) -> Work:
+    """Return all that is to be measured."""
+    every = recordings(reference)
+    return Work(
+        measure=ClipMetrics(
+            statistics, PROTOCOLS[options.protocol], options.patches or PatchOptions()
+        ),
+        pairs={label: pairs.pairs for label, pairs in found.items()},
+        recordings={key: every[key] for key in statistics.recordings},
+        reference=reference,
+        fps=fps,
+        length=MULTIRES_LENGTH if options.protocol == "multires" else 1.0,
+        features=options.features,
+        seed=options.seed,
+        without=joints_to_leave_out(found, fps),
+        local=frozenset(options.baselines),
     )
 
 
@@ -202,138 +254,67 @@ def _frame_rate(pairs: Pairs) -> float:
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")
 
 
+@dataclass
 class _Comparison:
-    """Measures models against the same recordings."""
+    """Assembles the results of models that are measured against the same recordings."""
 
-    def __init__(
+    measure: ClipMetrics
+    protocol: str
+    seed: int
+    floors: Mapping[str, tuple[Interval, str]]
+
+    def model(
         self,
-        measure: ClipMetrics,
-        fps: float,
-        options: EvaluationOptions,
-        reference: Path | Items,
-    ) -> None:
-        self.measure = measure
-        self.training = TrainingMotion()
-        if LIFE in measure.groups:
-            self.training = TrainingMotion.of(reference, options.seed)
-        self.fps = fps
-        self.seed = options.seed
-        self.protocol = options.protocol
-        self.features = options.features
-        self.progress = options.progress
-        self._recording_metrics: dict[Window, dict[str, float]] = {}
-        self._speeds: dict[Window, SpeedHistogram] = {}
-        self._wrists: dict[Window, np.ndarray] = {}
-        self._windows: dict[Window, Motion] = {}
-
-    def model(self, label: str, path: Path, found: Pairs) -> ModelResult:
-        """Measure the clips of one model.
+        label: str,
+        path: Path,
+        found: Pairs,
+        measured: Measured,
+    ) -> ModelResult:
+        """Return the results of a model, from the measurements of its clips and of their set.
 
         Raises:
-            EvaluationError: no clip can be measured.
+            EvaluationError: no clip could be measured.
         """
+        clips, sets = measured.clips[label], measured.sets[label]
         result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
-        clip_set = SetMetrics(self.measure, self.seed, LifeMetrics(self.training, self.seed))
         problems: dict[tuple[str, str], list[str]] = {}
-        for pair in self.progress(found.pairs, label):
-            try:
-                clip = load_clip(pair, self.fps)
-            except (GestureKitError, AudioFeaturesError) as error:
-                result.excluded.append(Excluded(pair.name, str(error)))
+        for pair, values in zip(found.pairs, clips, strict=True):
+            if "reason" in values:
+                result.excluded.append(Excluded(pair.name, values["reason"]))
                 continue
-            figures, failed = self.measure.generated(clip)
-            self._measure_recording(clip)
-            window = (pair.stem, pair.window)
-            for key, reason in failed:
+            for key, reason in values["problems"]:
                 problems.setdefault((key, reason), []).append(pair.name)
             result.clips.append(
                 ClipResult(
                     pair,
-                    clip.generated.duration,
-                    figures,
-                    self._recording_metrics[window],
-                    self._mismatched(clip, found.pairs),
-                    (*clip.notes, *clip_notes(clip, self._length())),
+                    values["seconds"],
+                    values["figures"],
+                    values["recording"],
+                    values["mismatched"],
+                    tuple(values["notes"]),
                 )
             )
-            clip_set.add(clip, self._speeds[window])
         if not result.clips:
             reasons = "; ".join(item.reason for item in result.excluded[:3])
             raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
-        self._summarise(result, clip_set)
-        for key, reason in clip_set.problems:
-            problems.setdefault((key, reason), []).append("the whole set")
+        self._summarise(result, sets)
+        for part in sets.values():
+            for key, reason in part["problems"]:
+                problems.setdefault((key, reason), []).append("the whole set")
         for (key, reason), names in problems.items():
             title = DEFINITIONS[key].name if key in DEFINITIONS else key
             result.excluded.append(Excluded(listed(names, 3), reason, title))
         return result
 
-    def recorded_speeds(self) -> SpeedHistogram:
-        """Pool the joint speeds of all recordings that a clip was compared with."""
-        return pooled(list(self._speeds.values()))
-
-    def recorded_wrists(self) -> np.ndarray:
-        """Return (N,) wrist speeds of the same recordings, m/s."""
-        return thinned(list(self._wrists.values()))
-
-    def _measure_recording(self, clip: Clip) -> None:
-        """Measure the recording of a clip, once."""
-        window = (clip.pair.stem, clip.pair.window)
-        if window not in self._recording_metrics:
-            self._recording_metrics[window] = self.measure.recording(clip)[0]
-            self._speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
-            self._wrists[window] = wrists_of(clip.recording)
-            self._windows[window] = clip.recording
-
-    def _mismatched(self, clip: Clip, pairs: Sequence[Pair]) -> dict[str, float]:
-        """Measure the clip with the sounds, and the motion, of other recordings."""
-        figures: dict[str, float] = {}
-        if SPEECH in self.measure.groups and clip.pair.audio is not None:
-            sounds = []
-            others = list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio))
-            for path, index in _after(others, (clip.pair.audio, clip.pair.window), MISMATCHED):
-                try:
-                    sounds.append(load_sound(path, index))
-                except AudioFeaturesError:
-                    continue  # reported with the clip that it belongs to
-            figures |= self.measure.mismatched_sound(clip, sounds)
-        recordings = self.measure.statistics.recordings
-        for other in _after(list(recordings), clip.pair.stem, 1):
-            figures |= self.measure.mismatched_motion(clip, recordings[other])
-        return figures
-
-    def _length(self) -> float:
-        """Return the length of a clip relative to its recording."""
-        return MULTIRES_LENGTH if self.protocol == "multires" else 1.0
-
-    def _summarise(self, result: ModelResult, clip_set: SetMetrics) -> None:
-        clips = result.clips
-        for key in DEFINITIONS:
-            has = [clip for clip in clips if key in clip.figures]
-            if not has:
-                continue
-            stems = [clip.pair.stem for clip in has]
-            result.figures[key] = MetricResult(
-                key,
-                interval_of([clip.figures[key] for clip in has], stems, self.seed),
-                recording=_mean(clip.recording.get(key) for clip in has),
-                chance=_mean(clip.figures.get(f"{key}_chance") for clip in has),
-                mismatched=_mean(clip.mismatched.get(key) for clip in has),
-                note="" if len(has) == len(clips) else f"{len(has)} of {len(clips)} clips",
-            )
-        result.figures |= clip_set.pooled()
+    def _summarise(self, result: ModelResult, sets: Mapping[str, Mapping[str, Any]]) -> None:
+        result.figures = figures_of(result.clips, sets, self.floors, self.seed)
         if LIFE in self.measure.groups:
             result.verdict = verdict(result.figures)
-        if FRECHET in self.measure.groups:
-            full = list(self.measure.statistics.recordings.values())
-            whole = {(key, None) for key in self.measure.statistics.recordings}
-            seen = {(clip.pair.stem, clip.pair.window) for clip in clips}
-            compared = None if seen == whole else [self._windows[window] for window in sorted(seen)]
-            result.figures |= clip_set.frechet(full, compared, self.features)
+            result.answers = answers(result.clips, result.figures)
         if PATCHES in self.measure.groups:
             result.by_recording = self._by_recording(result.clips)
-        result.speeds = pooled(clip_set.histograms)
-        result.wrists = thinned(clip_set.wrists)
+        result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
+        result.wrists = np.array(sets["pooled"].get("wrists", ()))
         result.notes += self._protocol_notes(result)
 
     def _by_recording(self, clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
@@ -348,7 +329,7 @@ class _Comparison:
                     if clip.pair.stem == stem and key in clip.figures
                 ]
                 if definition.group == PATCHES and values:
-                    figures[key] = interval_of(values, [stem] * len(values), self.seed)
+                    figures[key] = interval_over_samples(values, self.seed)
             by_recording[stem] = figures
         return by_recording
 
@@ -370,14 +351,3 @@ class _Comparison:
                     "Fréchet distances"
                 )
         return notes
-
-
-def _after(items: list, item: Any, count: int) -> list:
-    """Return up to `count` other items, cyclically from the next one."""
-    at = items.index(item) if item in items else 0
-    return [items[(at + k) % len(items)] for k in range(1, min(count, len(items) - 1) + 1)]
-
-
-def _mean(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None

@@ -13,7 +13,8 @@ from typing import Any, Literal
 
 from gesturekit.evaluation.metrics.patches import THRESHOLD
 
-SPEECH, MOVEMENT, LIFE, SIMILARITY, PATCHES, FRECHET = GROUPS = (
+HEADLINE, SPEECH, MOVEMENT, LIFE, SIMILARITY, PATCHES, FRECHET = GROUPS = (
+    "Headline",
     "Speech",
     "Movement",
     "Life: all clips pooled",

@@ -1,30 +1,36 @@
-"""Bootstrap confidence intervals over independent samples."""
+"""Confidence intervals over recordings, and the correction for many tests.
+
+A model is measured on a sample of recordings: they are the units, and the samples (seeds) of one
+recording are averaged within it. A percentile interval of few recordings is too narrow, so that the
+standard error is that of the bootstrap, times sqrt(R / (R - 1)), and the quantile is Student's with
+R - 1 degrees of freedom (Hesterberg 2015).
+"""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 LEVEL = 0.95
 RESAMPLES = 2000
 FEW = 5
-"""Least number of units for an interval without a warning."""
+"""Least number of recordings for an interval without a warning."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and its percentile bootstrap interval.
+    """A mean and its confidence interval.
 
     Attributes:
         value: the mean over units.
         low, high: 95 % interval; None for a single unit.
-        n: number of clips.
+        n: number of clips (windows, for Fréchet distances).
         units: number of resampled units.
-        over: kind of unit: "recordings" (the mean of a recording's samples), or "samples" of
-            the only recording.
+        over: kind of unit: "recordings" (the mean of a recording's samples), or "samples" of one
+            recording.
     """
 
     value: float
@@ -34,65 +40,93 @@ class Interval:
     units: int
     over: str
 
+    @property
+    def count(self) -> str:
+        """Numbers of recordings and clips, in words, such as "10 recordings, 50 clips"."""
+        from gesturekit.wording import counted
+
+        clips = counted(self.n, "clip")
+        if self.over != "recordings":
+            return clips if self.over == "samples" else f"n = {self.n}"
+        return f"{counted(self.units, 'recording')}, {clips}"
+
+
+def means_by(groups: Sequence[str], values: np.ndarray) -> np.ndarray:
+    """Return (R, ...) means of values (n, ...) over the clips of each recording, sorted by name."""
+    belongs = np.asarray(groups)
+    return np.stack([values[belongs == name].mean(axis=0) for name in sorted(set(groups))])
+
+
+@functools.cache
+def draws(units: int, seed: int, resamples: int = RESAMPLES) -> np.ndarray:
+    """Return (resamples, units) weights of bootstrap resamples; each row sums to 1."""
+    rng = np.random.default_rng(seed)
+    return rng.multinomial(units, np.full(units, 1 / units), resamples) / units
+
+
+def standard_error(replicates: np.ndarray, units: int) -> np.ndarray:
+    """Return the bootstrap's standard error of replicates (resamples, ...), for few units."""
+    return replicates.std(axis=0) * np.sqrt(units / (units - 1))
+
+
+def half_width(replicates: np.ndarray, units: int) -> np.ndarray:
+    """Return half the width of the 95 % interval of a statistic from its bootstrap replicates."""
+    from scipy.stats import t
+
+    return t.ppf(0.5 + LEVEL / 2, units - 1) * standard_error(replicates, units)
+
 
 def interval_of(values: Sequence[float], groups: Sequence[str], seed: int) -> Interval:
-    """Return mean and interval of a clip metric.
-
-    Samples of one recording are not independent: they are averaged, and recordings are resampled.
-    With a single recording, its samples are resampled.
+    """Return mean and interval of a clip metric over recordings; no interval of a single one.
 
     Args:
         values: (n,) value of each clip.
         groups: (n,) recording of each clip.
         seed: the same seed gives the same interval.
     """
-    values = np.asarray(values, dtype=np.float64)
-    names = sorted(set(groups))
-    if len(names) > 1:
-        belongs = np.asarray(groups)
-        units = np.array([values[belongs == name].mean() for name in names])
-        over = "recordings"
-    else:
-        units, over = values, "samples"
+    return _interval(
+        means_by(groups, np.asarray(values, np.float64)), len(values), "recordings", seed
+    )
+
+
+def interval_over_samples(values: Sequence[float], seed: int) -> Interval:
+    """Return mean and interval over the samples (seeds) of one recording."""
+    return _interval(np.asarray(values, np.float64), len(values), "samples", seed)
+
+
+def _interval(units: np.ndarray, n: int, over: str, seed: int) -> Interval:
+    value, count = float(units.mean()), len(units)
     low = high = None
-    if len(units) > 1:
-        found = _bootstrap(len(units), lambda drawn, axis=-1: units[drawn].mean(axis=axis), seed)
-        low, high = map(float, found.confidence_interval)
-    return Interval(float(units.mean()), low, high, len(values), len(units), over)
+    if count > 1:
+        spread = float(half_width(draws(count, seed) @ units, count))
+        low, high = value - spread, value + spread
+    return Interval(value, low, high, n, count, over)
 
 
 def interval_of_statistic(
     statistic: Callable[[np.ndarray], float], groups: Sequence[str], seed: int, resamples: int = 500
 ) -> Interval:
-    """Return a distance of a set of clips, and its interval by resampling the clips.
+    """Return a distance of a set of clips, and its interval by resampling recordings.
 
-    The interval is 1.96 bootstrap standard errors either way, at least 0. Distances of resampled
-    sets are biased upwards, so that their quantiles could exclude the value itself.
+    It is at least 0. Distances of resampled sets are biased upwards, so that their quantiles could
+    exclude the value itself.
 
     Args:
         statistic: maps (m,) indices of clips to the distance.
-        groups: (n,) recording of each clip; whole recordings are resampled if there
-            are several.
+        groups: (n,) recording of each clip.
         seed: the same seed gives the same interval.
         resamples: number of resampled sets.
     """
-    names = sorted(set(groups))
-    everything = np.arange(len(groups))
-    if len(names) > 1:
-        belongs = np.asarray(groups)
-        members, over = [np.flatnonzero(belongs == name) for name in names], "recordings"
-    else:
-        members, over = [np.array([i]) for i in everything], "samples"
-
-    def of(drawn: np.ndarray) -> float:
-        return statistic(np.concatenate([members[i] for i in drawn]))
-
-    value = float(statistic(everything))
+    names, belongs = sorted(set(groups)), np.asarray(groups)
+    members = [np.flatnonzero(belongs == name) for name in names]
+    value = float(statistic(np.arange(len(groups))))
     low = high = None
-    if len(members) > 1:
-        spread = 1.96 * float(_bootstrap(len(members), of, seed, resamples, False).standard_error)
+    if len(names) > 1:
+        drawn = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
+        found = [statistic(np.concatenate([members[i] for i in row])) for row in drawn]
+        spread = float(half_width(np.array(found), len(names)))
         low, high = max(0.0, value - spread), value + spread
-    return Interval(value, low, high, len(everything), len(members), over)
+    return Interval(value, low, high, len(groups), len(names), "recordings")
 
 
 def whole_set(value: float, n: int) -> Interval:
@@ -100,21 +134,11 @@ def whole_set(value: float, n: int) -> Interval:
     return Interval(value, None, None, n, 1, "the whole set")
 
 
-def _bootstrap(
-    n: int,
-    statistic: Callable[..., Any],
-    seed: int,
-    resamples: int = RESAMPLES,
-    vectorized: bool = True,
-) -> Any:
-    from scipy.stats import bootstrap
-
-    return bootstrap(
-        (np.arange(n),),
-        statistic,
-        n_resamples=resamples,
-        confidence_level=LEVEL,
-        method="percentile",
-        vectorized=vectorized,
-        rng=np.random.default_rng(seed),
-    )
+def holm(p: Sequence[float]) -> np.ndarray:
+    """Return p-values (K,) adjusted for K tests by Holm's step-down procedure (1979)."""
+    p = np.asarray(p, np.float64)
+    order = np.argsort(p)
+    stepped = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
+    adjusted = np.empty_like(p)
+    adjusted[order] = np.minimum(stepped, 1.0)
+    return adjusted

@@ -218,7 +218,7 @@ def find_pairs(
     tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
     found = Pairs()
     for name, stem, window in _matched(made, recorded, reference, found):
-        sound, track = _of_stem(stem, sounds, audio), _of_stem(stem, tracks, semantic)
+        sound, track = file_of(stem, sounds, audio), file_of(stem, tracks, semantic)
         pair = Pair(name, stem, window, made[name], recorded[stem], sound, track)
         found.pairs.append(pair)
     if not found.pairs:
@@ -241,7 +241,7 @@ def find_pairs(
         found.excluded += [
             Excluded(stem, f"{folder} has no {kind}, or several, of its name", metric)
             for stem in stems
-            if files and _of_stem(stem, files, folder) is None
+            if files and file_of(stem, files, folder) is None
         ]
     return found
 
@@ -377,7 +377,8 @@ class _Lookup:
         return None, None, f"no recording of its name{hint}"
 
 
-def _of_stem(stem: str, files: Mapping[str, Path], given: Path | None) -> Path | None:
+def file_of(stem: str, files: Mapping[str, Path], given: Path | None) -> Path | None:
+    """Return the file of a recording by its key, else by its stem; None if there is none."""
     if given is not None and given.is_file():
         return given
     if stem in files:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -48,10 +49,13 @@ class MetricResult:
     Attributes:
         key: key of `definitions`.
         interval: the model's mean, with its interval.
-        recording: value of the recordings themselves, or None.
+        recording: the recordings' own value, or None.
+        recording_interval: the same with its interval; None where it has none.
         chance: mean chance level over circular shifts of the sound, or None.
         mismatched: mean over other recordings' sounds or motion, or None.
         note: "" or a remark on how to read the value.
+        informative: False where the recordings' own value is at its chance level, so that the
+            metric says nothing about these recordings.
     """
 
     key: str
@@ -60,6 +64,54 @@ class MetricResult:
     chance: float | None = None
     mismatched: float | None = None
     note: str = ""
+    recording_interval: Interval | None = None
+    informative: bool = True
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> MetricResult:
+        """Return the result that `dataclasses.asdict` described."""
+        return cls(**{k: Interval(**v) if isinstance(v, dict) else v for k, v in values.items()})
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Agreement of one metric with people.
+
+    Attributes:
+        key: key of `definitions`.
+        kendall: Kendall's tau-b over models; 1 is the order of people.
+        spearman: Spearman's rho.
+        low, high: 95 % bootstrap interval of Kendall's tau over the study's users.
+        n: number of models.
+        users: number of users.
+        answers: number of judgements between these models.
+    """
+
+    key: str
+    kendall: float
+    spearman: float
+    low: float
+    high: float
+    n: int
+    users: int
+    answers: int
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to one of the three questions that head a report.
+
+    Attributes:
+        question: such as "In time with the speech?".
+        key: key of `definitions` of its figure.
+        state: "yes", "partly", "no", "not informative here" or "not measured".
+        sentence: the answer in words.
+    """
+
+    question: str
+    key: str
+    state: str
+    sentence: str
 
 
 @dataclass
@@ -70,11 +122,13 @@ class ModelResult:
         label: name of the model.
         path: its folder.
         verdict: the result in words, one line; "" without measures of life and sync.
+        answers: answers to the three questions that head the report.
         figures: {key of `definitions`: result}.
         by_recording: {recording: {key: interval over its samples}} of the patch metrics.
         clips: results of each clip.
         excluded: clips and metrics left out, and why.
         notes: for the reader of the report.
+        marks: words on what sets the model apart from the others, such as "retargeted".
         speeds: histogram of joint speeds.
         wrists: (N,) wrist speeds, m/s; a sample of at most some thousands.
     """
@@ -82,11 +136,13 @@ class ModelResult:
     label: str
     path: Path
     verdict: str = ""
+    answers: list[Answer] = field(default_factory=list)
     figures: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)
     excluded: list[Excluded] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    marks: list[str] = field(default_factory=list)
     speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
     wrists: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
@@ -114,6 +170,7 @@ class Evaluation:
         settings: seeds and options, as plain values.
         recorded_speeds: histogram of joint speeds of the recordings.
         recorded_wrists: (N,) wrist speeds of the recordings, m/s; a sample of some thousands.
+        agreement: agreement of the metrics with the answers of a user study, if there is one.
         versions: {library: version}.
     """
 
@@ -124,6 +181,7 @@ class Evaluation:
     settings: dict[str, Any]
     recorded_speeds: SpeedHistogram
     recorded_wrists: np.ndarray
+    agreement: list[Agreement] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=library_versions)
 
     @property
@@ -153,6 +211,7 @@ class Evaluation:
             "versions": self.versions,
             "definitions": {d.key: d.to_json() for d in self.definitions()},
             "models": [_model(model) for model in self.models],
+            "agreement": [asdict(one) for one in self.agreement],
         }
 
     def write_json(self, path: str | os.PathLike[str]) -> None:
@@ -167,11 +226,15 @@ def _model(model: ModelResult) -> dict[str, Any]:
         "label": model.label,
         "path": str(model.path),
         "verdict": model.verdict,
+        "answers": [asdict(answer) for answer in model.answers],
         "figures": {
             key: {
                 **asdict(figure.interval),
                 "recording": figure.recording,
                 "chance": figure.chance,
+                "recording_low": figure.recording_interval and figure.recording_interval.low,
+                "recording_high": figure.recording_interval and figure.recording_interval.high,
+                "informative": figure.informative,
                 "mismatched": figure.mismatched,
                 "note": figure.note,
             }
@@ -196,4 +259,5 @@ def _model(model: ModelResult) -> dict[str, Any]:
         ],
         "excluded": [asdict(item) for item in model.excluded],
         "notes": model.notes,
+        "marks": model.marks,
     }

@@ -62,6 +62,7 @@ class SetMetrics:
         self.problems: list[tuple[str, str]] = []
         self._stems: list[str] = []
         self._poses: list[tuple[np.ndarray, np.ndarray]] = []
+        self._pose_stride = 1
         self._joints: tuple[str, ...] = ()  # of the global CCA
         self._shared: tuple[str, ...] | None = None  # joints that all clips have
         self._inter: dict[str, float] = {}
@@ -89,7 +90,7 @@ class SetMetrics:
         if SIMILARITY in groups:
             self._joints = self._joints or clip.joints
             if clip.joints == self._joints:
-                self._poses.append(self.measure.both(clip))
+                self._add_poses(clip)
         if PATCHES in groups:
             self._samples = self._samples if same else []
             self._compare_samples(clip)
@@ -177,9 +178,17 @@ class SetMetrics:
 
     def _cca(self) -> MetricResult:
         ours, theirs = (np.concatenate(side) for side in zip(*self._poses, strict=True))
-        stride = -(-len(ours) // _CCA_FRAMES)
-        r = similarity.cca(ours[::stride], theirs[::stride])
+        r = similarity.cca(ours, theirs)
         return MetricResult("cca_global", whole_set(r, len(self._poses)))
+
+    def _add_poses(self, clip: Clip) -> None:
+        """Keep every k-th pose of all clips; k is doubled when there are too many."""
+        # Copies: a view would keep the poses that are dropped.
+        step = self._pose_stride
+        self._poses.append(tuple(side[::step].copy() for side in self.measure.both(clip)))
+        while sum(len(ours) for ours, _ in self._poses) > _CCA_FRAMES:
+            self._pose_stride *= 2
+            self._poses = [tuple(side[::2].copy() for side in pair) for pair in self._poses]
 
     def _compare_samples(self, clip: Clip) -> None:
         if len(self._samples) >= INTER_SAMPLES:

@@ -95,8 +95,11 @@ def player_data(
     motion: Motion | Mapping[str, Motion],
     audio: str | os.PathLike[str] | Wave | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
+    colours: Mapping[str, str] | None = None,
 ) -> str:
     """Return the JSON for `{{motion}}` of `player_shell`; arguments as for `write_html`.
+
+    `colours` are those of figures by label, such as "#3f7fae"; the player's own for all others.
 
     Raises AudioError where `audio` is no sound, FormatError where `body_model` is none.
     """
@@ -107,7 +110,11 @@ def player_data(
     if body_model is not None:
         body = BodyModel.of(body_model)
         motions = {label: fit_body(motion, body) for label, motion in motions.items()}
-    return _json(_page(motions, None if audio is None else as_sound(audio), body))
+    page = _page(motions, None if audio is None else as_sound(audio), body)
+    for figure in page["figures"]:
+        if colours is not None and figure["label"] in colours:
+            figure["ink"] = colours[figure["label"]]
+    return _json(page)
 
 
 @cache

@@ -14,7 +14,7 @@ Motions go to out/interpolation/ and out/guidance/, a folder for each gamma, und
 recording of the lively style, so that the report of
 
     cd out/interpolation
-    gesturekit evaluate gamma_-0.25 recordings/ gamma_+0.00 ... --compare --out report.html
+    gesturekit evaluate gamma_-0.25 recordings/ --compare gamma_+0.00 ... --out report.html
 
 has the violins; the plot of guidance is out/guidance.svg.
 """

@@ -66,7 +66,7 @@ def test_another_sound_setting_or_rate_is_another_entry(tmp_path, wave):
 def test_another_version_of_the_package_is_another_entry(tmp_path, wave, monkeypatch):
     slow, cache = Slow(), af.FeatureCache(tmp_path)
     cache.extract(slow, wave)
-    monkeypatch.setattr("audio_features.cache._code_digest", lambda: "an edit")
+    monkeypatch.setattr("audio_features.cache.digest_of_sources", lambda _: "an edit")
     cache.extract(slow, wave)
     assert slow.asked == 2
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import html
 import json
 import re
@@ -39,9 +40,11 @@ def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_p
     assert done.status == 0, done.err
     lines = done.out.splitlines()
     assert lines[0].startswith("ours: ") and lines[1].startswith("baseline: ")
-    assert lines[2].split() == ["ours", "baseline", "recording"]
-    assert any(re.match(r"Reach, m  +0\.\d+  +0\.\d+  +0\.\d+$", line) for line in lines)
-    assert any(line.startswith("Sync  ") and "[" in line for line in lines)
+    assert "In time with the speech?" in lines[2] and "Is it new?" in lines[7]
+    assert lines[8].split() == ["ours", "baseline", "recording", "chance"]
+    assert lines[9] == "Headline:" and "Speech:" in lines
+    assert any(re.match(r"  Reach, m  +0\.\d+ \[.*\]  +0\.\d+$", line) for line in lines)
+    assert any(re.match(r"  Sync  .*(not informative).*  0\.\d+$", line) for line in lines)
     found = json.loads((tmp_path / "r.json").read_text())
     assert [model["label"] for model in found["models"]] == ["ours", "baseline"]
     page = (tmp_path / "r.html").read_text()
@@ -58,7 +61,7 @@ def test_baselines_are_columns_of_the_table(gesturekit, folders):
     )  # fmt: skip
     assert done.status == 0, done.err
     lines = done.out.splitlines()
-    assert lines[3].split() == ["ours", "mean_pose", "other_utterance", "recording"]
+    assert lines[12].split() == ["ours", "mean_pose", "other_utterance", "recording", "chance"]
     assert "9 clips measured, 0 left out" in lines[-1]
 
 
@@ -78,8 +81,9 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
     [
         (["absent", "recordings"], "absent: no such file or folder"),
         (["ours", "empty"], "empty: no motion files"),
-        (["ours", "recordings", "baseline"], "Add --compare"),
-        (["ours", "recordings", "--compare"], "needs folders"),
+        (["ours", "recordings", "baseline"], "such as --compare baseline"),
+        (["ours", "recordings", "--compare", "baseline", "b c"], "--compare 'b c'"),
+        (["a=ours", "recordings", "--compare", "a=baseline"], "two models are named a"),
         (["ours", "recordings", "--baseline", "median"], "baseline 'median'; expected one of"),
         (["ours", "recordings", "--compare", "ours"], "is named twice"),
         (["ours", "recordings", "--audio", "ours"], "no sound files"),
@@ -87,6 +91,8 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["demo", "recordings"], "demo is a model"),
         (["made", "recordings", "--out", "recordings/clip0.bvh/r.html"], "cannot be written"),
         (["demo", "recordings", "--protocol", "lda"], "give --audio"),
+        (["--sanity", "recordings", "ours"], "a folder of recordings alone"),
+        (["--sanity", "empty"], "empty: no motion files"),
     ],
 )
 def test_what_cannot_start_is_one_line_and_exit_2(
@@ -155,7 +161,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
         "--json", tmp_path / "r.json", "--out", tmp_path / "r.html",
     )  # fmt: skip
     assert done.status == 0, done.err
-    assert "Warning" not in done.err
+    assert "trained on" not in done.err and "a single recording: no intervals" in done.err
     assert f"1 clip measured, 0 left out; all of it in {tmp_path / 'r.html'}" in done.out
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["settings"]["split"] == "test"
@@ -172,7 +178,10 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     )  # fmt: skip
     assert by_hand.status == 0, by_hand.err
     ((other,),) = (m["clips"] for m in json.loads((tmp_path / "hand.json").read_text())["models"])
-    assert other["figures"] == pytest.approx(clip["figures"], rel=1e-4, abs=1e-4)
+    # Those that compare with the training split, which a folder has not, differ.
+    own = {k: v for k, v in clip["figures"].items() if k not in ("copying", "novelty")}
+    by_hand = {k: v for k, v in other["figures"].items() if k not in ("copying", "novelty")}
+    assert by_hand == pytest.approx(own, rel=1e-4, abs=1e-4)
 
 
 def test_what_was_trained_on_is_warned_about(gesturekit, held_out, tmp_path):
@@ -209,7 +218,7 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     done = gesturekit("evaluate", made, *corpus)
     assert done.status == 2 and "of 1 clip (other) none has a recording" in done.err
     both = gesturekit("evaluate", made, root / "recordings", *corpus)
-    assert both.status == 2 and "Add --compare" in both.err
+    assert both.status == 2 and "has its own --compare" in both.err
 
 
 def test_a_rig_without_limbs_gets_one_line_of_what_was_left_out(gesturekit, tmp_path):
@@ -244,21 +253,62 @@ def test_columns_stay_under_their_headers_beside_wide_characters(gesturekit, fol
     made.mkdir()
     (made / "clip0.npz").write_bytes((folders / "ours" / "clip0.npz").read_bytes())
     done = gesturekit("evaluate", made, folders / "recordings")
-    _, header, *lines = done.out.splitlines()  # the first line is the verdict
-    (speed,) = (line for line in lines if line.startswith("Arm speed, rad/s"))
+    *_, header = (line for line in done.out.splitlines() if line.rstrip().endswith("chance"))
+    lines = done.out.splitlines()
+    (speed,) = (line for line in lines if line.startswith("  Arm speed, rad/s"))
     end = disp_len(header[: header.index("recording")])
     assert speed[:end].endswith("  ") and speed[end] != " "
 
 
-def test_an_interrupted_evaluation_says_that_nothing_was_written(
-    gesturekit, folders, tmp_path, monkeypatch
-):
-    def interrupted(*_):
-        raise KeyboardInterrupt
+def test_an_interrupted_evaluation_goes_on_where_it_was(gesturekit, folders, tmp_path, monkeypatch):
+    from gesturekit.evaluation.measuring.work import Work
 
-    monkeypatch.setattr("gesturekit.evaluation.comparison.load_clip", interrupted)
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
+    measure, done_clips = Work.clip, []
+
+    def counted(self, label, index):
+        if len(done_clips) == 2:
+            raise KeyboardInterrupt
+        done_clips.append(index)
+        return measure(self, label, index)
+
+    monkeypatch.setattr(Work, "clip", counted)
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
-    assert done.status == 130 and "nothing was written" in done.err
+    assert done.status == 130 and "What was measured is kept" in done.err
+    done_clips[:] = [None]  # room for one more clip
+    done = gesturekit("evaluate", folders / "ours", folders / "recordings")
+    assert done.status == 0, done.err
+    assert done_clips == [None, 2]
+
+
+def test_tables_have_a_line_for_each_metric_and_stable_columns(gesturekit, folders, tmp_path):
+    done = gesturekit(
+        "evaluate", "a_1=" + str(folders / "ours"), folders / "recordings",
+        "--compare", "50% <b>=" + str(folders / "baseline"), "--csv", tmp_path / "t.csv",
+        "--markdown", tmp_path / "t.md", "--latex", tmp_path / "t.tex",
+        "--json", tmp_path / "r.json",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert [model["label"] for model in found["models"]] == ["a_1", "50% <b>"]
+    with (tmp_path / "t.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0])[:7] == ["model", "key", "name", "group", "unit", "better", "value"]
+    for model in found["models"]:
+        values = {row["key"]: float(row["value"]) for row in rows if row["model"] == model["label"]}
+        assert values == {key: figure["value"] for key, figure in model["figures"].items()}
+    (row,) = (row for row in rows if (row["model"], row["key"]) == ("a_1", "arm_speed"))
+    figure = found["models"][0]["figures"]["arm_speed"]
+    assert [float(row[k]) for k in ("low", "high", "recording")] == [
+        figure["low"], figure["high"], figure["recording"]
+    ]  # fmt: skip
+    latex = (tmp_path / "t.tex").read_text()
+    assert r"a\_1 & 50\% <b> & Recording" in latex and r"\end{tabular}" in latex
+    (line,) = (line for line in latex.splitlines() if line.startswith("Arm speed"))
+    assert line.count("&") == 5 and "[" in line and line.endswith(r"\\")
+    markdown = (tmp_path / "t.md").read_text().splitlines()
+    assert markdown[0] == r"| Metric |  | a\_1 | 50% \<b\> | Recording | Chance |"
+    assert {line.count("|") for line in markdown if line.startswith("| ")} == {7}
 
 
 def test_clips_that_are_not_meant_to_be_measured_are_noted_and_leave_exit_code_0(
@@ -314,4 +364,4 @@ def test_sync_of_arms_that_hardly_move_is_not_given(gesturekit, write_pair, tmp_
     done = gesturekit("evaluate", *folders)
     assert done.status == 0, done.err
     assert "less than 5 % of the recording's speed" in done.err
-    assert not any(line.startswith("Sync  ") for line in done.out.splitlines())
+    assert not any(line.startswith("  Sync  ") for line in done.out.splitlines())

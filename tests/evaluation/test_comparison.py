@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import PatchOptions, evaluate
+from gesturekit.evaluation.report.headline import interval_warnings
 from gesturekit.motion import Motion
 from gesturekit.motion.selection.joint_selection import keep_joints
 
@@ -38,14 +40,19 @@ def test_recordings_against_themselves_are_perfect(folders):
     found = evaluate(folders / "recordings", folders / "recordings")
     (model,) = found.models
     assert found.is_complete and len(model.clips) == 4
-    of_other_recordings = ("one_nn", "within_reach", "copying", "copying_low")
+    # Their own value is that of other recordings, or of one half against the other.
+    of_other_recordings = (
+        *("one_nn", "within_reach", "forward", "copying", "copying_low", "novelty", "likeness"),
+        *("hellinger", "cca", "cca_global", "coverage", "global_diversity", "local_diversity"),
+        *("raw_fgd", "fid_k", "fid_g", "inter_diversity"),
+    )
     for key, figure in model.figures.items():
         if figure.recording is not None and key not in ("div_k", "div_g", *of_other_recordings):
             assert figure.interval.value == pytest.approx(figure.recording), key
     values = {key: figure.interval.value for key, figure in model.figures.items()}
     assert values["coverage"] == 100.0
     assert values["hellinger"] == values["joint_limits"] == values["one_nn"] == 0.0
-    assert values["within_reach"] == 100.0
+    assert values["within_reach"] == 100.0 and values["likeness"] == 1.0
     assert values["local_diversity"] == pytest.approx(0.0, abs=1e-5)  # distances are rounded
     assert values["cca"] == pytest.approx(1.0) and values["cca_global"] == pytest.approx(1.0)
     assert values["raw_fgd"] == pytest.approx(0.0, abs=1e-6)
@@ -59,12 +66,30 @@ def test_samples_of_one_recording_count_as_one_draw(folders):
     clips = {clip.pair.name: clip.figures["arm_speed"] for clip in model.clips}
     means = [np.mean([clips[f"clip{i}_s{k}"] for k in (1, 2)]) for i in range(4)]
     assert interval.value == pytest.approx(np.mean(means))
-    assert min(means) <= interval.low < interval.value < interval.high <= max(means)
+    spread = stats.t.ppf(0.975, 3) * np.std(means, ddof=1) / np.sqrt(4)
+    assert interval.high - interval.value == pytest.approx(spread, rel=0.1)
+    assert interval.value - interval.low == pytest.approx(spread, rel=0.1)
     one = model.by_recording["clip2"]["coverage"]
     assert (one.n, one.over) == (2, "samples")
     assert "inter_diversity" in model.figures
     sync = model.figures["sync"]
     assert None not in (sync.recording, sync.chance, sync.mismatched)
+
+
+def test_one_recording_has_no_intervals_however_many_samples(folders, tmp_path):
+    for sample in (1, 2):
+        motion = Motion.load(folders / "samples" / f"clip0_s{sample}.npz")
+        motion.save(_made(tmp_path / "made" / f"clip0_s{sample}.npz"))
+    found = evaluate(tmp_path / "made", folders / "recordings" / "clip0.bvh")
+    (model,) = found.models
+    intervals = [
+        figure.interval for figure in model.figures.values() if figure.interval.over == "recordings"
+    ]
+    assert len(intervals) > 20 and all(i.low is None and i.units == 1 for i in intervals)
+    (warning,) = interval_warnings(found)
+    assert "a single recording: no intervals, and nothing is bold" in warning
+    # The means over samples of each recording (eq. 18) still have them.
+    assert model.by_recording["clip0"]["coverage"].low is not None
 
 
 def test_the_same_seed_gives_the_same_json_whatever_lies_beside(folders, tmp_path):

@@ -254,10 +254,14 @@ def test_two_sample_accuracy_takes_equal_numbers(talker):
 
 def test_within_reach_counts_windows_that_have_a_near_one():
     def windows(x: list[float], starts: list[float]) -> MotionWindows:
-        return MotionWindows(np.array(x)[:, None], np.zeros(len(x), int), np.array(starts))
+        first = np.round(25 * np.array(starts)).astype(int)
+        frames = np.zeros((first.max() + 25, 1))
+        for value, start in zip(x, first):
+            frames[start : start + 25] = value / 5  # 25 frames: the root of their sum is x
+        return MotionWindows((frames,), np.zeros(len(x), int), first)
 
     # Nearest more than 3 s away: 0 -> 1.0, 0.1 -> 0.9, 1 -> 0.9, 3 -> 2.0; median 0.95.
-    recorded = windows([0.0, 0.1, 1.0, 3.0], [0.0, 0.5, 4.0, 8.0])
+    recorded = windows([0.0, 0.1, 1.0, 3.0], [0.0, 1.0, 4.04, 8.04])
     assert within_reach(windows([0.9], [0.0]), recorded) == 3 / 4
     assert within_reach(windows([2.1], [0.0]), recorded) == 1 / 4
     assert within_reach(windows([9.0], [0.0]), recorded) == 0.0

@@ -56,7 +56,7 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
         assert definition.name in text and definition.variant in text
         assert definition.text in text and definition.source in text
     interval = evaluation.models[0].figures["arm_speed"].interval
-    shown = f"{number(interval.low)} … {number(interval.high)}, n = 6"
+    shown = f"{number(interval.low)} … {number(interval.high)}; 3 recordings, 6 clips"
     assert shown in re.sub(r"\s+", " ", text)
     assert "30 frames (1.20 s)" in text
     assert "Bound to its frame rate" in text

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +13,17 @@ from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.clips import Clip, load_recording
 from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.evaluation.intervals import whole_set
-from gesturekit.evaluation.metrics.life import (
-    FPS,
-    calm_and_lively,
-    hand_movement,
-    upper_joints,
-)
+from gesturekit.evaluation.life.hands import HAND_KEYS, hand_figures
+from gesturekit.evaluation.metrics.life import FPS, calm_and_lively, upper_joints
 from gesturekit.evaluation.metrics.two_sample import (
-    copying,
+    LOW_QUANTILE,
+    MotionWindows,
+    forward_votes,
     motion_windows,
+    nearest_training,
+    subsample,
     two_sample_accuracy,
+    two_sample_votes,
     within_reach,
 )
 from gesturekit.evaluation.pairs import Excluded, Items, Stretch
@@ -30,17 +32,6 @@ from gesturekit.motion import Motion
 
 TRAINING_SECONDS = 1200.0
 """Length of training motion that is compared with, at most; of more, items are drawn at random."""
-
-_HANDS = {
-    "q10": ("hand_q10", 1.0),
-    "q50": ("hand_q50", 1.0),
-    "q90": ("hand_q90", 1.0),
-    "q99": ("hand_q99", 1.0),
-    "rest": ("rest", 100.0),
-    "near_still": ("near_still", 100.0),
-    "reach": ("reach", 1.0),
-    "range": ("speed_range", 1.0),
-}  # field of `HandMovement`: key of `definitions`, factor to its unit
 
 
 @dataclass
@@ -97,13 +88,17 @@ class LifeMetrics:
         self._recorded: dict[tuple[str, int | None], Motion] = {}
         self._generated: dict[tuple[str, int | None], list[Motion]] = {}
         self._joints: tuple[str, ...] | None = None  # joints that all clips have
+        self._added: list[tuple[tuple[str, int | None], int]] = []  # window and sample of each clip
+        self._by_clip: dict[str, dict[int, float]] = {}  # {key: {number of the clip: value}}
 
     def add(self, clip: Clip) -> None:
         """Add a clip and its recording."""
         window = (clip.pair.stem, clip.pair.window)
         if window not in self._recorded:
             self._recorded[window] = at_rate(clip.recording, FPS)
-        self._generated.setdefault(window, []).append(at_rate(clip.generated, FPS))
+        samples = self._generated.setdefault(window, [])
+        self._added.append((window, len(samples)))
+        samples.append(at_rate(clip.generated, FPS))
         known = clip.joints if self._joints is None else self._joints
         self._joints = tuple(name for name in known if name in clip.joints)
 
@@ -111,9 +106,9 @@ class LifeMetrics:
         """Compute the measures of life; those that fail are listed in `problems`."""
         figures: dict[str, MetricResult] = {}
         for names, compute in (
-            ([key for key, _ in _HANDS.values()], self._hands),
+            (HAND_KEYS, self._hands),
             (["calm_lively_r", "calm_lively_slope"], self._calm_and_lively),
-            (["one_nn", "within_reach"], self._windows),
+            (["one_nn", "within_reach", "forward"], self._windows),
             (["copying", "copying_low"], self._copying),
         ):
             try:
@@ -122,6 +117,22 @@ class LifeMetrics:
                 self.problems += [(name, str(error)) for name in names]
         return figures
 
+    def by_clip(self) -> list[dict[str, float]]:
+        """Return the measures of each clip, in the order of `add`, after `pooled`."""
+        numbers = {}
+        for window, samples in self._generated.items():
+            for sample in range(len(samples)):
+                numbers[window, sample] = len(numbers)
+        return [
+            {key: values[n] for key, values in self._by_clip.items() if n in values}
+            for n in (numbers[added] for added in self._added)
+        ]
+
+    @cached_property
+    def _recording_of(self) -> list[int]:
+        """Number of the recording of each clip, in the order of `_all_generated`."""
+        return [n for n, clips in enumerate(self._generated.values()) for _ in clips]
+
     def _result(
         self, key: str, value: float, recording: float | None, note: str = ""
     ) -> MetricResult:
@@ -129,12 +140,10 @@ class LifeMetrics:
         return MetricResult(key, whole_set(value, n), recording=recording, note=note)
 
     def _hands(self) -> dict[str, MetricResult]:
-        ours, theirs = (
-            hand_movement(motions) for motions in (self._all_generated(), self._all_recorded())
-        )
+        ours, theirs = map(hand_figures, (self._all_generated(), self._all_recorded()))
         results = {}
-        for name, (key, factor) in _HANDS.items():
-            value, own = (factor * getattr(side, name) for side in (ours, theirs))
+        for key in HAND_KEYS:
+            value, own = ours[key], theirs[key]
             if np.isfinite(value):
                 results[key] = self._result(key, value, own if np.isfinite(own) else None)
             else:
@@ -149,44 +158,84 @@ class LifeMetrics:
 
     def _windows(self) -> dict[str, MetricResult]:
         joints = self._upper_joints()
-        generated = motion_windows(self._all_generated(), joints)
-        recorded = motion_windows(self._all_recorded(), joints)
-        comparisons: Mapping[str, Callable[..., float]] = {
-            "one_nn": two_sample_accuracy,
-            "within_reach": lambda *both, seed: 100.0 * within_reach(*both, seed=seed),
+        recorded = self._all_recorded()
+        ours, theirs = (
+            motion_windows(motions, joints) for motions in (self._all_generated(), recorded)
+        )
+        back = motion_windows([_reversed(motion) for motion in recorded], joints)
+        right, drawn = two_sample_votes(ours, theirs, seed=self.seed)
+        forward = 100.0 * forward_votes(ours, theirs, back)
+        self._vote(right, drawn, ours, theirs)
+        self._by_clip["forward"] = _clip_means(ours, forward)
+        values = {
+            "one_nn": float(right.sum() / drawn.sum()),
+            "within_reach": 100.0 * within_reach(ours, theirs, seed=self.seed),
+            "forward": float(forward.mean()),
         }
-        results = {}
-        for key, compare in comparisons.items():
-            own, note = None, "no value of the recordings: they are too short"
-            try:
-                values = [
-                    compare(
-                        motion_windows(others, joints), motion_windows(held, joints), seed=self.seed
-                    )
-                    for held, others in self._splits()
-                ]
-                own, note = float(np.mean(values)), f"recording: {self._compared()}"
-            except MotionError:
-                pass
-            value = compare(generated, recorded, seed=self.seed)
-            results[key] = self._result(key, value, own, note)
-        return results
+        own, note = self._own_windows(joints)
+        return {key: self._result(key, value, own.get(key), note) for key, value in values.items()}
+
+    def _own_windows(self, joints: Sequence[str]) -> tuple[dict[str, float], str]:
+        """Return the values of held-out recordings against others, and a note."""
+        found: dict[str, list[float]] = {}
+        try:
+            for held, others in self._splits():
+                mine, theirs = motion_windows(held, joints), motion_windows(others, joints)
+                back = motion_windows([_reversed(motion) for motion in others], joints)
+                for key, value in (
+                    ("one_nn", two_sample_accuracy(theirs, mine, seed=self.seed)),
+                    ("within_reach", 100.0 * within_reach(theirs, mine, seed=self.seed)),
+                    ("forward", 100.0 * float(forward_votes(mine, theirs, back).mean())),
+                ):
+                    found.setdefault(key, []).append(value)
+        except MotionError:
+            return {}, "no value of the recordings: they are too short"
+        means = {key: float(np.mean(values)) for key, values in found.items()}
+        return means, f"recording: {self._compared()}"
+
+    def _vote(
+        self, right: np.ndarray, drawn: np.ndarray, ours: MotionWindows, theirs: MotionWindows
+    ) -> None:
+        """Keep the 1-NN accuracy of each clip: the mean of its windows' and its recording's."""
+        n = len(ours)
+        mine, own = (
+            {
+                clip: right[side][windows.clips == clip].sum() / count
+                for clip in set(windows.clips.tolist())
+                if (count := drawn[side][windows.clips == clip].sum())
+            }
+            for side, windows in ((slice(n), ours), (slice(n, None), theirs))
+        )
+        self._by_clip["one_nn"] = {
+            clip: float(value + own[recording]) / 2
+            for clip, value in mine.items()
+            if (recording := self._recording_of[clip]) in own
+        }
 
     def _copying(self) -> dict[str, MetricResult]:
         joints, recorded = self._upper_joints(), self._all_recorded()
-        among = self.training.motions or recorded
-        ours = copying(self._all_generated(), recorded, among, joints, seed=self.seed)
-        own = [ours]
-        if not self.training.motions:
-            own = [copying(a, a, b, joints, seed=self.seed) for a, b in self._splits()]
-        note = f"recording: {self._compared()}"
-        pairs = (
-            ("copying", ours.median, [one.held_out_median for one in own]),
-            ("copying_low", ours.low, [one.held_out_low for one in own]),
+        among = self.training.motions or _at_most(recorded)
+        rng = np.random.default_rng(self.seed)
+        ours = subsample(motion_windows(self._all_generated(), joints), rng)
+        distances = nearest_training(ours, among, joints)
+        self._by_clip["copying"] = _clip_means(ours, distances, np.median)
+        held = []
+        for mine, others in self._splits():
+            windows = subsample(motion_windows(mine, joints), rng)
+            held.append(nearest_training(windows, _at_most(others), joints))
+        median, low = (
+            float(np.mean([np.quantile(own, q) for own in held])) for q in (0.5, LOW_QUANTILE)
         )
-        return {
-            key: self._result(key, value, float(np.mean(owns)), note) for key, value, owns in pairs
+        if median > 0.0:
+            self._by_clip["novelty"] = {
+                clip: value / median for clip, value in self._by_clip["copying"].items()
+            }
+        note = f"recording: {self._compared()}"
+        values = {
+            "copying": (float(np.median(distances)), median),
+            "copying_low": (float(np.quantile(distances, LOW_QUANTILE)), low),
         }
+        return {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
 
     def _splits(self) -> list[tuple[list[Motion], list[Motion]]]:
         """Return pairs of (held-out recordings, other recordings) to compare."""
@@ -219,3 +268,30 @@ class LifeMetrics:
 
     def _all_generated(self) -> list[Motion]:
         return [motion for samples in self._generated.values() for motion in samples]
+
+
+def _reversed(motion: Motion) -> Motion:
+    """Return a motion with its frames in reverse order."""
+    return replace(
+        motion,
+        rotations=motion.rotations[::-1],
+        translation=motion.translation[::-1],
+        joint_translations={name: v[::-1] for name, v in motion.joint_translations.items()},
+    )
+
+
+def _clip_means(
+    windows: MotionWindows,
+    values: np.ndarray,
+    mean: Callable[[np.ndarray], float] = np.mean,
+) -> dict[int, float]:
+    """Return {number of a clip: mean of its windows' values}."""
+    return {
+        clip: float(mean(values[windows.clips == clip])) for clip in set(windows.clips.tolist())
+    }
+
+
+def _at_most(motions: list[Motion], seconds: float = TRAINING_SECONDS) -> list[Motion]:
+    """Return the first motions of at most that length together, and at least one."""
+    ends = np.cumsum([motion.duration for motion in motions])
+    return motions[: max(1, int(np.searchsorted(ends, seconds, side="right")))]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,20 @@ class SpeedHistogram:
         counts, _ = np.histogram(speeds, edges)
         self.counts += counts
         self.beyond += int(np.size(speeds) - counts.sum())
+
+    def to_json(self) -> dict[str, float | list[int]]:
+        """Return plain values."""
+        counts = self.counts.tolist()
+        return {"width": self.width, "top": self.top, "counts": counts, "beyond": self.beyond}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any] | None) -> SpeedHistogram:
+        """Return the histogram that `to_json` described; an empty one for None."""
+        if values is None:
+            return cls()
+        made = cls(values["width"], values["top"], beyond=int(values["beyond"]))
+        made.counts = np.array(values["counts"], dtype=np.int64)
+        return made
 
     @classmethod
     def of(

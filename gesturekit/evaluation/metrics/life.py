@@ -3,7 +3,8 @@
 All of them use body-centred motion: positions of upper-body joints relative to the pelvis, turned
 in each frame so that the shoulders face +Z, at 25 fps, in metres. The hands are the wrist joints.
 Thresholds in m/s are for a body of 1.7 m and grow with `body_scale`, like those of foot contacts;
-all other lengths are the body's own.
+all other lengths are the body's own. A rig that ends at the elbows has its hands at the forearms'
+end sites.
 
 Several motions are pooled: frames of all clips count alike.
 """
@@ -108,13 +109,19 @@ def body_centred(motion: Motion, joints: Sequence[str] | None = None) -> np.ndar
         MotionError: a missing joint, or a rig whose pelvis and shoulders cannot be identified.
     """
     skeleton = motion.skeleton
-    parts = find_parts(skeleton)
     names = upper_joints(skeleton) if joints is None else joints
     positions = at_rate(motion, FPS).positions()
+    points = positions[:, [skeleton.index(name) for name in names]]
+    return _centred(points, positions, skeleton)
+
+
+def _centred(points: np.ndarray, positions: np.ndarray, skeleton: Skeleton) -> np.ndarray:
+    """Return world points (T, N, 3) in the body's axes, given the joints' positions (T, J, 3)."""
+    parts = find_parts(skeleton)
     shoulders = [positions[:, skeleton.index(parts.arms[side].shoulder)] for side in SIDES]
     angle = headings_of_sides(shoulders[0] - shoulders[1])[:, None]
     pelvis = positions[:, skeleton.index(parts.pelvis), None]
-    centred = positions[:, [skeleton.index(name) for name in names]] - pelvis
+    centred = points - pelvis
     x, z = (centred[..., axis] for axis in GROUND)
     sin, cos = np.sin(angle), np.cos(angle)
     return np.stack([cos * x - sin * z, centred[..., 1], sin * x + cos * z], axis=-1)
@@ -128,9 +135,15 @@ def hand_paths(motion: Motion) -> np.ndarray:
     """
     arms = find_parts(motion.skeleton).arms
     wrists = [arms[side].wrist for side in SIDES]
-    if None in wrists:
+    if None not in wrists:
+        return body_centred(motion, wrists)
+    elbows = [arms[side].elbow for side in SIDES]
+    if not set(elbows) <= motion.skeleton.end_sites.keys():
         raise MotionError("the rig has no wrist joints, and so no hands to measure")
-    return body_centred(motion, wrists)
+    resampled = at_rate(motion, FPS)
+    ends = resampled.end_positions()
+    hands = np.stack([ends[elbow][:, 0] for elbow in elbows], axis=1)
+    return _centred(hands, resampled.positions(), motion.skeleton)
 
 
 def hand_speed(motion: Motion) -> np.ndarray:

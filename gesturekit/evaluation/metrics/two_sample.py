@@ -41,26 +41,47 @@ MOST_WINDOWS = 2000
 LOW_QUANTILE = 0.05
 """Quantile of the distances that shows single copied windows."""
 
-_BLOCK = 2000  # training windows that are in memory at a time
+_BLOCK = 2000  # windows that are in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
 class MotionWindows:
-    """Windows of motion.
+    """Windows of motion, cut out of the frames when they are needed.
 
     Attributes:
-        values: (N, D) positions and velocities, scaled so that the Euclidean distance of two rows
-            is the distance defined above, metres.
+        frames: (T, D') positions and velocities of each clip, scaled.
         clips: (N,) index of the clip of each window.
-        starts: (N,) start within the clip, seconds.
+        first: (N,) first frame of each window within its clip.
     """
 
-    values: np.ndarray
+    frames: tuple[np.ndarray, ...]
     clips: np.ndarray
-    starts: np.ndarray
+    first: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.values)
+        return len(self.clips)
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(N,) start within the clip, seconds."""
+        return self.first / FPS
+
+    @property
+    def values(self) -> np.ndarray:
+        """(N, D) rows whose Euclidean distance is the distance defined above, metres."""
+        return self.rows(np.arange(len(self)))
+
+    def rows(self, kept: np.ndarray) -> np.ndarray:
+        """Return the rows (K, D) of `values` of some windows, (K,) indices."""
+        values = np.empty((len(kept), _WIDTH * self.frames[0].shape[1]))
+        for row, clip, first in zip(values, self.clips[kept], self.first[kept]):
+            row[:] = self.frames[clip][first : first + _WIDTH].ravel()
+        return values
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        """Yield `values` in blocks, to save memory."""
+        for at in range(0, len(self), _BLOCK):
+            yield self.rows(np.arange(at, min(at + _BLOCK, len(self))))
 
 
 @dataclass(frozen=True)
@@ -104,16 +125,12 @@ def motion_windows(motions: Motions, joints: Sequence[str] | None = None) -> Mot
     """
     motions = as_list(motions)
     joints = upper_joints(motions[0].skeleton) if joints is None else joints
-    values, clips, starts = [], [], []
-    for clip, motion in enumerate(motions):
-        frames = _frames(body_centred(motion, joints))
-        first = window_starts(len(frames), _WIDTH, HOP * FPS)
-        values.append(_windows(frames, first))
-        clips.append(np.full(len(first), clip))
-        starts.append(first / FPS)
-    if not any(map(len, values)):
+    frames = tuple(_frames(body_centred(motion, joints)) for motion in motions)
+    first = [window_starts(len(clip), _WIDTH, HOP * FPS) for clip in frames]
+    if not any(map(len, first)):
         raise MotionError(f"no clip is as long as a window of {WINDOW:g} s")
-    return MotionWindows(*map(np.concatenate, (values, clips, starts)))
+    clips = np.repeat(np.arange(len(frames)), [len(starts) for starts in first])
+    return MotionWindows(frames, clips, np.concatenate(first))
 
 
 def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int = 0) -> float:
@@ -127,24 +144,71 @@ def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int =
     Raises:
         MotionError: a set of fewer than 2 windows, or windows of different joints.
     """
+    right, drawn = two_sample_votes(one, other, seed=seed)
+    return float(right.sum() / drawn.sum())
+
+
+def two_sample_votes(
+    one: MotionWindows, other: MotionWindows, *, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Classify windows as `two_sample_accuracy` does.
+
+    Returns:
+        (N + M,) number of draws in which each window was classified right, and in which it was
+        drawn; those of `one` first.
+
+    Raises:
+        MotionError: a set of fewer than 2 windows, or windows of different joints.
+    """
     _require_same_joints(one, other)
     size = min(len(one), len(other), MOST_WINDOWS)
     if size < 2:
         raise MotionError("a two-sample test needs at least 2 windows of either set")
     rng = np.random.default_rng(seed)
-    a, b = (_subsample(windows, rng) for windows in (one, other))
-    values = np.concatenate([a.values, b.values])
+    kept = [_kept(windows, rng) for windows in (one, other)]
+    values = np.concatenate([one.rows(kept[0]), other.rows(kept[1])])
     distances = frame_distances(values, values, squared=True)
     np.fill_diagonal(distances, np.inf)
-    draws = DRAWS if len(a) != len(b) else 1
+    first = len(kept[0])
+    place = np.concatenate([kept[0], len(one) + kept[1]])
     label = np.arange(2 * size) < size
-    accuracies = []
-    for _ in range(draws):
-        drawn = [rng.choice(len(windows), size, replace=False) for windows in (a, b)]
-        chosen = np.concatenate([drawn[0], len(a) + drawn[1]])
+    right, drawn = np.zeros((2, len(one) + len(other)))
+    for _ in range(DRAWS if first != len(kept[1]) else 1):
+        sides = [rng.choice(len(side), size, replace=False) for side in kept]
+        chosen = np.concatenate([sides[0], first + sides[1]])
         nearest = distances[np.ix_(chosen, chosen)].argmin(axis=1)
-        accuracies.append((label[nearest] == label).mean())
-    return float(np.mean(accuracies))
+        right[place[chosen]] += label[nearest] == label
+        drawn[place[chosen]] += 1
+    return right, drawn
+
+
+def forward_votes(
+    generated: MotionWindows, recorded: MotionWindows, backwards: MotionWindows
+) -> np.ndarray:
+    """Return (N,) 1 for windows nearer to recordings than to recordings played backwards, else 0.
+
+    A tie is 0.5. It notices a recording that is played backwards; other motion has about 0.5.
+
+    Args:
+        generated: N windows.
+        recorded: windows of recordings.
+        backwards: windows of the same recordings in reverse order of frames.
+
+    Raises:
+        MotionError: windows of different joints.
+    """
+    _require_same_joints(generated, recorded)
+    ahead, back = (
+        np.concatenate(
+            [
+                np.min([_nearest(block, others) for others in other.blocks()], axis=0)
+                for block in generated.blocks()
+            ]
+        )
+        for other in (recorded, backwards)
+    )
+    tie = np.abs(ahead - back) < 1e-9
+    return np.where(tie, 0.5, (ahead < back).astype(np.float64))
 
 
 def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int = 0) -> float:
@@ -161,15 +225,16 @@ def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int
     """
     _require_same_joints(generated, recorded)
     rng = np.random.default_rng(seed)
-    generated, recorded = _subsample(generated, rng), _subsample(recorded, rng)
-    own = frame_distances(recorded.values, recorded.values)
+    generated, recorded = subsample(generated, rng), subsample(recorded, rng)
+    rows = recorded.values
+    own = frame_distances(rows, rows)
     gap = np.abs(recorded.starts[:, None] - recorded.starts)
     own[(gap <= APART) & (recorded.clips[:, None] == recorded.clips)] = np.inf
     nearest = own.min(axis=1)
     nearest = nearest[np.isfinite(nearest)]
     if not len(nearest):
         raise MotionError(f"the recordings are too short: no two windows are {APART:g} s apart")
-    distances = frame_distances(recorded.values, generated.values)
+    distances = frame_distances(rows, generated.values)
     size = len(recorded)
     found = (
         [
@@ -199,7 +264,8 @@ def copying(
 
     Args:
         generated: the model's motion.
-        held_out: recordings of the same speaker that are not in `training`.
+        held_out: recordings of the same speaker that are not in `training`; `generated` itself
+            if only its distances are wanted.
         training: recordings that the model was trained on.
         joints: as for `motion_windows`; None for those of the first training motion.
         seed: seed of the subsample, if there are more than 2,000 windows.
@@ -211,22 +277,33 @@ def copying(
     training = as_list(training)
     joints = upper_joints(training[0].skeleton) if joints is None else joints
     rng = np.random.default_rng(seed)
-    sets = [
-        _subsample(motion_windows(motions, joints), rng).values for motions in (generated, held_out)
-    ]
-    queries = np.concatenate(sets)
-    nearest = np.full(len(queries), np.inf)
-    for frames in _training_copies(training, joints):
+    sets = [subsample(motion_windows(motions, joints), rng) for motions in (generated, held_out)]
+    nearest = [nearest_training(set_, training, joints) for set_ in sets]
+    return Copying(*(float(q) for set_ in nearest for q in np.quantile(set_, (0.5, LOW_QUANTILE))))
+
+
+def nearest_training(
+    windows: MotionWindows, training: Motions, joints: Sequence[str]
+) -> np.ndarray:
+    """Return (N,) distance of each window to the nearest training window, metres; see `copying`.
+
+    Raises:
+        MotionError: training clips that are too short, or a missing joint.
+    """
+    rows, nearest = windows.values, np.full(len(windows), np.inf)
+    for frames in _training_copies(as_list(training), joints):
         first = window_starts(len(frames), _WIDTH, 1.0)
         for at in range(0, len(first), _BLOCK):
             block = _windows(frames, first[at : at + _BLOCK])
-            nearest = np.minimum(nearest, frame_distances(queries, block).min(axis=1))
+            nearest = np.minimum(nearest, _nearest(rows, block))
     if not np.isfinite(nearest).all():
         raise MotionError(f"no training clip is as long as a window of {WINDOW:g} s")
-    ours, theirs = nearest[: len(sets[0])], nearest[len(sets[0]) :]
-    return Copying(
-        *(float(q) for set_ in (ours, theirs) for q in np.quantile(set_, (0.5, LOW_QUANTILE)))
-    )
+    return nearest
+
+
+def _nearest(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return (N,) distance of each row to the nearest of other rows."""
+    return frame_distances(values, others).min(axis=1)
 
 
 _WIDTH = round(WINDOW * FPS)
@@ -277,12 +354,17 @@ def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:
     )
 
 
-def _subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
+def subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
     """Return at most `MOST_WINDOWS` windows, chosen at random."""
+    kept = _kept(windows, rng)
+    return MotionWindows(windows.frames, windows.clips[kept], windows.first[kept])
+
+
+def _kept(windows: MotionWindows, rng: np.random.Generator) -> np.ndarray:
+    """Return the indices of at most `MOST_WINDOWS` windows, chosen at random."""
     if len(windows) <= MOST_WINDOWS:
-        return windows
-    kept = np.sort(rng.choice(len(windows), MOST_WINDOWS, replace=False))
-    return MotionWindows(windows.values[kept], windows.clips[kept], windows.starts[kept])
+        return np.arange(len(windows))
+    return np.sort(rng.choice(len(windows), MOST_WINDOWS, replace=False))
 
 
 def _require_same_joints(one: MotionWindows, other: MotionWindows) -> None:
@@ -291,9 +373,8 @@ def _require_same_joints(one: MotionWindows, other: MotionWindows) -> None:
     Raises:
         MotionError: they differ.
     """
-    if one.values.shape[1] != other.values.shape[1]:
-        per_joint = 6 * _WIDTH
-        counts = [windows.values.shape[1] // per_joint for windows in (one, other)]
+    counts = [windows.frames[0].shape[1] // 6 for windows in (one, other)]
+    if counts[0] != counts[1]:
         raise MotionError(
             f"windows of {counts[0]} and {counts[1]} joints cannot be compared; cut both with the "
             "same joints"

@@ -11,8 +11,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from gesturekit.atomic import atomic_write
-from gesturekit.evaluation.intervals import FEW
+from gesturekit.evaluation.contest.paired import contests
 from gesturekit.evaluation.report import tables
+from gesturekit.evaluation.report.figure_table import agreement_lines
+from gesturekit.evaluation.report.headline import headline, interval_warnings
 from gesturekit.evaluation.report.plots import all_plots
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
 from gesturekit.evaluation.report.tables import section
@@ -44,14 +46,17 @@ def write_report(
     names = ", ".join(model.label for model in evaluation.models)
     heading = title or f"{names} against {evaluation.reference.name}"
     shown = best_and_worst(evaluation)
+    rows = contests(evaluation.models)
     sections = [
-        tables.figures(evaluation),
+        headline(evaluation, rows),
+        tables.figures(evaluation, rows),
         tables.recordings(evaluation),
         _plots_section(evaluation),
+        _agreement_section(evaluation),
         _clips_section(shown, evaluation),
-        tables.per_clip(evaluation),
-        tables.excluded(evaluation),
-        _definitions_section(evaluation, command),
+        without_folders(tables.per_clip(evaluation)),
+        without_folders(tables.excluded(evaluation)),
+        without_folders(_definitions_section(evaluation, command)),
     ]
     page = {
         "title": html.escape(heading),
@@ -61,7 +66,8 @@ def write_report(
             f'<p class="verdict">{html.escape(line)}</p>' for line in evaluation.verdicts()
         ),
         "warnings": "".join(
-            f'<p class="warning">{html.escape(w)}</p>' for w in _warnings(evaluation)
+            f'<p class="warning">{html.escape(without_folders(w))}</p>'
+            for w in _warnings(evaluation)
         ),
         "sections": "\n".join(filter(None, sections)),
         "footer": html.escape(
@@ -73,6 +79,14 @@ def write_report(
     text = re.sub(r"\{\{(\w+)\}\}", lambda place: page[place[1]], template)
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def without_folders(text: str) -> str:
+    """Return a text with the name alone of each absolute path: the page is made to be mailed."""
+    for place in (Path.cwd(), Path.home()):  # these may have spaces in them
+        if place.name:
+            text = text.replace(f"{place}/", "")
+    return re.sub(r"(?<![\w/.<:~])/(?:[^\s/'\"<>:,;&]+/)+", "", text)
 
 
 def _facts(evaluation: Evaluation) -> Iterable[str]:
@@ -88,19 +102,12 @@ def _facts(evaluation: Evaluation) -> Iterable[str]:
 
 
 def _warnings(evaluation: Evaluation) -> Iterable[str]:
+    yield from (f"{warning}." for warning in interval_warnings(evaluation))
     for model in evaluation.models:
         who = f"{model.label}: " if len(evaluation.models) > 1 else ""
         left_out = sum(item.what == "clip" for item in model.excluded)
         if left_out:
             yield f"{who}left out: {counted(left_out, 'clip')}; the reasons are below."
-        units = {f.interval.units for f in model.figures.values() if f.interval.units > 1}
-        if units and min(units) < FEW:
-            yield (
-                f"{who}intervals come from as few as {min(units)} recordings: they are rough, and "
-                "most likely too narrow."
-            )
-        elif not units:
-            yield f"{who}a single clip: there are no intervals, and one clip proves little."
         yield from (f"{who}{note}." for note in model.notes)
 
 
@@ -112,6 +119,14 @@ def _plots_section(evaluation: Evaluation) -> str:
         for title, svg in all_plots(evaluation).items()
     )
     return section("Plots", "", figures) if figures else ""
+
+
+def _agreement_section(evaluation: Evaluation) -> str:
+    lines = agreement_lines(evaluation)
+    if not lines:
+        return ""
+    lead, table = "<br>".join(map(html.escape, lines[1:3])), "\n".join(lines[3:])
+    return section("Agreement with people", lead, f"<pre>{html.escape(table)}</pre>")
 
 
 def _clips_section(shown: list[Shown], evaluation: Evaluation) -> str:

@@ -9,6 +9,7 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.clips import load_clip, load_wave
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.pairs import WINDOW_SECONDS
+from gesturekit.evaluation.report.plots import RECORDING, colour
 from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
 from gesturekit.motion import Motion
 from gesturekit.viewer import player_data
@@ -80,7 +81,8 @@ def _data(evaluation: Evaluation, result: ClipResult) -> str:
     if result.pair.audio is not None:
         start = (result.pair.window or 0) * WINDOW_SECONDS
         wave = load_wave(result.pair.audio).slice(start, min(SECONDS, result.seconds))
-    return player_data(motions, wave)
+    colours = {m.label: colour(i) for i, m in enumerate(evaluation.models)}
+    return player_data(motions, wave, colours={**colours, "recording": RECORDING})
 
 
 def _same(model: ModelResult, result: ClipResult) -> ClipResult | None:

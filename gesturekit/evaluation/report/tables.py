@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Mapping
 
-from gesturekit.evaluation.definitions import GROUPS, PATCHES, Definition
+from gesturekit.evaluation.contest.paired import Contest
+from gesturekit.evaluation.definitions import (
+    FRECHET,
+    GROUPS,
+    HEADLINE,
+    PATCHES,
+    SPEECH,
+    Definition,
+)
 from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.results import Evaluation, ModelResult
 from gesturekit.wording import counted
 
 _ARROWS = {
-    "higher": ("↑", "higher is better"),
-    "lower": ("↓", "lower is better"),
-    "reference": ("≈", "as the recording is best"),
+    "higher": ("↑", "higher is nearer to the recordings' own value"),
+    "lower": ("↓", "lower is nearer to the recordings' own value"),
+    "reference": ("", "the recordings' own value is the goal"),
 }
+_OPEN = (HEADLINE, SPEECH, PATCHES, FRECHET)  # groups of the papers' tables; the rest is folded
 _MOST_CLIPS = 300
 _PER_CLIP = (
     "sync", "sync_z", "bc", "arm_speed", "jerk", "foot_skate", "hellinger", "coverage",
@@ -44,39 +54,45 @@ def number(value: float) -> str:
     return f"{value:.2g}"
 
 
-def figures(evaluation: Evaluation) -> str:
-    """Return the table of all metrics of all models, with recordings and chance levels."""
+def figures(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
+    """Return the tables of all metrics of all models, group by group, with the recordings' own.
+
+    Args:
+        evaluation: the result of `evaluate`.
+        contests: {key: its row's order and bold}.
+    """
     models = evaluation.models
     head = "".join(
         f'<th class="number"><span class="dot" style="background:{colour(i)}"></span>'
         f"{html.escape(model.label)}</th>"
         for i, model in enumerate(models)
     )
-    rows = []
+    groups = []
     for group in GROUPS:
-        definitions = [d for d in evaluation.definitions() if d.group == group]
-        if definitions:
-            span = 3 + len(models)
-            rows.append(f'<tr><th class="group" colspan="{span}">{group}</th></tr>')
-        for definition in definitions:
+        rows = []
+        for definition in (d for d in evaluation.definitions() if d.group == group):
             key = definition.key
-            cells = [_figure_cell(m.figures.get(key), definition, models) for m in models]
+            row = contests.get(key)
+            cells = [_figure_cell(model, key, row) for model in models]
             cells.append(_recording_cell(models, key))
-            rows.append(f"<tr>{_measure_cells(definition)}{''.join(cells)}</tr>")
+            rows.append(f"<tr>{_measure_cells(definition, row)}{''.join(cells)}</tr>")
+        if rows:
+            groups.append(
+                f"<details{' open' if group in _OPEN else ''}><summary>{group}</summary>"
+                f'<div class="scroll"><table><thead><tr><th>Measure</th><th></th>{head}'
+                f'<th class="number">Recordings</th></tr></thead><tbody>{"".join(rows)}</tbody>'
+                "</table></div></details>"
+            )
     lead = (
-        "Mean over recordings; below it the 95 % bootstrap interval and the number of clips (of "
-        "windows or 10 s clips for Fréchet distances). "
-        "↑ higher is better, ↓ lower is better, ≈ as the recording is best. Chance is the same "
-        "motion's value with its sound shifted, or with other recordings: only a value above it "
-        "is informative."
+        "Mean over recordings; below it the 95 % interval over recordings (over windows or 10 s "
+        "clips for Fréchet distances), and the numbers of recordings and of clips. The recordings "
+        "are measured as well: where a metric compares with recordings, another one, or one half "
+        "against the other. Their own value is the goal: an arrow stands only where no model is "
+        "beyond it. Bold: nearer to it than every other model by more than chance (paired over "
+        "recordings, Holm over all rows), and above chance. Chance is the same motion's value with "
+        "its sound shifted, or with other recordings."
     )
-    return section(
-        "Figures",
-        lead,
-        f'<div class="scroll"><table><thead><tr><th>Measure</th><th></th>{head}'
-        f'<th class="number">Recording</th></tr></thead><tbody>{"".join(rows)}</tbody></table>'
-        "</div>",
-    )
+    return section("Figures", lead, "".join(groups))
 
 
 def has_samples(evaluation: Evaluation) -> bool:
@@ -89,8 +105,8 @@ def has_samples(evaluation: Evaluation) -> bool:
     )
 
 
-def _measure_cells(definition: Definition) -> str:
-    arrow, meaning = _ARROWS[definition.better]
+def _measure_cells(definition: Definition, row: Contest | None) -> str:
+    arrow, meaning = _ARROWS[definition.better if row is None else row.direction]
     unit = f", {definition.unit}" if definition.unit else ""
     bound = ' class="bound"' if definition.fps_bound else ""
     return (
@@ -100,13 +116,14 @@ def _measure_cells(definition: Definition) -> str:
     )
 
 
-def _figure_cell(
-    figure: MetricResult | None, definition: Definition, models: list[ModelResult]
-) -> str:
+def _figure_cell(model: ModelResult, key: str, row: Contest | None) -> str:
+    figure = model.figures.get(key)
     if figure is None:
         return '<td class="number">–<small>not measured</small></td>'
-    best = " class=best" if len(models) > 1 and _is_best(figure, definition, models) else ""
+    best = " class=best" if row is not None and row.best == model.label else ""
     below = [_bounds(figure.interval)]
+    if not figure.informative:
+        below.insert(0, "not informative here")
     if figure.chance is not None:
         below.append(f"chance {number(figure.chance)}")
     if figure.mismatched is not None:
@@ -118,22 +135,9 @@ def _figure_cell(
 
 
 def _bounds(interval: Interval) -> str:
-    n = f"n = {interval.n}"
     if interval.low is None or interval.high is None:
-        return n
-    return f"{number(interval.low)} … {number(interval.high)}, {n}"
-
-
-def _is_best(figure: MetricResult, definition: Definition, models: list[ModelResult]) -> bool:
-    def badness(one: MetricResult) -> float:
-        value = one.interval.value
-        if definition.better == "reference":
-            return abs(value - one.recording) if one.recording is not None else 0.0
-        return value if definition.better == "lower" else -value
-
-    every = [m.figures[figure.key] for m in models if figure.key in m.figures]
-    values = [badness(one) for one in every]
-    return badness(figure) == min(values) and max(values) > min(values)
+        return interval.count
+    return f"{number(interval.low)} … {number(interval.high)}; {interval.count}"
 
 
 def _recording_cell(models: list[ModelResult], key: str) -> str:
@@ -141,7 +145,11 @@ def _recording_cell(models: list[ModelResult], key: str) -> str:
     for model in models:
         figure = model.figures.get(key)
         if figure is not None and figure.recording is not None:
-            return f'<td class="number">{number(figure.recording)}</td>'
+            own = figure.recording_interval
+            small = ""
+            if own is not None and own.low is not None and own.high is not None:
+                small = f"<small>{number(own.low)} … {number(own.high)}</small>"
+            return f'<td class="number">{number(figure.recording)}{small}</td>'
     return "<td></td>"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -108,7 +109,19 @@ def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -
             the hip, a left leg twice as long as the right one, ...). The error says which joint to
             specify by hand.
     """
-    found = PartFinder(skeleton, {**skeleton.parts, **(overrides or {})})
+    if not overrides:
+        return _parts_of(skeleton)
+    return _named(skeleton, PartFinder(skeleton, {**skeleton.parts, **overrides}))
+
+
+@functools.lru_cache(maxsize=64)
+def _parts_of(skeleton: Skeleton) -> BodyParts:
+    """Return `find_parts` without overrides; skeletons never change."""
+    return _named(skeleton, PartFinder(skeleton, skeleton.parts))
+
+
+def _named(skeleton: Skeleton, found: PartFinder) -> BodyParts:
+    """Return the parts with the names of their joints."""
 
     def names(joints: list[int]) -> tuple[str, ...]:
         return tuple(skeleton.names[j] for j in joints)

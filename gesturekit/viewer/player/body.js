@@ -15,6 +15,12 @@ const PALETTES = [
   { middle: "#e2e2e2", left: "#9a8f80", right: "#6f7f8f", ink: "#57616c" },
 ];
 
+// The palette of a figure whose colour the page gives: the limbs are lighter shades of it.
+function shades(ink) {
+  const mixed = (share) => `#${new Color(ink).lerp(new Color("#ffffff"), share).getHexString()}`;
+  return { middle: mixed(0.72), left: mixed(0.2), right: mixed(0.45), ink };
+}
+
 const X = new Vector3();
 const Y = new Vector3();
 const Z = new Vector3();
@@ -46,7 +52,7 @@ export class Body extends Group {
     super();
     this.figure = figure;
     this.points = new Float32Array(figure.channels);
-    const palette = PALETTES[index % PALETTES.length];
+    const palette = figure.ink ? shades(figure.ink) : PALETTES[index % PALETTES.length];
     figure.ink = palette.ink;
     const material = (colour) => new MeshLambertMaterial({ color: new Color(colour) });
     this.trail = new Trail(figure, height);

@@ -129,13 +129,15 @@ export class Stage {
   frontView() {
     const { camera, controls, middle, height, floor, front, spread } = this;
     const half = Math.tan((camera.fov * Math.PI) / 360);
-    const clear = Math.max(0.3, 1 - (this.covered + 40) / this.canvas.clientHeight);
+    const tallest = this.canvas.clientHeight;
+    const clear = Math.max(0.3, 1 - (this.covered + this.titled + 40) / tallest);
     const tall = (1.14 * height) / (2 * half * clear);
     const wide = (1.25 * height + 2 * spread) / (2 * half * camera.aspect);
     const distance = Math.max(tall, wide);
-    // The controls cover the bottom: aim below the figure's middle by half of what they hide.
-    const lower = distance * half * (1 - clear);
-    controls.target.set(middle.x, floor + 0.5 * height - 0.75 * lower, middle.z);
+    // Aim at what lies in the middle of the canvas when the figure's middle is midway between the
+    // title and the controls, so that the floor is not hidden.
+    const lower = (distance * half * (this.covered + 16 - this.titled)) / tallest;
+    controls.target.set(middle.x, floor + 0.5 * height - lower, middle.z);
     const turn = front + 0.32;
     camera.position.set(
       middle.x + distance * Math.sin(turn), controls.target.y + 0.16 * distance, middle.z + distance * Math.cos(turn),
@@ -146,6 +148,7 @@ export class Stage {
 
   resize() {
     this.covered = document.querySelector("footer").offsetHeight;
+    this.titled = document.querySelector("header").offsetHeight;
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
     // A still picture has time for fine edges, a moving one on a slow machine has not.

@@ -1,0 +1,54 @@
+"""gesturekit evaluate --sanity: metrics of known-bad motion."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+def sanity(
+    names: Sequence[object], out: Path | None, json_out: Path | None, options: Mapping[str, Any]
+) -> int:
+    """Evaluate known-bad motion made from recordings, print the table and return the exit code.
+
+    Args:
+        names: the positional arguments; the first one is the recordings.
+        out: HTML report to write, or None.
+        json_out: JSON to write, or None.
+        options: the other options of `gesturekit evaluate`.
+
+    Raises:
+        UsageError: more is named than the recordings.
+    """
+    recordings, *surplus = filter(None, names)
+    if surplus or options["corpus"] is not None:
+        raise click.UsageError("--sanity takes a folder of recordings alone, and --audio")
+    from gesturekit.evaluation import PatchOptions, write_report
+    from gesturekit.evaluation.report.headline import headline_lines
+    from gesturekit.evaluation.sanity.run import run_sanity
+    from gesturekit.evaluation.sanity.table import conclusion, table_lines
+    from gesturekit.progress import Progress
+
+    found = run_sanity(
+        Path(str(recordings)),
+        options["audio"],
+        patches=PatchOptions(options["variant"], options["threshold"]),
+        seed=options["seed"],
+        workers=options["workers"] or os.cpu_count() or 1,
+        progress=lambda tasks, total, label: Progress(tasks, total=total, desc=label, unit="task"),
+    )
+    for line in (*headline_lines(found.evaluation), "", *table_lines(found), conclusion(found)):
+        click.echo(line)
+    for name, reason in found.left_out.items():
+        click.echo(f"Left out: {name}: {reason}", err=True)
+    if json_out is not None:
+        found.evaluation.write_json(json_out)
+        click.echo(f"written  {json_out}")
+    if out is not None:
+        write_report(found.evaluation, out, title=f"Known-bad motion made from {recordings}")
+        click.echo(f"written  {out}")
+    return 1 if found.left_out else 0

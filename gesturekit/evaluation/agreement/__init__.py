@@ -1,0 +1,1 @@
+"""Agreement of metrics with the answers of a user study."""

@@ -1,0 +1,1 @@
+"""Recordings as contestants, and differences of models that are larger than chance."""

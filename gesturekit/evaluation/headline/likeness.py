@@ -1,0 +1,83 @@
+"""Likeness: how far a motion moves like the speaker, as one figure between 0 and 1.
+
+Eight aspects count alike: hand speed (four quantiles), rests, reach, range, jerk, feet, 1-NN test
+and the direction of time. An aspect that is measured as a ratio to the recording has the credit 1
+within 0.8 to 1.25, 0 beyond 0.4 and 2.5, and falls linearly in the logarithm between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+ALIKE, UNLIKE = np.log(1.25), np.log(2.5)
+"""Logarithms of the ratios up to which the credit is 1, and from which it is 0."""
+TOLD = 0.6
+"""1-NN accuracy that costs nothing: a speaker's recordings have it among each other."""
+FORWARD = 30.0
+"""Share of windows, %, that are nearest to motion played forwards, from which the credit is 1."""
+
+RATIOS = {
+    "hand_q10": 0.02,
+    "hand_q50": 0.01,
+    "hand_q90": 0.01,
+    "hand_q99": 0.01,
+    "rest": 2.0,
+    "near_still": 2.0,
+    "reach": 0.005,
+    "speed_range": 0.02,
+    "jerk": 0.1,
+    "foot_skate": 0.01,
+}
+"""Measures that are compared as ratios; the number is added to both sides, so that a ratio of two
+values next to nothing is 1. Units as in `definitions`."""
+ASPECTS = {
+    "hand speed": ("hand_q10", "hand_q50", "hand_q90", "hand_q99"),
+    "rests": ("rest", "near_still"),
+    "reach": ("reach",),
+    "contrast of calm and lively": ("speed_range",),
+    "smoothness": ("jerk",),
+    "feet": ("foot_skate",),
+    "postures and movements": ("one_nn",),
+    "direction of time": ("forward",),
+}
+MEASURES = tuple(key for keys in ASPECTS.values() for key in keys)
+"""Keys of `definitions` that likeness is made of."""
+
+
+def credits(
+    ours: Mapping[str, np.ndarray], own: Mapping[str, np.ndarray], told: float = TOLD
+) -> dict[str, np.ndarray]:
+    """Return the credit of each aspect that is known, 0 to 1.
+
+    Args:
+        ours: {measure: values (...)} of the motion.
+        own: the same of the recordings; needed of `RATIOS` alone.
+        told: 1-NN accuracy that costs nothing.
+    """
+    found: dict[str, list[np.ndarray]] = {}
+    for aspect, keys in ASPECTS.items():
+        for key in keys:
+            if key in ours and (key not in RATIOS or key in own):
+                credit = _credit(key, ours[key], own.get(key), max(told, TOLD))
+                found.setdefault(aspect, []).append(credit)
+    return {aspect: np.mean(values, axis=0) for aspect, values in found.items()}
+
+
+def likeness(
+    ours: Mapping[str, np.ndarray], own: Mapping[str, np.ndarray], told: float = TOLD
+) -> np.ndarray | None:
+    """Return the mean credit of all aspects; None if none is known. Arguments as of `credits`."""
+    found = credits(ours, own, told)
+    return np.mean(list(found.values()), axis=0) if found else None
+
+
+def _credit(key: str, ours: np.ndarray, own: np.ndarray | None, told: float) -> np.ndarray:
+    if key == "one_nn":
+        return np.clip((1.0 - np.asarray(ours)) / max(1.0 - told, 1e-6), 0.0, 1.0)
+    if key == "forward":
+        return np.clip(np.asarray(ours) / FORWARD, 0.0, 1.0)
+    floor = RATIOS[key]
+    ratio = np.abs(np.log((np.asarray(ours) + floor) / (np.asarray(own) + floor)))
+    return np.clip((UNLIKE - ratio) / (UNLIKE - ALIKE), 0.0, 1.0)

@@ -1,0 +1,285 @@
+"""Work of one process: the measurements of one clip, or the metrics of a set of clips."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from audio_features import AudioFeaturesError
+from gesturekit.errors import GestureKitError
+from gesturekit.evaluation.clip_metrics import ClipMetrics, load_sound
+from gesturekit.evaluation.clips import Clip, clip_notes, load_clip, load_recording
+from gesturekit.evaluation.contest.floors import floors
+from gesturekit.evaluation.definitions import FRECHET, LIFE, SPEECH
+from gesturekit.evaluation.intervals import Interval
+from gesturekit.evaluation.life.pooled import LifeMetrics, TrainingMotion
+from gesturekit.evaluation.measuring.content import (
+    Store,
+    content_of,
+    digest_of,
+    metric_version,
+)
+from gesturekit.evaluation.metrics.distributions import SpeedHistogram
+from gesturekit.evaluation.pairs import Items, Pair, Stretch
+from gesturekit.evaluation.results import MetricResult
+from gesturekit.evaluation.set_metrics import SetMetrics, pooled, speeds_of, thinned, wrists_of
+
+if TYPE_CHECKING:
+    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+
+MISMATCHED = 3
+"""Number of other recordings that a clip is also compared with, for the mismatched level."""
+PARTS = ("frechet", "pooled")
+"""Halves of the metrics of a set, which are computed independently."""
+
+Window = tuple[str, int | None]
+"""A recording and the index of its 10 s window; None for the whole recording."""
+
+
+@dataclass(frozen=True)
+class ClipTask:
+    """Indices of clips of one recording, of all models: {label: indices into its pairs}."""
+
+    clips: Mapping[str, Sequence[int]]
+
+
+@dataclass(frozen=True)
+class SetTask:
+    """One part of the metrics of the set of clips of one model."""
+
+    label: str
+    part: str
+
+
+@dataclass(eq=False)
+class Work:
+    """Measures clips and sets; it is handed to worker processes.
+
+    Attributes:
+        measure: the metrics of single clips; its statistics need no motion.
+        pairs: clips of each model by label, in order.
+        recordings: sources of the recordings that can be read, by key.
+        reference: the recordings as given, which may have training motion.
+        fps: frame rate of all metrics.
+        length: expected length of a clip relative to its recording.
+        features: the extractor of FGD, or None.
+        seed: seed of intervals and subsamples.
+        without: bare names of joints that some model lacks, which no model is measured with.
+        local: labels of models whose motion is made in memory.
+    """
+
+    measure: ClipMetrics
+    pairs: Mapping[str, Sequence[Pair]]
+    recordings: Mapping[str, Path | Stretch]
+    reference: Path | Items
+    fps: float
+    length: float
+    features: FeatureModel | None
+    seed: int
+    without: frozenset[str] = frozenset()
+    local: frozenset[str] = frozenset()
+    _own: dict[tuple[Window, tuple[str, ...]], dict[str, float]] = field(
+        default_factory=dict, init=False
+    )
+    _contents: dict[Pair, str | None] = field(default_factory=dict, init=False)
+
+    def __call__(self, task: ClipTask | SetTask) -> list[Any]:
+        """Return the results of a task, which are stored as well; see `clip` and `set`.
+
+        Sums of floating-point numbers depend on the number of threads: each process has one.
+        """
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1):
+            if isinstance(task, SetTask):
+                return [self.set(task)]
+            self._own.clear()
+            return [(key, i, self.clip(key, i)) for key, at in task.clips.items() for i in at]
+
+    def clip(self, label: str, index: int) -> dict[str, Any]:
+        """Measure a clip; a clip that cannot be read is {"reason": text}."""
+        pair = self.pairs[label][index]
+        try:
+            clip = load_clip(pair, self.fps, self.without)
+        except (GestureKitError, AudioFeaturesError) as error:
+            return {"reason": str(error)}
+        figures, problems = self.measure.generated(clip)
+        window = (pair.stem, pair.window), clip.joints
+        if window not in self._own:
+            self._own[window] = self.measure.recording(clip)[0]
+        values = {
+            "seconds": clip.generated.duration,
+            "figures": figures,
+            "recording": self._own[window],
+            "mismatched": self._mismatched(clip, label),
+            "notes": [*clip.notes, *clip_notes(clip, self.length)],
+            "problems": problems,
+        }
+        self.store.write(self.clip_key(label, index), values)
+        return values
+
+    def set(self, task: SetTask) -> dict[str, Any]:
+        """Compute one part of the metrics of a model's clips."""
+        groups = self.measure.groups
+        groups = [g for g in groups if (g == FRECHET) == (task.part == "frechet")]
+        measure = ClipMetrics(self.measure.statistics, groups, self.measure.patches)
+        training = TrainingMotion()
+        if LIFE in groups:
+            training = TrainingMotion.of(self.reference, self.seed)
+        clip_set = SetMetrics(measure, self.seed, LifeMetrics(training, self.seed))
+        windows, speeds, wrists = {}, {}, {}
+        for pair in self.pairs[task.label]:
+            try:
+                clip = load_clip(pair, self.fps, self.without)
+            except (GestureKitError, AudioFeaturesError):
+                continue  # reported by `clip`
+            window = (pair.stem, pair.window)
+            if window not in windows:
+                windows[window] = clip.recording if task.part == "frechet" else None
+                speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
+                wrists[window] = wrists_of(clip.recording)
+            clip_set.add(clip, speeds[window])
+        if not windows:
+            figures: dict[str, MetricResult] = {}
+        elif task.part == "frechet":
+            figures = self._frechet(clip_set, windows)
+        else:
+            figures = clip_set.pooled()
+        values = {
+            "figures": {key: asdict(figure) for key, figure in figures.items()},
+            "problems": clip_set.problems,
+            "by_clip": clip_set.life.by_clip() if task.part == "pooled" else [],
+            "speeds": pooled(clip_set.histograms).to_json(),
+            "wrists": thinned(clip_set.wrists).tolist(),
+            "recorded_speeds": pooled(list(speeds.values())).to_json(),
+            "recorded_wrists": thinned(list(wrists.values())).tolist(),
+            "training_excluded": [asdict(item) for item in training.excluded],
+        }
+        self.store.write(self.set_key(task), values)
+        return values
+
+    def floors(self) -> dict[str, tuple[Interval, str]]:
+        """Return the recordings' own values (`contest.floors`), stored or computed here."""
+        contents = [content_of(source) for source in self.recordings.values()]
+        model = self.features and self.features.fingerprint
+        parts = [self._settings, "floors", list(self.recordings), contents, model, self.seed]
+        key = None if None in contents else digest_of(parts)
+        stored = self.store.read(key)
+        if stored is None:
+            motions = self.measure.statistics.recordings
+            found = floors(motions, self.measure, self.features, self.seed)
+            stored = {name: [asdict(value), note] for name, (value, note) in found.items()}
+            self.store.write(key, stored)
+        return {name: (Interval(**value), note) for name, (value, note) in stored.items()}
+
+    @functools.cached_property
+    def store(self) -> Store:
+        """Store of the measurements."""
+        return Store()
+
+    def clip_key(self, label: str, index: int) -> str | None:
+        """Return the key of a clip's measurement; None if it cannot be stored."""
+        pair = self.pairs[label][index]
+        sounds = [(content_of(path), window) for path, window in self._other_sounds(label, pair)]
+        motions = [content_of(self.recordings[key]) for key in self._other_motions(pair)]
+        contents = [self._content(pair), *(content for content, _ in sounds), *motions]
+        if None in contents:
+            return None
+        return digest_of([self._settings, contents, [window for _, window in sounds]])
+
+    def set_key(self, task: SetTask) -> str | None:
+        """Return the key of the metrics of a set; None if they cannot be stored."""
+        pairs = self.pairs[task.label]
+        every = [self._content(pair) for pair in pairs]
+        every += [content_of(source) for source in self.recordings.values()]
+        if isinstance(self.reference, Items):
+            every += [content_of(Stretch(item)) for item in self.reference.training]
+        if None in every:
+            return None
+        names = list(dict.fromkeys((pair.stem, pair.window) for pair in pairs))
+        order = [names.index((pair.stem, pair.window)) for pair in pairs]
+        model = self.features and self.features.fingerprint
+        return digest_of([self._settings, task.part, every, order, model, self.seed])
+
+    @functools.cached_property
+    def _settings(self) -> dict[str, Any]:
+        """Everything in a key that is common to all clips."""
+        measure = self.measure
+        return {
+            "version": metric_version(),
+            "fps": self.fps,
+            "length": self.length,
+            "groups": list(measure.groups),
+            "patches": asdict(measure.patches),
+            "statistics": measure.statistics.digest(),
+            "without": sorted(self.without),
+        }
+
+    def _content(self, pair: Pair) -> str | None:
+        """Return a digest of a pair's files; None if one has none."""
+        if pair not in self._contents:
+            sources = [pair.generated, pair.reference, pair.audio, pair.semantic]
+            contents = ["" if source is None else content_of(source) for source in sources]
+            known = None not in contents
+            self._contents[pair] = digest_of([contents, pair.window]) if known else None
+        return self._contents[pair]
+
+    def _frechet(self, clip_set: SetMetrics, windows: Mapping[Window, Any]) -> dict[str, Any]:
+        full = [load_recording(source, self.fps) for source in self.recordings.values()]
+        whole = {(key, None) for key in self.recordings}
+        seen = sorted(windows, key=lambda window: (window[0], window[1] or 0))
+        compared = None if set(seen) == whole else [windows[window] for window in seen]
+        return clip_set.frechet(full, compared, self.features)
+
+    def _mismatched(self, clip: Clip, label: str) -> dict[str, float]:
+        """Measure the clip with the sounds, and the motion, of other recordings."""
+        figures: dict[str, float] = {}
+        if SPEECH in self.measure.groups and clip.pair.audio is not None:
+            sounds = []
+            for path, index in self._other_sounds(label, clip.pair):
+                try:
+                    sounds.append(load_sound(path, index))
+                except AudioFeaturesError:
+                    continue  # reported with the clip that it belongs to
+            figures |= self.measure.mismatched_sound(clip, sounds)
+        for key in self._other_motions(clip.pair):
+            other = load_recording(self.recordings[key], self.fps)
+            figures |= self.measure.mismatched_motion(clip, other)
+        return figures
+
+    def _other_sounds(self, label: str, pair: Pair) -> list[tuple[Path | Stretch, int | None]]:
+        if pair.audio is None:
+            return []
+        return _after(self._sounds[label], (pair.audio, pair.window), MISMATCHED)
+
+    def _other_motions(self, pair: Pair) -> list[str]:
+        return _after(list(self.recordings), pair.stem, 1)
+
+    @functools.cached_property
+    def _sounds(self) -> dict[str, list[tuple[Path | Stretch, int | None]]]:
+        """Sounds of each model's clips, with their windows."""
+        return {
+            label: list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio))
+            for label, pairs in self.pairs.items()
+        }
+
+    def is_portable(self, task: ClipTask | SetTask) -> bool:
+        """Return whether a worker process can do a task: its motion is in files."""
+        labels = [task.label] if isinstance(task, SetTask) else task.clips
+        return self.local.isdisjoint(labels)
+
+    def portable(self) -> Work:
+        """Return the work for worker processes, without motion in memory."""
+        statistics = replace(self.measure.statistics, recordings={})
+        measure = ClipMetrics(statistics, self.measure.groups, self.measure.patches)
+        pairs = {key: pairs for key, pairs in self.pairs.items() if key not in self.local}
+        return replace(self, measure=measure, pairs=pairs)
+
+
+def _after(items: list, item: Any, count: int) -> list:
+    """Return up to `count` other items, cyclically from the next one."""
+    at = items.index(item) if item in items else 0
+    return [items[(at + k) % len(items)] for k in range(1, min(count, len(items) - 1) + 1)]

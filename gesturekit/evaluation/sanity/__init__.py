@@ -1,0 +1,1 @@
+"""Known-bad motion made from recordings, and what each metric notices of it."""

@@ -1,0 +1,149 @@
+"""Evaluate known-bad motion made from recordings: what does each metric notice?"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from gesturekit.corpus import Item, Manifest
+from gesturekit.errors import EvaluationError, GestureKitError
+from gesturekit.evaluation.comparison import evaluate
+from gesturekit.evaluation.pairs import file_of, files_by_key, motion_files
+from gesturekit.evaluation.results import Evaluation
+from gesturekit.evaluation.sanity.bad_motion import BAD_MOTION, Source
+from gesturekit.formats.sources import SPEECH_SUFFIXES
+from gesturekit.motion import Motion
+
+RECORDING = "recording"
+"""Name of the recordings themselves among the models."""
+PIECE = 8.0
+"""Seconds of the pieces that a single held-out recording is cut into, at least."""
+SHORTEST = 3.0
+"""Seconds of the shortest recording that is used."""
+LONGEST, TOTAL = 60.0, 120.0
+"""Seconds used of one recording, and of all held-out recordings together, at most."""
+
+
+@dataclass
+class Sanity:
+    """Result of `run_sanity`.
+
+    Attributes:
+        evaluation: the recordings and the bad motions as models.
+        left_out: {file: reason} of recordings that were not used.
+    """
+
+    evaluation: Evaluation
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def run_sanity(recordings: Path, audio: Path | None = None, **options: Any) -> Sanity:
+    """Evaluate known-bad motion made from recordings.
+
+    Half of the recordings are held out, and bad motion is made from them; the others stand for
+    training motion. A single recording is cut: its first half is the training motion, its second
+    half is cut into held-out recordings.
+
+    Args:
+        recordings: folder or file of motion.
+        audio: folder or file of sound; None for sound beside the motion, if there is any.
+        options: of `evaluate`, such as `seed`, `workers` and `progress`.
+
+    Raises:
+        CorpusError: no motion.
+        EvaluationError: no recording is long enough.
+    """
+    sounds = _sounds(recordings, audio)
+    result: dict[str, str] = {}
+    items = []
+    for key, path in motion_files(recordings).items():
+        try:
+            items.append(_item(key, path, file_of(key, sounds, audio), Motion.load(path)))
+        except GestureKitError as error:
+            result[key] = str(error)
+    if not items:
+        reasons = "; ".join(list(result.values())[:2])
+        raise EvaluationError(f"{recordings}: no recording can be used: {reasons}")
+    held_out, training = _split(items)
+    with tempfile.TemporaryDirectory(prefix="gesturekit_sanity_") as folder:
+        root = Path(folder)
+        Manifest([*held_out, *training]).save(root / "corpus.jsonl")
+        models = _write(root, held_out, training, options.get("seed", 0))
+        found = evaluate(models, root / "corpus.jsonl", split="test", **options)
+    return Sanity(replace(found, reference=recordings), result)
+
+
+def _sounds(recordings: Path, audio: Path | None) -> Mapping[str, Path]:
+    if audio is not None:
+        return files_by_key(audio, SPEECH_SUFFIXES, "sound")
+    try:
+        return files_by_key(recordings if recordings.is_dir() else recordings.parent,
+                            SPEECH_SUFFIXES, "sound")  # fmt: skip
+    except GestureKitError:
+        return {}
+
+
+def _item(key: str, path: Path, sound: Path | None, motion: Motion) -> Item:
+    """Return the item of one recording, cut to the length of its sound.
+
+    Raises:
+        EvaluationError: it is too short.
+    """
+    from audio_features import Wave
+
+    seconds = min(LONGEST, motion.duration)
+    if sound is not None:
+        seconds = min(seconds, Wave.load(sound).duration)
+    if seconds < SHORTEST:
+        raise EvaluationError(f"{path.name}: {seconds:.1f} s; at least {SHORTEST:g} s are needed")
+    return Item(id=key, audio=sound and sound.absolute(), motion=path.absolute(), duration=seconds)
+
+
+def _split(items: Sequence[Item]) -> tuple[list[Item], list[Item]]:
+    """Return held-out items and training items."""
+    if len(items) == 1:
+        (whole,) = items
+        half = whole.duration / 2
+        held_out, training = [_part(whole, half, half, "end")], [_part(whole, 0.0, half, "start")]
+    else:
+        held_out, training = list(items[::2]), list(items[1::2])
+    if len(held_out) == 1:
+        (one,) = held_out
+        pieces = max(1, int(one.duration // PIECE))
+        seconds = one.duration / pieces
+        held_out = [_part(one, n * seconds, seconds, f"{n + 1}") for n in range(pieces)]
+    share = min(1.0, TOTAL / sum(item.duration for item in held_out))
+    held_out = [replace(i, duration=max(SHORTEST, share * i.duration)) for i in held_out]
+    return [replace(item, split="test") for item in held_out], training
+
+
+def _part(item: Item, start: float, seconds: float, name: str) -> Item:
+    return replace(
+        item,
+        id=f"{item.id}_{name}",
+        audio_start=item.audio_start + start,
+        motion_start=item.motion_start + start,
+        duration=seconds,
+    )
+
+
+def _write(
+    root: Path, held_out: Sequence[Item], training: Sequence[Item], seed: int
+) -> dict[str, Path]:
+    """Write the recordings and the bad motions; return {name: folder}."""
+    motions = [item.load_motion() for item in held_out]
+    trained = [item.load_motion() for item in training]
+    models = {RECORDING: root / RECORDING}
+    models |= {name: root / name.replace(" ", "_") for name in BAD_MOTION}
+    for n, (item, motion) in enumerate(zip(held_out, motions, strict=True)):
+        other = motions[(n + 1) % len(motions)]
+        source = Source(motion, other, trained[n % len(trained)], seed + n)
+        for name, folder in models.items():
+            made = motion if name == RECORDING else BAD_MOTION[name](source)
+            path = folder / f"{item.id}.npz"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            made.save(path)
+    return models

@@ -1,0 +1,120 @@
+"""Unlike models are brought to one rig, set apart, marked, or refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gesturekit.errors import EvaluationError
+from gesturekit.evaluation import evaluate
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.retarget import retarget
+from gesturekit.motion.selection.joint_selection import keep_joints
+
+
+@pytest.fixture
+def recordings(tmp_path, write_pair) -> Path:
+    for i in range(3):
+        write_pair(tmp_path / "recordings", f"clip{i}", 4.0, fps=25.0, seed=i)
+    return tmp_path / "recordings"
+
+
+def saved(folder: Path, motions: dict[str, Motion]) -> Path:
+    folder.mkdir()
+    for name, motion in motions.items():
+        motion.save(folder / f"{name}.npz")
+    return folder
+
+
+def loaded(recordings: Path) -> dict[str, Motion]:
+    return {path.stem: Motion.load(path) for path in sorted(recordings.glob("*.bvh"))}
+
+
+def figure(found, index: int, key: str) -> float:
+    return found.models[index].figures[key].interval.value
+
+
+def test_another_rig_is_retargeted_before_anything_is_measured(recordings, tmp_path):
+    own = loaded(recordings)
+    rig = next(iter(own.values())).skeleton
+    names = {name: name.replace("Left", "l_").replace("Right", "r_").lower() for name in rig.names}
+    names |= {"LeftArm": "l_upperarm", "RightArm": "r_upperarm", "Hips": "pelvis"}
+    ends = {names[name]: sites for name, sites in rig.end_sites.items()}
+    larger = Skeleton(tuple(names.values()), rig.parents, 1.3 * rig.offsets, ends)
+    other = {name: retarget(motion, larger) for name, motion in own.items()}
+    made = saved(tmp_path / "made", other)
+    found = evaluate({"same": recordings, "larger": made}, recordings)
+    same, larger_one = found.models
+    assert larger_one.marks == ["retargeted"] and not same.marks
+    assert "3 of 3 clips are on another rig" in larger_one.notes[0]
+    # Retargeting there and back leaves the same movement, not one 1.3 times as fast.
+    for key in ("wrist_speed", "reach"):
+        assert figure(found, 1, key) == pytest.approx(figure(found, 0, key), rel=0.05), key
+
+
+def test_all_models_are_measured_with_the_joints_that_all_have(recordings, gesture, tmp_path):
+    motions = {f"clip{i}": gesture(4.0, 25.0, seed=10 + i) for i in range(3)}
+    whole = saved(tmp_path / "whole", motions)
+    kept = [n for n in motions["clip0"].skeleton.names if n != "Neck"]
+    cut = {name: keep_joints(motion, kept) for name, motion in motions.items()}
+    fewer = saved(tmp_path / "fewer", cut)
+    found = evaluate({"whole": whole, "fewer": fewer}, recordings)
+    # The same motion: with and without the joints that one of them lacks.
+    for key in ("acceleration", "hellinger", "coverage", "one_nn", "l1_diversity"):
+        assert figure(found, 0, key) == pytest.approx(figure(found, 1, key), rel=0.01), key
+    assert "fewer lacks Neck " in "; ".join(found.models[1].notes)
+    alone = evaluate({"whole": whole}, recordings)
+    assert figure(alone, 0, "l1_diversity") != pytest.approx(figure(found, 0, "l1_diversity"))
+
+
+def test_clips_that_another_model_lacks_are_set_apart(recordings, gesture, tmp_path):
+    motions = {f"clip{i}": gesture(4.0, 25.0, seed=10 + i) for i in range(3)}
+    one = saved(tmp_path / "one", motions)
+    two = saved(tmp_path / "two", {name: motions[name] for name in ("clip0", "clip2")})
+    found = evaluate({"one": one, "two": two}, recordings)
+    assert [[clip.pair.stem for clip in m.clips] for m in found.models] == [["clip0", "clip2"]] * 2
+    (item,) = (item for item in found.models[0].excluded if item.what == "clip")
+    assert (item.name, item.reason) == ("clip1", "set apart: two has no clip of this recording")
+    assert not found.is_complete
+    assert "compared on the 2 recordings that they share" in found.models[0].notes[0]
+    three = saved(tmp_path / "three", {"clip1": motions["clip1"]})
+    with pytest.raises(EvaluationError, match="no recording.* has clips of all models"):
+        evaluate({"two": two, "three": three}, recordings)
+
+
+def test_models_of_other_lengths_are_marked(recordings, gesture, tmp_path):
+    one = saved(tmp_path / "one", {f"clip{i}": gesture(4.0, 25.0, seed=i) for i in range(3)})
+    two = saved(tmp_path / "two", {f"clip{i}": gesture(2.0, 25.0, seed=i) for i in range(3)})
+    found = evaluate({"one": one, "two": two}, recordings)
+    assert [model.marks for model in found.models] == [[], ["other length"]]
+    assert "clips of 2 s where those of one have 4 s" in found.models[1].notes[0]
+
+
+def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(
+    recordings, gesture, tmp_path
+):
+    made = saved(tmp_path / "made", {f"clip{i}": gesture(4.0, 25.0, seed=9) for i in range(3)})
+    (recordings / "clip1.wav").unlink()
+    (model,) = evaluate(made, recordings, audio=recordings).models
+    assert model.figures["sync"].interval.n == 2
+    assert model.figures["sync"].note == "2 of 3 clips"
+    assert model.figures["arm_speed"].interval.n == 3
+    assert [item.what for item in model.excluded if item.name == "clip1"] == ["speech"]
+
+
+def test_a_rig_of_the_same_names_and_another_body_is_retargeted(recordings, tmp_path):
+    own = loaded(recordings)
+    rig = next(iter(own.values())).skeleton
+    longer = rig.offsets.copy()
+    longer[[rig.index(n) for n in ("LeftForeArm", "RightForeArm")]] *= 1.5
+    made = {
+        name: replace(motion, skeleton=replace(rig, offsets=longer)) for name, motion in own.items()
+    }
+    (model,) = evaluate(saved(tmp_path / "made", made), recordings).models
+    assert model.marks == ["retargeted"]
+    speed = model.figures["wrist_speed"]
+    assert speed.interval.value == pytest.approx(speed.recording, rel=0.05)
+    assert np.isfinite(model.figures["foot_skate"].interval.value)

@@ -1,0 +1,81 @@
+"""The three questions that head a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gesturekit.evaluation.headline.likeness import credits, likeness
+from gesturekit.evaluation.headline.questions import answers
+from gesturekit.evaluation.intervals import Interval
+from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.results import ClipResult, MetricResult
+
+OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 0.02}
+
+
+def clips(**factors: float) -> list[ClipResult]:
+    figures = {key: value * factors.get(key, 1.0) for key, value in OWN.items()}
+    pairs = [Pair(f"r{r}", f"r{r}", None, Path("a"), Path("b")) for r in range(3)]
+    return [ClipResult(pair, 10.0, figures, OWN, {}) for pair in pairs]
+
+
+def result(key: str, value: float, recording: float | None, **more) -> MetricResult:
+    return MetricResult(key, Interval(value, None, None, 3, 3, "recordings"), recording, **more)
+
+
+def states(made: list[ClipResult], **figures: MetricResult) -> dict[str, tuple[str, str]]:
+    return {answer.key: (answer.state, answer.sentence) for answer in answers(made, figures)}
+
+
+def test_likeness_is_one_within_a_quarter_and_falls_to_nothing_at_two_and_a_half():
+    for factor, credit in ((1.0, 1.0), (1.2, 1.0), (0.85, 1.0), (0.25, 0.0), (3.0, 0.0)):
+        ours = {"reach": np.array(0.3 * factor)}
+        assert likeness(ours, {"reach": np.array(0.3)}) == pytest.approx(credit)
+    half = likeness({"reach": np.array(0.15)}, {"reach": np.array(0.3)})
+    # ln 2.5 - ln(0.305 / 0.155) over ln 2: 5 mm are added to both sides
+    assert half == pytest.approx(
+        (np.log(2.5) - np.log(0.305 / 0.155)) / (np.log(2.5) - np.log(1.25))
+    )
+    assert likeness({}, {}) is None
+
+
+def test_one_nn_and_direction_of_time_have_their_own_credit():
+    found = credits({"one_nn": np.array(0.8), "forward": np.array(0.0)}, {}, told=0.6)
+    assert found["postures and movements"] == pytest.approx(0.5)
+    assert found["direction of time"] == 0.0
+    assert credits({"one_nn": np.array(0.3)}, {})["postures and movements"] == 1.0
+
+
+def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_nothing():
+    for value, state in ((0.4, "yes"), (0.2, "partly"), (0.05, "no"), (0.9, "partly")):
+        found = states(clips(), in_time=result("in_time", value, 0.4))
+        assert found["in_time"][0] == state, value
+    found = states(clips(), in_time=result("in_time", 0.9, 0.4, informative=False))
+    assert found["in_time"][0] == "not informative here"
+    assert "Not informative here" in found["in_time"][1]
+    assert states(clips())["in_time"][0] == "not measured"
+
+
+def test_what_differs_is_named():
+    like = result("likeness", 0.95, 0.9)
+    assert states(clips(), likeness=like)["likeness"] == ("yes", "Moves like this speaker.")
+    state, sentence = states(clips(reach=0.3), likeness=like)["likeness"]
+    assert (state, sentence) == ("partly", "Moves mostly like this speaker; what differs: reach.")
+    assert states(clips(jerk=9.0), likeness=result("likeness", 0.3, 0.9))["likeness"][0] == "no"
+
+
+def test_copies_are_named():
+    for value, state, words in (
+        (0.1, "no", "Mostly copied"),
+        (0.7, "no", "less lively"),
+        (1.0, "yes", "As far"),
+    ):
+        figure = result("novelty", value, 1.0, note="recording: against the training split")
+        found = states(clips(), novelty=figure)["novelty"]
+        assert found[0] == state and words in found[1] and "training motion" in found[1]
+    low = result("copying_low", 0.1, 0.3)
+    found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
+    assert found["novelty"][0] == "partly" and "now and then" in found["novelty"][1]

@@ -1,0 +1,114 @@
+"""Measurements are kept by content, and are the same for any number of processes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from gesturekit.evaluation import evaluate
+from gesturekit.evaluation.measuring import run
+from gesturekit.evaluation.measuring.work import Work
+from gesturekit.motion import Motion
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def folders(tmp_path, gesture, write_pair) -> Path:
+    for i in range(3):
+        write_pair(tmp_path / "recordings", f"clip{i}", 3.0, fps=25.0, seed=i)
+        for k, model in enumerate(("ours", "other"), start=1):
+            (tmp_path / model).mkdir(exist_ok=True)
+            gesture(3.0, 25.0, seed=10 * k + i).save(tmp_path / model / f"clip{i}.npz")
+    return tmp_path
+
+
+@pytest.fixture
+def measured(monkeypatch) -> list[tuple[str, ...]]:
+    """(label, name of the clip) or (label, part of the set) of everything that is measured."""
+    done: list[tuple[str, ...]] = []
+    clip, set_ = Work.clip, Work.set
+
+    def count_clip(self, label, index):
+        done.append((label, self.pairs[label][index].name))
+        return clip(self, label, index)
+
+    def count_set(self, task):
+        done.append((task.label, task.part))
+        return set_(self, task)
+
+    monkeypatch.setattr(Work, "clip", count_clip)
+    monkeypatch.setattr(Work, "set", count_set)
+    return done
+
+
+def test_a_rerun_with_a_model_added_measures_that_one_alone(folders, measured):
+    def run(**models: str):
+        places = {label: folders / name for label, name in models.items()}
+        return evaluate(places, folders / "recordings", audio=folders / "recordings")
+
+    first = run(ours="ours")
+    assert len(measured) == 3 + 2
+    measured.clear()
+    both = run(ours="ours", other="other")
+    assert {label for label, _ in measured} == {"other"} and len(measured) == 3 + 2
+    assert both.to_json()["models"][0] == first.to_json()["models"][0]
+    measured.clear()
+    again = run(ours="ours", other="other")
+    assert not measured
+    assert again.to_json() == both.to_json()
+
+
+def test_content_counts_and_names_do_not(folders, measured):
+    evaluate(folders / "ours", folders / "recordings")
+    measured.clear()
+    shutil.copytree(folders / "ours", folders / "a copy")
+    evaluate({"copy": folders / "a copy"}, folders / "recordings")
+    assert not measured
+    Motion.load(folders / "a copy" / "clip1.npz").slice(0, 70).save(
+        folders / "a copy" / "clip1.npz"
+    )
+    evaluate({"copy": folders / "a copy"}, folders / "recordings")
+    assert sorted(measured) == [("copy", "clip1"), ("copy", "frechet"), ("copy", "pooled")]
+    measured.clear()
+    # Another recording changes the joint limits that every clip is measured against.
+    Motion.load(folders / "recordings" / "clip1.bvh").slice(0, 40).save(
+        folders / "recordings" / "clip1.bvh"
+    )
+    evaluate(folders / "ours", folders / "recordings")
+    assert len(measured) == 3 + 2
+
+
+def test_a_damaged_entry_is_measured_again(folders, measured, caplog):
+    first = evaluate(folders / "ours", folders / "recordings").to_json()
+    entries = sorted((folders / "cache" / "measurements-1").rglob("*.json"))
+    assert len(entries) == 3 + 2 + 1  # and the recordings' own values
+    for entry in entries:
+        entry.write_text(entry.read_text()[:-20])
+    measured.clear()
+    assert evaluate(folders / "ours", folders / "recordings").to_json() == first
+    assert len(measured) == 3 + 2 and "measuring again" in caplog.text
+
+
+def test_worker_processes_give_the_same_figures(folders, tmp_path, monkeypatch):
+    models = {label: folders / label for label in ("ours", "other")}
+    options = {"audio": folders / "recordings", "baselines": ("mean_pose",)}
+    one = evaluate(models, folders / "recordings", **options).to_json()
+    monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "another"))
+    monkeypatch.setattr(run, "IN_PROCESS_SECONDS", 0.0)
+    seen = []
+
+    def progress(tasks, total, label):
+        for task in tasks:
+            seen.append((label, total))
+            yield task
+
+    two = evaluate(models, folders / "recordings", workers=2, progress=progress, **options)
+    assert two.to_json() == one
+    # Three recordings of two models, three of the baseline, and two parts of each set.
+    assert seen == [("measuring", 12)] * 12

@@ -1,0 +1,94 @@
+"""Known-bad motion made from recordings: the headline figures notice it."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+import soundfile
+
+from audio_features import Wave
+from gesturekit.evaluation.contest.paired import contests
+from gesturekit.evaluation.sanity.bad_motion import BAD_MOTION, Source
+from gesturekit.evaluation.sanity.run import RECORDING, run_sanity
+from gesturekit.evaluation.sanity.table import conclusion, marks, noticed_by, ranking
+from gesturekit.motion import Motion
+
+ALL = set(BAD_MOTION)
+
+
+@pytest.fixture(scope="module")
+def spoken(shared_data, tmp_path_factory):
+    """The ZEGGS recording, 34 s of it, with its sound."""
+    folder = tmp_path_factory.mktemp("zeggs")
+    (bvh,) = shared_data.glob("paired/zeggs*/*.bvh")
+    Motion.load(bvh).trim(20.0, 54.0).save(folder / "speech.npz")
+    wave = Wave.load(bvh.with_suffix(".wav")).slice(20.0, 34.0)
+    soundfile.write(folder / "speech.wav", wave.samples, wave.sample_rate)
+    return run_sanity(folder)
+
+
+def test_all_bad_motion_is_noticed_and_ranks_behind_the_recording(spoken):
+    found = noticed_by(spoken)
+    assert set(found) == ALL and all(found.values()), found
+    assert ranking(spoken.evaluation)[0][0] == RECORDING
+    assert ranking(spoken.evaluation)[1][1] > 0.05
+    assert "notice all 10 bad motions" in conclusion(spoken)
+    assert found["another utterance"] == ["in_time"]
+    assert found["foot slide"] == ["likeness"] and "novelty" in found["training recording"]
+
+
+def test_no_bad_motion_is_bold_against_the_recording(spoken):
+    recording, *bad = spoken.evaluation.models
+    for model in bad:
+        rows = contests([recording, model])
+        crowned = [key for key, row in rows.items() if row.best == model.label]
+        assert not crowned, (model.label, crowned)
+
+
+def test_every_interval_is_stated(spoken):
+    for model in spoken.evaluation.models:
+        for key in ("in_time", "likeness", "novelty", "reach", "sync", "foot_skate"):
+            if key in model.figures:
+                assert model.figures[key].interval.low is not None, (model.label, key)
+
+
+def test_the_table_says_what_metrics_are_blind_to(spoken):
+    found = marks(spoken)
+    assert found["foot_skate"]["foot slide"] == "+"
+    assert found["foot_skate"]["frozen"] == "!"  # a statue slides less than the recording
+    assert found["reach"]["half reach"] == "+" and found["sync"]["half reach"] == "."
+    assert set(found["local_diversity"].values()) <= {"!"}  # as published: more is better
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("name", ["bandai", "reactidle"])
+def test_with_speech_that_does_not_belong_only_another_utterance_passes(
+    shared_data, tmp_path, name
+):
+    sounds = sorted(shared_data.glob("speech/librispeech*/*.flac"))
+    for i, path in enumerate(sorted(shared_data.glob(f"motion/{name}/*.bvh"))):
+        shutil.copy(path, tmp_path)
+        samples, rate = soundfile.read(sounds[3 * i % len(sounds)])
+        soundfile.write(tmp_path / f"{path.stem}.wav", samples, rate)
+    done = run_sanity(tmp_path)
+    found = noticed_by(done)
+    assert {key for key, by in found.items() if not by} == {"another utterance"}
+    assert found["training recording"] == ["novelty"] or "novelty" in found["training recording"]
+    assert "not informative here" in conclusion(done)
+    assert ranking(done.evaluation)[0][0] in (RECORDING, "another utterance")
+
+
+def test_bad_motions_are_what_they_are_called(gesture):
+    recording, other, training = (gesture(4.0, 25.0, seed=i) for i in range(3))
+    made = {n: make(Source(recording, other, training, 0)) for n, make in BAD_MOTION.items()}
+    assert all(m.n_frames == 100 and m.fps == 25.0 for m in made.values())
+    assert np.ptp(made["frozen"].rotations, axis=0).max() == 0.0
+    assert np.ptp(made["mean pose"].rotations, axis=0).max() == 0.0
+    assert made["reversed"].rotations[0] == pytest.approx(recording.rotations[-1])
+    assert made["half speed"].positions()[40] == pytest.approx(recording.positions()[20], abs=1e-6)
+    assert made["another utterance"].rotations == pytest.approx(other.rotations)
+    assert made["training recording"].rotations == pytest.approx(training.rotations)
+    hips = made["foot slide"].translation - recording.translation
+    assert np.abs(hips[:, 0]).max() > 0.1 and not hips[:, 1:].any()
