@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import re
+import struct
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -133,7 +134,7 @@ def read_file(path: Path) -> Any:
     # torch documents no exception for damaged files; safetensors has its own class.
     except (SafetensorError, zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
         raise _unreadable(path, error) from error
-    except (EOFError, KeyError, TypeError, IndexError, AttributeError, MemoryError) as error:
+    except (EOFError, LookupError, TypeError, AttributeError, MemoryError, struct.error) as error:
         raise _unreadable(path, error) from error
 
 

@@ -75,7 +75,7 @@ def lines(data: bytearray, rng: np.random.Generator) -> bytes:
         elif change == 2:
             rows[one:one] = rows[min(one, two) : max(one, two)]
         elif change == 3:
-            rows[one] = rows[one] * int(rng.integers(2, 5000))
+            rows[one] *= min(int(rng.integers(2, 5000)), 1 + (1 << 20) // (1 + len(rows[one])))
         else:
             rows.insert(one, WORDS[rng.integers(len(WORDS))])
         rows = rows or [b""]

@@ -144,15 +144,23 @@ def manifest(folder: Path) -> list[bytes]:
 
 
 def configs(folder: Path) -> list[bytes]:
-    multires = {
-        **{"system": "multires", "corpus": "c.jsonl", "out": "run", "fps": 30.0, "seed": 3},
-        "network": {"levels": 4, "channels": [2, 2, 2], "film": "all"},
-        "training": {"batch": 2, "window": 3.0, "learning_rate": 1e-3},
-        "features": {"kind": "mfcc"},
-        "losses": {"rec": 50},
+    common = {
+        **{"corpus": "c.jsonl", "out": "run", "fps": 30.0, "seed": 3},
+        "features": {"extractors": [{"kind": "mfcc"}]},
     }
-    anchored = "network: &n {levels: 4}\nother: *n\nfps: 1e-3\nseed: 0x10\nout: ~/x\nwhen: 2001-01-01\n"
-    return [dump_yaml(multires).encode(), anchored.encode()]
+    multires = {
+        **{"system": "multires", **common},
+        "network": {"levels": 4, "channels": [2, 2, 2]},
+        "training": {"batch": 2, "window": 3.0, "learning_rate": 1e-3},
+        "losses": {"smooth": 5},
+    }
+    diffusion = {
+        **{"system": "diffusion", **common},
+        "network": {"blocks": 2, "layers": 1, "channels": 16},
+        "training": {"updates": 6, "batch": 4, "window": 2.0},
+    }
+    anchored = "network: &n {levels: 4}\ncorpus: ~/x\nfps: 1e-3\nseed: 0x10\ndevice: 2001-01-01\n"
+    return [dump_yaml(multires).encode(), dump_yaml(diffusion).encode(), anchored.encode()]
 
 
 def checkpoint(folder: Path) -> list[bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -90,6 +91,13 @@ def load_library(
             _regression(tensors, "slow"),
             *(tensors[f"recall.{name}"].numpy() for name in _DISTRIBUTION),
         )
+    for name in _VALUES:
+        if not math.isfinite(values[name]):
+            raise ValueError(f"recall: {name} is {values[name]}")
+    if not 1 <= values["level"] <= levels:
+        raise ValueError(f"recall: level {values['level']} of {levels}")
+    for name in values["passive"]["joints"]:
+        representation.skeleton.index(name)
     return RecallLibrary(
         level=int(values["level"]),
         levels=levels,
