@@ -134,7 +134,9 @@ def read_file(path: Path) -> Any:
     # torch documents no exception for damaged files; safetensors has its own class.
     except (SafetensorError, zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
         raise _unreadable(path, error) from error
-    except (EOFError, LookupError, TypeError, AttributeError, MemoryError, struct.error) as error:
+    except (EOFError, LookupError, TypeError, AttributeError, AssertionError) as error:
+        raise _unreadable(path, error) from error
+    except (MemoryError, RecursionError, struct.error) as error:
         raise _unreadable(path, error) from error
 
 

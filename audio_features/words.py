@@ -176,7 +176,7 @@ def _captions(path: Path, text: str) -> Entries:
         for following in lines[number:]:
             if not following.strip():
                 break
-            said += re.sub(r"<[^>]*>|\{[^}]*\}", " ", following).split()
+            said += re.sub(r"<[^<>]*>|\{[^{}]*\}", " ", following).split()
         for word in _shared(said, start, end):
             yield where, *word
     if not found and text.strip() not in ("", "WEBVTT"):

@@ -155,4 +155,5 @@ def _name_of(audio: str) -> str:
 
 def _placed(audio: str, folder: Path) -> Path:
     beside = folder / audio
-    return beside if beside.exists() or not Path(audio).exists() else Path(audio)
+    is_elsewhere = not os.path.exists(beside) and os.path.exists(audio)  # noqa: PTH110 (any text)
+    return Path(audio) if is_elsewhere else beside

@@ -14,7 +14,7 @@ import soundfile
 import audio_features as af
 from audio_features.wave import SAMPLE_RATES
 from gesturekit.corpus.item import Item
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.formats.sources import (
     OTHER_SPEECH_SUFFIXES,
     SPEECH_SUFFIXES,

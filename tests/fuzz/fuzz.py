@@ -59,17 +59,18 @@ class Harness:
             results.append(self._result())
         assert ("read", "") in results, f"{target.name}: no seed can be read: {results}"
         pages = int(Path("/proc/self/statm").read_text().split()[0])
-        self._limit = pages * resource.getpagesize() + MOST_BYTES
+        most = pages * resource.getpagesize() + MOST_BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
+        self._armed = 0.0
 
     def __call__(self, data: bytes) -> None:
         self._write(self.target.wrap(data))
-        faulthandler.dump_traceback_later(HANG, exit=True)
+        if time.monotonic() - self._armed > 1:  # a watchdog for each case would take longer than it
+            self._armed = time.monotonic()
+            faulthandler.dump_traceback_later(HANG, exit=True)
         start = time.process_time()
-        resource.setrlimit(resource.RLIMIT_AS, (self._limit, resource.RLIM_INFINITY))
         result, why = self._result()
-        resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         seconds = time.process_time() - start
-        faulthandler.cancel_dump_traceback_later()
         self.slowest = max(self.slowest, seconds)
         self.counts[result] += 1
         if seconds > MOST_SECONDS:
@@ -182,13 +183,19 @@ def fuzz_one(name: str, options: argparse.Namespace) -> dict[str, Any]:
     from targets import TARGETS
 
     out = os.fdopen(os.dup(1), "w")
-    with tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True) as temporary:
+    shm = Path("/dev/shm")  # memory, where there is such a folder
+    where = shm if os.access(shm, os.W_OK) else None
+    with tempfile.TemporaryDirectory(
+        prefix="fuzz-", dir=where, ignore_cleanup_errors=True
+    ) as temporary:
         folder = Path(temporary) / "case"
         folder.mkdir()
         harness = Harness(TARGETS[name], folder, options.found)
         if options.engine == "atheris":
             run_atheris(harness, options, out)
         run_own(harness, options)
+        faulthandler.cancel_dump_traceback_later()
+        resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         return harness.summary() | {"engine": "own"}
 
 
@@ -199,11 +206,14 @@ def fuzz_apart(name: str, options: argparse.Namespace) -> dict[str, Any]:
     command += ["--first", str(options.first)]
     if options.found is not None:
         command += ["--found", str(options.found)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as log:
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=out, stderr=log)
+        out.seek(0), log.seek(0)
+        said, why = out.read(), log.read()
     try:
-        return json.loads(done.stdout.splitlines()[-1])
+        return json.loads(said.splitlines()[-1])
     except (IndexError, ValueError):
-        why = f"the process ended with {done.returncode}: {done.stderr[-3000:]}"
+        why = f"the process ended with {done.returncode}: {why[-3000:]}"
         return {"target": name, "executions": 0, "results": {}, "slowest": 0.0, "broken": [why]}
 
 

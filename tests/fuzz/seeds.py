@@ -122,7 +122,9 @@ def textgrid(folder: Path) -> list[bytes]:
 
 
 def captions(folder: Path) -> list[bytes]:
-    srt = "1\n00:00:01,000 --> 00:00:02,500\n<i>Hello</i> {b}there\n\n2\n00:01:00,0 --> 1:2,5\nx y\n"
+    srt = (
+        "1\n00:00:01,000 --> 00:00:02,500\n<i>Hello</i> {b}there\n\n2\n00:01:00,0 --> 1:2,5\nx y\n"
+    )
     return [srt.encode(), b"WEBVTT\n\n00:01.000 --> 00:02.000 align:start\nHello <v Bob>you\n"]
 
 
@@ -152,7 +154,7 @@ def configs(folder: Path) -> list[bytes]:
         **{"system": "multires", **common},
         "network": {"levels": 4, "channels": [2, 2, 2]},
         "training": {"batch": 2, "window": 3.0, "learning_rate": 1e-3},
-        "losses": {"smooth": 5},
+        "losses": {"smoothness": 5},
     }
     diffusion = {
         **{"system": "diffusion", **common},

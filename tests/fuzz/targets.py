@@ -169,7 +169,6 @@ def payload() -> tuple[bytes, bytes]:
     return data[:end], data[end:]
 
 
-
 def run_folder(folder: Path) -> None:
     (folder / "config.yaml").write_bytes(seeds.configs(folder)[0])
     (folder / "metrics.jsonl").write_text('{"step": 3, "loss": 0.5}\n')
@@ -258,6 +257,7 @@ TARGETS = {
         Target(
             *("plan", f"{STATE}/{PLAN}", seeds.plan, plan, mutators.JSON, write_plan),
             wrap=with_header,
+            says="FOLDER|^plan: item '",
         ),
         Target(
             *("plan_header", f"{STATE}/{PLAN}", lambda f: [with_header(seeds.plan(f)[0])], plan),
@@ -284,7 +284,11 @@ TARGETS = {
             lambda _, file: load_events(file),
         ),
         Target(
-            *("semantics", "a.txt", text("beat_align\t0.5\t1.0\t0.5\t0.8\thand", "a\t1\t2\t1\t1\tx")),
+            *(
+                "semantics",
+                "a.txt",
+                text("beat_align\t0.5\t1.0\t0.5\t0.8\thand", "a\t1\t2\t1\t1\tx"),
+            ),
             lambda _, file: load_semantics(file),
         ),
         Target(
