@@ -5,7 +5,6 @@ Every message states the problem, the place (path or field), the value, and the 
 
 from __future__ import annotations
 
-
 _BEGINNING, _END = 1000, 300
 
 

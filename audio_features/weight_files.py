@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import pickle
 import re
@@ -112,9 +113,12 @@ def read_file(path: Path) -> Any:
             with zipfile.ZipFile(path) as archive:
                 if any(entry.compress_type for entry in archive.infolist()):
                     raise ValueError("it is compressed, as torch never writes it")
-        elif start[:2] != b"\x80\x02":  # the pickle that a legacy file of torch begins with
+            return torch.load(path, map_location="cpu", weights_only=True)
+        if start[:2] != b"\x80\x02":  # the pickle that a legacy file of torch begins with
             raise ValueError(f"it begins with {start[:8]!r}, as no file of torch or safetensors")
-        return torch.load(path, map_location="cpu", weights_only=True)
+        # A file allocates as much as its pickle claims to need; bytes give what they have.
+        content = io.BytesIO(path.read_bytes())
+        return torch.load(content, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         kind = re.search(r"GLOBAL (\S+)", str(error))
         if kind is None:  # torch's own message would advise loading it anyway

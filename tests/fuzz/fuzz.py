@@ -31,6 +31,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+CASES = Path(__file__).with_name("cases")
+"""Inputs that once broke something: TARGET-NAME; every run begins with them."""
 MOST_BYTES = 1 << 30
 MOST_SECONDS = 1.0
 HANG = 30  # seconds after which a case ends the process
@@ -172,7 +174,13 @@ def run_atheris(harness: Harness, options: argparse.Namespace, out: Any) -> None
         return mutate(data, harness.target.mutators, seed)[:most]
 
     longest = max(LONGEST_INPUT, *(len(seed) for seed in harness.seeds))
-    arguments = ["fuzz", f"-max_len={longest}", "-timeout=0", "-rss_limit_mb=0", "-len_control=0"]
+    arguments = [
+        "fuzz",
+        f"-max_len={longest}",
+        f"-timeout={HANG}",
+        "-rss_limit_mb=0",
+        "-len_control=0",
+    ]
     arguments += [f"-seed={options.first + 1}", "-verbosity=0", str(corpus)]
     atheris.Setup(arguments, one, custom_mutator=change)
     atheris.Fuzz()
@@ -191,6 +199,8 @@ def fuzz_one(name: str, options: argparse.Namespace) -> dict[str, Any]:
         folder = Path(temporary) / "case"
         folder.mkdir()
         harness = Harness(TARGETS[name], folder, options.found)
+        for case in sorted(CASES.glob(f"{name}-*")):
+            harness(case.read_bytes())
         if options.engine == "atheris":
             run_atheris(harness, options, out)
         run_own(harness, options)

@@ -51,8 +51,8 @@ def base_files(folder: Path) -> dict[str, list[bytes]]:
     files["bvh"].append(files["bvh"][1].replace(b"\n", b"\r\n"))
     smpl = dict(np.load(io.BytesIO(files["npz"][-1])))
     foreign = {key: smpl[key] for key in ("poses", "trans", "betas", "gender", "mocap_framerate")}
-    for save in (np.savez, np.savez_compressed):
-        save(folder / "base.npz", **foreign)
+    for write in (np.savez, np.savez_compressed):
+        write(folder / "base.npz", **foreign)
         files["npz"].append((folder / "base.npz").read_bytes())
     return files
 

@@ -1,4 +1,4 @@
-"""Files that are broken or hostile: our error or a motion, in bounded time and memory."""
+"""Files that are broken or hostile: our error or a result, in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -9,23 +9,55 @@ import sys
 from pathlib import Path
 
 import pytest
+from fuzz import CASES
+from mutators import mutate
+from targets import TARGETS
 
 FUZZ = Path(__file__).with_name("fuzz.py")
+EXECUTIONS, LOADS = 25, 2
+"""Of each target, and of those that load a model; `make fuzz` runs far more."""
+
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="memory is bounded by Linux' limits"
+)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="memory is bounded by Linux' limits")
-def test_mutated_files_are_read_or_refused():
-    """300 cases; `python tests/formats/fuzz.py --cases 10000` does more of the same."""
+def fuzz(*arguments: str) -> dict[str, dict]:
     root = str(FUZZ.parents[2])
     done = subprocess.run(
-        [sys.executable, str(FUZZ), "--cases", "300"],
+        [sys.executable, str(FUZZ), "--inside", "--engine", "own", *arguments],
         capture_output=True,
         text=True,
         timeout=300,
         env={**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert summary["broken"] == []
-    assert sum(summary["results"].values()) == 300
-    assert {"bvh read", "bvh refused", "npz read", "npz refused"} <= set(summary["results"])
+    return {(found := json.loads(line))["target"]: found for line in done.stdout.splitlines()}
+
+
+def test_mutated_files_are_read_or_refused():
+    models = [name for name in TARGETS if name.startswith(("model_", "config_"))]
+    found = fuzz(*(TARGETS.keys() - {*models}), "--executions", str(EXECUTIONS))
+    found |= fuzz(*models, "--executions", str(LOADS))
+    assert {name: one["broken"] for name, one in found.items() if one["broken"]} == {}
+    assert found.keys() == TARGETS.keys()
+    assert all(one["executions"] >= LOADS for one in found.values())
+
+
+def test_every_found_case_has_a_target():
+    assert {path.name.split("-")[0] for path in CASES.iterdir()} <= TARGETS.keys()
+
+
+def test_a_number_always_gives_the_same_case():
+    target = TARGETS["words_ctm"]
+    (seed,) = target.seeds(FUZZ.parent)
+    cases = [mutate(seed, target.mutators, number) for number in range(20)]
+    assert cases == [mutate(seed, target.mutators, number) for number in range(20)]
+    assert len(set(cases)) > 15
+
+
+@pytest.mark.stress
+def test_many_mutated_files():
+    """Run for minutes: the mutators alone, which every machine has."""
+    found = fuzz("--executions", "3000", "--seconds", "60")
+    assert {name: one["broken"] for name, one in found.items() if one["broken"]} == {}
