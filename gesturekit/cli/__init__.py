@@ -21,6 +21,7 @@ VERBS = (
     "train",
     "render",
     "jobs",
+    "serve",
     "convert",
     "inspect",
     "view",
