@@ -244,7 +244,7 @@ TOKENS = (
 
 def tokens(data: bytearray, rng: np.random.Generator) -> bytes:
     """Some words, numbers or strings are replaced."""
-    found = list(re.finditer(rb'"[^"\n]{0,80}"|[\w.+-]+|[][{}]', data))
+    found = list(re.finditer(rb'"[^"\n]{0,80}"|[\w.+-]+|[][{}]', data[:20_000]))
     for at in sorted(rng.integers(0, len(found), int(rng.integers(1, 4))), reverse=True):
         new = TOKENS[rng.integers(len(TOKENS))]
         if rng.random() < 0.3:

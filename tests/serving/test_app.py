@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+import threading
 import time
 
 import pytest
+import uvicorn
+from fastapi.responses import FileResponse, HTMLResponse
 from sounds import wav
 from starlette.testclient import TestClient
 
@@ -14,6 +19,8 @@ from gesturekit.errors import ConfigError
 from gesturekit.motion import Motion
 from gesturekit.serving.app import create_app
 from gesturekit.serving.limits import Limits, Rate
+from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS
+from gesturekit.systems import bundled_speech
 
 HOST = "http://127.0.0.1"
 
@@ -85,11 +92,8 @@ def test_what_cannot_be_used_is_refused_with_a_reason(client, query, body, statu
 
 
 def test_a_body_without_length_is_cut_off_at_the_limit(client):
-    sent = []
-
     def blocks():
-        for _ in range(10_000):
-            sent.append(1)
+        for _ in range(100):
             yield b"\0" * 65_536
 
     answer = client(megabytes=0.5).post("/motion", content=blocks())
@@ -166,8 +170,6 @@ def test_limits_are_positive():
 
 
 def test_a_queue_that_is_full_says_so_at_once(client, model, monkeypatch):
-    import threading
-
     one, held = client(queue=0), threading.Event()
     generate = model.generate
     monkeypatch.setattr(model, "generate", lambda *a, **k: (held.wait(10), generate(*a, **k))[1])
@@ -183,3 +185,37 @@ def test_a_queue_that_is_full_says_so_at_once(client, model, monkeypatch):
     held.set()
     first.join()
     assert answers[0].status_code == 200
+
+
+DROP = """<script>
+fetch("speech.wav").then((answer) => answer.blob()).then((sound) => {
+  const data = new DataTransfer();
+  data.items.add(new File([sound], "my <b>speech</b>.wav"));
+  document.dispatchEvent(new DragEvent("drop", { dataTransfer: data, cancelable: true }));
+});
+</script></html>"""
+
+
+@pytest.mark.stress
+@pytest.mark.skipif(not shutil.which("chromium"), reason="Chromium is not installed")
+def test_a_sound_is_dropped_on_the_page(model, tmp_path):
+    app = create_app(model)
+    dropped = DROP_PAGE.replace("</html>", DROP)
+    app.get("/dropped")(lambda: HTMLResponse(dropped, headers=PAGE_HEADERS))
+    app.get("/speech.wav")(lambda: FileResponse(bundled_speech()))
+    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="warning"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.05)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    command = ["chromium", "--headless", "--no-sandbox", "--use-angle=swiftshader"]
+    command += ["--enable-unsafe-swiftshader", "--disable-background-networking", "--no-first-run"]
+    command += [f"--user-data-dir={tmp_path}", "--enable-logging=stderr", "--dump-dom"]
+    command += ["--virtual-time-budget=15000", f"http://127.0.0.1:{port}/dropped"]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    server.should_exit = True
+    thread.join(20)
+    assert '<iframe sandbox="allow-scripts" src="blob:http://127.0.0.1' in shown.stdout
+    assert '<span id="state" role="status" class=""></span>' in shown.stdout
+    assert "Refused to" not in shown.stderr
