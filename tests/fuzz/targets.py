@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import mutators
 import numpy as np
@@ -180,6 +181,32 @@ def words(name: str, suffix: str, seeds_: Seeds, how: tuple[Any, ...] = mutators
     )
 
 
+@cache
+def service() -> Any:
+    """A client of the service, for the life of this process."""
+    from starlette.testclient import TestClient
+
+    from gesturekit.serving.app import create_app
+    from gesturekit.serving.limits import Limits
+
+    app = create_app(gk.load("demo"), Limits(per_minute=1e9, seconds=5, megabytes=1))
+    return TestClient(app, base_url="http://localhost").__enter__()
+
+
+def http(folder: Path, file: Path) -> None:
+    """The first line is the query, the second a header's value, the rest the body."""
+    query, header, body = (*file.read_bytes().split(b"\n", 2), b"", b"")[:3]
+    url = "/motion?" + quote(query, safe="=&%+")
+    answer = service().post(url, content=body, headers={"X": header.hex(), "Range": header})
+    assert answer.status_code in (200, 400, 413, 422), answer.status_code
+    assert str(service().app.state.folder) not in answer.text, "a path of the server"
+
+
+def bodies(folder: Path) -> list[bytes]:
+    sounds = seeds.sounds(folder)
+    return [b"format=bvh&seed=3\nbytes=0-1\n" + sounds[0], b"format=html\n\n" + sounds[4]]
+
+
 def text(*rows: str) -> Seeds:
     return lambda folder: ["\n".join(rows).encode() + b"\n"]
 
@@ -291,6 +318,7 @@ TARGETS = {
             ),
             lambda _, file: load_semantics(file),
         ),
+        Target("http", "request", bodies, http, (*mutators.ANY, mutators.tokens)),
         Target(
             *("metrics", "metrics.jsonl", text('{"step": 3, "loss": 0.5}', '{"step": 4}')),
             *(lambda folder, _: inspect(folder), mutators.JSON, run_folder),
