@@ -147,7 +147,8 @@ def run_own(harness: Harness, options: argparse.Namespace) -> None:
     from mutators import mutate
 
     end = time.monotonic() + options.seconds
-    for number in range(options.first, options.first + options.executions):
+    executions = options.executions // 10 if harness.target.is_slow else options.executions
+    for number in range(options.first, options.first + executions):
         if time.monotonic() > end:
             break
         seed = harness.seeds[number % len(harness.seeds)]

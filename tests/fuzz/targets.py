@@ -7,7 +7,7 @@ import json
 import logging
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,7 @@ class Target:
         setup: writes the other files of the folder.
         says: pattern that messages have, with PATH for the path of the file.
         wrap: makes the content of the file from the mutated bytes.
+        is_slow: true if it loads a model; short runs execute a tenth of it.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Target:
     setup: Callable[[Path], None] = lambda folder: None
     says: str = "FOLDER"
     wrap: Callable[[bytes], bytes] = bytes
+    is_slow: bool = False
 
 
 def motion(folder: Path, file: Path) -> None:
@@ -329,4 +331,6 @@ TARGETS = {
         ),
     )
 }
+for _name in [name for name in TARGETS if name.startswith(("model_", "config_", "http"))]:
+    TARGETS[_name] = replace(TARGETS[_name], is_slow=True)
 logging.disable(logging.CRITICAL)
