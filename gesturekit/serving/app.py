@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,6 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-import gesturekit
 from audio_features.errors import AudioFeaturesError
 from gesturekit.errors import GestureKitError
 from gesturekit.model import Model
@@ -73,7 +73,7 @@ def create_app(
     """
     limits = limits or Limits()
     worker, rate = Worker(model, limits), Rate(limits.per_minute)
-    metrics = Metrics(lambda: worker.admitted)
+    figures = Metrics(lambda: worker.admitted)
     worker.warm_up()
 
     @asynccontextmanager
@@ -84,7 +84,7 @@ def create_app(
 
     app = FastAPI(
         title="gesturekit",
-        version=gesturekit.__version__,
+        version=metadata.version("gesturekit"),
         summary="Speech to body motion",
         docs_url=None,  # FastAPI's own page loads its scripts from a CDN
         redoc_url=None,
@@ -108,17 +108,17 @@ def create_app(
             check_token(request, token)
             _check_rate(request, rate)
             content, seconds = await _answer(request, asked, worker, limits)
-            metrics.sound.inc(seconds)
+            figures.sound.inc(seconds)
             status = 200
         except HTTPException as error:
             status = error.status_code
             raise
         finally:
-            metrics.requests.labels(str(status)).inc()
-            metrics.seconds.observe(time.perf_counter() - begun)
+            figures.requests.labels(str(status)).inc()
+            figures.seconds.observe(time.perf_counter() - begun)
         return _file(content, asked.format)
 
-    _add_pages(app, model, limits, metrics, token)
+    _add_pages(app, model, limits, figures, token)
     return app
 
 
@@ -128,7 +128,7 @@ def _add_pages(
     @app.get("/health")
     async def health() -> dict[str, Any]:
         """Say that the service works, and with which model."""
-        about = {"status": "ok", "version": gesturekit.__version__, "kind": model.kind}
+        about = {"status": "ok", "version": metadata.version("gesturekit"), "kind": model.kind}
         return about | {"fps": model.recorded_fps, "styles": list(model.styles)}
 
     @app.get("/metrics", response_class=Response)

@@ -19,13 +19,15 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="uses Linux' acc
 
 def test_a_feature_file_of_zeros_is_not_unpacked(tmp_path):
     path = tmp_path / "a.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        with archive.open("values.npy", "w") as member:
-            np.lib.format.write_array_header_1_0(
-                member, {"descr": "<f4", "fortran_order": False, "shape": (30 << 20, 1)}
-            )
-            for _ in range(30):
-                member.write(bytes(4 << 20))
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("values.npy", "w") as member,
+    ):
+        np.lib.format.write_array_header_1_0(
+            member, {"descr": "<f4", "fortran_order": False, "shape": (30 << 20, 1)}
+        )
+        for _ in range(30):
+            member.write(bytes(4 << 20))
     assert path.stat().st_size < 1 << 20
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(af.FeatureError, match="unpacks to"):
