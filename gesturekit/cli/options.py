@@ -220,7 +220,7 @@ class ControlOption(click.Option):
         return super().get_help_record(ctx)
 
 
-ARGUMENTS = "gesturekit.arguments"
+ARGUMENTS = "gesturekit: arguments"
 """Key of a context's `meta`: the arguments of the command as they were given."""
 
 

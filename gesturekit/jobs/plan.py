@@ -98,7 +98,7 @@ class Plan:
             return None
         except OSError as error:
             raise FormatError(f"{path}: {error.strerror}") from None
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{path}: damaged header; delete it for a new plan") from None

@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
@@ -72,7 +73,7 @@ def create_app(
         GestureKitError: the model has no speech input.
     """
     limits = limits or Limits()
-    worker, rate = Worker(model, limits), Rate(limits.per_minute)
+    worker = Worker(model, limits)
     figures = Metrics(lambda: worker.admitted)
     worker.warm_up()
 
@@ -94,6 +95,22 @@ def create_app(
     app.add_exception_handler(HTTPException, _as_json)
     app.add_exception_handler(RequestValidationError, _as_json)
 
+    service = _Service(worker, Rate(limits.per_minute), figures, limits, token)
+    _add_motion(app, service)
+    _add_pages(app, service)
+    return app
+
+
+@dataclass(frozen=True)
+class _Service:
+    worker: Worker
+    rate: Rate
+    figures: Metrics
+    limits: Limits
+    token: str | None
+
+
+def _add_motion(app: FastAPI, service: _Service) -> None:
     @app.post(
         "/motion",
         openapi_extra=_BODY,
@@ -105,26 +122,23 @@ def create_app(
         begun, status = time.perf_counter(), 500
         try:
             check_origin(request)
-            check_token(request, token)
-            _check_rate(request, rate)
-            content, seconds = await _answer(request, asked, worker, limits)
-            figures.sound.inc(seconds)
+            check_token(request, service.token)
+            _check_rate(request, service.rate)
+            content, seconds = await _answer(request, asked, service)
+            service.figures.sound.inc(seconds)
             status = 200
         except HTTPException as error:
             status = error.status_code
             raise
         finally:
-            figures.requests.labels(str(status)).inc()
-            figures.seconds.observe(time.perf_counter() - begun)
+            service.figures.requests.labels(str(status)).inc()
+            service.figures.seconds.observe(time.perf_counter() - begun)
         return _file(content, asked.format)
 
-    _add_pages(app, model, limits, figures, token)
-    return app
 
+def _add_pages(app: FastAPI, service: _Service) -> None:
+    model = service.worker.model
 
-def _add_pages(
-    app: FastAPI, model: Model, limits: Limits, metrics: Metrics, token: str | None
-) -> None:
     @app.get("/health")
     async def health() -> dict[str, Any]:
         """Say that the service works, and with which model."""
@@ -134,8 +148,10 @@ def _add_pages(
     @app.get("/metrics", response_class=Response)
     async def figures(request: Request) -> Response:
         """Return figures for Prometheus."""
-        check_token(request, token)
-        return Response(metrics.page(), media_type="text/plain; version=0.0.4; charset=utf-8")
+        check_token(request, service.token)
+        return Response(
+            service.figures.page(), media_type="text/plain; version=0.0.4; charset=utf-8"
+        )
 
     @app.get("/", include_in_schema=False)
     async def page() -> HTMLResponse:
@@ -143,7 +159,7 @@ def _add_pages(
 
     @app.get("/docs", include_in_schema=False)
     async def docs() -> HTMLResponse:
-        return HTMLResponse(api_page(app.openapi(), limits), headers=PAGE_HEADERS)
+        return HTMLResponse(api_page(app.openapi(), service.limits), headers=PAGE_HEADERS)
 
 
 def _check_rate(request: Request, rate: Rate) -> None:
@@ -153,9 +169,7 @@ def _check_rate(request: Request, rate: Rate) -> None:
         raise HTTPException(429, f"too many requests; try again in {wait:.0f} s", after)
 
 
-async def _answer(
-    request: Request, asked: MotionRequest, worker: Worker, limits: Limits
-) -> tuple[bytes, float]:
+async def _answer(request: Request, asked: MotionRequest, service: _Service) -> tuple[bytes, float]:
     """Return a motion's file and the seconds of its sound.
 
     Everything that a request writes lies in a folder of its own, under fixed names.
@@ -165,13 +179,13 @@ async def _answer(
     """
     try:
         with (
-            worker.admit(),
+            service.worker.admit(),
             tempfile.TemporaryDirectory(dir=request.app.state.folder) as folder,
         ):
             sound = Path(folder) / "speech"
-            await receive(request, sound, limits)
+            await receive(request, sound, service.limits)
             try:
-                return await worker.render(sound, asked)
+                return await service.worker.render(sound, asked)
             except (GestureKitError, AudioFeaturesError) as error:
                 reason = str(error).replace(str(sound), "the sound")
                 raise HTTPException(422, reason.replace(folder, "")) from None
