@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import time
 from pathlib import Path
 
@@ -69,6 +71,18 @@ def test_options_that_do_not_fit_are_refused(render, tmp_path, options, says):
     assert not (tmp_path / "out").exists()
 
 
+def child_of(parent: int) -> int:
+    """Process id of the only child of a process."""
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:  # it ended
+            continue
+        if int(fields[1]) == parent:
+            return int(path.parent.name)
+    raise AssertionError(f"process {parent} has no child")
+
+
 @pytest.mark.stress
 def test_a_job_that_is_preempted_is_requeued_and_goes_on(render, tmp_path):
     submitit = pytest.importorskip("submitit")
@@ -81,9 +95,9 @@ def test_a_job_that_is_preempted_is_requeued_and_goes_on(render, tmp_path):
         if len(results(out)) >= 3:
             break
         time.sleep(0.05)
-    job._interrupt()
+    os.kill(child_of(job._process.pid), signal.SIGUSR2)  # as Slurm does before it ends a job
     assert job.result() == 0
-    assert "preempted" in job.stderr() and "Requeued" in job.stderr()
+    assert "Caught signal SIGUSR2" in job.stderr() and " kept in " in job.stderr()
     assert results(out) == results(tmp_path / "plain")
     assert sorted(finished(out)) == sorted(str(number) for number in range(40))
 
