@@ -148,13 +148,12 @@ def _run_ray(command: ShardCommand, shards: Sequence[str], address: str | None) 
     """Run the shards by actors of a Ray cluster, and return the exit codes."""
     try:
         import ray
-        from ray.util import ActorPool
     except ImportError:
         raise _missing("ray") from None
 
-    @ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=-1)
+    @ray.remote(num_cpus=1)
     class Actor:
-        """A process that takes shards; where its machine is lost, another one takes them."""
+        """A process that takes shards."""
 
         def run(self, shard: str) -> int:
             """Run a shard."""
@@ -166,12 +165,33 @@ def _run_ray(command: ShardCommand, shards: Sequence[str], address: str | None) 
         raise ConfigError(f"ray: {error}") from None
     try:
         count = max(1, min(len(shards), int(ray.cluster_resources().get("CPU", 1))))
-        pool = ActorPool([Actor.remote() for _ in range(count)])
-        return list(pool.map_unordered(lambda actor, shard: actor.run.remote(shard), shards))
+        return _share(shards, [Actor.remote() for _ in range(count)])
     except ray.exceptions.RayError as error:
         raise ConfigError(f"ray: {' '.join(str(error).split())}") from None
     finally:
         ray.shutdown()
+
+
+def _share(shards: Sequence[str], actors: list[Any]) -> list[int]:
+    """Give shards to actors as they become free; a shard of a lost actor goes to another one."""
+    import ray
+
+    waiting, running, codes = list(shards), dict[Any, tuple[Any, str]](), []
+    while waiting or running:
+        while waiting and actors:
+            actor, shard = actors.pop(), waiting.pop(0)
+            running[actor.run.remote(shard)] = (actor, shard)
+        if not running:
+            raise ConfigError("ray: all nodes were lost; the same command continues")
+        (ready,), _ = ray.wait(list(running))
+        actor, shard = running.pop(ready)
+        try:
+            codes.append(ray.get(ready))
+            actors.append(actor)
+        except ray.exceptions.RayActorError:
+            click.echo(f"Warning: shard {shard} was lost with its node; it starts again", err=True)
+            waiting.append(shard)
+    return codes
 
 
 def _setting(text: str) -> tuple[str, int | str]:

@@ -129,6 +129,7 @@ def test_ray_loses_a_node_and_nothing_else(render, tmp_path, monkeypatch):
         )
         thread.join(60)
         assert done.exit_code == 0, done.output
+        assert "was lost with its node" in done.output
     finally:
         ray.shutdown()
         cluster.shutdown()
