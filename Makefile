@@ -14,13 +14,14 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test stress mutants lint format bench interop picture docs clean
+.PHONY: help setup demo test stress mutants fuzz lint format bench interop picture docs clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
 	@echo "make test    set up, then check style and run all tests"
 	@echo "make stress  set up, then run the slow tests (all recordings, all scales)"
 	@echo "make mutants set up, then apply each recorded defect and check that a test fails"
+	@echo "make fuzz    set up, then fuzz every loader for FUZZ_SECONDS (60) each"
 	@echo "make setup   create $(VENV) with gesturekit and its dependencies"
 	@echo "make lint    check style only          make format  fix style"
 	@echo "make bench   run all benchmarks in quick mode"
@@ -44,9 +45,17 @@ stress: setup
 mutants: setup
 	$(BIN)/python tests/mutants/mutation.py $(MUTANTS_ARGS)
 
+FUZZ_SECONDS ?= 60
+fuzz: setup
+	@$(BIN)/python -c 'import atheris' 2>/dev/null || \
+	    $(BIN)/python -m pip install -qq --only-binary :all: atheris 2>/dev/null || \
+	    echo "atheris has no wheel here: the mutators alone choose the inputs"
+	OMP_NUM_THREADS=1 $(BIN)/python tests/fuzz/fuzz.py --seconds $(FUZZ_SECONDS) --found fuzz-found $(FUZZ_ARGS)
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	@$(BIN)/python tests/audit.py
 
 format: setup
 	$(BIN)/ruff check --fix .

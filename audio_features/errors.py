@@ -5,8 +5,20 @@ Every message states the problem, the place (path or field), the value, and the 
 
 from __future__ import annotations
 
+_BEGINNING, _END = 1000, 300
 
-class AudioFeaturesError(Exception):
+
+class ShortMessage(Exception):
+    """An exception whose message is short, whatever values of a file it quotes."""
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        if len(text) <= _BEGINNING + _END:
+            return text
+        return f"{text[:_BEGINNING]} [...] {text[-_END:]}"
+
+
+class AudioFeaturesError(ShortMessage):
     """Root of every error that audio_features raises on purpose."""
 
 

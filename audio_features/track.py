@@ -35,6 +35,8 @@ _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
 )
+# What a file may unpack to in any case, and beyond that how many times larger than it.
+_ALLOWANCE, _MAX_RATIO = 32 << 20, 20
 _MAX_BYTES = 8 << 30  # larger files (unpacked) are refused
 
 
@@ -156,9 +158,10 @@ class FeatureTrack:
         try:
             with zipfile.ZipFile(name) as archive:
                 size = sum(member.file_size for member in archive.infolist())
-            if size > _MAX_BYTES:
+            most = min(_MAX_BYTES, max(_ALLOWANCE, _MAX_RATIO * Path(name).stat().st_size))
+            if size > most:
                 raise FeatureError(
-                    f"{name}: unpacks to {size} bytes, more than the limit of {_MAX_BYTES}"
+                    f"{name}: unpacks to {size} bytes, more than the limit of {most}"
                 )
             with np.load(name, allow_pickle=False) as file:
                 values, times = file["values"], file["times"]

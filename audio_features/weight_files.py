@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import pickle
 import re
+import struct
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -111,9 +113,12 @@ def read_file(path: Path) -> Any:
             with zipfile.ZipFile(path) as archive:
                 if any(entry.compress_type for entry in archive.infolist()):
                     raise ValueError("it is compressed, as torch never writes it")
-        elif start[:2] != b"\x80\x02":  # the pickle that a legacy file of torch begins with
+            return torch.load(path, map_location="cpu", weights_only=True)
+        if start[:2] != b"\x80\x02":  # the pickle that a legacy file of torch begins with
             raise ValueError(f"it begins with {start[:8]!r}, as no file of torch or safetensors")
-        return torch.load(path, map_location="cpu", weights_only=True)
+        # A file allocates as much as its pickle claims to need; bytes give what they have.
+        content = io.BytesIO(path.read_bytes())
+        return torch.load(content, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         kind = re.search(r"GLOBAL (\S+)", str(error))
         if kind is None:  # torch's own message would advise loading it anyway
@@ -133,7 +138,9 @@ def read_file(path: Path) -> Any:
     # torch documents no exception for damaged files; safetensors has its own class.
     except (SafetensorError, zipfile.BadZipFile, OSError, RuntimeError, ValueError) as error:
         raise _unreadable(path, error) from error
-    except (EOFError, KeyError, TypeError, IndexError, AttributeError, MemoryError) as error:
+    except (EOFError, LookupError, TypeError, AttributeError, AssertionError) as error:
+        raise _unreadable(path, error) from error
+    except (MemoryError, RecursionError, struct.error) as error:
         raise _unreadable(path, error) from error
 
 

@@ -59,7 +59,9 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
                 raise FeatureError(f"{path}, {where}: ends at {stop} s, before {begin} s")
             if str(text).strip().lower() not in _SILENCES:
                 words.append(Word(begin, stop, str(text).strip()))
-    except (KeyError, IndexError, TypeError, AttributeError) as error:
+    except FeatureError:
+        raise
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise FeatureError(
             f"{path}: not a list of words with times ({error!r}): write it again"
         ) from error
@@ -93,7 +95,7 @@ def _text(path: Path) -> str:
 def _seconds(path: Path, where: str, value: Any) -> float:
     try:
         seconds = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         seconds = math.nan
     if not 0 <= seconds <= _LONGEST:
         raise FeatureError(f"{path}, {where}: time is {str(value)[:40]!r}: expected seconds from 0")
@@ -174,7 +176,7 @@ def _captions(path: Path, text: str) -> Entries:
         for following in lines[number:]:
             if not following.strip():
                 break
-            said += re.sub(r"<[^>]*>|\{[^}]*\}", " ", following).split()
+            said += re.sub(r"<[^<>]*>|\{[^{}]*\}", " ", following).split()
         for word in _shared(said, start, end):
             yield where, *word
     if not found and text.strip() not in ("", "WEBVTT"):

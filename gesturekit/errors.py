@@ -9,10 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from audio_features.errors import AudioError, AudioFeaturesError, FeatureError, WeightsError
+from audio_features.errors import (
+    AudioError,
+    AudioFeaturesError,
+    FeatureError,
+    ShortMessage,
+    WeightsError,
+)
 
 
-class GestureKitError(Exception):
+class GestureKitError(ShortMessage):
     """Root of every error that gesturekit raises on purpose.
 
     Errors of sounds, weights and features (`SpeechError`, `SpeechWeightsError`,

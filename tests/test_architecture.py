@@ -34,14 +34,9 @@ MAY_IMPORT["rendering"] = {
     *MAY_IMPORT["multires"],
 }
 MAY_IMPORT["study"] = {"corpus", "evaluation", "formats", "motion", "training", "viewer"}
-MAY_IMPORT["cli"] = {
-    "study",
-    "diagnosis",
-    "inspection",
-    "rendering",
-    "systems",
-    *MAY_IMPORT["rendering"],
-}
+MAY_IMPORT["serving"] = {"model", "systems"}
+MAY_IMPORT["cli"] = {"study", "diagnosis", "inspection", "rendering", "serving", "systems"}
+MAY_IMPORT["cli"] |= MAY_IMPORT["rendering"]
 # Modules outside of any package. `systems` imports models and trainers by name, lazily.
 MAY_IMPORT["model"] = {"corpus", "motion"}
 MAY_IMPORT["systems"] = {"model", "training"}

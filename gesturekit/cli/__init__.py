@@ -22,6 +22,7 @@ VERBS = (
     "train",
     "render",
     "jobs",
+    "serve",
     "convert",
     "inspect",
     "view",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gesturekit.cli.options import existing_option, is_left
-from gesturekit.wording import printable
+from gesturekit.wording import counted, printable
 
 if TYPE_CHECKING:
     from gesturekit.jobs.status import Status
@@ -63,7 +63,7 @@ def _print(status: Status, out: Path) -> None:
 
     aside = sum(item.is_aside for item in status.failed)
     put_aside = f" ({aside} put aside after three failures)" if aside else ""
-    click.echo(f"{out}: {status.items} items, {time_in_words(status.seconds)} of sound")
+    click.echo(f"{out}: {counted(status.items, 'item')}, {time_in_words(status.seconds)} of sound")
     click.echo(
         f"done {status.done}, failed {len(status.failed)}{put_aside}, left {len(status.left)}"
     )

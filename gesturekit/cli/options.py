@@ -225,6 +225,10 @@ class ControlOption(click.Option):
         return super().get_help_record(ctx)
 
 
+ARGUMENTS = "gesturekit: arguments"
+"""Key of a context's `meta`: the arguments of the command as they were given."""
+
+
 class GroupedCommand(click.Command):
     """A command whose help shows its examples first, and its options in groups.
 
@@ -235,6 +239,11 @@ class GroupedCommand(click.Command):
     def __init__(self, *args: Any, groups: Mapping[str, Sequence[str]], **options: Any) -> None:
         super().__init__(*args, **options)
         self.groups = groups
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments, and keep them for engines, which repeat the command elsewhere."""
+        ctx.meta[ARGUMENTS] = tuple(args)
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples, then each group under its heading."""

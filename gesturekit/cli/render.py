@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gesturekit.cli.engines import engine_options, run_elsewhere
 from gesturekit.cli.options import (
     RATE,
     UNITS,
@@ -48,6 +49,7 @@ GROUPS = {
     "Output": ("out", "formats", "fps", "unit", "up", "size", "rig", "rig_parts", "existing")
     + ("skip_existing",),
     "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
+    "Clusters": ("engine", "jobs", "engine_options", "address"),
     "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth"),
     "Controls of multires models": (
         *("level_style", "levels", "keyframes", "keyframe_level", "keep", "recall"),
@@ -138,6 +140,7 @@ GROUPS = {
     help="Render part K of N, such as 1/8: the parts are of about the same seconds of sound, and "
     "may be rendered in any order, or at once on several machines, into one --out.",
 )
+@engine_options
 @click.option(
     "--replan", is_flag=True, help="With --shard: look for the inputs again, after files changed."
 )
@@ -240,6 +243,9 @@ def command(
     from gesturekit.systems import load
 
     items = () if corpus is None else Manifest.load(corpus).in_split(split or "test", str(corpus))
+    elsewhere = run_elsewhere(ctx, out, options)
+    if elsewhere is not None:
+        ctx.exit(elsewhere)
     names = ("weights", "device", "dtype")
     open_model = partial(load, **{name: options.pop(name) for name in names})
     loaded = open_model(model)

@@ -28,6 +28,8 @@ READING: dict[str, type | tuple[type, ...]] = {
 }
 """Options for reading an item's motion file, by name, with their types."""
 
+_LONGEST_NAME = 230  # bytes; file systems take 255, of which suffixes are a part
+
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
@@ -212,8 +214,11 @@ def muted(wave: Wave, audible: Iterable[tuple[float, float]]) -> Wave:
 def check_id(name: str) -> None:
     """Check that an id can be a relative path, as output files are named by it."""
     parts = name.split("/") if isinstance(name, str) else []
-    if not parts or any(part in ("", ".", "..") for part in parts) or not name.isprintable():
+    is_valid = bool(parts) and name.isprintable()
+    if not is_valid or any(
+        part in ("", ".", "..") or len(part.encode()) > _LONGEST_NAME for part in parts
+    ):
         raise CorpusError(
             f"id {name!r} cannot be used: an id is a name, or names joined by '/', "
-            "without '..' and control characters"
+            f"without '..' and control characters, of up to {_LONGEST_NAME} bytes each"
         )

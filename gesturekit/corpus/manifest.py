@@ -245,7 +245,7 @@ def _item_from_record(record: dict[str, Any], *, folder: Path, where: str) -> It
     }
     try:
         values["audible"] = tuple((float(a), float(b)) for a, b in record.get("audible", ()))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CorpusError(f"{where}: audible must be a list of [start, end] in seconds") from None
     try:
         return Item(**values)

@@ -93,7 +93,7 @@ def _metrics(path: Path) -> list[dict[str, Any]]:
     for line in _text(path).splitlines():
         try:
             values = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue  # the line that was being written when the run was killed
         if isinstance(values, dict):
             lines.append(values)
@@ -103,10 +103,10 @@ def _metrics(path: Path) -> list[dict[str, Any]]:
 def _versions(path: Path) -> dict[str, str]:
     try:
         values = json.loads(_text(path) or "{}")
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     wanted = ("gesturekit", "python", "torch")
-    return {key: values[key] for key in wanted if key in values}
+    return {key: values[key] for key in wanted if key in values} if isinstance(values, dict) else {}
 
 
 def _text(path: Path) -> str:

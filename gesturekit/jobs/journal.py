@@ -220,7 +220,7 @@ def _read(path: Path) -> Iterator[tuple[str, dict[str, Any], bytes]]:
         if not line.startswith(_STATUS):
             yield from _checked_run(path, values, line)
         elif isinstance(values.get("id"), str):
-            if pending is not None and parse_line(pending).get("started") != values["id"]:
+            if pending is not None and (parse_line(pending) or {}).get("started") != values["id"]:
                 yield from _checked_start(pending)
             pending = None
             yield "result", values, line

@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import ConfigError
-from gesturekit.jobs.state import parse_line, shard_name
+from gesturekit.jobs.state import MAX_LINE, parse_line, shard_name
 
 HEARTBEAT = 15.0
 """Seconds between signs of life."""
@@ -98,7 +98,7 @@ class Lease:
     def _beat(self) -> None:
         while not self._stop.wait(HEARTBEAT):
             try:
-                if parse_line(self.path.read_bytes()) != self._about:
+                if _content(self.path) != self._about:
                     self.is_lost = True
                     return
                 os.utime(self.path)
@@ -114,7 +114,7 @@ def live_leases(state: Path) -> list[dict[str, Any]]:
     found = []
     for path in sorted((state / "leases").glob("*.json")):
         try:
-            about = parse_line(path.read_bytes()) or {}
+            about = _content(path) or {}
             age = max(0.0, time.time() - path.stat().st_mtime)
         except OSError:
             continue  # given back in this moment
@@ -145,10 +145,25 @@ def _is_live(path: Path, about: dict[str, Any], age: float) -> bool:
     return False
 
 
+def _content(path: Path) -> dict[str, Any] | None:
+    """Return the JSON object in a lease; None for anything else.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    if path.exists() and not path.is_file():  # reading a pipe may never end
+        return None
+    with path.open("rb") as file:
+        return parse_line(file.read(MAX_LINE))
+
+
 def _lock_of(path: Path) -> FileLock:
     return FileLock(path.with_suffix(".lock"), thread_local=False)
 
 
 def _owner(about: dict[str, Any]) -> str:
-    since = time.strftime("%Y-%m-%d %H:%M", time.localtime(float(about.get("since", 0))))
+    try:
+        since = time.strftime("%Y-%m-%d %H:%M", time.localtime(float(about["since"])))
+    except (LookupError, TypeError, ValueError, OverflowError, OSError):  # written by others
+        since = "an unknown time"
     return f"by process {about.get('pid')} on {about.get('host')} since {since}"

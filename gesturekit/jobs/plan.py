@@ -98,7 +98,7 @@ class Plan:
             return None
         except OSError as error:
             raise FormatError(f"{path}: {error.strerror}") from None
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{path}: damaged header; delete it for a new plan") from None
@@ -121,12 +121,24 @@ class Plan:
                 file.readline(MAX_LINE)
                 for line in file:
                     if line.startswith(begin):
-                        values = parse_line(line) or {}
-                        yield PlanItem(**values)
+                        yield self._item(parse_line(line) or {})
         except OSError as error:
             raise FormatError(f"{self.path}: {error.strerror}") from None
-        except TypeError:
-            raise FormatError(f"{self.path}: an item with unknown fields; delete it") from None
+
+    def _item(self, values: dict[str, Any]) -> PlanItem:
+        is_valid = values.keys() <= _TYPES.keys() and "id" in values
+        if not is_valid or any(not isinstance(v, _TYPES[name]) for name, v in values.items()):
+            raise FormatError(f"{self.path}: an item with wrong fields; delete it for a new plan")
+        return PlanItem(**values)
+
+
+_TYPES = {
+    "shard": int,
+    "id": str,
+    "path": (str, type(None)),
+    "duration": (int, float, type(None)),
+    "more": dict,
+}
 
 
 def write_plan(path: Path, items: Sequence[PlanItem], shards: int, request: str) -> Plan:

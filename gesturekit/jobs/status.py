@@ -25,13 +25,15 @@ from gesturekit.jobs.state import MAX_LINE, parse_line, state_folder
 WINDOW = 600.0
 """Seconds of work before the latest result from which speed is computed."""
 # Our own lines begin with fields in a fixed order; parsing a million of them as JSON takes seconds.
-_TEXT, _NUMBER = rb'("[^"\\]*(?:\\.[^"\\]*)*")', rb"([\d.e+-]+)"
+# Ids are ASCII, as json.dumps writes them; a line with other bytes is not ours.
+_TEXT = rb'("[ !#-\[\]-~]*(?:\\["\\/bfnrtu][ !#-\[\]-~]*)*")'
+_NUMBER = rb"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
 _RESULT = re.compile(
     rb'\{"status": "(\w+)", "id": %b, "time": %b, "seconds": %b, "sound": %b, "key": "(\w*)"'
     % (_TEXT, _NUMBER, _NUMBER, _NUMBER)
 )
 _STARTED = re.compile(rb'\{"started": ' + _TEXT)
-_PLANNED = re.compile(rb'\{"shard": (\d+), "id": ' + _TEXT)
+_PLANNED = re.compile(rb'\{"shard": (\d{1,9}), "id": ' + _TEXT)
 _DIGITS = re.compile(r"(?<![A-Za-z\d])\d+([.,]\d+)*")
 _BLOCK = 1 << 24
 _TAIL = 1 << 17  # bytes at the end of a journal in which the start of an item in hand is found
@@ -133,6 +135,8 @@ def _counted(plan: Plan, state: Path) -> Status:
         if match is None:
             continue
         shard, name = int(match[1]), match[2]
+        if not 1 <= shard <= len(status.shards):
+            raise FormatError(f"{plan.path}: shard {shard} of {len(status.shards)}; delete it")
         result = results.last.pop(name, None)
         if result is None or result[1] == b"dropped":
             status.left.append(json.loads(name))

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import glob
 import json
-import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
@@ -139,7 +138,7 @@ def _json_line(line: str, where: str) -> tuple[str | None, str | None, dict[str,
             raise ConfigError(f"{where}: unknown field {name!r}; known: {', '.join(FIELDS)}")
         is_valid = isinstance(value, FIELDS[name]) and not isinstance(value, bool)
         if is_valid and float in FIELDS[name]:
-            is_valid = math.isfinite(value) and 0 <= value <= _MAX_SECONDS
+            is_valid = 0 <= value <= _MAX_SECONDS
         if not is_valid or (name in ("seconds", "channel") and value <= 0):
             raise ConfigError(f"{where}: {name} is {json.dumps(value)[:80]}")
     audio, name = values.pop("audio", None), values.pop("id", None)
@@ -156,4 +155,5 @@ def _name_of(audio: str) -> str:
 
 def _placed(audio: str, folder: Path) -> Path:
     beside = folder / audio
-    return beside if beside.exists() or not Path(audio).exists() else Path(audio)
+    is_elsewhere = not os.path.exists(beside) and os.path.exists(audio)  # noqa: PTH110 (any text)
+    return Path(audio) if is_elsewhere else beside

@@ -14,7 +14,7 @@ import soundfile
 import audio_features as af
 from audio_features.wave import SAMPLE_RATES
 from gesturekit.corpus.item import Item
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.formats.sources import (
     OTHER_SPEECH_SUFFIXES,
     SPEECH_SUFFIXES,
@@ -107,8 +107,17 @@ class Task:
         """Return the task of an item of a plan.
 
         Raises:
-            CorpusError: the item of a manifest has invalid values.
+            CorpusError: the item has invalid values.
         """
+        try:
+            return cls._from_plan(planned)
+        except (LookupError, TypeError, AttributeError, ValueError) as error:
+            raise CorpusError(
+                f"plan: item {planned.id!r} is damaged ({error}); delete the plan for a new one"
+            ) from None
+
+    @classmethod
+    def _from_plan(cls, planned: PlanItem) -> Task:
         item, audio = planned.more.get("item"), planned.path and Path(planned.path)
         if item is not None:
             paths = {name: item[name] and Path(item[name]) for name in ("audio", "motion")}

@@ -26,9 +26,45 @@ from gesturekit.training.renamed_keys import with_new_keys
 Schema = TypeVar("Schema")
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that reads 1e-3 as a number; PyYAML follows YAML 1.1, which wants 1.0e-3."""
+_MAX_BYTES = 2 << 20
+_MAX_VALUES = 200_000  # in a file, where an alias counts as all that it stands for
+_MAX_DIGITS = 40
 
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that reads 1e-3 as a number; PyYAML follows YAML 1.1, which wants 1.0e-3.
+
+    Aliases that would make a small file large, and numbers of many digits, are refused.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        super().__init__(stream)
+        self._count = 0
+        self._sizes: dict[int, int] = {}
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose one value, and count it."""
+        mark, before = self.peek_event().start_mark, self._count
+        is_alias = self.check_event(yaml.AliasEvent)
+        node = super().compose_node(parent, index)
+        # A value that contains an alias of itself has no size yet.
+        self._count += self._sizes.get(id(node), _MAX_VALUES) if is_alias else 1
+        if not is_alias:
+            self._sizes[id(node)] = self._count - before
+        if self._count > _MAX_VALUES:
+            problem = f"aliases make it more than {_MAX_VALUES} values"
+            raise yaml.composer.ComposerError(None, None, problem, mark)
+        return node
+
+    def construct_yaml_int(self, node: Any) -> int:
+        """Return a whole number."""
+        if len(node.value) > _MAX_DIGITS:
+            problem = f"a number of {len(node.value)} digits"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return super().construct_yaml_int(node)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
@@ -45,11 +81,19 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     try:
-        values = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        if path.exists() and not path.is_file():
+            raise ConfigError(f"{path}: not a regular file")
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise ConfigError(f"{path}: over {_MAX_BYTES >> 20} MB; no configuration is so large")
+        values = yaml.load(data.decode("utf-8"), Loader=_Loader)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such configuration file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text ({error})") from None
+    except ConfigError:
+        raise
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         # ValueError: what looks like a date and is none. RecursionError: nested without end.
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None

@@ -108,6 +108,8 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
             raise ValueError(f"fps is {fps}")
         rig = json.loads((folder / "skeleton.json").read_text(encoding="utf-8"))
         model = assemble(ModelParts(folder, config, rig, load_file(folder / "model.safetensors")))
+    except af.FeatureError as error:
+        raise ModelError(f"{folder / 'config.yaml'}: features: {error}") from error
     except (af.AudioFeaturesError, ModelError):
         raise
     except FileNotFoundError as error:

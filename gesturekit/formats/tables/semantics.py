@@ -8,6 +8,7 @@ from pathlib import Path
 from gesturekit.errors import FormatError
 
 _LONGEST = 24 * 3600.0
+_MAX_BYTES = 32 << 20
 
 
 def load_semantics(path: Path) -> list[tuple[float, float, float]]:
@@ -20,6 +21,8 @@ def load_semantics(path: Path) -> list[tuple[float, float, float]]:
         FormatError: the table cannot be read, or a line is invalid.
     """
     intervals = []
+    if path.is_file() and path.stat().st_size > _MAX_BYTES:
+        raise FormatError(f"{path}: over {_MAX_BYTES >> 20} MB, too large for such a table")
     try:
         with path.open(encoding="utf-8", errors="replace", newline="") as file:
             for number, row in enumerate(csv.reader(file, delimiter="\t"), start=1):

@@ -120,16 +120,25 @@ class ModelJoints:
 
     @staticmethod
     def fields_from_json(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
-        """Return the attributes by name, from the values of `to_json`."""
+        """Return the attributes by name, from the values of `to_json`.
+
+        Raises:
+            MotionError: values of a wrong shape, or of joints that the skeleton does not have.
+        """
         scale = float(values.get("scale", 1.0))
         if not 0 < scale < np.inf:
             raise MotionError(f"scale: {scale} must be above 0")
+        joints = tuple(skeleton.names[skeleton.index(name)] for name in values["joints"])
+        if not joints or len(set(joints)) < len(joints):
+            raise MotionError("joints: none, or one of them twice")
         return {
             "skeleton": skeleton,
-            "joints": tuple(skeleton.names[skeleton.index(name)] for name in values["joints"]),
-            "fixed_rotations": np.array(values["fixed_rotations"], dtype=np.float64),
+            "joints": joints,
+            "fixed_rotations": _numbers(
+                values["fixed_rotations"], "fixed_rotations", (skeleton.n_joints, 4)
+            ),
             "fixed_translations": {
-                name: np.array(value, dtype=np.float64)
+                skeleton.names[skeleton.index(name)]: _numbers(value, "fixed_translations", (3,))
                 for name, value in values["fixed_translations"].items()
             },
             "scale": scale,
@@ -270,3 +279,10 @@ def _local_position(motion: Motion, name: str) -> np.ndarray:
     """(T, 3) position of a joint in its parent's frame, metres; constant if it does not move."""
     still = motion.skeleton.offsets[motion.skeleton.index(name)]
     return motion.joint_translations.get(name, np.tile(still, (motion.n_frames, 1)))
+
+
+def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    numbers = np.array(values, dtype=np.float64)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        raise MotionError(f"{name}: {numbers.shape} values; expected {shape} finite numbers")
+    return numbers

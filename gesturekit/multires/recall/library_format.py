@@ -18,6 +18,7 @@ from gesturekit.training.model_folder import ModelParts
 from gesturekit.wording import counted
 
 _VALUES = ("level", "piece", "overlap", "mean")
+_LARGEST = 1e4  # of `_VALUES`: levels, seconds and log m/s
 _CURVES = ("motion", "passive", "profiles")
 _REGRESSION = ("mean", "weights", "offset", "predicted", "recorded", "r")
 _DISTRIBUTION = ("predicted", "recorded", "voices")
@@ -90,6 +91,13 @@ def load_library(
             _regression(tensors, "slow"),
             *(tensors[f"recall.{name}"].numpy() for name in _DISTRIBUTION),
         )
+    for name in _VALUES:
+        if not abs(values[name]) <= _LARGEST:
+            raise ValueError(f"recall: {name} is {values[name]}")
+    if not 1 <= values["level"] <= levels:
+        raise ValueError(f"recall: level {values['level']} of {levels}")
+    for name in values["passive"]["joints"]:
+        representation.skeleton.index(name)
     return RecallLibrary(
         level=int(values["level"]),
         levels=levels,

@@ -1,0 +1,123 @@
+"""gesturekit serve: an HTTP service that turns sounds into motion."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import click
+
+from gesturekit.errors import ConfigError
+
+TOKEN = "GESTUREKIT_TOKEN"
+
+
+@click.command("serve", epilog="Example: gesturekit serve --model demo")
+@click.option("--model", required=True, help="A bundled name (demo) or a model folder.")
+@click.option(
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    help="Address to listen on. Beyond this machine a token is required.",
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True)
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    metavar="NAME",
+    help="Further name under which the service is reached, such as a proxy's. May be repeated.",
+)
+@click.option(
+    "--token-file",
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    help=f"File with the token that requests must send.  [default: ${TOKEN}]",
+)
+@click.option("--max-mb", default=64.0, show_default=True, help="Largest sound.")
+@click.option("--max-seconds", default=600.0, show_default=True, help="Longest sound.")
+@click.option(
+    "--per-minute", default=60.0, show_default=True, help="Requests of one client in a minute."
+)
+@click.option(
+    "--queue", default=16, show_default=True, help="Requests that may wait; more are refused."
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 64),
+    default=1,
+    show_default=True,
+    help="Number of motions that are generated at once.",
+)
+@click.option(
+    "--weights", type=click.Path(path_type=Path), help="Weights the model was trained with."
+)
+@click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, or auto.")
+def command(
+    model: str,
+    host: str,
+    port: int,
+    names: tuple[str, ...],
+    token_file: Path | None,
+    weights: Path | None,
+    device: str,
+    **limits: float,
+) -> None:
+    """Serve a model over HTTP: POST a sound, get BVH, npz or a page that plays it.
+
+    A page for browsers is at the address itself, the API is described at /docs, the state at
+    /health, and figures for Prometheus at /metrics.
+    """
+    try:
+        import uvicorn
+
+        from gesturekit.serving.app import LOOPBACK, create_app
+    except ImportError as error:
+        raise ConfigError(
+            f"{error.name} is not installed; run: pip install 'gesturekit[serve]'"
+        ) from None
+    from gesturekit.serving.limits import Limits
+    from gesturekit.systems import load
+
+    renamed = {"max_mb": "megabytes", "max_seconds": "seconds"}
+    bounds = Limits(**{renamed.get(name, name): value for name, value in limits.items()})
+    token = _token(token_file)
+    is_local = host in LOOPBACK
+    if not is_local and token is None:
+        raise ConfigError(
+            f"--host {host} is reached from other machines: give a token by --token-file or "
+            f"${TOKEN}"
+        )
+    # An address of all interfaces has many names; there the token protects.
+    hosts = ("*",) if not is_local and not names else (*LOOPBACK, host, *names)
+    app = create_app(load(model, weights=weights, device=device), bounds, token=token, hosts=hosts)
+    shown = f"[{host}]" if ":" in host else host
+    click.echo(f"Serving {model} at http://{shown}:{port}/ (end with Ctrl-C)", err=True)
+    connections = 4 * (bounds.workers + bounds.queue) + 32
+    uvicorn.run(
+        app,
+        host=host,
+        port=port,
+        log_level="warning",
+        limit_concurrency=connections,
+        timeout_keep_alive=5,
+        timeout_graceful_shutdown=10,
+        server_header=False,
+        proxy_headers=False,
+    )
+
+
+def _token(file: Path | None) -> str | None:
+    """Return the token of a file, or of the environment; None without one.
+
+    Raises:
+        ConfigError: it is short, or more than one line.
+    """
+    if file is None and TOKEN not in os.environ:
+        return None
+    token = os.environ[TOKEN] if file is None else file.read_text(encoding="utf-8").strip()
+    if len(token) < 16 or not token.isascii() or not token.isprintable() or " " in token:
+        raise ConfigError(
+            "the token must be at least 16 printable ASCII characters without spaces, such as "
+            "those of: openssl rand -hex 16"
+        )
+    return token

@@ -1,0 +1,89 @@
+"""Bounded work: one model in memory, a few threads, a short queue."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import audio_features as af
+from gesturekit.errors import GestureKitError
+from gesturekit.model import Model
+from gesturekit.serving.limits import Limits
+from gesturekit.serving.requests import MotionRequest
+
+
+class BusyError(Exception):
+    """The queue is full."""
+
+
+class Worker:
+    """A model, and the threads that use it.
+
+    Args:
+        model: model with speech input.
+        limits: number of threads, length of the queue, and longest sound.
+    """
+
+    def __init__(self, model: Model, limits: Limits) -> None:
+        self.model, self._limits = model, limits
+        self._threads = ThreadPoolExecutor(limits.workers, thread_name_prefix="motion")
+        self._admitted = 0
+        self._lock = threading.Lock()
+
+    @property
+    def admitted(self) -> int:
+        """Number of requests that are received, wait or are in work."""
+        return self._admitted
+
+    @contextlib.contextmanager
+    def admit(self) -> Iterator[None]:
+        """Hold a place in the queue.
+
+        Raises:
+            BusyError: there is none.
+        """
+        with self._lock:
+            if self._admitted >= self._limits.workers + self._limits.queue:
+                raise BusyError
+            self._admitted += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._admitted -= 1
+
+    async def render(self, sound: Path, asked: MotionRequest) -> tuple[bytes, float]:
+        """Generate the motion of a sound file in its folder, and return it and its seconds.
+
+        Raises:
+            GestureKitError, AudioFeaturesError: the sound or a setting cannot be used.
+        """
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._threads, self._render, sound, asked)
+
+    def _render(self, sound: Path, asked: MotionRequest) -> tuple[bytes, float]:
+        wave = af.Wave.load(sound, max_seconds=self._limits.seconds)
+        controls = asked.model_dump(exclude={"format"}, exclude_none=True)
+        motion = self.model.generate(wave, **controls)
+        out = sound.with_name(f"motion.{asked.format}")
+        extra = {"audio": sound, "title": "motion"} if asked.format == "html" else {}
+        motion.save(out, **extra)
+        return out.read_bytes(), wave.duration
+
+    def warm_up(self) -> None:
+        """Generate a short motion, so that the first request does not wait for compilation.
+
+        Raises:
+            GestureKitError: the model cannot generate motion from sound.
+        """
+        if not self.model.inputs.speech:
+            raise GestureKitError("this model has no speech input; serve one that has")
+        import numpy as np
+
+        rng = np.random.default_rng(0)
+        noise = rng.normal(0, 0.1, 16_000).astype(np.float32)
+        self.model.generate(af.Wave.from_array(noise, 16_000))

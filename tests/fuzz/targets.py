@@ -1,0 +1,336 @@
+"""Loaders under test: how each is called with a file that may be anything."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import mutators
+import numpy as np
+import seeds
+
+import audio_features as af
+import gesturekit as gk
+from audio_features import words as word_lists
+from audio_features.weight_files import read_file, read_json
+from gesturekit.corpus import Manifest
+from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.formats.smpl.easymocap import read_easymocap
+from gesturekit.formats.tables.events import load_events
+from gesturekit.formats.tables.root_path import load_root_path
+from gesturekit.formats.tables.semantics import load_semantics
+from gesturekit.inspection import inspect
+from gesturekit.jobs.journal import History, last_run
+from gesturekit.jobs.lease import live_leases
+from gesturekit.jobs.plan import PLAN, Plan
+from gesturekit.jobs.state import STATE
+from gesturekit.jobs.status import status_of
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.rendering.lists import read_list
+from gesturekit.rendering.tasks import Task
+from gesturekit.systems import model_folder
+from gesturekit.training.config import load_config
+from gesturekit.training.run.checkpoint import Checkpoints
+
+Seeds = Callable[[Path], list[bytes]]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A loader under test.
+
+    Attributes:
+        name: its name on the command line.
+        file: path of the mutated file in the folder of the case.
+        seeds: valid contents, given a folder to work in.
+        read: reads the file; given the folder and the path of the file.
+        mutators: see `mutators`.
+        setup: writes the other files of the folder.
+        says: pattern that messages have, with PATH for the path of the file.
+        wrap: makes the content of the file from the mutated bytes.
+        is_slow: true if it loads a model; short runs execute a tenth of it.
+    """
+
+    name: str
+    file: str
+    seeds: Seeds
+    read: Callable[[Path, Path], Any]
+    mutators: tuple[Any, ...] = mutators.TEXT
+    setup: Callable[[Path], None] = lambda folder: None
+    says: str = "FOLDER"
+    wrap: Callable[[bytes], bytes] = bytes
+    is_slow: bool = False
+
+
+def motion(folder: Path, file: Path) -> None:
+    assert np.isfinite(Motion.load(file).positions()).all(), "positions that are not finite"
+
+
+def config(schema: type, folder: Path, file: Path) -> None:
+    load_config(file, schema)
+
+
+def checkpoint(folder: Path, file: Path) -> None:
+    Checkpoints(file.parent).latest()
+
+
+def jobs(folder: Path, file: Path) -> None:
+    history = History(folder / STATE)
+    for name in history.names():
+        history.entries(name), history.unfinished(name), history.failures(name, "k")
+    last_run(folder / STATE)
+    status_of(folder).reasons()
+
+
+def lease(folder: Path, file: Path) -> None:
+    live_leases(folder / STATE)
+    status_of(folder)
+
+
+def plan(folder: Path, file: Path) -> None:
+    found = Plan.open(file)
+    for item in found.items():
+        Task.from_plan(item)
+    status_of(folder)
+
+
+def with_header(lines: bytes) -> bytes:
+    """A plan whose SHA-256 is right whatever its lines are."""
+    header = {"format": 1, "request": "x", "sha256": hashlib.sha256(lines).hexdigest()}
+    header |= {"shards": [[2, 2.5], [1, 1.0]], "made": 1.5}
+    return json.dumps(header).encode() + b"\n" + lines
+
+
+def write_plan(folder: Path) -> None:
+    (folder / STATE / "leases").mkdir(parents=True)
+    (folder / STATE / "journal").mkdir()
+    (folder / STATE / PLAN).write_bytes(with_header(seeds.plan(folder)[0]))
+
+
+class Slow:
+    """An extractor whose features are worth caching, and whose weights are none."""
+
+    spec = {"kind": "slow"}  # noqa: RUF012
+    names = ("a", "b")
+    dim = 2
+
+    def extract(self, wave: af.Wave) -> af.FeatureTrack:
+        return af.FeatureTrack(np.ones((5, 2)), np.arange(5) / 50, self.spec, self.names)
+
+
+@cache
+def wave() -> af.Wave:
+    return af.Wave.from_array(np.sin(np.arange(1600) / 5).astype("f4"), 16_000)
+
+
+def cached(folder: Path, file: Path) -> None:
+    (entry,) = (folder / "cache").glob("*/*/*.safetensors")
+    shutil.copyfile(file, entry)
+    track = af.FeatureCache(folder / "cache").extract(Slow(), wave())
+    assert track.values.shape == (5, 2), "a damaged entry was taken"
+
+
+def cache_entry(folder: Path) -> list[bytes]:
+    af.FeatureCache(folder / "cache").extract(Slow(), wave())
+    (entry,) = (folder / "cache").glob("*/*/*.safetensors")
+    return [entry.read_bytes()]
+
+
+DEMO = model_folder("demo")
+
+
+def copy_demo(folder: Path) -> None:
+    for path in DEMO.iterdir():
+        (folder / path.name).symlink_to(path)
+
+
+def demo(folder: Path, file: Path) -> None:
+    model = gk.load(folder)
+    made = model.generate(wave(), foot_lock=False)
+    assert np.isfinite(made.positions()).all(), "positions that are not finite"
+
+
+def demo_part(name: str) -> Seeds:
+    return lambda folder: [(DEMO / name).read_bytes()]
+
+
+@cache
+def payload() -> tuple[bytes, bytes]:
+    """Header, with its length, and values of the demo model's tensors."""
+    data = (DEMO / "model.safetensors").read_bytes()
+    end = 8 + int.from_bytes(data[:8], "little")
+    return data[:end], data[end:]
+
+
+def run_folder(folder: Path) -> None:
+    (folder / "config.yaml").write_bytes(seeds.configs(folder)[0])
+    (folder / "metrics.jsonl").write_text('{"step": 3, "loss": 0.5}\n')
+
+
+def words(name: str, suffix: str, seeds_: Seeds, how: tuple[Any, ...] = mutators.TEXT) -> Target:
+    return Target(
+        f"words_{name}", f"a{suffix}", seeds_, lambda _, file: word_lists.load_words(file), how
+    )
+
+
+@cache
+def service() -> Any:
+    """A client of the service, for the life of this process."""
+    from starlette.testclient import TestClient
+
+    from gesturekit.serving.app import create_app
+    from gesturekit.serving.limits import Limits
+
+    app = create_app(gk.load("demo"), Limits(per_minute=1e9, seconds=5, megabytes=1))
+    return TestClient(app, base_url="http://localhost").__enter__()
+
+
+def http(folder: Path, file: Path) -> None:
+    """The first line is the query, the second a header's value, the rest the body."""
+    query, header, body = (*file.read_bytes().split(b"\n", 2), b"", b"")[:3]
+    url = "/motion?" + quote(query, safe="=&%+")
+    answer = service().post(url, content=body, headers={"X": header.hex(), "Range": header})
+    assert answer.status_code in (200, 400, 413, 422), answer.status_code
+    assert str(service().app.state.folder) not in answer.text, "a path of the server"
+
+
+def bodies(folder: Path) -> list[bytes]:
+    sounds = seeds.sounds(folder)
+    return [b"format=bvh&seed=3\nbytes=0-1\n" + sounds[0], b"format=html\n\n" + sounds[4]]
+
+
+def text(*rows: str) -> Seeds:
+    return lambda folder: ["\n".join(rows).encode() + b"\n"]
+
+
+def tensors_of_demo() -> Target:
+    return Target(
+        "model_tensors",
+        "model.safetensors",
+        lambda folder: [payload()[0]],
+        demo,
+        mutators.TENSORS,
+        copy_demo,
+        wrap=lambda data: data + payload()[1],
+    )
+
+
+def bvh_and_npz(suffix: str) -> Seeds:
+    return lambda folder: seeds.base_files(folder)[suffix]
+
+
+LINE = r"PATH:\d+: "
+TARGETS = {
+    target.name: target
+    for target in (
+        Target("bvh", "a.bvh", bvh_and_npz("bvh"), motion, mutators.BVH, says=LINE),
+        Target(
+            *("npz", "a.npz", bvh_and_npz("npz"), motion, mutators.NPZ),
+            says=r"PATH.*(\bkeys? '\w*'|: not a readable npz file|list of members|rates differ, '"
+            r"|more than 4 GiB)",
+        ),
+        Target(
+            *("body_model", "a.npz", seeds.body_model),
+            *(lambda _, file: BodyModel.load(file), mutators.NPZ),
+        ),
+        Target(
+            *("features", "a.npz", seeds.features),
+            *(lambda _, file: af.FeatureTrack.load(file), mutators.NPZ),
+        ),
+        Target("sound", "a.wav", seeds.sounds, lambda _, f: af.Wave.load(f), mutators.ANY),
+        words("textgrid", ".TextGrid", seeds.textgrid),
+        words("ctm", ".ctm", text(";; x", "a 1 0.5 0.25 hello", "a 1 1.5 0.5 you 0.9")),
+        words("srt", ".srt", seeds.captions),
+        words("tsv", ".tsv", text("0.5\t1.0\thello", "1\t2\t#laughter")),
+        words("json", ".json", seeds.word_json, mutators.JSON),
+        Target(
+            *("manifest", "a.jsonl", seeds.manifest, lambda _, file: Manifest.load(file)),
+            mutators.JSON,
+            says=LINE + "|PATH: empty",
+        ),
+        Target("config_multires", "a.yaml", seeds.configs, partial(config, MultiresConfig)),
+        Target("config_diffusion", "a.yaml", seeds.configs, partial(config, DiffusionConfig)),
+        Target("model_config", "config.yaml", demo_part("config.yaml"), demo, setup=copy_demo),
+        Target(
+            *("model_skeleton", "skeleton.json", demo_part("skeleton.json"), demo),
+            *(mutators.JSON, copy_demo),
+        ),
+        tensors_of_demo(),
+        Target(
+            *("checkpoint", "step_00000003.pt", seeds.checkpoint, checkpoint, mutators.PICKLE),
+            says="",
+        ),
+        Target(
+            *("weights", "model.bin", seeds.weights, lambda _, file: read_file(file)),
+            (*mutators.PICKLE, *mutators.TENSORS),
+        ),
+        Target(
+            *("weights_config", "config.json", text('{"hidden_size": 32, "a": [1, null]}')),
+            *(lambda _, file: read_json(file), mutators.JSON),
+        ),
+        Target("cache_entry", "entry", cache_entry, cached, mutators.TENSORS),
+        Target(
+            *("journal", f"{STATE}/journal/00001-of-00002.jsonl", seeds.journal, jobs),
+            *(mutators.JSON, write_plan),
+        ),
+        Target(
+            *("plan", f"{STATE}/{PLAN}", seeds.plan, plan, mutators.JSON, write_plan),
+            wrap=with_header,
+            says="FOLDER|^plan: item '",
+        ),
+        Target(
+            *("plan_header", f"{STATE}/{PLAN}", lambda f: [with_header(seeds.plan(f)[0])], plan),
+            *(mutators.JSON, write_plan),
+        ),
+        Target(
+            *("lease", f"{STATE}/leases/00001-of-00002.json"),
+            text('{"host": "h", "pid": 3, "since": 1.5, "run": {"plan": "x", "shards": 2}}'),
+            *(lease, mutators.JSON, write_plan),
+        ),
+        Target("list_jsonl", "a.jsonl", seeds.lists, lambda _, f: [*read_list(f)], mutators.JSON),
+        Target("list_scp", "wav.scp", text("a a.wav", "b d/b.wav"), lambda _, f: [*read_list(f)]),
+        Target("list_txt", "a.txt", text("a.wav", "d/b c.wav"), lambda _, f: [*read_list(f)]),
+        Target(
+            *("easymocap", "000000.json", seeds.people),
+            *(lambda _, file: read_easymocap(file, person=0), mutators.JSON),
+        ),
+        Target(
+            *("path", "a.csv", text("time,x,z,heading", "0,0,0,0", "0.5,1,0.5,90", "1,2,1,90")),
+            lambda _, file: load_root_path(file),
+        ),
+        Target(
+            *("events", "a.csv", text("time,name,duration", "0.5,nod,", "1,wave,0.5")),
+            lambda _, file: load_events(file),
+        ),
+        Target(
+            *(
+                "semantics",
+                "a.txt",
+                text("beat_align\t0.5\t1.0\t0.5\t0.8\thand", "a\t1\t2\t1\t1\tx"),
+            ),
+            lambda _, file: load_semantics(file),
+        ),
+        Target("http", "request", bodies, http, (*mutators.ANY, mutators.tokens)),
+        Target(
+            *("metrics", "metrics.jsonl", text('{"step": 3, "loss": 0.5}', '{"step": 4}')),
+            *(lambda folder, _: inspect(folder), mutators.JSON, run_folder),
+        ),
+        Target(
+            *("versions", "versions.json", text('{"python": "3.11", "torch": "2.4"}')),
+            *(lambda folder, _: inspect(folder), mutators.JSON, run_folder),
+        ),
+    )
+}
+for _name in [name for name in TARGETS if name.startswith(("model_", "config_", "http"))]:
+    TARGETS[_name] = replace(TARGETS[_name], is_slow=True)
+logging.disable(logging.CRITICAL)

@@ -1,0 +1,221 @@
+"""The service: right answers, limits that hold, and nothing that a request can reach."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import threading
+import time
+
+import pytest
+import uvicorn
+from fastapi.responses import FileResponse, HTMLResponse
+from sounds import wav
+from starlette.testclient import TestClient
+
+import gesturekit as gk
+from gesturekit.errors import ConfigError
+from gesturekit.motion import Motion
+from gesturekit.serving.app import create_app
+from gesturekit.serving.limits import Limits, Rate
+from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS
+from gesturekit.systems import bundled_speech
+
+HOST = "http://127.0.0.1"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return gk.load("demo")
+
+
+@pytest.fixture
+def client(model):
+    clients = []
+
+    def make(token=None, headers=None, **limits) -> TestClient:
+        app = create_app(model, Limits(**limits), token=token)
+        clients.append(TestClient(app, base_url=HOST, headers=headers).__enter__())
+        return clients[-1]
+
+    yield make
+    for one in clients:
+        one.__exit__(None, None, None)
+
+
+def folder_of(client: TestClient):
+    return client.app.state.folder
+
+
+def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
+    sound = tmp_path / "a.wav"
+    sound.write_bytes(wav(1.5, 44_100, 2))
+    model.generate(sound, seed=3).save(tmp_path / "expected.bvh")
+    one = client()
+    answer = one.post("/motion?format=bvh&seed=3", content=sound.read_bytes())
+    assert answer.status_code == 200, answer.text
+    assert answer.content == (tmp_path / "expected.bvh").read_bytes()
+    assert 'filename="motion.bvh"' in answer.headers["content-disposition"]
+    (tmp_path / "a.npz").write_bytes(one.post("/motion?format=npz", content=wav()).content)
+    assert Motion.load(tmp_path / "a.npz").n_frames == 30
+    page = one.post("/motion?format=html", content=wav())
+    assert "<title>motion</title>" in page.text
+    assert page.headers["content-security-policy"] == "sandbox allow-scripts"
+    assert list(folder_of(one).iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("query", "body", "status", "says"),
+    [
+        ("", b"", 400, "--data-binary"),
+        ("", b"RIFF", 422, "the sound: "),
+        ("", b"<script>alert(1)</script>" * 99, 422, "cannot be read as sound"),
+        ("", wav(11.0), 422, "10"),
+        ("", b"\0" * (1 << 20), 413, "larger than 0.5 MB"),
+        ("?format=exe", wav(), 422, "format"),
+        ("?seed=-1", wav(), 422, "seed"),
+        ("?seed=" + "9" * 5000, wav(), 422, "seed"),
+        ("?style=old", wav(), 422, "style"),
+        ("?speaker=/etc/passwd", wav(), 422, "speaker"),
+        ("?path=/etc/passwd", wav(), 422, "path"),
+        ("?keep=/etc/passwd", wav(), 422, "keep"),
+        ("?smooth=nan", wav(), 422, "smooth"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_a_reason(client, query, body, status, says):
+    one = client(megabytes=0.5, seconds=10)
+    answer = one.post(f"/motion{query}", content=body)
+    assert (answer.status_code, says in answer.json()["error"]) == (status, True), answer.text
+    assert str(folder_of(one)) not in answer.text
+    assert list(folder_of(one).iterdir()) == []
+
+
+def test_a_body_without_length_is_cut_off_at_the_limit(client):
+    def blocks():
+        for _ in range(100):
+            yield b"\0" * 65_536
+
+    answer = client(megabytes=0.5).post("/motion", content=blocks())
+    assert answer.status_code == 413
+
+
+def test_requests_of_other_sites_and_names_are_refused(client):
+    one = client()
+    for origin in ("https://evil.example", "null", "http://127.0.0.1:1"):
+        answer = one.post("/motion", content=wav(), headers={"Origin": origin})
+        assert answer.status_code == 403
+    assert one.post("/motion", content=wav(), headers={"Origin": HOST}).status_code == 200
+    assert one.get("/health", headers={"Host": "evil.example"}).status_code == 400
+
+
+def test_the_token_is_required_where_there_is_one(client):
+    one = client(token="0123456789abcdef")
+    for header in ({}, {"Authorization": "Bearer 0123456789abcdee"}, {"Authorization": "é"}):
+        headers = {name: value.encode() for name, value in header.items()}
+        assert one.post("/motion", content=wav(), headers=headers).status_code == 401
+        assert one.get("/metrics", headers=headers).status_code == 401
+    right = {"Authorization": "Bearer 0123456789abcdef"}
+    assert one.post("/motion", content=wav(), headers=right).status_code == 200
+    assert one.get("/health").status_code == 200
+
+
+def test_the_rate_is_limited_and_recovers(client):
+    one = client(per_minute=2)
+    codes = [one.post("/motion", content=b"x").status_code for _ in range(4)]
+    assert codes == [422, 422, 429, 429]
+    now = [0.0]
+    rate = Rate(60, lambda: now[0])
+    assert [rate.wait("a") for _ in range(60)] == [0.0] * 60
+    assert rate.wait("a") == pytest.approx(1.0) and rate.wait("b") == 0.0
+    now[0] = 1.01
+    assert rate.wait("a") == 0.0
+
+
+def test_the_rate_remembers_a_bounded_number_of_clients():
+    rate = Rate(1)
+    for number in range(10_500):
+        rate.wait(str(number))
+    assert len(rate._buckets) == 10_000
+
+
+def test_figures_for_prometheus(client):
+    one = client()
+    one.post("/motion", content=wav(2.0))
+    one.post("/motion", content=b"x")
+    page = one.get("/metrics").text
+    assert 'gesturekit_requests_total{status="200"} 1.0' in page
+    assert 'gesturekit_requests_total{status="422"} 1.0' in page
+    assert "gesturekit_sound_seconds_total 2.0" in page and "gesturekit_queue 0.0" in page
+
+
+def test_the_pages_load_nothing_from_elsewhere(client):
+    one = client()
+    for address in ("/", "/docs"):
+        page = one.get(address)
+        assert page.status_code == 200
+        assert re.findall(r"""(?:src|href)=["']?(?:https?:)?//[^"'> ]*""", page.text) == []
+        assert "default-src 'none'" in page.headers["content-security-policy"]
+    assert "POST /motion" in one.get("/docs").text
+    schema = one.get("/openapi.json").json()
+    names = {parameter["name"] for parameter in schema["paths"]["/motion"]["post"]["parameters"]}
+    assert names == {"format", "seed", "style", "speaker", "foot_lock", "smooth"}
+
+
+def test_limits_are_positive():
+    with pytest.raises(ConfigError, match="megabytes is 0"):
+        Limits(megabytes=0)
+    with pytest.raises(ConfigError, match="seconds is nan"):
+        Limits(seconds=float("nan"))
+
+
+def test_a_queue_that_is_full_says_so_at_once(client, model, monkeypatch):
+    one, held = client(queue=0), threading.Event()
+    generate = model.generate
+    monkeypatch.setattr(model, "generate", lambda *a, **k: (held.wait(10), generate(*a, **k))[1])
+    answers = []
+    first = threading.Thread(target=lambda: answers.append(one.post("/motion", content=wav())))
+    first.start()
+    while "gesturekit_queue 1.0" not in one.get("/metrics").text:
+        time.sleep(0.01)
+    begun = time.monotonic()
+    busy = one.post("/motion", content=wav())
+    assert busy.status_code == 503 and "Retry-After" in busy.headers
+    assert time.monotonic() - begun < 5
+    held.set()
+    first.join()
+    assert answers[0].status_code == 200
+
+
+DROP = """<script>
+fetch("speech.wav").then((answer) => answer.blob()).then((sound) => {
+  const data = new DataTransfer();
+  data.items.add(new File([sound], "my <b>speech</b>.wav"));
+  document.dispatchEvent(new DragEvent("drop", { dataTransfer: data, cancelable: true }));
+});
+</script></html>"""
+
+
+@pytest.mark.stress
+@pytest.mark.skipif(not shutil.which("chromium"), reason="Chromium is not installed")
+def test_a_sound_is_dropped_on_the_page(model, tmp_path):
+    app = create_app(model)
+    dropped = DROP_PAGE.replace("</html>", DROP)
+    app.get("/dropped")(lambda: HTMLResponse(dropped, headers=PAGE_HEADERS))
+    app.get("/speech.wav")(lambda: FileResponse(bundled_speech()))
+    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="warning"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.05)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    command = ["chromium", "--headless", "--no-sandbox", "--use-angle=swiftshader"]
+    command += ["--enable-unsafe-swiftshader", "--disable-background-networking", "--no-first-run"]
+    command += [f"--user-data-dir={tmp_path}", "--enable-logging=stderr", "--dump-dom"]
+    command += ["--virtual-time-budget=15000", f"http://127.0.0.1:{port}/dropped"]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    server.should_exit = True
+    thread.join(20)
+    assert '<iframe sandbox="allow-scripts" src="blob:http://127.0.0.1' in shown.stdout
+    assert '<span id="state" role="status" class=""></span>' in shown.stdout
+    assert "Refused to" not in shown.stderr

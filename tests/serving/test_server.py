@@ -1,0 +1,143 @@
+"""One real server under concurrent good, huge, slow and malicious requests."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import random
+import re
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from sounds import wav
+
+from gesturekit.systems import bundled_speech
+
+
+@pytest.fixture(scope="module")
+def port(tmp_path_factory):
+    """The port of a server of the demo model; the process is ended at the end."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        number = free.getsockname()[1]
+    folder = tmp_path_factory.mktemp("serve")
+    command = [sys.executable, "-m", "gesturekit", "serve", "--model", "demo"]
+    command += ["--port", str(number), "--max-mb", "2", "--max-seconds", "30", "--queue", "60"]
+    command += ["--per-minute", "100000", "--workers", "2"]
+    environment = {**os.environ, "TMPDIR": str(folder)}
+    with (folder / "log.txt").open("wb") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+    try:
+        for _ in range(600):
+            assert process.poll() is None, (folder / "log.txt").read_text()
+            try:
+                socket.create_connection(("127.0.0.1", number), 1).close()
+                break
+            except OSError:
+                time.sleep(0.1)
+        yield number
+        assert process.poll() is None, "the server ended"
+        (own,) = (path for path in folder.iterdir() if path.is_dir())
+        assert list(own.iterdir()) == [], "a request left files"
+        process.terminate()
+        assert process.wait(20) == 0 or process.returncode == -15
+        assert "Traceback" not in (folder / "log.txt").read_text()
+        assert [path.name for path in folder.iterdir()] == ["log.txt"]
+    finally:
+        process.kill()
+        process.wait()
+
+
+def post(port: int, body: bytes, query: str = "", **headers: str) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+    try:
+        connection.request("POST", f"/motion{query}", body, headers)
+        answer = connection.getresponse()
+        return answer.status, answer.read()
+    finally:
+        connection.close()
+
+
+def raw(port: int, *pieces: bytes, pause: float = 0.0) -> bytes:
+    """Send bytes, and return what comes back until the server closes or a second is over."""
+    with socket.create_connection(("127.0.0.1", port), 5) as connection:
+        try:
+            for piece in pieces:
+                connection.sendall(piece)
+                time.sleep(pause)
+            connection.settimeout(2)
+            return connection.recv(4096)
+        except OSError:
+            return b""
+
+
+def good(port: int) -> str:
+    return f"good {post(port, wav(0.5), '?format=bvh&seed=1')[0]}"
+
+
+def huge(port: int) -> str:
+    try:
+        return f"huge {post(port, bytes(4 << 20))[0]}"
+    except OSError:  # the server answers and closes before it has read everything
+        return "huge 413"
+
+
+def slow(port: int) -> str:
+    head = b"POST /motion HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000\r\n\r\n"
+    raw(port, head, *[b"x"] * 5, pause=0.2)
+    return "slow"
+
+
+def malicious(port: int) -> str:
+    rng = random.Random(time.monotonic_ns())
+    head = b"POST /motion HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+    chunked = b"Transfer-Encoding: chunked\r\n"
+    kinds = (
+        (rng.randbytes(300),),
+        (head + b"Content-Length: -5\r\n\r\n",),
+        (head + b"Content-Length: " + b"9" * 5000 + b"\r\n\r\n",),
+        (head + b"Content-Length: 4\r\n" + chunked + b"\r\n0\r\n\r\nGET / HTTP/1.1\r\n\r\n",),
+        (head + chunked + b"\r\nFFFFFFFFFFFFFFFF\r\n",),
+        (head + b"A: " + b"x" * 100_000 + b"\r\n\r\n",),
+        (b"GET /../../../etc/passwd HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",),
+        (b"GET /%2e%2e/%2e%2e/etc/passwd HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",),
+        (b"POST /motion?format=../../x HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",),
+    )
+    said = raw(port, *rng.choice(kinds))
+    assert not said or re.match(rb"HTTP/1\.1 4\d\d", said), said
+    assert b"root:" not in said
+    return "malicious"
+
+
+def test_fifty_at_once(port):
+    """Every good request is answered, whatever the others do."""
+    kinds = [good] * 20 + [huge] * 8 + [slow] * 8 + [malicious] * 14
+    random.Random(0).shuffle(kinds)
+    begun = time.monotonic()
+    with ThreadPoolExecutor(50) as threads:
+        said = Counter(threads.map(lambda kind: kind(port), kinds))
+    assert said == {"good 200": 20, "huge 413": 8, "slow": 8, "malicious": 14}
+    assert time.monotonic() - begun < 60
+
+
+def test_answers_do_not_depend_on_other_requests(port):
+    sounds = [wav(0.5), bundled_speech().read_bytes(), wav(1.2, 22_050)]
+    alone = [post(port, sound) for sound in sounds]
+    assert [status for status, _ in alone] == [200, 200, 200]
+    with ThreadPoolExecutor(9) as threads:
+        together = list(threads.map(lambda sound: post(port, sound), sounds * 3))
+    assert together == alone * 3
+
+
+def test_other_addresses_need_a_token():
+    command = [sys.executable, "-m", "gesturekit", "serve", "--model", "demo"]
+    environment = {name: value for name, value in os.environ.items() if "TOKEN" not in name}
+    done = subprocess.run(
+        [*command, "--host", "0.0.0.0"], capture_output=True, text=True, env=environment
+    )
+    assert done.returncode == 2 and "give a token" in done.stderr
