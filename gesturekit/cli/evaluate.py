@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.evaluate_models import folders_of, place_of
+from gesturekit.cli.evaluate_models import folders_of, place_of, rendered_baselines
 from gesturekit.cli.evaluate_sanity import sanity
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
@@ -45,8 +46,10 @@ if TYPE_CHECKING:
 @click.option(
     "--baseline",
     metavar="NAMES",
-    help="Compare with motion made from the recordings: mean_pose (their mean pose, held still), "
-    "other_utterance (the recording of another utterance), or both, comma-separated.",
+    help="Compare with baselines, comma-separated: mean_pose (of the recordings, held still), "
+    "other_utterance (the recording of another utterance), retrieval (pieces of the training "
+    "recordings, chosen by the speech; with --corpus), speech_blind (GENERATED's model with the "
+    "speech of another recording; with --corpus).",
 )
 @click.option(
     "--corpus",
@@ -182,6 +185,13 @@ def command(
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
     answers = _answers(options["study"])
     folders = folders_of(names, reference, options)
+    baselines = comma_separated(options["baseline"])
+    temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
+    made = rendered_baselines(baselines, Path(place_of(generated)), temporary, options)
+    if clash := [name for name in made if name in folders]:
+        raise click.UsageError(f"baseline {clash[0]} has the name of a model; give it as NAME=DIR")
+    folders |= made
+    options["baseline"] = [name for name in baselines if name not in made]
     if answers:
         shared_models(list(folders), answers)  # before hours of measuring
     found = _evaluated(folders, recordings, options)
@@ -274,7 +284,7 @@ def _evaluated(
             semantic=options["semantic"],
             protocol=options["protocol"] or "",
             patches=PatchOptions(options["variant"], options["threshold"]),
-            baselines=comma_separated(options["baseline"]),
+            baselines=options["baseline"],
             features=None if features is None else FeatureModel.load(features),
             seed=options["seed"],
             workers=options["workers"] or os.cpu_count() or 1,
@@ -344,8 +354,6 @@ def _to_write(path: Path | None, existing: str) -> Path | None:
     Raises:
         UsageError: it cannot be written; raised before hours of measuring.
     """
-    import tempfile
-
     if path is None or is_left([path], existing):
         return None
     try:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from gesturekit.cli.options import resumable
+from gesturekit.wording import did_you_mean
 
 
 def _named(text: str) -> tuple[str | None, str]:
@@ -88,3 +89,59 @@ def _sample(
     with resumable(lambda: "With --existing skip the same command goes on."):
         for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
             pass
+
+
+RENDERED_BASELINES = ("retrieval", "speech_blind")
+"""Baselines that a model renders; see `gesturekit.rendering.baselines`."""
+
+
+def rendered_baselines(
+    names: Sequence[str], generated: Path, folder: Path, options: Mapping[str, Any]
+) -> dict[str, Path]:
+    """Return {name: folder of motion} of those baselines that a model renders.
+
+    Args:
+        names: all baselines that were asked for.
+        generated: the motion that is evaluated; its model is rendered with other speech.
+        folder: an empty folder for models and motion.
+        options: of the command line.
+
+    Raises:
+        UsageError: an unknown name, no manifest, or the model of `generated` is not known.
+    """
+    from gesturekit.evaluation.baselines import BASELINES
+    from gesturekit.progress import Progress
+    from gesturekit.rendering import baselines
+    from gesturekit.rendering.record import model_of_results
+    from gesturekit.systems import load
+
+    known = (*BASELINES, *RENDERED_BASELINES)
+    if unknown := [name for name in names if name not in known]:
+        hint = did_you_mean(unknown[0], known) or f"it is one of {', '.join(known)}."
+        raise click.UsageError(f"--baseline {unknown[0]!r}: {hint}")
+    wanted = [name for name in RENDERED_BASELINES if name in names]
+    corpus, split = options["corpus"], options["split"] or "test"
+    if wanted and corpus is None:
+        raise click.UsageError(
+            f"--baseline {wanted[0]} needs --corpus, which says what is for training"
+        )
+    found = {}
+    for name in wanted:
+        if name == "retrieval":
+            model = baselines.train_retrieval(corpus, folder / "run", seed=options["seed"])
+            sounds = baselines.sounds_of(corpus, split)
+        else:
+            model = model_of_results(generated) if generated.is_dir() else None
+            if model is None:
+                raise click.UsageError(
+                    f"--baseline {name} renders the model of {generated} again, which is only "
+                    "known of what gesturekit render wrote"
+                )
+            sounds = baselines.other_sounds(corpus, split)
+        found[name] = folder / name
+        files = baselines.render_baseline(
+            load(model, weights=options["weights"]), sounds, found[name], seed=options["seed"]
+        )
+        for _ in Progress(files, total=len(sounds), desc=name, unit="clip"):
+            pass
+    return found

@@ -84,7 +84,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["ours", "recordings", "baseline"], "such as --compare baseline"),
         (["ours", "recordings", "--compare", "baseline", "b c"], "--compare 'b c'"),
         (["a=ours", "recordings", "--compare", "a=baseline"], "two models are named a"),
-        (["ours", "recordings", "--baseline", "median"], "baseline 'median'; expected one of"),
+        (["ours", "recordings", "--baseline", "median"], "it is one of mean_pose, other"),
         (["ours", "recordings", "--compare", "ours"], "is named twice"),
         (["ours", "recordings", "--audio", "ours"], "no sound files"),
         (["ours", "recordings", "--features", "ours"], "ours"),
@@ -182,6 +182,54 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     own = {k: v for k, v in clip["figures"].items() if k not in ("copying", "novelty")}
     by_hand = {k: v for k, v in other["figures"].items() if k not in ("copying", "novelty")}
     assert by_hand == pytest.approx(own, rel=1e-4, abs=1e-4)
+
+
+def test_retrieval_and_a_model_that_hears_other_speech_are_peers(gesturekit, held_out, tmp_path):
+    root, items = held_out
+    about = ["--corpus", root / "corpus.jsonl"]
+    made = gesturekit(
+        "render", *about, "--split", "test", "--model", "demo", "--out", tmp_path / "m"
+    )
+    assert made.status == 0, made.err
+    done = gesturekit(
+        "evaluate", tmp_path / "m", *about, "--baseline", "speech_blind,mean_pose,retrieval",
+        "--json", tmp_path / "r.json",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    found = {m["label"]: m for m in json.loads((tmp_path / "r.json").read_text())["models"]}
+    assert [*found] == ["m", "retrieval", "speech_blind", "mean_pose"]
+    ((own,), (blind,), (pieces,)) = (
+        found[name]["clips"] for name in ("m", "speech_blind", "retrieval")
+    )
+    assert own["recording"] == blind["recording"] == pieces["recording"] == items["test"].id
+    # The same model, another motion; pieces come from the training split, as their rig does.
+    assert blind["figures"]["wrist_speed"] != own["figures"]["wrist_speed"]
+    assert pieces["figures"]["wrist_speed"] > 0
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["--baseline", "retrival"], "did you mean retrieval?"),
+        (["--baseline", "retrieval"], "--baseline retrieval needs --corpus"),
+    ],
+)
+def test_baselines_that_cannot_be_made_are_refused_first(gesturekit, folders, arguments, message):
+    done = gesturekit("evaluate", folders / "ours", folders / "recordings", *arguments)
+    assert done.status == 2 and message in done.err
+
+
+def test_a_model_that_is_not_known_cannot_hear_other_speech(gesturekit, held_out):
+    root, _ = held_out
+    done = gesturekit(
+        "evaluate",
+        root / "rendered",
+        "--corpus",
+        root / "corpus.jsonl",
+        "--baseline",
+        "speech_blind",
+    )
+    assert done.status == 2 and "only known of what gesturekit render wrote" in done.err
 
 
 def test_what_was_trained_on_is_warned_about(gesturekit, held_out, tmp_path):

@@ -19,7 +19,7 @@ from gesturekit.multires.training.kinematics import VectorKinematics
 SPEED_FLOOR = 0.05
 """Added to speeds before the logarithm, m/s on the reference body."""
 _SMOOTHING_SECONDS = 0.1
-_ARM_DETAIL, _TRUNK_DETAIL = 0.35, 0.7
+_ARM_DETAIL, _TRUNK_DETAIL = 0.35, 1.0
 """`MotionPart.full_detail` of an arm and of the trunk. Profiles give the trunk's movement as the
 hand speed of the same quantile."""
 _REST_LENGTH = 2.0

@@ -1,0 +1,41 @@
+"""Baselines that a model renders."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gesturekit.corpus import Manifest, prepare
+from gesturekit.errors import ConfigError
+from gesturekit.rendering.baselines import other_sounds, sounds_of
+
+
+def test_each_item_gets_the_sound_of_the_next_as_long_as_its_own(write_pair, tmp_path):
+    for number, seconds in enumerate((2.0, 5.0, 3.0)):
+        write_pair(tmp_path / "r", f"take{number}", seconds, seed=number)
+    manifest = tmp_path / "corpus.jsonl"
+    prepare([tmp_path / "r"], manifest, holdout=0.0)
+    own, other = sounds_of(manifest, "train"), other_sounds(manifest, "train")
+    assert [*own] == [*other] == ["take0", "take1", "take2"]
+    for name, following in (("take0", "take1"), ("take1", "take2"), ("take2", "take0")):
+        assert len(other[name].samples) == len(own[name].samples)
+        length = min(len(own[name].samples), len(own[following].samples))
+        np.testing.assert_array_equal(other[name].samples[:length], own[following].samples[:length])
+    # A shorter sound is repeated.
+    short = own["take0"].samples
+    np.testing.assert_array_equal(other["take2"].samples[len(short) :], short[:16000])
+
+
+def test_a_single_held_out_item_gets_training_speech_and_a_single_item_is_refused(
+    write_pair, tmp_path
+):
+    write_pair(tmp_path / "r", "take", 20.0, seed=1)
+    prepare([tmp_path / "r"], tmp_path / "cut.jsonl")
+    ((test,), (train,)) = (
+        Manifest.load(tmp_path / "cut.jsonl").paired(s) for s in ("test", "train")
+    )
+    other = other_sounds(tmp_path / "cut.jsonl", "test")[test.id]
+    np.testing.assert_array_equal(other.samples, train.load_wave().samples[: len(other.samples)])
+    prepare([tmp_path / "r"], tmp_path / "whole.jsonl", holdout=0.0)
+    with pytest.raises(ConfigError, match="another recording"):
+        other_sounds(tmp_path / "whole.jsonl", "train")
