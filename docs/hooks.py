@@ -26,6 +26,7 @@ PACKAGES = (
     "gesturekit.formats",
     "gesturekit.corpus",
     "gesturekit.evaluation",
+    "gesturekit.study",
     "gesturekit.postprocess",
     "gesturekit.viewer",
     "gesturekit.inspection",

@@ -185,13 +185,8 @@ def command(
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
     answers = _answers(options["study"])
     folders = folders_of(names, reference, options)
-    baselines = comma_separated(options["baseline"])
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
-    made = rendered_baselines(baselines, Path(place_of(generated)), temporary, options)
-    if clash := [name for name in made if name in folders]:
-        raise click.UsageError(f"baseline {clash[0]} has the name of a model; give it as NAME=DIR")
-    folders |= made
-    options["baseline"] = [name for name in baselines if name not in made]
+    folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
     if answers:
         shared_models(list(folders), answers)  # before hours of measuring
     found = _evaluated(folders, recordings, options)
@@ -284,7 +279,9 @@ def _evaluated(
             semantic=options["semantic"],
             protocol=options["protocol"] or "",
             patches=PatchOptions(options["variant"], options["threshold"]),
-            baselines=options["baseline"],
+            baselines=[
+                name for name in comma_separated(options["baseline"]) if name not in folders
+            ],
             features=None if features is None else FeatureModel.load(features),
             seed=options["seed"],
             workers=options["workers"] or os.cpu_count() or 1,

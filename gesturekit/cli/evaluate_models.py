@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from gesturekit.cli.options import resumable
+from gesturekit.cli.options import comma_separated, resumable
 from gesturekit.wording import did_you_mean
 
 
@@ -96,18 +96,19 @@ RENDERED_BASELINES = ("retrieval", "speech_blind")
 
 
 def rendered_baselines(
-    names: Sequence[str], generated: Path, folder: Path, options: Mapping[str, Any]
+    generated: Path, models: Mapping[str, Path], folder: Path, options: Mapping[str, Any]
 ) -> dict[str, Path]:
-    """Return {name: folder of motion} of those baselines that a model renders.
+    """Return {name: folder of motion} of those `--baseline`s that a model renders.
 
     Args:
-        names: all baselines that were asked for.
         generated: the motion that is evaluated; its model is rendered with other speech.
+        models: the models that are compared, by label.
         folder: an empty folder for models and motion.
         options: of the command line.
 
     Raises:
-        UsageError: an unknown name, no manifest, or the model of `generated` is not known.
+        UsageError: an unknown name or that of a model, no manifest, or the model of `generated` is
+            not known.
     """
     from gesturekit.evaluation.baselines import BASELINES
     from gesturekit.progress import Progress
@@ -115,11 +116,14 @@ def rendered_baselines(
     from gesturekit.rendering.record import model_of_results
     from gesturekit.systems import load
 
+    names = comma_separated(options["baseline"])
     known = (*BASELINES, *RENDERED_BASELINES)
     if unknown := [name for name in names if name not in known]:
         hint = did_you_mean(unknown[0], known) or f"it is one of {', '.join(known)}."
         raise click.UsageError(f"--baseline {unknown[0]!r}: {hint}")
     wanted = [name for name in RENDERED_BASELINES if name in names]
+    if clash := [name for name in wanted if name in models]:
+        raise click.UsageError(f"baseline {clash[0]} has the name of a model; give it as NAME=DIR")
     corpus, split = options["corpus"], options["split"] or "test"
     if wanted and corpus is None:
         raise click.UsageError(

@@ -144,8 +144,9 @@ class SpeechConditioner:
 
     @property
     def prosody(self) -> tuple[int, ...]:
-        """Columns of `af.Prosody`; empty without that extractor."""
-        return tuple(i for i, name in enumerate(self._names) if name in af.Prosody().names)
+        """Columns of `af.Prosody` and `af.Liveliness`; empty without these extractors."""
+        own = {*af.Prosody().names, *af.Liveliness().names}
+        return tuple(i for i, name in enumerate(self._names) if name in own)
 
     @property
     def acoustic(self) -> tuple[int, ...]:

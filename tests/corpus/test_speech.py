@@ -160,6 +160,8 @@ def test_only_wide_extractors_are_reduced_and_effort_never():
         np.testing.assert_array_equal(after[:, : len(kept)], before[:, kept])
         assert reduced.effort == plain.effort == (0, 1, 2)
         assert reduced.acoustic == tuple(range(len(kept)))
+    ranged = fitted(heard, af.Stack([af.LogMel(n_mels=4), af.Liveliness(), af.Prosody()]))
+    assert ranged.prosody == (4, 5, 6, 7, 8, 9) and ranged.effort == ()
     # Effort that follows what is reduced.
     behind = fitted(heard, af.Stack(parts[::-1]))
     raw = [extract(wave, behind.extractor, 25.0, "mean") for wave in heard]

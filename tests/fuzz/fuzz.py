@@ -18,6 +18,7 @@ import faulthandler
 import hashlib
 import importlib.util
 import json
+import logging
 import os
 import re
 import resource
@@ -255,6 +256,7 @@ def main() -> None:
     parser.add_argument("--inside", action="store_true", help="all targets in this process")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    logging.disable(logging.CRITICAL)
     if options.engine == "auto":
         options.engine = "atheris" if importlib.util.find_spec("atheris") else "own"
     if options.inside and options.engine == "atheris":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -333,4 +332,3 @@ TARGETS = {
 }
 for _name in [name for name in TARGETS if name.startswith(("model_", "config_", "http"))]:
     TARGETS[_name] = replace(TARGETS[_name], is_slow=True)
-logging.disable(logging.CRITICAL)
