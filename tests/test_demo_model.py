@@ -106,11 +106,17 @@ def test_silence_moves_less_than_speech(model, speech):
 
 
 def test_twenty_decibels_quieter_is_the_same_motion(model, speech):
-    loud = model.generate(speech)
-    # Quantised as in a 16-bit file.
-    quiet = np.round(speech.samples * 0.1 * 32768) / 32768
-    soft = model.generate(af.Wave(quiet.astype(np.float32), speech.sample_rate, None))
-    assert np.degrees(rotation_angles(loud.rotations, soft.rotations).max()) < 2.0
+    quiet = speech.samples * np.float32(0.1)
+    # As in a 16-bit file. Rounding may change the choice of a recalled piece, but seldom does.
+    rounded = np.round(quiet * 32768) / np.float32(32768)
+
+    def change(samples: np.ndarray, seed: int) -> float:
+        soft = model.generate(af.Wave(samples, speech.sample_rate), seed=seed)
+        loud = model.generate(speech, seed=seed)
+        return np.degrees(rotation_angles(loud.rotations, soft.rotations).max())
+
+    assert change(quiet, 0) < 0.01
+    assert np.median([change(rounded, seed) for seed in range(3)]) < 0.1
 
 
 def test_livelier_speech_moves_the_arms_more(model, say):
