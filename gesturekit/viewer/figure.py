@@ -103,11 +103,11 @@ class Figure:
         return max(min(float(self.hand_speed.max()), usual), 1e-6)
 
     @classmethod
-    def of(cls, motion: Motion) -> Figure:
+    def of(cls, motion: Motion, plain: bool = False) -> Figure:
         """Compute the figure of a motion, on any skeleton.
 
         Implausible end sites are not drawn. A skeleton whose parts cannot be identified is drawn
-        with plain limbs.
+        with plain limbs, as every skeleton is if `plain`, which also leaves out the head.
         """
         try:
             parts = find_parts(motion.skeleton)
@@ -118,8 +118,8 @@ class Figure:
         ends = real_end_sites(motion.skeleton)
         motion = replace(motion, skeleton=replace(motion.skeleton, end_sites=ends))
         points = _Points(motion)
-        head = _head(points, parts, height) if parts and parts.head else None
-        limbs = _limbs(points, parts, height)
+        head = _head(points, parts, height) if parts and parts.head and not plain else None
+        limbs = _limbs(points, None if plain else parts, height)
         drawn = points.stacked()
         return cls(
             points=drawn,

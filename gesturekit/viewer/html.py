@@ -8,12 +8,10 @@ from frame to frame and deflated; ten minutes at 60 fps with 75 joints come to a
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 import os
 import re
-import zlib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -24,12 +22,12 @@ import numpy as np
 from audio_features import Wave
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import GestureKitError, MotionError
-from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer import tracks
 from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.skin import Skin, steady_turns
+from gesturekit.viewer.page_skin import add_skins, base64_text, packed
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
+from gesturekit.viewer.worn import Worn
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -47,6 +45,7 @@ def write_html(
     *,
     audio: str | os.PathLike[str] | Wave | None = None,
     title: str | None = None,
+    body: str | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
 ) -> None:
     """Write a page that plays a motion: open it by a double click, send it by mail.
@@ -56,6 +55,7 @@ def write_html(
         path: the .html file to write.
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         title: the page's heading; the file's stem by default.
+        body: "mannequin" (by default), "human" or "skeleton"; see `gesturekit.viewer.worn`.
         body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs;
             the motion is put on its rig.
 
@@ -63,7 +63,7 @@ def write_html(
     sound, FormatError where `body_model` is none.
     """
     path = Path(path)
-    text = page_text(motion, audio, title if title is not None else path.stem, body_model)
+    text = page_text(motion, audio, title if title is not None else path.stem, body_model, body)
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -73,9 +73,10 @@ def page_text(
     audio: str | os.PathLike[str] | Wave | None,
     title: str,
     body_model: BodyModel | str | os.PathLike[str] | None,
+    body: str | None = None,
 ) -> str:
     """Return the page that `write_html` writes."""
-    places = {"title": html.escape(title), "motion": player_data(motion, audio, body_model)}
+    places = {"title": html.escape(title), "motion": player_data(motion, audio, body_model, body=body)}
     return _fill(player_shell(), places)
 
 
@@ -96,6 +97,7 @@ def player_data(
     audio: str | os.PathLike[str] | Wave | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     colours: Mapping[str, str] | None = None,
+    body: str | None = None,
 ) -> str:
     """Return the JSON for `{{motion}}` of `player_shell`; arguments as for `write_html`.
 
@@ -106,11 +108,9 @@ def player_data(
     motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
     if not motions:
         raise MotionError("no motion to show: the mapping of motions is empty")
-    body = None
-    if body_model is not None:
-        body = BodyModel.of(body_model)
-        motions = {label: fit_body(motion, body) for label, motion in motions.items()}
-    page = _page(motions, None if audio is None else as_sound(audio), body)
+    model = None if body_model is None else BodyModel.of(body_model)
+    shown = {label: Worn.of(motion, body, model) for label, motion in motions.items()}
+    page = _page(shown, None if audio is None else as_sound(audio))
     for figure in page["figures"]:
         if colours is not None and figure["label"] in colours:
             figure["ink"] = colours[figure["label"]]
@@ -138,22 +138,13 @@ def _json(page: dict[str, Any]) -> str:
     return json.dumps(page, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def _page(motions: Mapping[str, Motion], audio: Any, body: BodyModel | None) -> dict[str, Any]:
-    figures = {label: Figure.of(motion) for label, motion in motions.items()}
-    page = {
+def _page(shown: Mapping[str, Worn], audio: Any) -> dict[str, Any]:
+    page: dict[str, Any] = {
         "format": 1,
-        "height": max(figure.height for figure in figures.values()),
-        "figures": [_figure(label, motions[label], figure) for label, figure in figures.items()],
+        "height": max(worn.figure.height for worn in shown.values()),
+        "figures": [_figure(label, worn.motion, worn.figure) for label, worn in shown.items()],
     }
-    if body is not None:
-        skin = Skin.of(body)
-        page["skin"] = {
-            "faces": _base64(skin.faces.astype("<u4").tobytes()),
-            "joints": _base64(skin.joints.tobytes()),
-            "weights": _base64(skin.weights.tobytes()),
-        }
-        for figure, motion in zip(page["figures"], motions.values()):
-            figure["skin"] = _skin(motion, body)
+    add_skins(page, list(shown.values()))
     if audio is not None:
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
         sound = Sound.of(audio)
@@ -165,7 +156,7 @@ def _page(motions: Mapping[str, Motion], audio: Any, body: BodyModel | None) -> 
             "onsets": _times(tracks.onsets(wave)),
             "spectrum": {"bands": tracks.BANDS, "rate": rate, "values": _levels(spectrum)},
         }
-        page["audio"] = {"type": sound.type, "data": _base64(sound.data)}
+        page["audio"] = {"type": sound.type, "data": base64_text(sound.data)}
     return page
 
 
@@ -184,9 +175,9 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         "n_frames": len(points),
         "n_points": points.shape[1],
         "n_joints": motion.skeleton.n_joints,
-        "root": _base64(np.ascontiguousarray(root, "<f4").tobytes()),
+        "root": base64_text(np.ascontiguousarray(root, "<f4").tobytes()),
         "step": step,
-        "points": _base64(_pack(np.rint(relative / step).astype(np.int64))),
+        "points": base64_text(packed(np.rint(relative / step))),
         "limbs": [
             {
                 "ends": limb.ends,
@@ -200,7 +191,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         ],
         "head": vars(figure.head) if figure.head else None,
         "hands": figure.hands,
-        "contacts": None if contacts is None else _base64(contacts.tobytes()),
+        "contacts": None if contacts is None else base64_text(contacts.tobytes()),
         "beats": _times(tracks.motion_beats(figure.hand_speed, figure.fps)),
         "speed": {
             "of": figure.speed_of,
@@ -208,25 +199,6 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
             "values": _levels(figure.hand_speed / peak),
         },
     }
-
-
-def _skin(motion: Motion, body: BodyModel) -> dict[str, Any]:
-    """Return the body at rest, and the joint rotations of every frame."""
-    betas = motion.info.get("betas")
-    turns = np.rint(steady_turns(motion) * 32_767).astype(np.int64)
-    return {
-        "vertices": _base64(body.vertices_at_rest(betas).astype("<f4").tobytes()),
-        "joints": _base64(body.joints_at_rest(betas).astype("<f4").tobytes()),
-        "turns": _base64(_pack(turns)),
-    }
-
-
-def _pack(steps: np.ndarray) -> bytes:
-    """Deflate whole numbers (T, ...) of 16 bits: see `unpack` in player/data.js."""
-    channels = steps.reshape(len(steps), -1).T
-    difference = np.diff(channels, axis=1, prepend=0) & 0xFFFF
-    planes = np.stack([difference & 0xFF, difference >> 8]).astype(np.uint8)
-    return zlib.compress(planes.tobytes(), 6)
 
 
 def _short(length: float) -> float:
@@ -240,8 +212,4 @@ def _times(seconds: np.ndarray) -> list[float]:
 
 def _levels(values: np.ndarray) -> str:
     """Encode values (N,) from 0 to 1 as bytes in base64."""
-    return _base64(np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).tobytes())
-
-
-def _base64(data: bytes) -> str:
-    return base64.b64encode(data).decode("ascii")
+    return base64_text(np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).tobytes())

@@ -44,9 +44,10 @@ def display(
     title: str = "",
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     height: int = 640,
+    body: str | None = None,
 ) -> Display:
     """Return the player of one motion, or of {label: motion}, for a notebook.
 
     Arguments and errors are those of `write_html`; `height` is in pixels.
     """
-    return Display(page_text(motion, audio, title, body_model), int(height))
+    return Display(page_text(motion, audio, title, body_model, body), int(height))

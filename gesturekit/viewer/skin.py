@@ -20,22 +20,29 @@ INFLUENCES = 4
 """Joints that move a vertex, as many as WebGL's vertex shaders take at once."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Skin:
-    """The mesh of a body model.
+    """Mesh of a body at rest, and the joints that move it.
 
     Attributes:
-        faces: (F, 3) uint32.
+        vertices: (V, 3) at rest, metres.
+        faces: (F, 3) uint32, counter-clockwise from outside.
         joints: (V, 4) uint8, indices of the joints that move a vertex.
-        weights: (V, 4) uint8, their weights, in units of 1/255.
+        weights: (V, 4) uint8, their weights, in units of 1/255; those that are 0 come last.
+        rest: (J, 3) joints at rest, metres.
+        regions: (V,) uint8, the part of the surface that gives a vertex its colour; None for a
+            body of one colour.
     """
 
+    vertices: np.ndarray
     faces: np.ndarray
     joints: np.ndarray
     weights: np.ndarray
+    rest: np.ndarray
+    regions: np.ndarray | None = None
 
     @classmethod
-    def of(cls, body: BodyModel) -> Skin:
+    def of(cls, body: BodyModel, betas: np.ndarray | None = None) -> Skin:
         """Return the mesh with the four greatest weights of each vertex, scaled to a sum of one."""
         n_joints = min(INFLUENCES, body.n_joints)
         joints = np.argsort(-body.weights, axis=1, kind="stable")[:, :n_joints]
@@ -44,10 +51,27 @@ class Skin:
         weights[:, 0] += 255 - weights.sum(axis=1)  # what rounding took or gave
         padding = ((0, 0), (0, INFLUENCES - n_joints))
         return cls(
+            vertices=body.vertices_at_rest(betas),
             faces=body.faces.astype(np.uint32),
             joints=np.pad(joints, padding).astype(np.uint8),
             weights=np.pad(weights, padding).astype(np.uint8),
+            rest=body.joints_at_rest(betas),
         )
+
+    def normals(self) -> np.ndarray:
+        """Return unit normals (V, 3) at rest: the mean of the adjacent faces' by area.
+
+        Vertices at one place, which belong to several regions, share theirs.
+        """
+        _, same = np.unique(self.vertices, axis=0, return_inverse=True)
+        corners = same.reshape(-1)[self.faces]
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        of_faces = np.cross(b - a, c - a)
+        total = np.zeros((int(same.max(initial=-1)) + 1, 3))
+        for k in range(3):
+            np.add.at(total, corners[:, k], of_faces)
+        total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+        return total[same.reshape(-1)]
 
 
 def steady_turns(motion: Motion) -> np.ndarray:

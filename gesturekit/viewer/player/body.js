@@ -60,7 +60,7 @@ export class Body extends Group {
     if (figure.skin) {
       this.bones = [];
       this.skin = new Skin(figure, material(palette.middle));
-      this.add(this.skin, ...this.skin.skeleton.bones);
+      this.add(this.skin);
       return;
     }
     const skins = [material(palette.middle), material(palette.left), material(palette.right)];

@@ -37,11 +37,35 @@ async function points(figure) {
   return { steps, root, step, channels };
 }
 
-// A skin at rest; four numbers of `turns` are a joint's quaternion.
-async function skin({ n_frames: frames, n_joints: count, skin }, shared) {
+// A mesh at rest, in steps from its middle.
+async function level({ n_vertices, n_faces, middle, step, ...packed }) {
+  const steps = await unpack(packed.vertices, n_vertices, 3);
+  const small = async (text) => inflate(bytes(text));
   return {
-    ...shared,
-    vertices: new Float32Array(bytes(skin.vertices).buffer),
+    vertices: Float32Array.from(steps, (value, i) => middle[i % 3] + step * value),
+    faces: new Uint16Array((await unpack(packed.faces, n_faces, 3)).buffer),
+    joints: await small(packed.joints),
+    weights: await small(packed.weights),
+    regions: await small(packed.regions),
+  };
+}
+
+// Meshes that all figures share: those of a body model, or all levels of detail of the human body.
+async function meshes(skin) {
+  if (skin.levels) return Promise.all(skin.levels.map(level));
+  const faces = new Uint32Array(bytes(skin.faces).buffer);
+  return [{ faces, joints: bytes(skin.joints), weights: bytes(skin.weights) }];
+}
+
+// A figure's skin at rest, finest level first; four numbers of `turns` are a joint's quaternion.
+async function skin({ n_frames: frames, n_joints: count, skin }, shared) {
+  const { scale, palette } = skin;
+  const sized = (mesh) => (
+    skin.vertices ? new Float32Array(bytes(skin.vertices).buffer) : mesh.vertices.map((x) => scale * x)
+  );
+  return {
+    palette,
+    levels: shared.map((mesh) => ({ ...mesh, vertices: sized(mesh) })),
     rest: new Float32Array(bytes(skin.joints).buffer),
     turns: await unpack(skin.turns, frames, 4 * count),
   };
@@ -49,11 +73,7 @@ async function skin({ n_frames: frames, n_joints: count, skin }, shared) {
 
 export async function read(element) {
   const page = JSON.parse(element.textContent);
-  const shared = page.skin && {
-    faces: new Uint32Array(bytes(page.skin.faces).buffer),
-    joints: bytes(page.skin.joints),
-    weights: bytes(page.skin.weights),
-  };
+  const shared = page.skin && (await meshes(page.skin));
   for (const figure of page.figures) {
     if (figure.skin) figure.skin = await skin(figure, shared);
     Object.assign(figure, await points(figure));

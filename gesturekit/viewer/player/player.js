@@ -206,6 +206,7 @@ async function main() {
     show(clock.time);
     if (clock.playing !== wasPlaying) showPlaying();
     stage.setMoving(clock.playing);
+    for (const body of bodies) body.skin?.setCoarse(stage.slow && clock.playing);
     stage.draw();
     requestAnimationFrame(draw);
   });

@@ -1,7 +1,8 @@
 // A body's skin, moved by the joints of its figure: linear blend skinning, done by three.js.
 
 import {
-  Bone, BufferAttribute, BufferGeometry, Matrix4, Quaternion, Skeleton, SkinnedMesh, Vector3,
+  Bone, BufferAttribute, BufferGeometry, Color, Group, Matrix4, Quaternion, Skeleton, SkinnedMesh,
+  Vector3,
 } from "three";
 import { turns } from "./data.js";
 
@@ -9,35 +10,60 @@ const ONE = new Vector3(1, 1, 1);
 const PLACE = new Vector3();
 const TURN = new Quaternion();
 
-export class Skin extends SkinnedMesh {
+// Colours of vertices (RGB) from the regions of the surface that they belong to.
+function colours(regions, palette) {
+  const rgb = palette.map((hex) => new Color(hex).toArray());
+  return new BufferAttribute(Float32Array.from([...regions].flatMap((region) => rgb[region])), 3);
+}
+
+function geometry({ vertices, faces, joints, weights, regions }, palette) {
+  const shape = new BufferGeometry();
+  shape.setAttribute("position", new BufferAttribute(vertices, 3));
+  shape.setAttribute("skinIndex", new BufferAttribute(joints, 4));
+  shape.setAttribute("skinWeight", new BufferAttribute(weights, 4, true));
+  if (regions) shape.setAttribute("color", colours(regions, palette));
+  shape.setIndex(new BufferAttribute(faces, 1));
+  shape.computeVertexNormals();
+  return shape;
+}
+
+export class Skin extends Group {
   constructor(figure, material) {
-    const { vertices, faces, joints, weights, rest } = figure.skin;
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(vertices, 3));
-    geometry.setAttribute("skinIndex", new BufferAttribute(joints, 4));
-    geometry.setAttribute("skinWeight", new BufferAttribute(weights, 4, true));
-    geometry.setIndex(new BufferAttribute(faces, 1));
-    geometry.computeVertexNormals();
-    super(geometry, material);
-    const bones = [];
+    super();
+    const { levels, palette, rest } = figure.skin;
     const inverses = [];
+    this.bones = [];
     for (let j = 0; j < rest.length / 3; j++) {
       const bone = new Bone();
       bone.matrixAutoUpdate = false;
-      bones.push(bone);
+      this.bones.push(bone);
       inverses.push(new Matrix4().makeTranslation(-rest[3 * j], -rest[3 * j + 1], -rest[3 * j + 2]));
     }
     this.figure = figure;
-    this.turns = new Float32Array(4 * bones.length);
-    this.castShadow = this.receiveShadow = true;
-    this.frustumCulled = false;
-    this.bind(new Skeleton(bones, inverses), new Matrix4());
+    this.turns = new Float32Array(4 * this.bones.length);
+    const skeleton = new Skeleton(this.bones, inverses);
+    if (palette) Object.assign(material, { vertexColors: true, color: new Color("white") });
+    this.levels = levels.map((level) => {
+      const mesh = new SkinnedMesh(geometry(level, palette), material);
+      mesh.castShadow = mesh.receiveShadow = true;
+      mesh.frustumCulled = false;
+      mesh.bind(skeleton, new Matrix4());
+      return mesh;
+    });
+    this.add(...this.levels, ...this.bones);
+    this.setCoarse(false);
+  }
+
+  // Draw few vertices, or all.
+  setCoarse(coarse) {
+    const shown = coarse ? this.levels.length - 1 : 0;
+    this.levels.forEach((mesh, k) => { mesh.visible = k === shown; });
   }
 
   // Each joint carries its frame to the world; the figure's first points are its joints.
   place(points, time) {
     turns(this.figure, time, this.turns);
-    this.skeleton.bones.forEach((bone, j) => {
+    this.bones.forEach((bone, j) => {
       PLACE.fromArray(points, 3 * j);
       bone.matrix.compose(PLACE, TURN.fromArray(this.turns, 4 * j).normalize(), ONE);
       bone.matrixWorldNeedsUpdate = true;

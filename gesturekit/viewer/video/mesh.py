@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.figure import Figure, Head, Limb
+from gesturekit.viewer.human.body import palette_of
 from gesturekit.viewer.skin import INFLUENCES, Skin, steady_turns
-
-if TYPE_CHECKING:
-    from gesturekit.motion import Motion
+from gesturekit.viewer.worn import Worn
 
 COLOURS = {MIDDLE: (233, 228, 218), LEFT: (232, 138, 98), RIGHT: (93, 151, 191)}
 """Colours of the sides of the body, RGB, as in the page."""
@@ -97,21 +94,24 @@ class Mannequin:
 
 
 class SkinnedBody:
-    """Skin of a body model on its motion, with linear blend skinning of four joints a vertex.
+    """Skin on a motion, with linear blend skinning of four joints a vertex.
 
     Attributes:
         mesh: part k is joint k.
     """
 
-    def __init__(self, motion: Motion, body: BodyModel, figure: Figure) -> None:
-        skin, betas = Skin.of(body), motion.info.get("betas")
-        rest = body.vertices_at_rest(betas)
-        self._figure, self._turns = figure, steady_turns(motion)
-        self._rest = body.joints_at_rest(betas)
+    def __init__(self, worn: Worn, skin: Skin, top: tuple[int, int, int] | None = None) -> None:
+        """Prepare one of the skins of `worn`; `top` is the colour of its clothes."""
+        self._figure, self._turns = worn.figure, steady_turns(worn.motion)
+        self._rest = worn.scale * skin.rest
+        palette = np.array([COLOURS[MIDDLE]])
+        if skin.regions is not None:
+            palette = np.array(list(palette_of(top).values()))
+        regions = np.zeros(len(skin.vertices), int) if skin.regions is None else skin.regions
         self.mesh = Mesh(
-            rest.astype(np.float32),
-            _normals(rest, skin.faces).astype(np.float32),
-            np.full(rest.shape, COLOURS[MIDDLE], np.float32),
+            (worn.scale * skin.vertices).astype(np.float32),
+            skin.normals().astype(np.float32),
+            palette[regions].astype(np.float32),
             skin.joints.astype(np.int32),
             (skin.weights / 255).astype(np.float32),
             skin.faces.astype(np.int32),
@@ -222,13 +222,3 @@ def _joined(pieces: list[_Piece], owners: list[int]) -> Mesh:
         weights,
         np.concatenate([nothing, *faces]).astype(np.int32),
     )
-
-
-def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return unit normals (V, 3): the mean of the adjacent faces' by area."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    of_faces = np.cross(b - a, c - a)
-    normals = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(normals, faces[:, k], of_faces)
-    return _unit(normals)[0]

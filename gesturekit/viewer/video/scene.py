@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gesturekit.formats.smpl.skeleton import fit_body
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.human.body import TOPS
 from gesturekit.viewer.video import raster
 from gesturekit.viewer.video.camera import Camera
 from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
-
-if TYPE_CHECKING:
-    from gesturekit.motion import Motion
+from gesturekit.viewer.worn import Worn
 
 _SUN = np.array([1.0, 2.6, 1.0])
 """Direction to the sun from a body that faces +Z."""
@@ -53,13 +48,22 @@ class Scene:
         duration: seconds of its motion.
     """
 
-    def __init__(self, motion: Motion, body: BodyModel | None, aspect: float) -> None:
-        """Prepare a motion; `body` is worn in place of limbs, `aspect` is width by height."""
-        motion = motion if body is None else fit_body(motion, body)
-        figure = Figure.of(motion)
-        self.duration = motion.duration
+    def __init__(self, worn: Worn, aspect: float, level: int = 0, index: int = 0) -> None:
+        """Prepare a motion on its body.
+
+        Args:
+            worn: the motion.
+            aspect: width by height of the panel.
+            level: of the skin, the last one if there are fewer.
+            index: of the panel; clothes have another colour in each.
+        """
+        figure = worn.figure
+        self.duration = worn.motion.duration
         self._figure = figure
-        self._body = Mannequin(figure) if body is None else SkinnedBody(motion, body, figure)
+        self._body: Mannequin | SkinnedBody = Mannequin(figure)
+        if worn.skins:
+            skin = worn.skins[min(level, len(worn.skins) - 1)]
+            self._body = SkinnedBody(worn, skin, TOPS[index % len(TOPS)])
         self._camera = Camera(figure, aspect)
         cos, sin = np.cos(figure.front), np.sin(figure.front)
         turned = np.array(

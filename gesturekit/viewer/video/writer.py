@@ -21,6 +21,7 @@ from gesturekit.viewer.sound import as_sound
 from gesturekit.viewer.video import caption
 from gesturekit.viewer.video.encoder import encode, require_encoder
 from gesturekit.viewer.video.scene import Buffers, Scene
+from gesturekit.viewer.worn import Worn
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 SIZES = {"720p": (1280, 720), "1080p": (1920, 1080)}
 """Width and height of a picture by its name."""
 _USUAL_RATE = 30.0
+_LEVELS = (3, 7)
+"""Numbers of panels from which bodies are drawn with fewer vertices, and with fewer still."""
 _TEXT = 0.028
 """Size of the letters as a share of the picture's height."""
 
@@ -38,6 +41,7 @@ def write_video(
     *,
     audio: str | os.PathLike[str] | Wave | None = None,
     title: str | None = None,
+    body: str | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
     size: str = "720p",
     fps: float | None = None,
@@ -52,6 +56,7 @@ def write_video(
         path: the .mp4 file to write.
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         title: written in the corner of a single motion; the file's stem by default.
+        body: "mannequin" (by default), "human" or "skeleton", see `gesturekit.viewer.worn`.
         body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs.
         size: "720p" or "1080p".
         fps: frames per second; by default the fastest motion's, at most 30.
@@ -78,9 +83,9 @@ def write_video(
     if audio is not None:
         audio = as_sound(audio)
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
-    picture = _Picture(
-        motions, SIZES[size], None if body_model is None else BodyModel.of(body_model)
-    )
+    model = None if body_model is None else BodyModel.of(body_model)
+    worn = {label: Worn.of(motion, body, model) for label, motion in motions.items()}
+    picture = _Picture(worn, SIZES[size])
     seconds = max(picture.duration, wave.duration if wave else 0.0)
     n_frames = max(1, int(seconds * fps + 0.5))
     with atomic_write(path) as temporary:
@@ -102,22 +107,21 @@ class _Picture:
         duration: of the longest motion, seconds.
     """
 
-    def __init__(
-        self, motions: Mapping[str, Motion], size: tuple[int, int], body: BodyModel | None
-    ) -> None:
+    def __init__(self, shown: Mapping[str, Worn], size: tuple[int, int]) -> None:
         self.size = size
-        n_columns = min(len(motions), 3 if len(motions) != 4 else 2)
-        n_rows = -(-len(motions) // n_columns)
+        n_columns = min(len(shown), 3 if len(shown) != 4 else 2)
+        n_rows = -(-len(shown) // n_columns)
+        level = int(np.searchsorted(_LEVELS, n_columns * n_rows, side="right"))
         columns, rows = (
             np.linspace(0, whole, n + 1).astype(int)
             for whole, n in zip(size, (n_columns, n_rows), strict=True)
         )
         self._panels = []
-        for k, (label, motion) in enumerate(motions.items()):
+        for k, (label, worn) in enumerate(shown.items()):
             row, column = divmod(k, n_columns)
             area = (slice(rows[row], rows[row + 1]), slice(columns[column], columns[column + 1]))
             aspect = (area[1].stop - area[1].start) / (area[0].stop - area[0].start)
-            self._panels.append(_Panel(label, Scene(motion, body, aspect), area))
+            self._panels.append(_Panel(label, Scene(worn, aspect, level, k), area))
         self.duration = max(panel.scene.duration for panel in self._panels)
         # An empty panel is like the background.
         self._blank = np.full((size[1], size[0], 3), 245, np.uint8)

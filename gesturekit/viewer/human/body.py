@@ -1,0 +1,179 @@
+"""The baked human body: its rig, its skins, and how a motion is put on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.archive import Archive, open_archive
+from gesturekit.errors import FormatError
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.body_size import body_height
+from gesturekit.motion.retarget import retarget
+from gesturekit.motion.rotations import (
+    IDENTITY,
+    invert_quaternions,
+    multiply_quaternions,
+    shortest_arc,
+)
+from gesturekit.viewer.skin import Skin
+
+FILE = Path(__file__).with_name("human.npz")
+COLOURS = {
+    "skin": (224, 186, 160),
+    "hair": (74, 58, 50),
+    "top": (93, 128, 168),
+    "trousers": (66, 76, 94),
+    "shoes": (48, 50, 56),
+    "eye": (240, 240, 238),
+    "iris": (58, 46, 42),
+}
+"""RGB of each region of the surface, in the order of bake.py's REGIONS."""
+TOPS = ((93, 128, 168), (94, 138, 112), (164, 104, 126), (138, 124, 92))
+"""RGB of the clothes of the figures of a page or video, in their order."""
+_LEVELS = 3
+_TWIST = "Twist"
+_MAX_JOINTS = 256
+
+
+def palette_of(top: tuple[int, int, int] | None = None) -> dict[str, tuple[int, int, int]]:
+    """Return the colours of all regions, with another colour of the clothes if `top` is given."""
+    return COLOURS if top is None else COLOURS | {"top": top}
+
+
+def is_baked() -> bool:
+    """Tell whether the body was baked when gesturekit was set up."""
+    return FILE.is_file()
+
+
+@dataclass(frozen=True, eq=False)
+class Human:
+    """The body of an average adult, 1.66 m tall, with its arms lowered.
+
+    Attributes:
+        skeleton: J joints with fingers; joints named "...Twist" follow the rotation of the bone
+            that they are at, or of the hand, about the bone's axis by half.
+        skins: from the finest to the coarsest.
+    """
+
+    skeleton: Skeleton
+    skins: tuple[Skin, ...]
+
+    @classmethod
+    def load(cls) -> Human:
+        """Read the baked body; it is cached.
+
+        Raises:
+            FormatError: it was not baked.
+        """
+        return _loaded()
+
+    def wear(self, motion: Motion) -> tuple[Motion, float]:
+        """Return a motion on this body, scaled to the height of the motion's own, and the scale.
+
+        Raises:
+            MotionError: body parts of the motion's rig cannot be found.
+        """
+        plain = _without_twists(self.skeleton)
+        scale = body_height(motion.skeleton) / body_height(plain)
+        moved = retarget(motion, _scaled(plain, scale), pose=_t_pose(plain))
+        rig, n_plain = _scaled(self.skeleton, scale), plain.n_joints
+        rotations = np.tile(IDENTITY, (motion.n_frames, rig.n_joints, 1))
+        rotations[:, :n_plain] = moved.rotations
+        for joint in range(n_plain, rig.n_joints):
+            _share_twist(rig, joint, rotations)
+        return replace(moved, skeleton=rig, rotations=rotations), scale
+
+
+def _without_twists(rig: Skeleton) -> Skeleton:
+    count = sum(not name.endswith(_TWIST) for name in rig.names)
+    return Skeleton(rig.names[:count], rig.parents[:count], rig.offsets[:count], rig.end_sites)
+
+
+def _scaled(skeleton: Skeleton, scale: float) -> Skeleton:
+    ends = {
+        name: tuple(scale * site for site in sites) for name, sites in skeleton.end_sites.items()
+    }
+    return replace(skeleton, offsets=scale * skeleton.offsets, end_sites=ends)
+
+
+def _t_pose(rig: Skeleton) -> np.ndarray:
+    """Return (J, 4) local rotations of the body with straight arms to its sides.
+
+    The elbows unbend about their own axes, so that bent elbows of any rig bend about them too.
+    """
+    pose = np.tile(IDENTITY, (rig.n_joints, 1))
+    for side, out in (("Left", 1.0), ("Right", -1.0)):
+        arm, fore, hand = (rig.index(side + bone) for bone in ("Arm", "ForeArm", "Hand"))
+        upper, lower = (_unit(rig.offsets[joint]) for joint in (fore, hand))
+        pose[fore] = shortest_arc(lower, upper)
+        pose[arm] = shortest_arc(upper, np.array([out, 0.0, 0.0]))
+    return pose
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)
+
+
+def _share_twist(rig: Skeleton, joint: int, rotations: np.ndarray) -> None:
+    """Set the local rotation of a twist joint in `rotations` (T, J, 4); no joint moves by it.
+
+    At an upper arm it undoes half of the arm's own twist, so that the skin at the shoulder follows
+    less. A forearm gives its twist to the hand, as a forearm's bones do, and the twist joint takes
+    half of the hand's.
+    """
+    bone = rig.parents[joint]
+    below = next(j for j in rig.children(bone) if j != joint)
+    axis = _unit(rig.offsets[below])
+    own = _about(axis, _angles(axis, rotations[:, bone]))
+    if rig.names[bone].endswith("ForeArm"):
+        rotations[:, bone] = multiply_quaternions(rotations[:, bone], invert_quaternions(own))
+        rotations[:, below] = multiply_quaternions(own, rotations[:, below])
+        rotations[:, joint] = _about(axis, 0.5 * _angles(axis, rotations[:, below]))
+    else:
+        rotations[:, joint] = _about(axis, -0.5 * _angles(axis, rotations[:, bone]))
+
+
+def _angles(axis: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Return the twists (T,) of rotations (T, 4) about an axis, continuous over time."""
+    angles = np.unwrap(2 * np.arctan2(rotations[:, :3] @ axis, rotations[:, 3]))
+    return angles - 2 * np.pi * np.round(np.median(angles) / (2 * np.pi))
+
+
+def _about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Return the rotations (T, 4) by angles (T,) about an axis (3,)."""
+    half = angles[:, None] / 2
+    return np.concatenate([np.sin(half) * axis, np.cos(half)], axis=1)
+
+
+@lru_cache(maxsize=1)
+def _loaded() -> Human:
+    if not is_baked():
+        raise FormatError(
+            f"the human body is not there: {FILE} is baked when gesturekit is set up, if PyPI can "
+            "be reached. In a checkout run `make setup`; or use the mannequin (body mannequin)"
+        )
+    with open_archive(FILE) as archive:
+        names = tuple(archive.texts("names", _MAX_JOINTS))
+        parents = tuple(int(parent) for parent in archive["parents"])
+        joints, tails = archive.numbers("joints"), archive.numbers("tails")
+        offsets = joints - joints[np.maximum(parents, 0)]
+        offsets[0] = joints[0]
+        ends = {names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents}
+        skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
+    return Human(Skeleton(names, parents, offsets, end_sites=ends), skins)
+
+
+def _skin(archive: Archive, level: int, joints: np.ndarray) -> Skin:
+    steps = archive.numbers(f"vertices{level}")
+    return Skin(
+        vertices=archive.numbers(f"low{level}") + archive.numbers(f"step{level}") * steps,
+        faces=archive[f"faces{level}"].astype(np.uint32),
+        joints=archive[f"skin{level}"],
+        weights=archive[f"weights{level}"],
+        rest=joints,
+        regions=archive[f"regions{level}"],
+    )

@@ -1,0 +1,67 @@
+"""Bodies that a motion can wear in pages, videos and pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gesturekit.errors import FormatError
+from gesturekit.formats.smpl.skeleton import fit_body
+from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.human.body import Human
+from gesturekit.viewer.skin import Skin
+
+if TYPE_CHECKING:
+    from gesturekit.motion import Motion
+
+BODIES = ("mannequin", "human", "skeleton")
+
+
+@dataclass(frozen=True, eq=False)
+class Worn:
+    """A motion on the body that is drawn.
+
+    Attributes:
+        motion: on the rig of the body.
+        figure: its points, limbs and curves.
+        skins: meshes drawn in place of limbs, from the finest to the coarsest; empty if the limbs
+            are drawn.
+        scale: the size of the skins' vertices and joints at rest is to be multiplied by.
+    """
+
+    motion: Motion
+    figure: Figure
+    skins: tuple[Skin, ...] = ()
+    scale: float = 1.0
+
+    @classmethod
+    def of(
+        cls, motion: Motion, body: str | None = None, body_model: BodyModel | None = None
+    ) -> Worn:
+        """Put a body on a motion.
+
+        Args:
+            motion: what to show.
+            body: of BODIES; "mannequin" by default. A mannequin and a skeleton have the joints of
+                the motion's own rig; for "human" the motion is retargeted.
+            body_model: its skin is worn instead.
+
+        Raises:
+            FormatError: an unknown body, both a body and a model, or a human body that was not
+                baked.
+            MotionError: the rig cannot be retargeted.
+        """
+        if body is not None and body not in BODIES:
+            raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)}")
+        if body_model is not None:
+            if body is not None:
+                raise FormatError("give either a body or a body model, not both")
+            motion = fit_body(motion, body_model)
+            skin = Skin.of(body_model, motion.info.get("betas"))
+            return cls(motion, Figure.of(motion), (skin,))
+        if body == "human":
+            human = Human.load()
+            motion, scale = human.wear(motion)
+            return cls(motion, Figure.of(motion), human.skins, scale)
+        return cls(motion, Figure.of(motion, plain=body == "skeleton"))
