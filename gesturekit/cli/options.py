@@ -74,6 +74,14 @@ size_option = click.option(
 )
 
 
+body_option = click.option(
+    "--body",
+    type=click.Choice(["mannequin", "human", "skeleton"]),
+    help="Body in pages, videos and pictures; human: the motion is retargeted to it.  "
+    "[default: mannequin]",
+)
+
+
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that override what is detected in a motion file; see `read_from`."""
     for option in reversed(_OPTIONS):

@@ -15,6 +15,7 @@ from gesturekit.cli.options import (
     UNITS,
     ControlOption,
     GroupedCommand,
+    body_option,
     channel_option,
     existing_option,
     given,
@@ -46,7 +47,18 @@ GROUPS = {
     "What to render": (
         *("model", "corpus", "split", "seconds", "samples", "seed", "channel", "weights"),
     ),
-    "Output": ("out", "formats", "fps", "unit", "up", "size", "rig", "rig_parts", "existing")
+    "Output": (
+        "out",
+        "formats",
+        "fps",
+        "unit",
+        "up",
+        "body",
+        "size",
+        "rig",
+        "rig_parts",
+        "existing",
+    )
     + ("skip_existing",),
     "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
     "Clusters": ("engine", "jobs", "engine_options", "address"),
@@ -87,6 +99,7 @@ GROUPS = {
 @click.option(
     "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; z for AMASS readers."
 )
+@body_option
 @size_option
 @click.option("--seed", default=0, show_default=True, help="Random seed.")
 @click.option(
@@ -375,7 +388,7 @@ def _output(options: dict[str, Any]) -> Output:
     return Output(
         formats=options.pop("formats"),
         rig=None if rig is None else Rig.load(rig, parts),
-        **{name: options.pop(name) for name in ("existing", "unit", "up", "size")},
+        **{name: options.pop(name) for name in ("existing", "unit", "up", "body", "size")},
     )
 
 

@@ -11,6 +11,7 @@ import click
 
 from gesturekit.cli.options import (
     RATE,
+    body_option,
     existing_option,
     given,
     is_left,
@@ -46,6 +47,7 @@ _TOLERANCE = 1.0
     metavar="FILE",
     help="Write a page (.html), video (.mp4) or picture (.png, .svg, .pdf) and do not open it.",
 )
+@body_option
 @size_option
 @click.option("--fps", type=RATE, metavar="RATE", help="Frames per second of an mp4 video.")
 @existing_option("replace")
@@ -57,11 +59,9 @@ def command(
     clips: tuple[Path, ...],
     audio: Path | None,
     out: Path | None,
-    size: str | None,
-    fps: float | None,
     existing: str,
     parts: tuple[str, ...],
-    **reading: object,
+    **options: Any,
 ) -> None:
     """Play MOTION (bvh, npz, EasyMocap, or a folder of them) in the browser; several are shown
     side by side.
@@ -73,12 +73,13 @@ def command(
 
     from gesturekit.errors import ConfigError
 
-    write = _writer(out, given(size=size, fps=fps))
+    body = options.pop("body")
+    write = _writer(out, given(**{name: options.pop(name) for name in ("size", "fps")}))
     if out is not None and is_left([out], existing):
         return
-    options = read_from(reading)
+    reading = read_from(options)
     found = _found(clips)
-    motions, n_failed = _loaded(found, clips, options, parts)
+    motions, n_failed = _loaded(found, clips, reading, parts)
     if not motions:
         raise ConfigError("no motion to show")
     if out is None:
@@ -88,7 +89,7 @@ def command(
     if audio is not None:
         _compare_lengths(audio, max(motion.duration for motion in motions.values()))
     shown = motions if len(motions) > 1 else next(iter(motions.values()))
-    write(shown, page, audio=audio, **given(body_model=options.get("body_model")))
+    write(shown, page, audio=audio, **given(body=body, body_model=reading.get("body_model")))
     click.echo(click.format_filename(page))
     if out is None and not _opened(page):
         click.echo("No browser found here: open this file in one.", err=True)

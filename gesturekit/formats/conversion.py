@@ -34,8 +34,11 @@ _WRITES = {
     ".bvh": {"unit"},
     ".npz": {"up"},
     ".obj": {"body_model", "frame"},
-    ".html": {"body_model"},
-    ".mp4": {"body_model", "size"},
+    ".html": {"body", "body_model"},
+    ".mp4": {"body", "body_model", "size"},
+    ".png": {"body"},
+    ".svg": {"body"},
+    ".pdf": {"body"},
 }
 
 

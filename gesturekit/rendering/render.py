@@ -46,6 +46,7 @@ class Output:
             smpl, smplh or smplx; see `gesturekit.formats.rig`. None for the model's own.
         unit: unit of BVH files; None for cm.
         up: up axis of SMPL npz files, "y" or "z"; None for y.
+        body: in pages, videos and pictures: "mannequin", "human" or "skeleton"; None for mannequin.
         size: of videos, "720p" or "1080p"; None for 720p.
     """
 
@@ -54,6 +55,7 @@ class Output:
     rig: str | os.PathLike[str] | Rig | None = None
     unit: str | None = None
     up: str | None = None
+    body: str | None = None
     size: str | None = None
 
     def __post_init__(self) -> None:
@@ -154,7 +156,8 @@ class Renderer:
         self.controls = _without_defaults(self.controls, self.model.kind)
         rig = output.rig
         self.body = rig if rig is None or isinstance(rig, Rig) else Rig.load(rig)
-        written = {"unit": output.unit, "up": output.up, "size": output.size}
+        written = {"unit": output.unit, "up": output.up, "body": output.body}
+        written["size"] = output.size
         self.written = writer_options(
             output.formats, {name: value for name, value in written.items() if value is not None}
         )

@@ -24,9 +24,10 @@ def add_skins(page: dict[str, Any], shown: Sequence[Worn]) -> None:
     The human body is there once, whatever the number of figures; the skins of a body model share
     everything but the vertices.
     """
-    if not shown[0].skins:
+    skins = next((worn.skins for worn in shown if worn.skins), None)
+    if skins is None:
         return
-    skin = shown[0].skins[0]
+    skin = skins[0]
     if skin.regions is None:
         page["skin"] = {
             "faces": base64_text(skin.faces.astype("<u4").tobytes()),
@@ -34,8 +35,10 @@ def add_skins(page: dict[str, Any], shown: Sequence[Worn]) -> None:
             "weights": base64_text(skin.weights.tobytes()),
         }
     else:
-        page["skin"] = {"levels": [_level(each) for each in shown[0].skins[:_LEVELS]]}
+        page["skin"] = {"levels": [_level(each) for each in skins[:_LEVELS]]}
     for k, (figure, worn) in enumerate(zip(page["figures"], shown)):
+        if not worn.skins:
+            continue
         skin = worn.skins[0]
         figure["skin"] = {
             "joints": base64_text((worn.scale * skin.rest).astype("<f4").tobytes()),

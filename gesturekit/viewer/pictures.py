@@ -20,6 +20,8 @@ from gesturekit.errors import MotionError
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.sound import as_sound
+from gesturekit.viewer.video.still import Stills
+from gesturekit.viewer.worn import Worn
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -41,12 +43,15 @@ _REPRODUCIBLE = {"svg.hashsalt": "gesturekit"}
 _INCHES_PER_FIGURE = 1.3
 _ROW_INCHES = 2.9
 _DPI = 110
+_STILL = 600
+"""Pixels of the pictures of a skinned body."""
 
 
 def write_picture(
     motion: Motion | Mapping[str, Motion],
     path: str | os.PathLike[str],
     audio: str | os.PathLike[str] | Wave | None = None,
+    body: str | None = None,
 ) -> None:
     """Write a picture: `speech_and_motion` with sound, `contact_sheet` without.
 
@@ -54,9 +59,11 @@ def write_picture(
         motion: what to draw; or {label: motion} for several, one below the other.
         path: the .png, .svg or .pdf file to write.
         audio: the speech that belongs to it, a file or a `Wave`.
+        body: "mannequin" (by default), "human" or "skeleton"; see `gesturekit.viewer.worn`.
 
     Raises:
         AudioError: `audio` is no sound.
+        FormatError: an unknown body.
         MotionError: no motion.
     """
     wave = None
@@ -66,7 +73,7 @@ def write_picture(
     motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
     if not motions:
         raise MotionError("no motion to draw: the mapping of motions is empty")
-    _write(motions, wave, path, 10, None)
+    _write({label: Worn.of(each, body) for label, each in motions.items()}, wave, path, 10, None)
 
 
 def contact_sheet(
@@ -84,7 +91,7 @@ def contact_sheet(
         frames: how many times the figure is drawn.
         title: the heading; the file's stem by default.
     """
-    _write({"": motion}, None, path, frames, title)
+    _write({"": Worn.of(motion)}, None, path, frames, title)
 
 
 def speech_and_motion(
@@ -99,18 +106,18 @@ def speech_and_motion(
 
     The speech starts with the motion; other arguments as in `contact_sheet`.
     """
-    _write({"": motion}, wave, path, frames, title)
+    _write({"": Worn.of(motion)}, wave, path, frames, title)
 
 
 def _write(
-    motions: Mapping[str, Motion],
+    shown: Mapping[str, Worn],
     wave: Wave | None,
     path: str | os.PathLike[str],
     frames: int,
     title: str | None,
 ) -> None:
-    figures = {label: Figure.of(motion) for label, motion in motions.items()}
-    seconds = max(motion.duration for motion in motions.values())
+    figures = {label: worn.figure for label, worn in shown.items()}
+    seconds = max(worn.motion.duration for worn in shown.values())
     seconds = max(seconds, wave.duration if wave else 0.0)
     bodies = [_ROW_INCHES] * len(figures)
     heights = [1.1, 1.2, *bodies] if wave else [*bodies, 1.0]
@@ -134,8 +141,9 @@ def _write(
     if wave:
         _speech(rows.pop(0), wave, seconds)
     _speed(rows.pop(0 if wave else -1), figures, wave, seconds)
-    for axes, (label, figure) in zip(rows, figures.items(), strict=True):
-        _figures(axes, figure, label, frames, seconds)
+    for k, (axes, (label, worn)) in enumerate(zip(rows, shown.items(), strict=True)):
+        stills = Stills(worn, _STILL, k) if worn.skins else None
+        _figures(axes, worn.figure, label, (frames, seconds), stills)
     kind = Path(path).suffix[1:].lower()
     with atomic_write(path) as temporary, matplotlib.rc_context(_REPRODUCIBLE):
         canvas.savefig(temporary, format=kind, metadata=_METADATA[kind])
@@ -197,14 +205,21 @@ def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None, seconds
     axes.set_ylim(0, top)
 
 
-def _figures(axes: Axes, figure: Figure, label: str, frames: int, seconds: float) -> None:
-    """Draw the figure `frames` times along the axis, each centred on its own time."""
+def _figures(
+    axes: Axes, figure: Figure, label: str, grid: tuple[int, float], stills: Stills | None
+) -> None:
+    """Draw the figure along the axis, each time centred on its own time.
+
+    `grid` is how many times it is drawn, and the seconds of the axis.
+    """
+    frames, seconds = grid
     n_frames = len(figure.points)
     _style(axes, seconds)
     low, high = -0.05 * figure.height, 1.09 * figure.height
     axes.set_ylim(low, high)
     axes.set_yticks([])
-    _label(axes, f"{label}{': ' if label else ''}from the front; its left is orange")
+    words = "from the front" if stills else "from the front; its left is orange"
+    _label(axes, f"{label}{': ' if label else ''}{words}")
     axes.axhline(0, color="#d5dae0", linewidth=1)
     # The axis counts seconds, the body metres: a metre is this many seconds wide, once the rows
     # have their final sizes.
@@ -214,8 +229,17 @@ def _figures(axes: Axes, figure: Figure, label: str, frames: int, seconds: float
     for k in range(frames):
         time = (k + 0.5) * seconds / frames
         frame = int(time * figure.fps)
-        if frame < n_frames:
+        if frame >= n_frames:
+            continue
+        if stills is None:
             _figure(axes, figure, frame, time, wide)
+            continue
+        reach = stills.reach
+        place = (time - wide * reach, time + wide * reach, -reach, reach)
+        axes.imshow(stills.at(frame), extent=place, aspect="auto", zorder=3, clip_on=True)
+    if stills:  # imshow fits the axes to each picture
+        axes.set_xlim(0, seconds)
+        axes.set_ylim(low, high)
 
 
 def _figure(axes: Axes, figure: Figure, frame: int, time: float, wide: float) -> None:

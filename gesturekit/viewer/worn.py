@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from gesturekit.errors import FormatError
+from gesturekit.errors import FormatError, GestureKitError
 from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer.figure import Figure
@@ -44,13 +45,15 @@ class Worn:
         Args:
             motion: what to show.
             body: of BODIES; "mannequin" by default. A mannequin and a skeleton have the joints of
-                the motion's own rig; for "human" the motion is retargeted.
+                the motion's own rig; for "human" the motion is retargeted. Where that cannot be
+                had, the mannequin is worn.
             body_model: its skin is worn instead.
 
         Raises:
-            FormatError: an unknown body, both a body and a model, or a human body that was not
-                baked.
-            MotionError: the rig cannot be retargeted.
+            FormatError: an unknown body, or both a body and a model.
+
+        Warns:
+            UserWarning: the human body was not baked, or cannot be put on this rig.
         """
         if body is not None and body not in BODIES:
             raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)}")
@@ -61,7 +64,10 @@ class Worn:
             skin = Skin.of(body_model, motion.info.get("betas"))
             return cls(motion, Figure.of(motion), (skin,))
         if body == "human":
-            human = Human.load()
-            motion, scale = human.wear(motion)
-            return cls(motion, Figure.of(motion), human.skins, scale)
+            try:
+                human = Human.load()
+                moved, scale = human.wear(motion)
+                return cls(moved, Figure.of(moved), human.skins, scale)
+            except GestureKitError as error:
+                warnings.warn(f"the mannequin is drawn in place of a human: {error}", stacklevel=2)
         return cls(motion, Figure.of(motion, plain=body == "skeleton"))

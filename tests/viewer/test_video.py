@@ -20,6 +20,7 @@ from gesturekit.viewer import write_video
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.video import raster
 from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
+from gesturekit.viewer.worn import Worn
 
 RATE, JUMP = 16_000, 0.5
 
@@ -143,8 +144,9 @@ def test_a_body_model_is_worn(tmp_path, capsule_body):
     turns = np.concatenate([np.repeat(np.sin(angles), 3, axis=2) / 3**0.5, np.cos(angles)], axis=2)
     path = np.linspace([0, 0.9, 0], [1, 0.9, 2], 20)
     motion = fit_body(Motion(smpl_skeleton(24), turns, path, 20.0), body)
-    worn = SkinnedBody(motion, body, Figure.of(motion))
+    worn = Worn.of(motion, body_model=body)
+    skinned = SkinnedBody(worn, worn.skins[0])
     # The corrections for the pose, millimetres here, are left out.
-    np.testing.assert_allclose(placed(worn, 0.5), body.vertices(motion)[10], atol=0.01)
+    np.testing.assert_allclose(placed(skinned, 0.5), body.vertices(motion)[10], atol=0.01)
     motion.trim(0, 0.2).save(tmp_path / "x.mp4", body_model=tmp_path / "BODY.npz")
     assert len(read(tmp_path / "x.mp4")[0]) == 4

