@@ -76,7 +76,10 @@ def page_text(
     body: str | None = None,
 ) -> str:
     """Return the page that `write_html` writes."""
-    places = {"title": html.escape(title), "motion": player_data(motion, audio, body_model, body=body)}
+    places = {
+        "title": html.escape(title),
+        "motion": player_data(motion, audio, body_model, body=body),
+    }
     return _fill(player_shell(), places)
 
 
