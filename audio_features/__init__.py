@@ -32,6 +32,7 @@ _EXPORTS = {
     "WavLM": "wavlm",
     "Wave": "wave",
     "Word": "words",
+    "WordEmbeddings": "huggingface.word_embeddings",
     "Words": "word_features",
     "WeightsError": "errors",
     "cache_from_environment": "cache",

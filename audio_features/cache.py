@@ -37,7 +37,8 @@ log = logging.getLogger(__name__)
 class FeatureCache(DiskCache):
     """Cache of features on disk, keyed by the sound and everything that affects the features.
 
-    The key is a digest of the samples and their rate, the extractor's spec (settings and
+    The key is a digest of the samples and their rate, the words beside the sound if the extractor
+    has a method `digest_beside(wave)`, the extractor's spec (settings and
     fingerprint of the weights), the source code of this package, and the versions of the
     numerical libraries. A change of any of these gives another entry, so the cache never has to
     be cleared by hand. A value read from the cache is bit-identical to the extracted one. With
@@ -88,6 +89,7 @@ class FeatureCache(DiskCache):
     def _entry(self, extractor: Extractor, wave: Wave) -> Path:
         made_of = {
             "sound": wave.digest,
+            "beside": extractor.digest_beside(wave) if hasattr(extractor, "digest_beside") else "",
             "spec": extractor.spec,
             "precision": self.precision,
             "code": digest_of_sources(Path(__file__).parent),

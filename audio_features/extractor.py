@@ -127,8 +127,8 @@ def extractor_from_spec(
 
     Args:
         spec: value of `Extractor.spec`, as stored in feature files and models.
-        weights: folder or file of the WavLM weights, or folder of the Hugging Face encoder, if
-            the spec contains one and does not name its path.
+        weights: folder or file of the WavLM weights, or folder of the Hugging Face encoder of
+            speech or words, if the spec contains one and does not name its path.
         device: "cpu" or "cuda", for WavLM, Hugging Face encoders and torchaudio.
 
     Raises FeatureError for an unknown kind or a setting that the kind does not have, and
@@ -144,6 +144,10 @@ def extractor_from_spec(
         from audio_features.huggingface.extractor import HuggingFace
 
         return HuggingFace.from_spec(settings, weights, device)
+    if kind == "words" and settings:
+        from audio_features.huggingface.word_embeddings import WordEmbeddings
+
+        return WordEmbeddings.from_spec(settings, weights, device)
     if kind == "stack":
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):

@@ -40,25 +40,38 @@ class Words:
 
         Raises FeatureError if there is no word list, or it cannot be read.
         """
-        file = wave.words
-        if file is None and wave.source is not None:
-            file = words_beside(wave.source)
-        if file is None and not wave.is_silent:
-            raise FeatureError(
-                f"{wave.source or 'the sound'}: no word list beside it: words need "
-                f"{', '.join(f'STEM{suffix}' for suffix in SUFFIXES)}"
-            )
-        words = () if file is None else load_words(Path(file))
         n_frames = max(1, wave.n_frames(RATE))
-        values = _values([_shifted(word, wave.offset) for word in words], n_frames)
+        values = _values(words_of(wave), n_frames)
         return FeatureTrack(values, np.arange(n_frames) / RATE, self.spec, self.names)
 
     def __repr__(self) -> str:
         return "Words()"
 
 
-def _shifted(word: Word, offset: float) -> Word:
-    return Word(word.start - offset, word.end - offset, word.text)
+def words_of(wave: Wave) -> list[Word]:
+    """Return the words of a recording, in seconds from the first sample of the wave.
+
+    Raises FeatureError if there is no word list beside a sound, or it cannot be read.
+    """
+    file = wave.words
+    if file is None and wave.source is not None:
+        file = words_beside(wave.source)
+    if file is None and not wave.is_silent:
+        raise FeatureError(
+            f"{wave.source or 'the sound'}: no word list beside it: words need "
+            f"{', '.join(f'STEM{suffix}' for suffix in SUFFIXES)}"
+        )
+    words = () if file is None else load_words(Path(file))
+    return [Word(word.start - wave.offset, word.end - wave.offset, word.text) for word in words]
+
+
+def frames_of(word: Word, rate: int) -> slice:
+    """Return the frames during which a word is spoken, at least one; none before the first sample.
+
+    Frame k stands for the time from (k - 1/2)/rate s to (k + 1/2)/rate s.
+    """
+    first, last = (int(np.floor(rate * time + 0.5)) for time in (word.start, word.end))
+    return slice(max(first, 0), max(last, first + 1, 0))
 
 
 def _values(words: list[Word], n_frames: int) -> np.ndarray:
@@ -68,10 +81,8 @@ def _values(words: list[Word], n_frames: int) -> np.ndarray:
     spoken, onsets = values[:, 0], values[:, 1]
     pauses, done = [], 0.0
     for word in words:
-        # Frame k stands for the time from (k - 1/2)/100 s to (k + 1/2)/100 s.
-        first, last = (int(np.floor(RATE * time + 0.5)) for time in (word.start, word.end))
-        if last >= 0:
-            spoken[max(first, 0) : max(last, first + 1)] = 1.0
+        spoken[frames_of(word, RATE)] = 1.0
+        first = int(np.floor(RATE * word.start + 0.5))
         if 0 <= first < n_frames:
             onsets[first] = 1.0
         pauses.append((done, word.start))

@@ -1,1 +1,1 @@
-"""Hugging Face speech encoders in local folders; nothing is downloaded."""
+"""Hugging Face speech and text encoders in local folders; nothing is downloaded."""

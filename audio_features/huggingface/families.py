@@ -1,4 +1,4 @@
-"""Speech encoders that `HuggingFace` reads, by the model_type of their config.json."""
+"""Speech and text encoders that are read, by the model_type of their config.json."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ class Family:
         model, config: names of the classes in transformers.
         module: module of `model`.
         prefixes: prefixes of the encoder's tensors in checkpoints with further parts.
-        inputs: input of the network: the waveform, stacked frames of a mel filter bank (kaldi), or
-            Whisper's log-mel spectrogram.
+        inputs: input of the network: the waveform, stacked frames of a mel filter bank (kaldi),
+            Whisper's log-mel spectrogram, or tokens of text.
         settings: settings of config.json that change the values and that no tensor's shape shows.
+        pools: the network ends in a pooling layer that may be left out.
     """
 
     title: str
@@ -35,8 +36,9 @@ class Family:
     config: str
     module: str
     prefixes: tuple[str, ...]
-    inputs: Literal["waveform", "filter bank", "log-mel"]
+    inputs: Literal["waveform", "filter bank", "log-mel", "tokens"]
     settings: tuple[str, ...]
+    pools: bool = False
 
 
 FAMILIES = {
@@ -105,7 +107,38 @@ FAMILIES = {
         ("activation_function", "encoder_attention_heads", "scale_embedding"),
     ),
 }
-"""Supported encoders by model_type."""
+"""Supported speech encoders by model_type."""
+
+
+def _text(title: str, stem: str, module: str, *, pools: bool = True) -> Family:
+    return Family(
+        title,
+        f"{stem}Model",
+        f"{stem}Config",
+        f"transformers.models.{module}.modeling_{module}",
+        (f"{module.replace('xlm_', '')}.",),
+        "tokens",
+        (
+            "hidden_act",
+            "activation",
+            "num_attention_heads",
+            "layer_norm_eps",
+            "pad_token_id",
+            "position_embedding_type",
+        ),
+        pools,
+    )
+
+
+TEXT_FAMILIES = {
+    "bert": _text("BERT", "Bert", "bert"),
+    "roberta": _text("RoBERTa", "Roberta", "roberta"),
+    "xlm-roberta": _text("XLM-RoBERTa", "XLMRoberta", "xlm_roberta"),
+    "distilbert": _text("DistilBERT", "DistilBert", "distilbert", pools=False),
+    "mpnet": _text("MPNet", "MPNet", "mpnet"),
+    "electra": _text("ELECTRA", "Electra", "electra", pools=False),
+}
+"""Supported text encoders by model_type."""
 
 
 def front_norm(config: Any) -> str:

@@ -1,4 +1,4 @@
-"""Reading of a Hugging Face speech encoder: settings, tensors, fingerprint.
+"""Reading of a Hugging Face encoder: settings, tensors, fingerprint.
 
 transformers' own loader is not used: it fills missing tensors with random numbers, contacts a hub
 about a local folder, and may run code that lies in the folder. Here transformers gives only the
@@ -12,6 +12,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,11 +37,13 @@ _OFF = {
     "layerdrop": 0.0,
     "encoder_layerdrop": 0.0,
 }
-_LEFT_OUT = ("adapter.", "intermediate_ffn.", "masked_spec_embed")
-# Names of weight normalisation in files that older versions wrote.
+_LEFT_OUT = ("adapter.", "intermediate_ffn.", "masked_spec_embed", "embeddings.position_ids")
+# Names of normalisations in files that older versions wrote.
 _OLD_NAMES = {
     "parametrizations.weight.original0": "weight_g",
     "parametrizations.weight.original1": "weight_v",
+    "LayerNorm.weight": "LayerNorm.gamma",
+    "LayerNorm.bias": "LayerNorm.beta",
 }
 
 
@@ -114,22 +117,8 @@ def read_encoder(path: str | os.PathLike[str]) -> tuple[EncoderWeights, torch.nn
     shape, if the folder brings code of its own, or if transformers cannot be imported.
     """
     folder = Path(path)
-    if not folder.is_dir():
-        what = "not a folder" if folder.exists() else "no such folder"
-        raise WeightsError(
-            f"{folder}: {what}: give a local Hugging Face folder with config.json and "
-            "model.safetensors"
-        )
-    _refuse_code(folder)
-    settings = read_json(folder / "config.json")
-    model_type = settings.get("model_type")
-    if model_type not in FAMILIES:
-        raise WeightsError(
-            f"{folder / 'config.json'}: model_type is {model_type!r}, expected one of "
-            f"{', '.join(FAMILIES)}: give the folder of a speech encoder"
-        )
+    model_type, config = read_configuration(folder, FAMILIES, "speech")
     family = FAMILIES[model_type]
-    config = _configuration(folder / "config.json", family, settings)
     normalize, stride = None, 1
     if family.inputs == "waveform":
         normalize = expected_normalization(folder, front_norm(config))
@@ -137,21 +126,49 @@ def read_encoder(path: str | os.PathLike[str]) -> tuple[EncoderWeights, torch.nn
         stride = _stacked_frames(folder, config)
     else:
         _check_log_mel(folder, config)
-    network, tensors = _network(folder, family, config)
-    fingerprint = _fingerprint(model_type, config, stride, tensors)
+    network, tensors = read_network(folder, family, config)
+    about = {"model_type": model_type, "stride": stride}
+    fingerprint = fingerprint_of(family, config, tensors, about)
     return EncoderWeights(str(folder), model_type, config, normalize, stride, fingerprint), network
 
 
-def _refuse_code(folder: Path) -> None:
+def read_configuration(folder: Path, families: Mapping[str, Family], what: str) -> tuple[str, Any]:
+    """Return the model_type and transformers' configuration of the encoder in a folder.
+
+    Args:
+        folder: Hugging Face's folder.
+        families: supported encoders by model_type.
+        what: kind of encoder, for messages: "speech" or "text".
+
+    Raises WeightsError if it is no such folder, or brings code of its own.
+    """
+    if not folder.is_dir():
+        problem = "not a folder" if folder.exists() else "no such folder"
+        raise WeightsError(
+            f"{folder}: {problem}: give a local Hugging Face folder with config.json and "
+            "model.safetensors"
+        )
+    _refuse_code(folder, families)
+    settings = read_json(folder / "config.json")
+    model_type = settings.get("model_type")
+    if model_type not in families:
+        raise WeightsError(
+            f"{folder / 'config.json'}: model_type is {model_type!r}, expected one of "
+            f"{', '.join(families)}: give the folder of a {what} encoder"
+        )
+    return model_type, _configuration(folder / "config.json", families[model_type], settings)
+
+
+def _refuse_code(folder: Path, families: Mapping[str, Family]) -> None:
     code = sorted(file.name for file in folder.glob("*.py"))
-    for name in ("config.json", "preprocessor_config.json"):
+    for name in ("config.json", "preprocessor_config.json", "tokenizer_config.json"):
         if (folder / name).is_file() and "auto_map" in read_json(folder / name):
             code.append(f"auto_map in {name}")
     if code:
         raise WeightsError(
             f"{folder}: the model brings code of its own ({', '.join(code[:_MOST_LISTED])}), which "
             "is never run (trust_remote_code): give an encoder that transformers has itself: "
-            f"{', '.join(FAMILIES)}"
+            f"{', '.join(families)}"
         )
 
 
@@ -161,7 +178,7 @@ def _configuration(path: Path, family: Family, settings: Mapping[str, Any]) -> A
         numbers = value if isinstance(value, list) else [value]
         sized = name not in ("vocab_size",) and not name.endswith("_token_id")
         if sized and any(isinstance(n, int | float) and abs(n) > _LARGEST for n in numbers):
-            raise WeightsError(f"{path}: {name} is {value!r}: not a speech encoder's size")
+            raise WeightsError(f"{path}: {name} is {value!r}: not an encoder's size")
         if name.endswith("layers") and isinstance(value, int) and value > _MOST_LAYERS:
             raise WeightsError(f"{path}: {name} is {value}, at most {_MOST_LAYERS} are read")
     try:
@@ -225,13 +242,15 @@ def _check_log_mel(folder: Path, config: Any) -> None:
             )
 
 
-def _network(
+def read_network(
     folder: Path, family: Family, config: Any
 ) -> tuple[torch.nn.Module, dict[str, torch.Tensor]]:
     """Build the network with the folder's tensors, without using the caller's random numbers."""
     import torch
 
     kind = getattr(_module(family.module), family.model)
+    if family.pools:
+        kind = partial(kind, add_pooling_layer=False)
     found = _encoder_names(read_folder(folder), family)
     try:
         with torch.random.fork_rng(devices=[]):
@@ -306,11 +325,11 @@ def _fitting(
     return tensors
 
 
-def _fingerprint(
-    model_type: str, config: Any, stride: int, tensors: Mapping[str, torch.Tensor]
+def fingerprint_of(
+    family: Family, config: Any, tensors: Mapping[str, torch.Tensor], about: Mapping[str, Any]
 ) -> str:
-    values = {name: getattr(config, name, None) for name in FAMILIES[model_type].settings}
-    settings = {"model_type": model_type, "stride": stride, **values}
+    """Return the sha256 of the tensors, the settings that change the values, and `about`."""
+    settings = {**about, **{name: getattr(config, name, None) for name in family.settings}}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     for name in sorted(tensors):
         digest.update(f"{name} {list(tensors[name].shape)}\n".encode())

@@ -26,7 +26,7 @@ KINDS = {
     "liveliness": "seconds",
     "effort": "seconds",
     "music": "n_chroma",
-    "words": None,
+    "words": "encoder",
     "wavlm": None,
     "hf": "path",
 }
@@ -48,7 +48,7 @@ _NETWORKS = {
     metavar="LIST",
     help=f"One or more of {', '.join(KINDS)}, separated by commas and concatenated. A "
     "colon gives a size, method or folder: logmel:64, mfcc:16, prosody:pyin, music:1, "
-    "hf:hubert-base/.",
+    "hf:hubert-base/, words:bert-base/.",
 )
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."

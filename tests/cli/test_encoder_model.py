@@ -57,6 +57,8 @@ def test_training_names_the_folder_that_is_wrong(gesturekit, corpus, light, tmp_
         (extractors(tmp_path / "none"), "none: no such folder"),
         ("features.extractors=[{kind: hf}]", "path: FOLDER"),
         ("features.extractors=[{kind: hf, path: a}, {kind: wavlm}]", "at most one"),
+        ("features.extractors=[{kind: words, encoder: a}, {kind: wavlm}]", "at most one"),
+        ("features.extractors=[{kind: words, encoder: a}]", "a: no such folder"),
     ):
         done = gesturekit(*train, where)
         assert done.status == 2 and complaint in done.err, done.err

@@ -17,7 +17,8 @@ from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract, 
 from gesturekit.progress import Progress
 from gesturekit.training.run_config import check_positive
 
-_WITH_WEIGHTS = ("wavlm", "hf")
+_FOLDERS = ("path", "encoder")
+"""Settings of extractors that name the folder of a Hugging Face encoder."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class FeatureConfig:
     @property
     def weights_path(self) -> Path | None:
         """Path of the weights: that of a Hugging Face encoder, or `weights`."""
-        paths = [spec["path"] for spec in self.extractors if spec.get("path")]
+        paths = [spec[name] for spec in self.extractors for name in _FOLDERS if spec.get(name)]
         return Path(paths[0]) if paths else self.weights
 
     def extractor(self) -> Any:
@@ -60,13 +61,17 @@ class FeatureConfig:
             WeightsError: weights that are missing or cannot be read.
         """
         kinds = [spec.get("kind") for spec in self.extractors]
-        if sum(kind in _WITH_WEIGHTS for kind in kinds) > 1:
+        if sum(map(_needs_weights, self.extractors)) > 1:
             raise af.FeatureError(
                 f"features.extractors: {', '.join(map(str, kinds))}: at most one of them may need "
                 "weights: a model is rendered with the weights of one network"
             )
         parts = {"kind": "stack", "parts": list(self.extractors)}
         return af.extractor_from_spec(parts, weights=self.weights)
+
+
+def _needs_weights(spec: Mapping[str, Any]) -> bool:
+    return spec.get("kind") in ("wavlm", "hf") or any(spec.get(name) for name in _FOLDERS)
 
 
 def extract_features(

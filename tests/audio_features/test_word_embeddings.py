@@ -1,0 +1,142 @@
+"""Embeddings of words by Hugging Face text encoders: transformers' values over each word's time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import audio_features as af
+
+torch = pytest.importorskip("torch")
+transformers = pytest.importorskip("transformers")
+pytestmark = pytest.mark.usefixtures("no_network")
+
+VOCABULARY = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", "so", "hand", "##s", "wave"]
+SIZES = {
+    "vocab_size": len(VOCABULARY),
+    "hidden_size": 16,
+    "num_hidden_layers": 2,
+    "num_attention_heads": 2,
+    "intermediate_size": 24,
+    "max_position_embeddings": 40,
+    "pad_token_id": 0,
+}
+STEMS = {
+    "bert": "Bert",
+    "roberta": "Roberta",
+    "xlm-roberta": "XLMRoberta",
+    "distilbert": "DistilBert",
+    "mpnet": "MPNet",
+    "electra": "Electra",
+}
+
+
+def write_text_encoder(folder: Path, name: str = "bert", seed: int = 0, head: str = "Model") -> Any:
+    """Write a tiny text encoder of random weights with its tokeniser, and return it."""
+    torch.manual_seed(seed)
+    sizes = dict(SIZES)
+    if name == "distilbert":
+        sizes = {"vocab_size": 9, "dim": 16, "n_layers": 2, "n_heads": 2, "hidden_dim": 24}
+    if name == "electra":
+        sizes["embedding_size"] = 8
+    config = getattr(transformers, f"{STEMS[name]}Config")(**sizes)
+    model = getattr(transformers, f"{STEMS[name]}{head}")(config).eval()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    model.save_pretrained(folder)
+    (folder / "vocab.txt").write_text("\n".join(VOCABULARY), encoding="utf-8")
+    transformers.BertTokenizerFast(str(folder / "vocab.txt")).save_pretrained(folder)
+    return model
+
+
+@pytest.fixture
+def talk(write_speech, tmp_path) -> af.Wave:
+    wav = write_speech(tmp_path / "talk.wav", 2.0)
+    (tmp_path / "talk.ctm").write_text("x 1 0.2 0.3 Hands\nx 1 1.0 0.5 so\nx 1 1.6 0.1 so\n")
+    return af.Wave.load(wav)
+
+
+@pytest.mark.parametrize("name", STEMS)
+def test_a_word_has_the_mean_of_its_tokens_states_while_it_is_spoken(name, talk, tmp_path):
+    model = write_text_encoder(tmp_path / "text", name)
+    with torch.no_grad():  # [CLS] hand ##s [SEP], [CLS] so [SEP]
+        hands = model(torch.tensor([[2, 6, 7, 3]]), output_hidden_states=True)
+        so = model(torch.tensor([[2, 5, 3]])).last_hidden_state[0, 1].numpy()
+    spec = {"kind": "words", "encoder": str(tmp_path / "text")}
+    track = af.extractor_from_spec(spec).extract(talk)
+    assert track.values.shape == (100, 16) and track.times[50] == 1.0
+    spoken = np.zeros((100, 16), np.float32)
+    spoken[10:25] = hands.last_hidden_state[0, 1:3].mean(dim=0)  # 0.2 to 0.5 s, 50 frames a second
+    spoken[50:75] = spoken[80:85] = so
+    np.testing.assert_allclose(track.values, spoken, atol=1e-5)
+    first = af.extractor_from_spec({**spec, "layer": 1}).extract(talk).values[10]
+    np.testing.assert_allclose(first, hands.hidden_states[1][0, 1:3].mean(dim=0), atol=1e-5)
+
+
+def test_words_are_cached_and_the_encoder_is_recognised(talk, tmp_path):
+    write_text_encoder(tmp_path / "text")
+    cache, words = af.FeatureCache(tmp_path / "cache"), af.WordEmbeddings(tmp_path / "text")
+    first = cache.extract(words, talk).values
+    again = af.extractor_from_spec(words.spec, weights=tmp_path / "text")
+    assert again.spec == words.spec and "text" not in json.dumps(words.spec)
+    again.embedding = None  # calling it would fail: the cache has the values
+    np.testing.assert_array_equal(cache.extract(again, talk).values, first)
+    (tmp_path / "talk.ctm").write_text("x 1 0.9 0.3 so\n")
+    assert not cache.extract(words, talk).values[10:45].any(), "other words, same sound"
+
+    with pytest.raises(af.WeightsError, match=f"fingerprint {words.fingerprint} is needed"):
+        af.extractor_from_spec(words.spec)
+    write_text_encoder(tmp_path / "other", seed=1)
+    with pytest.raises(af.WeightsError, match="give the encoder that the model was trained on"):
+        af.extractor_from_spec(words.spec, weights=tmp_path / "other")
+    file = tmp_path / "text" / "tokenizer.json"
+    file.write_text(file.read_text().replace('"so"', '"os"'))
+    assert af.WordEmbeddings(tmp_path / "text").fingerprint != words.fingerprint
+
+
+def test_published_files_with_heads_and_old_names_are_read(talk, tmp_path):
+    """bert-base-uncased has a prefix, a head for masked words, and gamma and beta."""
+    from safetensors.torch import load_file, save_file
+
+    model = write_text_encoder(tmp_path / "text", head="ForMaskedLM").bert
+    file = tmp_path / "text" / "model.safetensors"
+    old = {
+        name.replace("LayerNorm.weight", "LayerNorm.gamma").replace(
+            "LayerNorm.bias", "LayerNorm.beta"
+        ): value
+        for name, value in load_file(file).items()
+    }
+    assert any(name.endswith("gamma") for name in old)
+    save_file({**old, "bert.embeddings.position_ids": torch.arange(40)[None]}, file)
+    with torch.no_grad():
+        so = model(torch.tensor([[2, 5, 3]])).last_hidden_state[0, 1]
+    words = af.WordEmbeddings(tmp_path / "text")
+    np.testing.assert_allclose(words.embedding("so"), so, atol=1e-5)
+    assert not words.embedding("\u200b").any(), "no token is left of it"
+    assert np.isfinite(words.embedding("so" * 5000)).all()
+
+
+def test_folders_that_cannot_be_used_are_named(talk, tmp_path):
+    folder = tmp_path / "text"
+    write_text_encoder(folder)
+    with pytest.raises(af.FeatureError, match="layer=3: a number from 0 to 2"):
+        af.WordEmbeddings(folder, layer=3)
+    with pytest.raises(af.FeatureError, match="unknown setting 'lyer'"):
+        af.extractor_from_spec({"kind": "words", "encoder": str(folder), "lyer": 1})
+    with pytest.raises(af.WeightsError, match="give the folder of a speech encoder"):
+        af.HuggingFace(folder)
+    settings = json.loads((folder / "tokenizer_config.json").read_text())
+    (folder / "tokenizer_config.json").write_text(json.dumps(settings | {"auto_map": {"x": "y"}}))
+    with pytest.raises(af.WeightsError, match="auto_map in tokenizer_config.json"):
+        af.WordEmbeddings(folder)
+    (folder / "tokenizer_config.json").unlink()
+    (folder / "tokenizer.json").write_text("{}")
+    with pytest.raises(af.WeightsError, match="tokeniser"):
+        af.WordEmbeddings(folder)
+    with pytest.raises(af.WeightsError, match="no such folder"):
+        af.WordEmbeddings(tmp_path / "none")
