@@ -16,7 +16,7 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test stress mutants fuzz lint format bench interop picture docs clean
+.PHONY: help setup demo test stress mutants fuzz lint format bench blender interop picture docs clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
@@ -28,6 +28,7 @@ help:
 	@echo "make lint    check style only          make format  fix style"
 	@echo "make bench   run all benchmarks in quick mode"
 	@echo "make interop open files written by gesturekit in Blender and three.js (installs Blender: 1.6 GB)"
+	@echo "make blender make the Blender add-on, build/gesturekit_motion.zip"
 	@echo "make docs    build the documentation site in build/site (installs mkdocs)"
 	@echo "make picture render docs/demo.png again (needs chromium)"
 	@echo "make clean   remove everything that these commands created, including $(VENV)"
@@ -78,7 +79,13 @@ $(VENV)/interop/ready:
 	    exit 1; }
 	@touch $@
 
-interop: setup $(VENV)/interop/ready
+# An add-on that imports .bvh and .npz with sound; install it under Edit > Preferences > Add-ons.
+blender:
+	@mkdir -p build && rm -f build/gesturekit_motion.zip && find blender -name __pycache__ -prune -exec rm -r {} +
+	@cd blender && $(PYTHON) -m zipfile -c ../build/gesturekit_motion.zip gesturekit_motion
+	@echo "build/gesturekit_motion.zip"
+
+interop: setup blender $(VENV)/interop/ready
 	@$(BIN)/python tests/interop/interop.py $(VENV)/interop/bin/python
 
 # The picture in README.md: the bundled model's demo in the player, 5.6 s into it.

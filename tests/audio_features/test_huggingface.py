@@ -242,7 +242,7 @@ def test_broken_folders_are_told_by_name(copy, tmp_path):
     config = json.loads((copy / "config.json").read_text())
     for changes, complaint in (
         ({"model_type": "bert"}, "model_type is 'bert', expected one of hubert"),
-        ({"hidden_size": 10**8, "d_model": 10**8}, "not a speech encoder's size"),
+        ({"hidden_size": 10**8, "d_model": 10**8}, "not an encoder's size"),
     ):
         (copy / "config.json").write_text(json.dumps({**config, **changes}))
         with pytest.raises(af.WeightsError, match=complaint):

@@ -3,12 +3,15 @@
     make interop
 
 makes an environment for Blender's module `bpy` (1.6 GB, some minutes the first time) and runs
-this. Exits 1 where a joint is more than 0.01 cm away, or the frame rate is another.
+this. BVH files go through the importers of both; BVH and npz with their sound go through our
+add-on, onto a new armature and onto one with other bone axes, scale and place. Exits 1 where a
+joint is more than 0.01 cm away, the frame rate is another, or the sound is not in its place.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -17,6 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import soundfile
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
@@ -32,7 +36,7 @@ RECORDINGS = (
     "motion/reactidle/012_genuine.bvh",
     "motion/bandai/dataset-2_wave-both-hands_normal_001.bvh",
 )
-N_FRAMES = 90
+N_FRAMES = 110
 TOLERANCE = 0.01  # cm
 
 
@@ -72,9 +76,9 @@ def main(bpy_python: str) -> None:
             written[path].save(path)
         files = [str(path) for path in written]
         here = Path(__file__).parent
+        bad = through_addon(bpy_python, here, written)
         run(bpy_python, here / "blender_positions.py", *files)
         run(node(), here / "three_positions.mjs", PLAYER / "node_modules" / "three", *files)
-        bad = False
         for path, motion in written.items():
             for tool in ("blender", "three"):
                 found = json.loads(path.with_suffix(f".{tool}.json").read_text())
@@ -94,7 +98,40 @@ def main(bpy_python: str) -> None:
         sys.exit("Some joints are over 0.01 cm away, or frame rates differ.")
 
 
-def worst(motion: Motion, names: list[str], frames: list[list[list[float]]]) -> float:
+def through_addon(bpy_python: str, here: Path, written: dict[Path, Motion]) -> bool:
+    """Import BVH and npz files with their sound by the add-on; return whether any is wrong."""
+    addon = ROOT / "build" / "gesturekit_motion.zip"
+    files = {}
+    for path, motion in written.items():
+        rate = 16_000
+        silence = np.zeros(round(rate * motion.n_frames / motion.fps))
+        soundfile.write(path.with_suffix(".wav"), silence, rate)
+        motion.save(path.with_suffix(".npz"))
+        files |= {path: motion, path.with_suffix(".npz"): motion}
+    os.environ["BLENDER_USER_RESOURCES"] = str(next(iter(files)).parent / "blender")
+    run(bpy_python, here / "blender_addon.py", addon, *files)
+    bad = False
+    for path, motion in files.items():
+        known = {name.replace(" ", "_"): name for name in motion.skeleton.names}
+        for kind in ("addon", "rig"):
+            found = json.loads(path.with_name(f"{path.name}.{kind}.json").read_text())
+            names = [known[name.replace(" ", "_")] for name in found["names"]]
+            apart = worst(motion, names, 100 * np.array(found["frames"]))
+            wav = [path.with_suffix(".wav").name, 1.0]
+            silent = found["sound"] is None
+            right = abs(found["fps"] / motion.fps - 1) < 1e-6 and (
+                silent or [wav] == found["sound"]
+            )
+            bad |= apart > TOLERANCE or not right
+            sound = "not tested, Blender's module has none" if silent else found["sound"]
+            print(
+                f"{path.name:24} {kind:8} {apart:.1e} cm apart at most, "
+                f"{found['fps']:.6f} fps, sound {sound}"
+            )
+    return bad
+
+
+def worst(motion: Motion, names: list[str], frames: object) -> float:
     """The largest distance between our joints and theirs, cm."""
     theirs = np.array(frames)
     ours = 100 * motion.positions()[:, [motion.skeleton.index(name) for name in names]]

@@ -1,0 +1,62 @@
+"""The Blender add-on reads our motion files as gesturekit does; what Blender makes of them is
+checked by `make interop`."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from interop import odd_motion
+
+from gesturekit.motion import Motion
+
+READING = Path(__file__).resolve().parents[2] / "blender" / "gesturekit_motion" / "reading.py"
+
+
+@pytest.fixture(scope="module")
+def reading() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("gesturekit_motion_reading", READING)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.filterwarnings("ignore:joint names with blanks")
+@pytest.mark.parametrize("suffix", ["bvh", "npz"])
+def test_joints_rotations_and_places_are_those_of_the_file(reading, suffix, tmp_path):
+    path = tmp_path / f"odd.{suffix}"
+    odd_motion().save(path)
+    ours = Motion.load(path)
+    clip = reading.read_clip(str(path))
+    assert tuple(clip.names) == ours.skeleton.names
+    assert clip.parents == list(ours.skeleton.parents)
+    np.testing.assert_allclose(clip.offsets, ours.skeleton.offsets, atol=1e-8)
+    agreement = np.abs((clip.rotations * ours.rotations).sum(axis=-1))
+    np.testing.assert_allclose(agreement, 1, atol=1e-9)
+    np.testing.assert_allclose(clip.places.pop(0), ours.translation, atol=1e-8)
+    moving = {clip.names[joint]: place for joint, place in clip.places.items()}
+    assert moving.keys() == ours.joint_translations.keys()
+    for name, place in moving.items():
+        np.testing.assert_allclose(place, ours.joint_translations[name], atol=1e-8)
+    np.testing.assert_allclose(clip.ends[39], [0, 0.05, 0], atol=1e-8)
+    assert clip.fps == pytest.approx(30000 / 1001, rel=1e-7)
+
+
+def test_other_files_are_named(reading, tmp_path):
+    motion = replace(odd_motion().slice(0, 3), info={})
+    with pytest.warns(UserWarning, match="blanks"):
+        motion.save(tmp_path / "a.bvh")
+    text = (tmp_path / "a.bvh").read_text()
+    (tmp_path / "short.bvh").write_text(text[: len(text) - 2000])
+    (tmp_path / "none.bvh").write_text("HIERARCHY")
+    np.savez(tmp_path / "other.npz", poses=np.zeros((2, 3)))
+    np.savez(tmp_path / "objects.npz", names=np.array([{}], object))
+    for name in ("short.bvh", "none.bvh", "other.npz", "objects.npz", "missing.bvh"):
+        with pytest.raises(ValueError, match=f"{name}: not a motion file of gesturekit"):
+            reading.read_clip(str(tmp_path / name))
