@@ -154,10 +154,9 @@ def add_sound(scene, path: str) -> None:
     """Put a sound where the motion begins, and play the scene in time with it."""
     editor = scene.sequence_editor_create()
     strips = editor.strips if hasattr(editor, "strips") else editor.sequences  # before 4.4
-    present = [
-        (strip.frame_start, strip.sound.filepath) for strip in strips if strip.type == "SOUND"
-    ]
-    if (_FIRST, path) not in present:  # a second body to the same speech
+    sounds = [strip for strip in strips if strip.type == "SOUND"]
+    # A second body to the same speech needs no second sound.
+    if (_FIRST, path) not in [(strip.frame_start, strip.sound.filepath) for strip in sounds]:
         channel = 1 + max((strip.channel for strip in strips), default=0)
         strips.new_sound(Path(path).stem, path, channel, _FIRST)
     scene.sync_mode = "AUDIO_SYNC"

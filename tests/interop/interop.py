@@ -119,10 +119,8 @@ def through_addon(bpy_python: str, here: Path, written: dict[Path, Motion]) -> b
             apart = worst(motion, names, 100 * np.array(found["frames"]))
             wav = [path.with_suffix(".wav").name, 1.0]
             silent = found["sound"] is None
-            right = abs(found["fps"] / motion.fps - 1) < 1e-6 and (
-                silent or [wav] == found["sound"]
-            )
-            bad |= apart > TOLERANCE or not right
+            same_rate = abs(found["fps"] / motion.fps - 1) < 1e-6
+            bad |= apart > TOLERANCE or not same_rate or not (silent or [wav] == found["sound"])
             sound = "not tested, Blender's module has none" if silent else found["sound"]
             print(
                 f"{path.name:24} {kind:8} {apart:.1e} cm apart at most, "
