@@ -138,13 +138,10 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_config(config: Any) -> Any:
-    """Complete the navigation: pages that are made, and pages of docs/ that it lacks."""
+    """Complete the navigation by the pages that are made."""
     import sys
 
     sys.path[:0] = [str(ROOT / "docs"), str(ROOT)]
-    how_to = next(entry["How to"] for entry in config.nav if "How to" in entry)
-    listed = [place for entry in [*config.nav, *how_to] for place in entry.values()]
-    how_to += sorted(p.name for p in (ROOT / "docs").glob("*.md") if p.name not in listed)
     recipes = [{p.stem: place} for place, p in _recipe_places()]
     config.nav += [
         {"Recipes": recipes},

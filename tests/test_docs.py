@@ -183,6 +183,14 @@ def test_links_lead_somewhere(page):
         assert not anchor or anchor in anchors(there), f"{name_of(page)}: {link}"
 
 
+def test_every_page_is_in_the_navigation_and_on_the_first_page():
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:")[1]
+    first = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert f": {page.name}\n" in navigation, f"mkdocs.yml: {page.name}"
+        assert f"]({page.name})" in first or page.name == "index.md", f"index.md: {page.name}"
+
+
 def test_every_public_name_is_in_the_reference(hooks):
     packages = {
         ".".join(path.parent.relative_to(ROOT).parts)

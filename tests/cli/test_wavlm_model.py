@@ -94,7 +94,7 @@ def test_a_model_of_components(
     assert done.status == 0, done.err
     assert f"32 of {dim - count + 32} speech features reduced to {count}" in caplog.text
     # Recall weighs the components against the other features.
-    assert ("Left-out hand movement: r " in caplog.text) == recalls
+    assert ("Hand movement predicted from speech" in caplog.text) == recalls
     tensors = load_file(run / "model" / "model.safetensors")
     assert tensors["features.components"].shape == (32, count)
     assert gk.load(run / "model", weights=weights).conditions.conditioner.dim == dim

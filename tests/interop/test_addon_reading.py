@@ -52,7 +52,7 @@ def test_joints_rotations_and_places_are_those_of_the_file(reading, odd_motion, 
     assert moving.keys() == ours.joint_translations.keys()
     for name, place in moving.items():
         np.testing.assert_allclose(place, ours.joint_translations[name], atol=1e-8)
-    np.testing.assert_allclose(clip.ends[39], [0, 0.05, 0], atol=1e-8)
+    np.testing.assert_allclose(clip.ends[clip.names.index("bone39")], [0, 0.05, 0], atol=1e-8)
     assert clip.fps == pytest.approx(30000 / 1001, rel=1e-7)
 
 

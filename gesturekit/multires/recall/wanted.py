@@ -218,9 +218,11 @@ class WantedMovement:
         of_fast, basis = [each for each in fitted if each[0].r >= enough][-1]
         if len(fitted) > 1:
             log.info(
-                "Left-out hand movement: r %s from %s speech features; %d are used.",
-                ", ".join(f"{regression.r:.2f}" for regression, _ in fitted),
-                ", ".join(str(len(regression.mean) // _BINS) for regression, _ in fitted),
+                "Hand movement predicted from speech in left-out passages: r %s; %d are used.",
+                ", ".join(
+                    f"{regression.r:.2f} with {len(regression.mean) // _BINS} features"
+                    for regression, _ in fitted
+                ),
                 len(of_fast.mean) // _BINS,
             )
         of_slow = Regression.fit([slow_inputs(s, effort, basis, fps) for s in speeches], slow, gap)
