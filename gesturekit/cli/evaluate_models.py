@@ -132,6 +132,7 @@ def rendered_baselines(
     found = {}
     for name in wanted:
         if name == "retrieval":
+            click.echo("Making the baseline retrieval from the training recordings ...", err=True)
             model = baselines.train_retrieval(corpus, folder / "run", seed=options["seed"])
             sounds = baselines.sounds_of(corpus, split)
         else:
