@@ -42,10 +42,11 @@ def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, exist
     The page needs no server: open index.html from a disk, or put the folder on any web space.
     """
     if config.is_dir():
+        name = click.format_filename(config)
         raise click.UsageError(
-            f"{click.format_filename(config)}: a folder; CONFIG is a YAML file that names the "
-            f"folder of each system, such as title: Study, systems: {{ours: {click.format_filename(config)}, "
-            "other: FOLDER} and audio: FOLDER, see docs/study.md"
+            f"{name}: a folder; CONFIG is a YAML file with title, the folder of each system "
+            f"(systems: {{ours: {name}, other: FOLDER}}) and of the wavs (audio: FOLDER); "
+            "docs/study.md has one"
         )
     from gesturekit.study import build_study
     from gesturekit.study.config import load_study_config
