@@ -16,7 +16,7 @@ export PIP_CONSTRAINT := constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test stress mutants fuzz lint format bench blender interop picture docs clean
+.PHONY: help setup demo test stress mutants fuzz lint format bench blender interop picture docs gallery clean
 
 help:
 	@echo "make demo    set up, then turn a sentence of speech into motion and show where it is"
@@ -31,6 +31,7 @@ help:
 	@echo "make blender make the Blender add-on, build/gesturekit_motion.zip"
 	@echo "make docs    build the documentation site in build/site (installs mkdocs)"
 	@echo "make picture render docs/demo.png again (needs chromium)"
+	@echo "make gallery render clips of the bundled model to build/gallery/index.html"
 	@echo "make clean   remove everything that these commands created, including $(VENV)"
 
 setup: $(READY) $(BUNDLES) $(BODY)
@@ -105,6 +106,10 @@ $(VENV)/.docs-ready: pyproject.toml constraints.txt | $(READY)
 docs: setup $(VENV)/.docs-ready
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
 	@echo "build/site/index.html"
+
+# Clips of the bundled model on one page.
+gallery: setup
+	@$(BIN)/python docs/gallery.py build/gallery
 
 clean:
 	rm -rf $(VENV) $(BUNDLES) $(BODY) $(HUMAN)/LICENSE.makehuman.md $(PLAYER)/node_modules $(STUDY)/node_modules build dist .pytest_cache .ruff_cache .hypothesis
