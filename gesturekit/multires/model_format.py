@@ -79,6 +79,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         bool(features and features["residual"]),
         bool(config.get("recall")),
     )
+    speech_size = 0 if conditioner is None else conditioner.dim
     network_config = build(NetworkConfig, config["network"], where=where)
     network = MultiresGenerator(representation, conditions.width, network_config)
     network.load_state_dict(parts.tensors_under("network."))
@@ -102,7 +103,7 @@ def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) 
         "network_config": network_config,
         "network": network.eval(),
         "noise": noise,
-        "library": load_library(config, parts, representation, network_config.levels),
+        "library": load_library(config, parts, representation, network_config.levels, speech_size),
         "fastest": None if fastest is None else float(fastest),
     }
 

@@ -69,8 +69,15 @@ def load_library(
     parts: ModelParts,
     representation: MultiresRepresentation,
     levels: int,
+    speech_size: int,
 ) -> RecallLibrary | None:
-    """Read what `library_values` and `library_tensors` wrote; None for a model without recall."""
+    """Read what `library_values` and `library_tensors` wrote; None for a model without recall.
+
+    `speech_size` is the number of speech features.
+
+    Raises:
+        ValueError: values out of range, or tensors whose shapes do not fit the model.
+    """
     values = config.get("recall")
     # Models of earlier versions have a number here: the length of z* patches.
     if not isinstance(values, dict):
@@ -98,7 +105,7 @@ def load_library(
         raise ValueError(f"recall: level {values['level']} of {levels}")
     for name in values["passive"]["joints"]:
         representation.skeleton.index(name)
-    return RecallLibrary(
+    library = RecallLibrary(
         level=int(values["level"]),
         levels=levels,
         fps=fps,
@@ -113,6 +120,27 @@ def load_library(
             tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
         ),
     )
+    _check_shapes(library, representation.n_features, speech_size)
+    return library
+
+
+def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> None:
+    """Raise ValueError for tensors that `RecallLibrary.recall` would trip over."""
+    passive = library.passive
+    n_passive = 6 * len(passive.joints) + passive.expressions
+    sizes = {"motion": n_features, "passive": n_passive, "profiles": 2 * len(library.parts)}
+    for i, recording in enumerate(library.recordings):
+        for name, size in sizes.items():
+            found, wanted = tuple(getattr(recording, name).shape), (size, library.lengths[i])
+            if found != wanted or not library.lengths[i]:
+                raise ValueError(f"recall.{i}.{name} has the shape {found}, not {wanted}")
+    if library.spread.shape != (2,):
+        raise ValueError(f"recall.spread has the shape {library.spread.shape}, not (2,)")
+    if library.wanted is not None:
+        try:
+            library.wanted(np.zeros((speech_size, 2), np.float32))
+        except (IndexError, ValueError) as error:
+            raise ValueError(f"recall: no {speech_size} speech features fit ({error})") from None
 
 
 def _regression(tensors: Mapping[str, Tensor], part: str) -> Regression:
