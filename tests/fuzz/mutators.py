@@ -172,7 +172,7 @@ def headers(data: bytearray, rng: np.random.Generator) -> bytes:
 
 def bomb(data: bytearray, rng: np.random.Generator) -> bytes:
     """A few bytes that unpack to many megabytes."""
-    n = int(rng.choice([10**6, 4 * 10**6, 7 * 10**7], p=[0.4, 0.4, 0.2]))
+    n = int(rng.choice([10**6, 4 * 10**6, 7 * 10**7], p=[0.5, 0.48, 0.02]))
     head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({n}, 1), }}\n".encode()
     key = str(rng.choice(["poses", "rotations", "trans", "extra"]))
     with io.BytesIO() as out:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
 import pytest
 
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs.plan import Plan, PlanItem, balanced, parse_shard, write_plan
+from gesturekit.jobs.journal import Entry, Journal
+from gesturekit.jobs.plan import PLAN, Plan, PlanItem, balanced, parse_shard, write_plan
+from gesturekit.jobs.state import STATE
 
 ITEMS = [PlanItem(f"day/{i}", f"in/{i}.wav", float(1 + i % 7), {"seed": i}) for i in range(50)]
 
@@ -73,20 +76,38 @@ def test_shards_count_from_one(text):
 MILLION = """
 import json, resource, sys, time
 from pathlib import Path
+begin = time.process_time()
 from gesturekit.jobs.plan import Plan
-begin = time.monotonic()
-items = list(Plan.open(Path(sys.argv[1])).items())
-took = time.monotonic() - begin
-print(json.dumps([len(items), took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss]))
+from gesturekit.jobs.status import status_of
+folder = Path(sys.argv[2])
+if sys.argv[1] == "plan":
+    count = len(list(Plan.open(folder / ".gesturekit" / "plan.jsonl").items()))
+else:
+    count = status_of(folder).done
+took = time.process_time() - begin
+print(json.dumps([count, took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss]))
 """
 
 
 @pytest.mark.stress
-def test_a_plan_of_a_million_items(tmp_path):
-    path = tmp_path / "plan.jsonl"
-    names = (f"folder {i % 97}/{i:07d}" for i in range(10**6))
-    items = (PlanItem(name, f"/in/{name}.wav", 5.0) for name in names)
-    write_plan(path, list(items), 100, "r")
-    done = subprocess.run([sys.executable, "-c", MILLION, path], capture_output=True, check=True)
-    count, seconds, kilobytes = json.loads(done.stdout)
-    assert count == 10**6 and seconds < 10 and kilobytes < 1e6
+def test_a_million_items(tmp_path, monkeypatch):
+    """The plan opens within 10 s, the state is read within 5 s, each in less than 1 GB."""
+    state = tmp_path / STATE
+    state.mkdir()
+    names = [f"folder {i % 97}/{i:07d}" for i in range(10**6)]
+    items = [PlanItem(name, f"/in/{name}.wav", 5.0) for name in names]
+    plan = write_plan(state / PLAN, items, 10, "r")
+    monkeypatch.setattr(os, "fsync", lambda file: None)
+    for shard in range(1, 11):
+        journal = Journal(state, shard, 10, run="r", settings={}, about={})
+        for item in plan.items(shard):
+            journal.start(item.id)
+            files = {f"{item.id}.bvh": {"sha256": "0" * 64, "size": 100_000}}
+            journal.finish(Entry("done", item.id, "0" * 64, sound=5.0, files=files))
+        journal.close()
+    for what, most in (("plan", 10), ("state", 5)):
+        command = [sys.executable, "-c", MILLION, what, tmp_path]
+        done = subprocess.run(command, capture_output=True, check=True)
+        count, seconds, kilobytes = json.loads(done.stdout)
+        print(f"{what}: {seconds:.1f} s of processor time, {kilobytes / 1e6:.2f} GB")
+        assert count == 10**6 and seconds < most and kilobytes < 1e6
