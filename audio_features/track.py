@@ -158,6 +158,7 @@ class FeatureTrack:
         try:
             with zipfile.ZipFile(name) as archive:
                 size = sum(member.file_size for member in archive.infolist())
+                _check_headers(archive)
             most = min(_MAX_BYTES, max(_ALLOWANCE, _MAX_RATIO * Path(name).stat().st_size))
             if size > most:
                 raise FeatureError(
@@ -191,3 +192,20 @@ class FeatureTrack:
 
     def _with(self, values: np.ndarray, times: np.ndarray) -> FeatureTrack:
         return FeatureTrack(values, times, self.spec, self.names)
+
+
+def _check_headers(archive: zipfile.ZipFile) -> None:
+    """Check that arrays are as large as their headers claim, before memory is allocated.
+
+    Raises:
+        ValueError: a larger claim, or a header that cannot be read.
+    """
+    for member in archive.infolist():
+        with archive.open(member) as file:
+            if np.lib.format.read_magic(file)[0] == 1:
+                shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+            else:
+                shape, _, dtype = np.lib.format.read_array_header_2_0(file)
+        claimed = math.prod(shape) * max(1, dtype.itemsize)
+        if claimed > member.file_size:
+            raise ValueError(f"{member.filename} claims {claimed} bytes and has {member.file_size}")
