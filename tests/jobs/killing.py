@@ -52,8 +52,11 @@ if __name__ == "__main__":
     duration = time.monotonic() - begin
     for _ in range(int(sys.argv[1])):
         child = start(killed)
-        time.sleep(rng.uniform(0, duration))
-        ended, _ = os.waitpid(child, os.WNOHANG)
+        moment = time.monotonic() + rng.uniform(0, duration)
+        ended = 0
+        while not ended and time.monotonic() < moment:
+            time.sleep(0.001)
+            ended, _ = os.waitpid(child, os.WNOHANG)
         if not ended:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
