@@ -16,7 +16,6 @@ import time
 
 # Everything is imported before the forks, which then start at once.
 import gesturekit.corpus
-import gesturekit.multires.training.trainer
 import gesturekit.rendering.batch
 import gesturekit.viewer  # noqa: F401
 from gesturekit.cli import main

@@ -10,23 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from safetensors.numpy import load_file
 
 KILLS = 50
 """Of each command; `make test` kills a few."""
 SCRIPT = Path(__file__).with_name("killing.py")
-TRAINING = {
-    "system": "multires",
-    "fps": 25,
-    "threads": 1,
-    "network": {"levels": 4, "channels": [2, 2, 2], "embedding": 4},
-    "training": {
-        **{"first_stage": 40, "further_stages": 40, "batch": 2, "window": 2.0},
-        "window_cache": 2,
-    },
-    "checkpoint_every": 10,
-}
 
 
 def killed(kills: int, whole: list[object], again: list[object]) -> int:
@@ -85,19 +72,3 @@ def test_render(recordings, tmp_path):
     command = ["render", recordings, "--model", "demo", "--format", "bvh,npz", "--out"]
     assert killed(KILLS, [*command, whole], [*command, out]) > 5  # later ones find all done
     assert content(whole) == content(out) and len(content(out)) == 16
-
-
-@pytest.mark.stress
-def test_train(recordings, tmp_path):
-    from gesturekit.corpus import prepare
-
-    prepare([recordings], tmp_path / "corpus.jsonl", holdout=0.0)
-    config = tmp_path / "config.yaml"
-    config.write_text(yaml.safe_dump(TRAINING | {"corpus": str(tmp_path / "corpus.jsonl")}))
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    assert killed(
-        KILLS // 5, ["train", config, f"out={whole}"], ["train", config, f"out={out}", "--resume"]
-    )
-    one, other = (load_file(run / "model" / "model.safetensors") for run in (whole, out))
-    assert one.keys() == other.keys()
-    assert all((one[name] == other[name]).all() for name in one)
