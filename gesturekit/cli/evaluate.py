@@ -75,9 +75,9 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--study",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=click.Path(path_type=Path),
     metavar="CSV",
-    help="Results of a user study on these models (user, input_code, model_a, model_b, winner): "
+    help="Answers of a user study on these models, as of gesturekit study (or a folder of them): "
     "how far each metric orders the models as people did.",
 )
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="HTML report.")
@@ -252,13 +252,18 @@ def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path
         )
 
 
-def _answers(study: Path | None) -> list[Answer]:
-    """Read the results of a study."""
+def _answers(study: Path | None) -> Sequence[Answer]:
+    """Read the results of a study; print what is left out to standard error."""
     if study is None:
-        return []
-    from gesturekit.evaluation.agreement.answers import read_answers
+        return ()
+    from gesturekit.evaluation import read_answers
 
-    return read_answers(study)
+    found = read_answers([study])
+    for user, reason in found.excluded.items():
+        click.echo(f"Left out: {study}: rater {user}: {reason}", err=True)
+    for note in found.notes:
+        click.echo(f"Note: {study}: {note}", err=True)
+    return found.kept
 
 
 def _evaluated(

@@ -152,7 +152,8 @@ def analyse(
     existing: str,
 ) -> None:
     """Analyse answers: CSV files of study pages or of GENEA, or folders of them."""
-    from gesturekit.study import analyse_study, read_answers, write_study_report
+    from gesturekit.evaluation import read_answers
+    from gesturekit.study import analyse_study, write_study_report
 
     files = [path for path in (out, json_out) if path is not None]
     if files and is_left(files, existing):

@@ -62,6 +62,7 @@ __all__, __getattr__, __dir__ = attach(
         "patch_features": "metrics.patches",
         "patch_scores": "metrics.patches",
         "raw_fgd": "metrics.frechet.frechet",
+        "read_answers": "agreement.answers",
         "root_relative": "metrics.similarity",
         "speech_envelope": "metrics.sync",
         "speech_onsets": "metrics.rhythm",

@@ -1,4 +1,7 @@
-"""User studies: a static page that asks raters, and the analysis of their answers."""
+"""User studies: a static page that asks raters, and the analysis of their answers.
+
+`gesturekit.evaluation.read_answers` reads the answers.
+"""
 
 from gesturekit.lazy import attach
 
@@ -7,7 +10,6 @@ __all__, __getattr__, __dir__ = attach(
     {
         "StudyConfig": "config",
         "build_study": "build",
-        "read_answers": "analysis.answers",
         "analyse_study": "analysis.result",
         "write_study_report": "analysis.report",
         "raters_needed": "analysis.power",

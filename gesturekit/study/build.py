@@ -15,9 +15,9 @@ from typing import Any
 from audio_features import Wave
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.evaluation.agreement.answers import MISMATCHED
 from gesturekit.formats.conversion import load
 from gesturekit.progress import Progress
-from gesturekit.study.analysis.answers import MISMATCHED
 from gesturekit.study.clips import Material, Segment, find_clips
 from gesturekit.study.config import INTRODUCTION, SILENT_INTRODUCTION, StudyConfig
 from gesturekit.study.lists import Comparison, make_lists, mismatches

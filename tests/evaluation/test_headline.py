@@ -71,7 +71,7 @@ def test_copies_are_named():
     for value, state, words in (
         (0.1, "no", "Mostly copied"),
         (0.7, "no", "less lively"),
-        (1.0, "yes", "As far"),
+        (1.0, "yes", "New: as far"),
     ):
         figure = result("novelty", value, 1.0, note="recording: against the training split")
         found = states(clips(), novelty=figure)["novelty"]

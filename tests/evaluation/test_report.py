@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -105,6 +106,35 @@ def test_it_plays_the_best_and_the_worst_beside_their_recordings(page):
 def test_the_same_evaluation_gives_the_same_page(page, evaluation, tmp_path):
     write_report(evaluation, tmp_path / "r.html", command="gesturekit evaluate model recordings")
     assert (tmp_path / "r.html").read_bytes() == page.read_bytes()
+
+
+def test_no_folder_of_this_machine_is_in_a_report_made_to_be_mailed(evaluation, tmp_path):
+    models = list(evaluation.models)
+    models[0] = replace(
+        models[0],
+        label="/data/secret/anna/runs/best",
+        verdict="Like /data/secret/anna/speaker.npz.",
+        notes=["samples of /data/secret/anna/model"],
+        answers=[
+            replace(a, sentence=f"{a.sentence} See /data/secret/anna/x.") for a in models[0].answers
+        ],
+    )
+    write_report(
+        replace(
+            evaluation,
+            models=models,
+            settings=evaluation.settings | {"audio": f"{Path.cwd()}/a b/c.wav"},
+        ),
+        tmp_path / "r.html",
+        command=f"gesturekit evaluate {Path.home()}/my models/best",
+    )
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "/data/" not in text and "secret" not in text and "anna" not in text
+    assert str(Path.cwd()) not in text and f"{Path.home()}/my" not in text
+    shown = markup(tmp_path / "r.html")
+    assert "<h1>best, " in shown and "Like speaker.npz." in shown and "samples of model" in shown
+    assert "See x." in shown
+    assert "rad/s" in shown  # units stay
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gesturekit.study.analysis.answers import Answer
+from gesturekit.evaluation.agreement.answers import Answer
 from gesturekit.study.analysis.votes import Votes
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.cli import main
-from gesturekit.study.analysis.answers import GENEA_COLUMNS, Answer
+from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, Answer
 
 
 @pytest.fixture

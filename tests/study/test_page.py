@@ -15,8 +15,9 @@ import pytest
 
 import gesturekit.study.build as build_module
 from gesturekit.cli import main
-from gesturekit.study import build_study, read_answers
-from gesturekit.study.analysis.answers import GENEA_COLUMNS, OWN_COLUMNS
+from gesturekit.evaluation import read_answers
+from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, OWN_COLUMNS
+from gesturekit.study import build_study
 from gesturekit.study.config import StudyConfig
 from gesturekit.viewer import html as player_module
 

@@ -10,10 +10,10 @@ import statsmodels.api as sm
 from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
 
+from gesturekit.evaluation.agreement.answers import Answer, Answers
 from gesturekit.study import analyse_study
 from gesturekit.study.analysis import bradley_terry
 from gesturekit.study.analysis.alignment import analyse_alignment
-from gesturekit.study.analysis.answers import Answer, Answers
 from gesturekit.study.analysis.power import Expected, power_of, raters_needed
 from gesturekit.study.analysis.preference import (
     analyse_preference,

@@ -39,7 +39,7 @@ def agreement(
         EvaluationError: fewer than 3 of the evaluated models are in the study.
     """
     known = shared_models([model.label for model in models], answers)
-    answers = [a for a in answers if a.model_a in known and a.model_b in known]
+    answers = [a for a in answers if a.left in known and a.right in known]
     wins, users = _wins(answers, known)
     drawn = np.random.default_rng(seed).integers(0, len(users), (RESAMPLES, len(users)))
     people = _scores(wins.sum(axis=0))
@@ -55,7 +55,7 @@ def agreement(
         each = [_correlations(metric, scores[kept])[0] for scores in resampled]
         low, high = np.nanquantile(each, (0.025, 0.975))
         chosen = {known[i] for i in kept}
-        n = sum(a.model_a in chosen and a.model_b in chosen for a in answers)
+        n = sum(a.left in chosen and a.right in chosen for a in answers)
         found.append(Agreement(key, tau, rho, float(low), float(high), len(kept), len(users), n))
     return sorted(found, key=lambda one: -one.kendall)
 
@@ -66,7 +66,7 @@ def shared_models(labels: Sequence[str], answers: Sequence[Answer]) -> list[str]
     Raises:
         EvaluationError: fewer than 3.
     """
-    named = {name for answer in answers for name in (answer.model_a, answer.model_b)}
+    named = {name for answer in answers for name in (answer.left, answer.right)}
     known = [name for name in (*labels, RECORDING) if name in named]
     if len(known) < LEAST:
         raise EvaluationError(
@@ -83,8 +83,8 @@ def _wins(answers: Sequence[Answer], models: Sequence[str]) -> tuple[np.ndarray,
     counts = np.zeros((len(users), 2, len(models)))
     for answer in answers:
         row = counts[users.index(answer.user)]
-        sides = [models.index(name) for name in (answer.model_a, answer.model_b)]
-        share = {"model_a": 1.0, "model_b": 0.0, "tie": 0.5}[answer.winner]
+        sides = [models.index(name) for name in (answer.left, answer.right)]
+        share = 0.5 + 0.5 * float(np.sign(answer.score))
         row[0, sides] += (share, 1.0 - share)
         row[1, sides] += 1.0
     return counts, users

@@ -19,6 +19,9 @@ of speech to be informative."""
 SYNC_SECONDS = 0.4
 """Seconds of arm speed that count as one independent value: the standard deviation of sync over
 shifts of a short clip is too small."""
+SATURATED = 0.99
+"""CCA of one recording with another from which no motion can be told from another: clips with few
+frames, many joints."""
 
 _OF_SPEECH = {"sync": ("sync", "sync_z", "in_time"), "bas": ("bas", "bas_z"), "bc": ("bc", "bc_z")}
 
@@ -59,6 +62,10 @@ def figures_of(
     for metric, keys in _OF_SPEECH.items():
         if metric in found and not informative(clips, metric):
             found |= {k: replace(found[k], informative=False) for k in keys if k in found}
+    cca = found.get("cca")
+    if cca is not None and cca.recording is not None and cca.recording > SATURATED:
+        found["cca"] = replace(cca, informative=False)
+    found = {key: _within_range(figure) for key, figure in found.items()}
     own = floors["likeness"][0].value if "likeness" in floors else None
     told = found["one_nn"].recording if "one_nn" in found else None
     like = likeness_result(clips, told, own, seed)
@@ -113,6 +120,22 @@ def _with_interval(pooled: MetricResult, clips: MetricResult | None) -> MetricRe
         if pooled.recording is None or clips.recording_interval is None
         else _moved(clips.recording_interval, pooled.recording),
     )
+
+
+def _within_range(figure: MetricResult) -> MetricResult:
+    """Return a figure whose intervals leave out what its unit cannot be, such as speeds below 0."""
+    unit = DEFINITIONS[figure.key].unit
+    if unit in ("", "sd"):
+        return figure
+    most = 100.0 if unit == "%" else np.inf
+    cut = {
+        name: replace(value, low=max(0.0, value.low), high=min(most, value.high))
+        for name in ("interval", "recording_interval")
+        if (value := getattr(figure, name)) is not None
+        and value.low is not None
+        and value.high is not None
+    }
+    return replace(figure, **cut)
 
 
 def _moved(interval: Interval, value: float) -> Interval:

@@ -152,7 +152,7 @@ def _novelty(figures: Figures) -> Answer:
         text = f"New, but copied from {among} now and then{_seeds(figures)}."
         return Answer(NEW, "novelty", "partly", text)
     return Answer(
-        NEW, "novelty", "yes", f"As far from {among} as other recordings{_seeds(figures)}."
+        NEW, "novelty", "yes", f"New: as far from {among} as other recordings{_seeds(figures)}."
     )
 
 
@@ -162,4 +162,4 @@ def _seeds(figures: Figures) -> str:
     if figure is None or not figure.recording:
         return ""
     share = figure.interval.value / figure.recording
-    return f"; its samples differ by {100 * share:.0f} % of what two recordings differ by"
+    return f"; two samples of one speech differ {100 * share:.0f} % as much as two recordings do"

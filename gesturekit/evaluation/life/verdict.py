@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from gesturekit.evaluation.headline.questions import COPIED, NEAR, NOW_AND_THEN
 from gesturekit.evaluation.results import MetricResult
 
 ALIKE = (0.8, 1.25)
@@ -31,9 +32,6 @@ LEAST_SYNC = 0.1
 """Sync above chance of a recording below which its speech says nothing about its movement."""
 FOLLOWS = 0.4
 """Correlation of calm and lively stretches from which they are where the speaker's are."""
-COPIES, COPIES_NOW_AND_THEN = 0.8, 0.6
-"""Ratios to the distance of held-out motion to training motion (median, 5 % quantile): below it
-the model copies."""
 
 _RATIOS = {
     0.1: "a tenth of",
@@ -118,9 +116,13 @@ def _timing(figures: Mapping[str, MetricResult]) -> Iterator[str]:
 
 def _copying(figures: Mapping[str, MetricResult]) -> Iterator[str]:
     median, low = _ratio(figures, "copying"), _ratio(figures, "copying_low")
-    if median is not None and median < COPIES:
+    if median is not None and median < COPIED:
         yield "mostly copied from recordings"
-    elif low is not None and low < COPIES_NOW_AND_THEN:
+    elif (_ratio(figures, "reach") or 1.0) < ALIKE[0]:
+        return  # small motion is near to any
+    elif median is not None and median < NEAR:
+        yield "partly copied from recordings"
+    elif low is not None and low < NOW_AND_THEN:
         yield "copied from recordings now and then"
 
 

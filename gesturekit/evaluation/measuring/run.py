@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from gesturekit.evaluation.measuring.work import PARTS, ClipTask, SetTask, Work
+from gesturekit.evaluation.measuring.work import PARTS, ClipTask, SetTask, Task, Work
 from gesturekit.jobs.pool import Failure, Pool
 
 IN_PROCESS_SECONDS = 4.0
@@ -42,15 +42,15 @@ def measure_all(work: Work, workers: int, progress: Progress) -> Measured:
     """
     found = Measured()
     clip_tasks = _read_clips(work, found)
-    set_tasks = _read_sets(work, found)
-    tasks = [*clip_tasks, *set_tasks]
+    tasks = [*clip_tasks, *_chains(work, _read_sets(work, found), workers)]
     if not tasks:
         return found
     for task, results in progress(_done(work, tasks, workers), len(tasks), "measuring"):
         if isinstance(results, Failure):
-            results = _failed(task, str(results))
-        if isinstance(task, SetTask):
-            found.sets[task.label][task.part] = results[0]
+            results = _failed(work, task, str(results))
+        if not isinstance(task, ClipTask):
+            for one, values in zip(task, results, strict=True):
+                found.sets[one.label][one.part] = values
             continue
         for label, index, values in results:
             found.clips[label][index] = values
@@ -89,6 +89,19 @@ def _read_sets(work: Work, found: Measured) -> list[SetTask]:
     return tasks
 
 
+def _chains(work: Work, tasks: Sequence[SetTask], workers: int) -> list[tuple[SetTask, ...]]:
+    """Return the metrics of sets in chains, one for two workers, each done by one process.
+
+    A set holds all motion of its model in memory; while one is computed, clips are measured.
+    """
+    chains = []
+    for portable in (True, False):
+        some = [task for task in tasks if work.is_portable((task,)) == portable]
+        count = max(1, workers // 2) if workers > 1 else len(some)
+        chains += [tuple(some[k::count]) for k in range(count) if some[k::count]]
+    return chains
+
+
 def _done(work: Work, tasks: Sequence[Any], workers: int) -> Iterator[tuple[Any, Any]]:
     """Yield (task, results) as tasks are done; those that cannot be handed over are done here."""
     here = [task for task in tasks if not work.is_portable(task)]
@@ -98,13 +111,15 @@ def _done(work: Work, tasks: Sequence[Any], workers: int) -> Iterator[tuple[Any,
         task = left.pop(0)
         yield task, work(task)
     if left:
+        left.sort(key=lambda task: isinstance(task, ClipTask))  # the longest first
         yield from Pool(work.portable(), workers).map(left, lambda _: None)
     for task in here:
         yield task, work(task)
 
 
-def _failed(task: ClipTask | SetTask, reason: str) -> list[Any]:
-    """Return the results of a task whose worker process died."""
-    if isinstance(task, SetTask):
-        return [{"figures": {}, "problems": [("metrics of the set", reason)]}]
+def _failed(work: Work, task: Task, reason: str) -> list[Any]:
+    """Return the results of a task whose worker process died; sets done before it are stored."""
+    if not isinstance(task, ClipTask):
+        failed = {"figures": {}, "problems": [("metrics of the set", reason)]}
+        return [work.store.read(work.set_key(one)) or failed for one in task]
     return [(label, i, {"reason": reason}) for label, at in task.clips.items() for i in at]

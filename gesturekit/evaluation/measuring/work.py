@@ -54,6 +54,10 @@ class SetTask:
     part: str
 
 
+Task = ClipTask | tuple[SetTask, ...]
+"""What one process does at a time: clips of a recording, or sets one after the other."""
+
+
 @dataclass(eq=False)
 class Work:
     """Measures clips and sets; it is handed to worker processes.
@@ -86,7 +90,7 @@ class Work:
     )
     _contents: dict[Pair, str | None] = field(default_factory=dict, init=False)
 
-    def __call__(self, task: ClipTask | SetTask) -> list[Any]:
+    def __call__(self, task: Task) -> list[Any]:
         """Return the results of a task, which are stored as well; see `clip` and `set`.
 
         Sums of floating-point numbers depend on the number of threads: each process has one.
@@ -94,8 +98,8 @@ class Work:
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1):
-            if isinstance(task, SetTask):
-                return [self.set(task)]
+            if not isinstance(task, ClipTask):
+                return [self.set(one) for one in task]
             self._own.clear()
             return [(key, i, self.clip(key, i)) for key, at in task.clips.items() for i in at]
 
@@ -266,9 +270,9 @@ class Work:
             for label, pairs in self.pairs.items()
         }
 
-    def is_portable(self, task: ClipTask | SetTask) -> bool:
+    def is_portable(self, task: Task) -> bool:
         """Return whether a worker process can do a task: its motion is in files."""
-        labels = [task.label] if isinstance(task, SetTask) else task.clips
+        labels = task.clips if isinstance(task, ClipTask) else [one.label for one in task]
         return self.local.isdisjoint(labels)
 
     def portable(self) -> Work:

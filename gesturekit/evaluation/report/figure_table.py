@@ -136,7 +136,24 @@ def terminal_lines(evaluation: Evaluation) -> list[str]:
         "  ".join(cell + " " * (w - disp_len(cell)) for cell, w in zip(row, widths)).rstrip()
         for row in table
     ]
-    return [*headline_lines(evaluation), *lines]
+    return [*headline_lines(evaluation), *lines, *_without_interval(evaluation)]
+
+
+def _without_interval(evaluation: Evaluation) -> list[str]:
+    """Return a line that names the metrics without an interval, when others have one."""
+    rows = [row for _, rows in rows_by_group(evaluation) for row in rows]
+    bare = [
+        row.definition.name
+        for row in rows
+        if any(f is not None and f.interval.low is None and f.informative for f in row.figures)
+    ]
+    if not bare or len(bare) == len(rows) or _single_recording(evaluation):
+        return []
+    return [f"No interval, and never bold: {', '.join(bare)}: one value of the whole set of clips."]
+
+
+def _single_recording(evaluation: Evaluation) -> bool:
+    return all(len({clip.pair.stem for clip in model.clips}) < 2 for model in evaluation.models)
 
 
 def agreement_lines(evaluation: Evaluation) -> list[str]:
@@ -252,6 +269,7 @@ def _caption(evaluation: Evaluation) -> str:
     return (
         f"Mean and 95 % interval over recordings at {evaluation.fps:g} fps. Bold: nearer to the "
         "recordings' own value than every other model (paired over recordings, Holm over rows). "
+        "Metrics of the whole set of clips have one value without an interval, never bold. "
         "No arrow: a model is beyond the recordings' own value, which is the goal."
     )
 

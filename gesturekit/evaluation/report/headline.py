@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from gesturekit.evaluation.contest.paired import Contest
 from gesturekit.evaluation.intervals import FEW
@@ -12,9 +12,23 @@ from gesturekit.evaluation.report.tables import number, section
 from gesturekit.evaluation.results import Answer, Evaluation, MetricResult, ModelResult
 
 _LEAD = (
-    "Each with one figure, its 95 % interval over recordings and the recordings' own value. Bold: "
-    "nearer to the recordings than every other model by more than chance."
+    "Each with one figure and its 95 % interval over recordings; the last row has what the "
+    "speaker's recordings reach. Each clip is compared with the recording of the same speech, but "
+    "recordings differ in speech and mood: a model can be more like the speaker than they are like "
+    "each other. Bold: nearer to the recordings than every other model by more than chance."
 )
+_OWN = {
+    "in_time": ("the speaker's own", "Sync of the speaker's own arms, minus chance."),
+    "likeness": (
+        "recordings like each other",
+        "The speaker's recordings, one half judged by the other; 1 is alike in all.",
+    ),
+    "novelty": (
+        "recordings from each other",
+        "Other recordings, by definition; below 0.8 is nearer, below 0.5 copied.",
+    ),
+}
+"""Meaning of the recordings' own value of each figure: short, and as a sentence."""
 
 
 def headline_lines(evaluation: Evaluation) -> list[str]:
@@ -42,7 +56,10 @@ def headline(evaluation: Evaluation, rows: Mapping[str, Contest]) -> str:
         + "</tr>"
         for model in models
     )
-    table = f"<thead><tr><th></th>{head}</tr></thead><tbody>{body}</tbody>"
+    table = (
+        f"<thead><tr><th></th>{head}</tr></thead><tbody>{body}"
+        f"<tr class=own><th>recordings</th>{_own_cells(models)}</tr></tbody>"
+    )
     return section(
         "Three questions", _LEAD, f'<div class="scroll"><table class="head">{table}</table></div>'
     )
@@ -50,9 +67,12 @@ def headline(evaluation: Evaluation, rows: Mapping[str, Contest]) -> str:
 
 def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
     """Yield warnings about intervals that are missing or rough."""
+    said: dict[int, list[str]] = {}
     for model in evaluation.models:
-        who = f"{model.label}: " if len(evaluation.models) > 1 else ""
         recordings = len({clip.pair.stem for clip in model.clips})
+        said.setdefault(recordings, []).append(model.label)
+    for recordings, labels in said.items():
+        who = "" if len(said) == 1 else f"{', '.join(labels)}: "
         if recordings == 1:
             yield (
                 f"{who}a single recording: no intervals, and nothing is bold. How a model does on "
@@ -73,10 +93,23 @@ def _cell(model: ModelResult, answer: Answer, rows: Mapping[str, Contest]) -> st
         return f"<td>{sentence}</td>"
     row = rows.get(answer.key)
     best = " class=best" if row is not None and row.best == model.label else ""
-    value, _, rest = _figure_text(figure).partition(" ")
-    small = f"<small>{html.escape(rest)}</small>"
-    shown = f'<span class="figure"><span{best}>{value.rstrip(",;")}</span></span>'
-    return f"<td>{shown}{small}{sentence}</td>"
+    value = f'<span class="figure"><span{best}>{number(figure.interval.value)}</span></span>'
+    return f"<td>{value}<small>{_spread(figure)}</small>{sentence}</td>"
+
+
+def _own_cells(models: Sequence[ModelResult]) -> str:
+    """Return the cells of the recordings' own values, each from the first model that has one."""
+    cells = ""
+    for answer in models[0].answers:
+        shown = (_shown(model, answer) for model in models)
+        known = (figure.recording for figure in shown if figure is not None)
+        own = next((value for value in known if value is not None), None)
+        cells += (
+            "<td></td>"
+            if own is None
+            else f'<td><span class="figure">{number(own)}</span><p>{_OWN[answer.key][1]}</p></td>'
+        )
+    return cells
 
 
 def _shown(model: ModelResult, answer: Answer) -> MetricResult | None:
@@ -86,11 +119,13 @@ def _shown(model: ModelResult, answer: Answer) -> MetricResult | None:
 
 
 def _figure_text(figure: MetricResult) -> str:
-    interval = figure.interval
-    spread = (
-        ", no interval"
-        if interval.low is None or interval.high is None
-        else f" [{number(interval.low)}, {number(interval.high)}]"
-    )
-    own = "" if figure.recording is None else f"; recordings {number(figure.recording)}"
-    return f"{number(interval.value)}{spread}{own}"
+    short = _OWN[figure.key][0]
+    own = "" if figure.recording is None else f"; {short}: {number(figure.recording)}"
+    return f"{number(figure.interval.value)}, {_spread(figure)}{own}"
+
+
+def _spread(figure: MetricResult) -> str:
+    low, high = figure.interval.low, figure.interval.high
+    if low is None or high is None:
+        return "no interval"
+    return f"95 % interval {number(low)} to {number(high)}"

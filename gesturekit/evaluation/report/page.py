@@ -8,6 +8,7 @@ import json
 import os
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from gesturekit.atomic import atomic_write
@@ -43,14 +44,15 @@ def write_report(
     Raises:
         GestureKitError: the player has not been bundled.
     """
+    evaluation = _with_short_names(evaluation)
     names = ", ".join(model.label for model in evaluation.models)
     heading = title or f"{names} against {evaluation.reference.name}"
     shown = best_and_worst(evaluation)
     rows = contests(evaluation.models)
     sections = [
-        headline(evaluation, rows),
-        tables.figures(evaluation, rows),
-        tables.recordings(evaluation),
+        without_folders(headline(evaluation, rows)),
+        without_folders(tables.figures(evaluation, rows)),
+        without_folders(tables.recordings(evaluation)),
         _plots_section(evaluation),
         _agreement_section(evaluation),
         _clips_section(shown, evaluation),
@@ -59,11 +61,12 @@ def write_report(
         without_folders(_definitions_section(evaluation, command)),
     ]
     page = {
-        "title": html.escape(heading),
+        "title": html.escape(without_folders(heading)),
         "style": (_HERE / "style.css").read_text(encoding="utf-8"),
         "facts": "".join(f"<span>{html.escape(fact)}</span>" for fact in _facts(evaluation)),
         "verdicts": "".join(
-            f'<p class="verdict">{html.escape(line)}</p>' for line in evaluation.verdicts()
+            f'<p class="verdict">{html.escape(without_folders(line))}</p>'
+            for line in evaluation.verdicts()
         ),
         "warnings": "".join(
             f'<p class="warning">{html.escape(without_folders(w))}</p>'
@@ -89,6 +92,15 @@ def without_folders(text: str) -> str:
     return re.sub(r"(?<![\w/.<:~])/(?:[^\s/'\"<>:,;&]+/)+", "", text)
 
 
+def _with_short_names(evaluation: Evaluation) -> Evaluation:
+    """Return an evaluation whose models have no folders in their names."""
+    labels = [without_folders(model.label) for model in evaluation.models]
+    if len(set(labels)) < len(labels):
+        labels = [f"{label} ({i})" for i, label in enumerate(labels, 1)]
+    models = [replace(m, label=label) for m, label in zip(evaluation.models, labels, strict=True)]
+    return replace(evaluation, models=models)
+
+
 def _facts(evaluation: Evaluation) -> Iterable[str]:
     model = evaluation.models[0]
     seconds = sum(clip.seconds for clip in model.clips)
@@ -103,12 +115,16 @@ def _facts(evaluation: Evaluation) -> Iterable[str]:
 
 def _warnings(evaluation: Evaluation) -> Iterable[str]:
     yield from (f"{warning}." for warning in interval_warnings(evaluation))
+    said: dict[str, list[str]] = {}  # several models may have the same note
     for model in evaluation.models:
-        who = f"{model.label}: " if len(evaluation.models) > 1 else ""
         left_out = sum(item.what == "clip" for item in model.excluded)
         if left_out:
-            yield f"{who}left out: {counted(left_out, 'clip')}; the reasons are below."
-        yield from (f"{who}{note}." for note in model.notes)
+            note = f"left out: {counted(left_out, 'clip')}; the reasons are below"
+            said.setdefault(note, []).append(model.label)
+        for note in model.notes:
+            said.setdefault(note, []).append(model.label)
+    for note, labels in said.items():
+        yield f"{', '.join(labels)}: {note}." if len(evaluation.models) > 1 else f"{note}."
 
 
 def _plots_section(evaluation: Evaluation) -> str:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import matplotlib
 import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.report.svg import new_figure, svg_text
 from gesturekit.evaluation.results import Evaluation, ModelResult
 
 MODEL_COLOURS = ("#c8643a", "#3f7fae", "#6c9a48", "#9467a8", "#c49a2c", "#4aa39a")
 RECORDING = "#26303b"
 CHANCE = "#aab4be"
 _SOFT, _LINE = "#6b7785", "#d5dae0"
-_WIDTH = 10.4  # inches; the page shows it 1040 pixels wide
 
 _SPEECH = ("sync", "bas", "bc")
 _RATIOS = ("arm_speed", "wrist_speed", "acceleration", "jerk", "l1_diversity")
@@ -47,7 +45,7 @@ def _speech(evaluation: Evaluation) -> str | None:
     if not keys:
         return None
     labels = [model.label for model in evaluation.models]
-    figure = _figure(2.9)
+    figure = new_figure(2.9)
     for axes, key in zip(np.atleast_1d(figure.subplots(1, len(keys))), keys, strict=True):
         recordings = []
         for i, model in enumerate(evaluation.models):
@@ -74,7 +72,7 @@ def _speech(evaluation: Evaluation) -> str | None:
     ]
     names = ["the recording's own", "chance: sound shifted", "sound of other recordings"]
     figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    return _svg(figure)
+    return svg_text(figure, _LINE, _SOFT)
 
 
 def _ratios(evaluation: Evaluation) -> str | None:
@@ -84,7 +82,7 @@ def _ratios(evaluation: Evaluation) -> str | None:
     if not keys:
         return None
     models = evaluation.models
-    figure = _figure(0.9 + 0.36 * len(keys) * max(1.0, 0.6 * len(models)))
+    figure = new_figure(0.9 + 0.36 * len(keys) * max(1.0, 0.6 * len(models)))
     axes = figure.subplots()
     step = 0.7 / len(models)
     for row, key in enumerate(keys):
@@ -109,7 +107,7 @@ def _ratios(evaluation: Evaluation) -> str | None:
     axes.set_xlabel("generated / recorded (log scale); the dashed line is the recording")
     axes.grid(axis="x", color=_LINE, lw=0.8)
     _legend(figure, models)
-    return _svg(figure)
+    return svg_text(figure, _LINE, _SOFT)
 
 
 def _ratio(model: ModelResult, key: str) -> tuple[float, float, float] | None:
@@ -128,7 +126,7 @@ def _wrists(evaluation: Evaluation) -> str | None:
     sets = [entry for entry in sets if len(entry[1]) > 1 and np.ptp(entry[1]) > 0]
     if len(sets) < 2:
         return None
-    figure = _figure(3.2)
+    figure = new_figure(3.2)
     axes = figure.subplots()
     top = max(float(np.quantile(values, 0.995)) for _, values, _ in sets)
     parts = axes.violinplot(
@@ -148,7 +146,7 @@ def _wrists(evaluation: Evaluation) -> str | None:
     axes.set_ylabel("wrist speed, m/s")
     axes.set_ylim(0, top)
     axes.grid(axis="y", color=_LINE, lw=0.8)
-    return _svg(figure)
+    return svg_text(figure, _LINE, _SOFT)
 
 
 def _histograms(evaluation: Evaluation) -> str | None:
@@ -158,7 +156,7 @@ def _histograms(evaluation: Evaluation) -> str | None:
     sets = [entry for entry in sets if entry[1].counts.sum()]
     if len(sets) < 2:
         return None
-    figure = _figure(3.0)
+    figure = new_figure(3.0)
     axes = figure.subplots()
     for label, histogram, ink, dashes in sets:
         share = 100.0 * histogram.counts / histogram.counts.sum()
@@ -170,7 +168,7 @@ def _histograms(evaluation: Evaluation) -> str | None:
     axes.set_ylabel("share of values, %")
     axes.legend(frameon=False, fontsize=9)
     axes.grid(axis="y", color=_LINE, lw=0.8)
-    return _svg(figure)
+    return svg_text(figure, _LINE, _SOFT)
 
 
 def _patches(evaluation: Evaluation) -> str | None:
@@ -181,7 +179,7 @@ def _patches(evaluation: Evaluation) -> str | None:
     if len(stems) < 2 or not keys:
         return None
     stems = stems[:_MOST_RECORDINGS]
-    figure = _figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(models)))
+    figure = new_figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(models)))
     step = 0.6 / len(models)
     for number, axes in enumerate(figure.subplots(1, len(keys), sharey=True, squeeze=False)[0]):
         key = keys[number]
@@ -204,7 +202,7 @@ def _patches(evaluation: Evaluation) -> str | None:
         axes.grid(axis="both", color=_LINE, lw=0.8)
         _title(axes, DEFINITIONS[key].name)
     _legend(figure, models)
-    return _svg(figure)
+    return svg_text(figure, _LINE, _SOFT)
 
 
 def _error_bar(axes: Axes, at: float, interval, ink: str, vertical: bool) -> None:
@@ -215,12 +213,6 @@ def _error_bar(axes: Axes, at: float, interval, ink: str, vertical: bool) -> Non
         line, point = line[::-1], point[::-1]
     axes.plot(*line, color=ink, lw=2, solid_capstyle="round")
     axes.plot(*point, "o", color=ink, ms=7)
-
-
-def _figure(height: float) -> matplotlib.figure.Figure:
-    figure = matplotlib.figure.Figure(figsize=(_WIDTH, height), layout="constrained")
-    FigureCanvasSVG(figure)
-    return figure
 
 
 def _legend(figure: matplotlib.figure.Figure, models: Sequence[ModelResult]) -> None:
@@ -245,20 +237,3 @@ def _named(key: str) -> str:
 
 def _short(name: str, most: int = 26) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}…"
-
-
-def _svg(figure: matplotlib.figure.Figure) -> str:
-    for axes in figure.axes:
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.spines[["left", "bottom"]].set_color(_LINE)
-        axes.tick_params(colors=_SOFT, labelsize=9, length=3)
-        axes.xaxis.label.set(color=_SOFT, size=9.5)
-        axes.yaxis.label.set(color=_SOFT, size=9.5)
-        for label in (*axes.get_xticklabels(), *axes.get_yticklabels()):
-            label.set_parse_math(False)
-        axes.set_axisbelow(True)
-    text = io.StringIO()
-    # A fixed salt and no date: the same figures give the same bytes.
-    with matplotlib.rc_context({"svg.hashsalt": "gesturekit", "svg.fonttype": "path"}):
-        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    return text.getvalue()

@@ -89,8 +89,9 @@ def figures(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
         "are measured as well: where a metric compares with recordings, another one, or one half "
         "against the other. Their own value is the goal: an arrow stands only where no model is "
         "beyond it. Bold: nearer to it than every other model by more than chance (paired over "
-        "recordings, Holm over all rows), and above chance. Chance is the same motion's value with "
-        "its sound shifted, or with other recordings."
+        "recordings, Holm over all rows), and above chance. Metrics of a whole set have one "
+        "value: many of them have no interval, and none is ever bold. Chance is the same motion's "
+        "value with its sound shifted, or with other recordings."
     )
     return section("Figures", lead, "".join(groups))
 
@@ -136,7 +137,7 @@ def _figure_cell(model: ModelResult, key: str, row: Contest | None) -> str:
 
 def _bounds(interval: Interval) -> str:
     if interval.low is None or interval.high is None:
-        return interval.count
+        return f"no interval; {interval.count}"
     return f"{number(interval.low)} … {number(interval.high)}; {interval.count}"
 
 

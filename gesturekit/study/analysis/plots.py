@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
-import matplotlib
 import matplotlib.figure
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 
+from gesturekit.evaluation.report.svg import new_figure, svg_text
 from gesturekit.study.analysis.result import StudyResult
 from gesturekit.study.analysis.significance import Estimate
 
 # Clear, slight, equal, slight, clear.
 _ANSWERS = ("#2f6f9f", "#8bb8d9", "#9aa4ae", "#e5b08f", "#c8643a")
 _INK, _GREY = "#3f87bb", "#7b8794"
-_WIDTH = 10.4
 
 
 def all_plots(found: StudyResult) -> dict[str, str]:
@@ -50,7 +46,8 @@ def _times(factor: float, estimate: Estimate) -> Estimate:
 def _points(
     names: Sequence[str], estimates: Sequence[Estimate], middle: float | None, label: str
 ) -> str:
-    figure, axes = _figure(0.9 + 0.36 * len(names))
+    figure = new_figure(0.9 + 0.36 * len(names))
+    axes = figure.subplots()
     for row, found in enumerate(estimates):
         axes.plot([found.low, found.high], [row, row], color=_INK, lw=2.4, solid_capstyle="round")
         axes.plot([found.value], [row], "o", color=_INK, ms=8)
@@ -58,11 +55,12 @@ def _points(
         axes.axvline(middle, color=_GREY, lw=1.2, ls=(0, (4, 3)))
     axes.set_xlabel(label)
     axes.grid(axis="x", color=_GREY, alpha=0.3, lw=0.8)
-    return _svg(figure, axes, names)
+    return _svg(figure, names)
 
 
 def _bars(rows: Sequence[tuple[str, Sequence[int]]]) -> str:
-    figure, axes = _figure(0.9 + 0.36 * len(rows))
+    figure = new_figure(0.9 + 0.36 * len(rows))
+    axes = figure.subplots()
     for row, (_, counts) in enumerate(rows):
         shares = 100 * np.asarray(counts, dtype=float) / max(sum(counts), 1)
         left = np.concatenate([[0.0], np.cumsum(shares)[:-1]])
@@ -70,28 +68,13 @@ def _bars(rows: Sequence[tuple[str, Sequence[int]]]) -> str:
     axes.axvline(50, color=_GREY, lw=1.2, ls=(0, (4, 3)))
     axes.set_xlim(0, 100)
     axes.set_xlabel("share of answers, %")
-    return _svg(figure, axes, [name for name, _ in rows])
+    return _svg(figure, [name for name, _ in rows])
 
 
-def _figure(height: float) -> tuple[matplotlib.figure.Figure, Axes]:
-    figure = matplotlib.figure.Figure(figsize=(_WIDTH, height), layout="constrained")
-    FigureCanvasSVG(figure)
-    return figure, figure.subplots()
-
-
-def _svg(figure: matplotlib.figure.Figure, axes: Axes, names: Sequence[str]) -> str:
+def _svg(figure: matplotlib.figure.Figure, names: Sequence[str]) -> str:
+    """Return the SVG of a figure with a row for each name."""
     short = [name if len(name) <= 44 else f"{name[:43]}…" for name in names]
+    (axes,) = figure.axes
     axes.set_yticks(range(len(names)), short)
     axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(_GREY)
-    axes.tick_params(colors=_GREY, labelsize=10, length=3)
-    axes.xaxis.label.set(color=_GREY, size=10)
-    for text in axes.get_yticklabels():
-        text.set_parse_math(False)
-    axes.set_axisbelow(True)
-    text = io.StringIO()
-    # A fixed salt and no date: the same figures give the same bytes.
-    with matplotlib.rc_context({"svg.hashsalt": "gesturekit", "svg.fonttype": "path"}):
-        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    return text.getvalue()
+    return svg_text(figure, _GREY, _GREY)

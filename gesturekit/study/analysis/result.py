@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 
 from gesturekit.errors import ConfigError
+from gesturekit.evaluation.agreement.answers import Answers
 from gesturekit.study.analysis.alignment import Alignment, analyse_alignment
-from gesturekit.study.analysis.answers import Answers, clips_of
 from gesturekit.study.analysis.preference import Preference, analyse_preference
 from gesturekit.study.analysis.significance import Estimate, statsmodels_module, wilson
 from gesturekit.study.analysis.votes import ROUNDS
@@ -67,7 +67,7 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
     return StudyResult(
         answers=answers,
         raters=len({answer.user for answer in kept}),
-        clips=len(clips_of(kept)),
+        clips=len({answer.clip for answer in kept}),
         left=wilson(sum(sides), len(sides)),
         preference=analyse_preference(compared, rounds, seed) if compared else None,
         by_style=by_style,

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import EvaluationError
-from gesturekit.study import read_answers
-from gesturekit.study.analysis.answers import GENEA_COLUMNS
+from gesturekit.evaluation import read_answers
+from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS
 
 # Lines as in battles_elo.csv and battles_mismatch.csv of GENEA's public analysis.
 GENEA = (
@@ -21,6 +21,9 @@ GENEA = (
     "5c04,6_carla,RAG-Gesture,AMUSE,tie,False,[],\n"
     '6741,11_nidal,BEAT_Mismatched,BEAT,model_b,False,"[""FitRhythmTiming""]",\n'
 )
+
+
+HEAD = ",".join(GENEA_COLUMNS) + "\n"
 
 
 def write(path: Path, text: str) -> Path:
@@ -81,15 +84,18 @@ def test_a_file_read_twice_counts_once(tmp_path):
     assert found.notes == ("2 lines found in two files were counted once",)
 
 
+def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
+    text = HEAD + "u,c,Mine,x,Mine,strong,,\nu,d,Mine,x,x,no,,\nu,e,Mine,x,Draw,,,\n"
+    found = read_answers([write(tmp_path / "x.csv", text)])
+    assert [a.score for a in found.kept] == [2, -1, 0]
+
+
 def test_what_is_left_out_or_guessed_is_said(tmp_path):
     text = ",".join(GENEA_COLUMNS) + "\nu,c,a,a,model_a,True,{},\nu,c,a,b,model_b,,{},\n"
     found = read_answers([write(tmp_path / "x.csv", text)])
     assert [a.score for a in found.kept] == [-1]
     assert any("same system on both sides" in note for note in found.notes)
     assert any("without is_strong count as slight" in note for note in found.notes)
-
-
-HEAD = ",".join(GENEA_COLUMNS) + "\n"
 
 
 @pytest.mark.parametrize(
