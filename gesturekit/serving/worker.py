@@ -9,6 +9,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import torch
+from threadpoolctl import threadpool_limits
+
 import audio_features as af
 from gesturekit.errors import GestureKitError
 from gesturekit.model import Model
@@ -30,7 +33,12 @@ class Worker:
 
     def __init__(self, model: Model, limits: Limits) -> None:
         self.model, self._limits = model, limits
-        self._threads = ThreadPoolExecutor(limits.workers, thread_name_prefix="motion")
+        self._threads = ThreadPoolExecutor(
+            limits.workers,
+            thread_name_prefix="motion",
+            initializer=torch.set_num_threads,
+            initargs=(1,),
+        )
         self._admitted = 0
         self._lock = threading.Lock()
 
@@ -77,6 +85,9 @@ class Worker:
     def warm_up(self) -> None:
         """Generate a short motion, so that the first request does not wait for compilation.
 
+        From then on, matrix products of the whole process take one thread: their last bits depend
+        on the number of threads, which motions made at once would change for each other.
+
         Raises:
             GestureKitError: the model cannot generate motion from sound.
         """
@@ -87,3 +98,4 @@ class Worker:
         rng = np.random.default_rng(0)
         noise = rng.normal(0, 0.1, 16_000).astype(np.float32)
         self.model.generate(af.Wave.from_array(noise, 16_000))
+        threadpool_limits(1, user_api="blas")  # now that all libraries are loaded
