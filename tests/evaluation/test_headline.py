@@ -43,7 +43,7 @@ def test_likeness_is_one_within_a_quarter_and_falls_to_nothing_at_two_and_a_half
 
 
 def test_one_nn_and_direction_of_time_have_their_own_credit():
-    found = credits({"one_nn": np.array(0.8), "forward": np.array(0.0)}, {}, told=0.6)
+    found = credits({"one_nn": np.array(0.8), "forward": np.array(0.0)}, {}, own_one_nn=0.6)
     assert found["postures and movements"] == pytest.approx(0.5)
     assert found["direction of time"] == 0.0
     assert credits({"one_nn": np.array(0.3)}, {})["postures and movements"] == 1.0

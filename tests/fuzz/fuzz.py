@@ -138,7 +138,7 @@ class Harness:
 
 
 def _place(trace: str) -> str:
-    """Where and why an exception was raised, without the values in its message."""
+    """Return the place and the kind of an exception, without the values in its message."""
     frames = re.findall(r'File "([^"]+)", line (\d+)', trace)
     where = [f"{Path(file).name} l{line}" for file, line in frames]
     return f"{trace.splitlines()[-1].split(':')[0]} {' '.join(where[-2:])}"

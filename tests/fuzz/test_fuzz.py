@@ -15,7 +15,7 @@ from targets import TARGETS
 
 FUZZ = Path(__file__).with_name("fuzz.py")
 EXECUTIONS = 20
-"""Of each target, and a tenth of those that load a model; `make fuzz` runs far more."""
+"""Number for each target, and a tenth of it for those that load a model."""
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="memory is bounded by Linux' limits"

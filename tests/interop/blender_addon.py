@@ -1,4 +1,4 @@
-"""Where the Blender add-on puts the joints of motion files; run by the Python that has `bpy`.
+"""Joint positions that the Blender add-on gives motion files; run by the Python that has `bpy`.
 
 python blender_addon.py ADDON.zip FILE ...    writes FILE.addon.json and FILE.rig.json beside each
 """

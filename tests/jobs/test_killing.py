@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 KILLS = 50
-"""Of each command; `make test` kills a few."""
+"""Number for each command; `make test` kills a few."""
 SCRIPT = Path(__file__).with_name("killing.py")
 
 

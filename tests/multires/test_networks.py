@@ -51,7 +51,7 @@ def test_resampling_is_torchs_own_linear_interpolation(exact):
 
 
 def test_smooth_resampling_passes_through_the_samples_without_corners():
-    """Of a cubic polynomial it returns that polynomial, at the frame times of `resample`."""
+    """A cubic polynomial is reproduced, at the frame times of `resample`."""
     time = torch.arange(12, dtype=torch.float64) + 0.5
     made = resample_smoothly((time**3)[None], 36)[0]
     wanted = (torch.arange(36, dtype=torch.float64) + 0.5) / 3

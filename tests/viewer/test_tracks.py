@@ -1,4 +1,4 @@
-"""What is drawn under the time line of the player must be where it is heard and seen."""
+"""Curves and marks under the time line of the player are at the times of sound and motion."""
 
 from __future__ import annotations
 

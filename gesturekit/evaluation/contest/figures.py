@@ -20,8 +20,8 @@ SYNC_SECONDS = 0.4
 """Seconds of arm speed that count as one independent value: the standard deviation of sync over
 shifts of a short clip is too small."""
 SATURATED = 0.99
-"""CCA of one recording with another from which no motion can be told from another: clips with few
-frames, many joints."""
+"""CCA of one recording with another above which the metric cannot tell motions apart: clips with
+few frames and many joints."""
 
 _OF_SPEECH = {"sync": ("sync", "sync_z", "in_time"), "bas": ("bas", "bas_z"), "bc": ("bc", "bc_z")}
 
@@ -67,8 +67,8 @@ def figures_of(
         found["cca"] = replace(cca, informative=False)
     found = {key: _within_range(figure) for key, figure in found.items()}
     own = floors["likeness"][0].value if "likeness" in floors else None
-    told = found["one_nn"].recording if "one_nn" in found else None
-    like = likeness_result(clips, told, own, seed)
+    own_one_nn = found["one_nn"].recording if "one_nn" in found else None
+    like = likeness_result(clips, own_one_nn, own, seed)
     return found if like is None else {**found, "likeness": like}
 
 

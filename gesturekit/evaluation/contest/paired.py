@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.headline.likeness import MEASURES, TOLD
+from gesturekit.evaluation.headline.likeness import MEASURES, USUAL_ONE_NN
 from gesturekit.evaluation.headline.questions import likeness_of
 from gesturekit.evaluation.intervals import LEVEL, draws, holm, means_by, standard_error
 from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
@@ -156,7 +156,7 @@ def p_value(difference: float, error: float, units: int) -> float:
 
 def _figures(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Replicates:
     if key == "likeness":
-        measure = likeness_of(clips, _told(model.figures))
+        measure = likeness_of(clips, _own_one_nn(model.figures))
         return lambda weights: ((found := measure(weights)), 1.0 - found)
     stems = [clip.pair.stem for clip in clips]
     ours = means_by(stems, np.array([clip.figures[key] for clip in clips]))
@@ -169,9 +169,9 @@ def _figures(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Repl
     )
 
 
-def _told(figures: Mapping[str, MetricResult]) -> float:
+def _own_one_nn(figures: Mapping[str, MetricResult]) -> float:
     figure = figures.get("one_nn")
-    return TOLD if figure is None or figure.recording is None else figure.recording
+    return USUAL_ONE_NN if figure is None or figure.recording is None else figure.recording
 
 
 def _has(key: str, clips: Sequence[ClipResult]) -> bool:

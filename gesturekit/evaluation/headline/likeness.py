@@ -13,7 +13,7 @@ import numpy as np
 
 ALIKE, UNLIKE = np.log(1.25), np.log(2.5)
 """Logarithms of the ratios up to which the credit is 1, and from which it is 0."""
-TOLD = 0.6
+USUAL_ONE_NN = 0.6
 """1-NN accuracy that costs nothing: a speaker's recordings have it among each other."""
 FORWARD = 30.0
 """Share of windows, %, that are nearest to motion played forwards, from which the credit is 1."""
@@ -47,35 +47,35 @@ MEASURES = tuple(key for keys in ASPECTS.values() for key in keys)
 
 
 def credits(
-    ours: Mapping[str, np.ndarray], own: Mapping[str, np.ndarray], told: float = TOLD
+    ours: Mapping[str, np.ndarray], own: Mapping[str, np.ndarray], own_one_nn: float = USUAL_ONE_NN
 ) -> dict[str, np.ndarray]:
     """Return the credit of each aspect that is known, 0 to 1.
 
     Args:
         ours: {measure: values (...)} of the motion.
         own: the same of the recordings; needed of `RATIOS` alone.
-        told: 1-NN accuracy that costs nothing.
+        own_one_nn: 1-NN accuracy that costs nothing.
     """
     found: dict[str, list[np.ndarray]] = {}
     for aspect, keys in ASPECTS.items():
         for key in keys:
             if key in ours and (key not in RATIOS or key in own):
-                credit = _credit(key, ours[key], own.get(key), max(told, TOLD))
+                credit = _credit(key, ours[key], own.get(key), max(own_one_nn, USUAL_ONE_NN))
                 found.setdefault(aspect, []).append(credit)
     return {aspect: np.mean(values, axis=0) for aspect, values in found.items()}
 
 
 def likeness(
-    ours: Mapping[str, np.ndarray], own: Mapping[str, np.ndarray], told: float = TOLD
+    ours: Mapping[str, np.ndarray], own: Mapping[str, np.ndarray], own_one_nn: float = USUAL_ONE_NN
 ) -> np.ndarray | None:
     """Return the mean credit of all aspects; None if none is known. Arguments as of `credits`."""
-    found = credits(ours, own, told)
+    found = credits(ours, own, own_one_nn)
     return np.mean(list(found.values()), axis=0) if found else None
 
 
-def _credit(key: str, ours: np.ndarray, own: np.ndarray | None, told: float) -> np.ndarray:
+def _credit(key: str, ours: np.ndarray, own: np.ndarray | None, own_one_nn: float) -> np.ndarray:
     if key == "one_nn":
-        return np.clip((1.0 - np.asarray(ours)) / max(1.0 - told, 1e-6), 0.0, 1.0)
+        return np.clip((1.0 - np.asarray(ours)) / max(1.0 - own_one_nn, 1e-6), 0.0, 1.0)
     if key == "forward":
         return np.clip(np.asarray(ours) / FORWARD, 0.0, 1.0)
     floor = RATIOS[key]

@@ -6,7 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from gesturekit.evaluation.headline.likeness import ASPECTS, MEASURES, TOLD, credits, likeness
+from gesturekit.evaluation.headline.likeness import (
+    ASPECTS,
+    MEASURES,
+    USUAL_ONE_NN,
+    credits,
+    likeness,
+)
 from gesturekit.evaluation.intervals import Interval, draws, half_width, means_by
 from gesturekit.evaluation.results import Answer, ClipResult, MetricResult
 from gesturekit.wording import listed
@@ -40,17 +46,17 @@ def answers(clips: Sequence[ClipResult], figures: Figures) -> list[Answer]:
 
 
 def likeness_result(
-    clips: Sequence[ClipResult], told: float | None, own: float | None, seed: int
+    clips: Sequence[ClipResult], own_one_nn: float | None, own: float | None, seed: int
 ) -> MetricResult | None:
     """Return the likeness of a model's clips with its interval over recordings.
 
     Args:
         clips: the clips.
-        told: 1-NN accuracy of the recordings among each other, or None.
+        own_one_nn: 1-NN accuracy of the recordings among each other, or None.
         own: likeness of other recordings.
         seed: of the bootstrap.
     """
-    measure = likeness_of(clips, TOLD if told is None else told)
+    measure = likeness_of(clips, USUAL_ONE_NN if own_one_nn is None else own_one_nn)
     units = len({clip.pair.stem for clip in clips})
     value = float(measure(np.full((1, units), 1 / units))[0])
     if np.isnan(value):
@@ -64,13 +70,15 @@ def likeness_result(
     return MetricResult("likeness", interval, recording=own, note=note)
 
 
-def likeness_of(clips: Sequence[ClipResult], told: float) -> Callable[[np.ndarray], np.ndarray]:
+def likeness_of(
+    clips: Sequence[ClipResult], own_one_nn: float
+) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function of weights (B, R) of recordings, sorted by name, to likenesses (B,)."""
     ours, own = _measures(clips)
 
     def measured(weights: np.ndarray) -> np.ndarray:
         sides = ({key: weights @ v for key, v in side.items()} for side in (ours, own))
-        found = likeness(*sides, told)
+        found = likeness(*sides, own_one_nn)
         return np.full(len(weights), np.nan) if found is None else found
 
     return measured
@@ -120,9 +128,9 @@ def _likeness(clips: Sequence[ClipResult], figures: Figures) -> Answer:
     if figure is None:
         return Answer(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
     one_nn = figures.get("one_nn")
-    told = TOLD if one_nn is None or one_nn.recording is None else one_nn.recording
+    own_one_nn = USUAL_ONE_NN if one_nn is None or one_nn.recording is None else one_nn.recording
     means = ({k: v.mean() for k, v in side.items()} for side in _measures(clips))
-    found = credits(*means, told)
+    found = credits(*means, own_one_nn)
     missed = sorted((a for a in ASPECTS if a in found and found[a] < NOTICED), key=found.get)
     differs = f"; what differs: {listed(missed, 4)}" if missed else ""
     value = figure.interval.value

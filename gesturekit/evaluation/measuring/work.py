@@ -55,7 +55,7 @@ class SetTask:
 
 
 Task = ClipTask | tuple[SetTask, ...]
-"""What one process does at a time: clips of a recording, or sets one after the other."""
+"""Work of one process at a time: clips of a recording, or sets one after the other."""
 
 
 @dataclass(eq=False)
