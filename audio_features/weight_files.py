@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import pickle
 import re
 import struct
@@ -60,6 +61,33 @@ def expected_normalization(folder: Path, front_norm: str) -> float | None:
                 "expected 16000 and true or false: take the file that came with the weights"
             )
     return HUGGINGFACE_EPS if normalize else None
+
+
+def check_fingerprint(source: str | os.PathLike[str], found: str, wanted: str | None) -> None:
+    """Raise WeightsError if an encoder is not the one that a spec asks for.
+
+    Args:
+        source: file or folder of the encoder, for the message.
+        found: fingerprint of what was read.
+        wanted: fingerprint in the spec; None accepts every encoder.
+    """
+    if wanted not in (None, found):
+        raise WeightsError(
+            f"{os.fspath(source)}: these weights have fingerprint {found}, the features were made "
+            f"with {wanted}: give the weights that the model was trained on"
+        )
+
+
+def weights_needed(encoder: str, wanted: str | None, how: str) -> WeightsError:
+    """Return the error of a spec that comes without the place of its weights.
+
+    Args:
+        encoder: what is missing, for example "WavLM".
+        wanted: fingerprint in the spec, None if any weights will do.
+        how: setting and option that name the place.
+    """
+    which = f" with fingerprint {wanted}" if wanted else ""
+    return WeightsError(f"weights of {encoder}{which} are needed: name their place ({how})")
 
 
 def read_folder(folder: Path) -> dict[str, torch.Tensor]:

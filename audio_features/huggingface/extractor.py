@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from audio_features.errors import AudioError, FeatureError, WeightsError
+from audio_features.errors import AudioError, FeatureError
 from audio_features.inference import checked_device, chunk_slices, normalized
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.wavlm.options import SAMPLE_RATE, Options
+from audio_features.weight_files import check_fingerprint, weights_needed
 
 if TYPE_CHECKING:
     from audio_features.wavlm.layer_selection import Layer
@@ -76,12 +77,7 @@ class HuggingFace:
         self._options = Options(**{**_SECONDS, **options})
         self._device = checked_device(device)
         self.weights, network = read_encoder(weights)
-        if fingerprint not in (None, self.fingerprint):
-            raise WeightsError(
-                f"{os.fspath(weights)}: these weights have fingerprint {self.fingerprint}, "
-                f"the features were made with {fingerprint}: give the weights that the model was "
-                "trained on"
-            )
+        check_fingerprint(weights, self.fingerprint, fingerprint)
         if self.weights.family.inputs != "waveform" and self._options.normalize is not None:
             raise FeatureError(
                 f"normalize={self._options.normalize!r}: {self.weights.family.title} takes no "
@@ -116,11 +112,10 @@ class HuggingFace:
         _check_names(settings)
         model = settings.pop("model", None)
         if folder is None:
-            wanted = settings.get("fingerprint")
-            which = f" with fingerprint {wanted}" if wanted else ""
-            raise WeightsError(
-                f"weights of {model or 'a Hugging Face speech encoder'}{which} are needed: name "
-                "their folder (path: FOLDER in the config to train, else --weights FOLDER)"
+            raise weights_needed(
+                model or "a Hugging Face speech encoder",
+                settings.get("fingerprint"),
+                "path: FOLDER in the config to train, else --weights FOLDER",
             )
         return cls(folder, **settings, device=device)
 

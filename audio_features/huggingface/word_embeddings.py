@@ -15,6 +15,7 @@ from audio_features.huggingface.families import TEXT_FAMILIES
 from audio_features.inference import checked_device
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
+from audio_features.weight_files import check_fingerprint, weights_needed
 from audio_features.word_features import frames_of, words_of
 
 RATE = 50
@@ -70,11 +71,7 @@ class WordEmbeddings:
         self._tokeniser = _tokeniser(folder, int(config.vocab_size))
         about = {"model_type": self.model, "tokeniser": _tokeniser_digest(self._tokeniser)}
         self.fingerprint = fingerprint_of(family, config, tensors, about)
-        if fingerprint not in (None, self.fingerprint):
-            raise WeightsError(
-                f"{folder}: this text encoder has fingerprint {self.fingerprint}, the features "
-                f"were made with {fingerprint}: give the encoder that the model was trained on"
-            )
+        check_fingerprint(folder, self.fingerprint, fingerprint)
         count = int(config.num_hidden_layers)
         whole = isinstance(layer, int) and not isinstance(layer, bool)
         if layer != "last" and not (whole and 0 <= layer <= count):
@@ -111,11 +108,10 @@ class WordEmbeddings:
             raise FeatureError(f"words: unknown setting {unknown[0]!r}; there are {known}")
         model = settings.pop("model", None)
         if folder is None:
-            wanted = settings.get("fingerprint")
-            which = f" with fingerprint {wanted}" if wanted else ""
-            raise WeightsError(
-                f"the text encoder {model or 'of the words'}{which} is needed: name its folder "
-                "(encoder: FOLDER in the config to train, else --weights FOLDER)"
+            raise weights_needed(
+                f"the text encoder {model}" if model else "a text encoder",
+                settings.get("fingerprint"),
+                "encoder: FOLDER in the config to train, else --weights FOLDER",
             )
         return cls(folder, **settings, device=device)
 

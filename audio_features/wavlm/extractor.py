@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from audio_features.errors import FeatureError, WeightsError
+from audio_features.errors import FeatureError
 from audio_features.inference import checked_device, chunk_slices, normalized
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.wavlm.architecture import HOP, WINDOW
 from audio_features.wavlm.options import SAMPLE_RATE, Options, check_names
+from audio_features.weight_files import check_fingerprint, weights_needed
 
 if TYPE_CHECKING:
     from audio_features.wavlm.layer_selection import Layer
@@ -101,12 +102,7 @@ class WavLM:
         self._options = Options(**options)
         self._device = checked_device(device)
         self.weights, tensors = read_weights(weights)
-        if fingerprint not in (None, self.fingerprint):
-            raise WeightsError(
-                f"{os.fspath(weights)}: these weights have fingerprint {self.fingerprint}, "
-                f"the features were made with {fingerprint}: give the weights that the model was "
-                "trained on"
-            )
+        check_fingerprint(weights, self.fingerprint, fingerprint)
         self.dtype, self.preset, self.implementation = dtype, preset, implementation
         shape = self.weights.architecture
         self._choice = LayerChoice(layer, self._options.final_norm, shape.layers)
@@ -142,12 +138,8 @@ class WavLM:
         settings = {key: value for key, value in settings.items() if key != "kind"}
         check_names(settings)
         if weights is None:
-            wanted = settings.get("fingerprint")
-            which = f" with fingerprint {wanted}" if wanted else ""
-            raise WeightsError(
-                f"WavLM weights{which} are needed: name their folder or file "
-                "(features.weights=PATH to train, else --weights PATH)"
-            )
+            how = "features.weights=PATH to train, else --weights PATH"
+            raise weights_needed("WavLM", settings.get("fingerprint"), how)
         return cls(weights, **settings, device=device)
 
     @property

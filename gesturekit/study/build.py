@@ -170,21 +170,21 @@ class _Clips:
             side["sound"] = self._name(system, segment, segment)
         return side
 
-    def _name(self, system: str, shown: Segment, heard: Segment) -> str:
-        key = (system, shown.name, heard.name)
+    def _name(self, system: str, shown: Segment, spoken: Segment) -> str:
+        key = (system, shown.name, spoken.name)
         suffix = shown.clips[system].suffix.lower() if self.material.videos else ""
         return self.sources.setdefault(key, f"c{len(self.sources) + 1:04d}{suffix}")
 
     def write(self, out: Path) -> None:
         """Write all clips, and the lengths of motions into the comparisons."""
         sources = Progress(self.sources.items(), unit="clip")
-        for (system, shown, heard), name in sources:
+        for (system, shown, spoken), name in sources:
             source = self.segments[shown].clips[system]
             if self.material.videos:
                 with atomic_write(out / "clips" / name) as temporary:
                     shutil.copyfile(source, temporary)
             else:
-                sound = self.segments[heard].sound
+                sound = self.segments[spoken].sound
                 self.seconds[name] = _write_motion(source, sound, out / "clips" / f"{name}.js")
         for side, name in self._sides:
             side["seconds"] = self.seconds[name]

@@ -62,8 +62,8 @@ def find_clips(config: StudyConfig) -> Material:
     kinds = {name: {path.suffix.lower() in VIDEOS for path in clips.values()}
              for name, clips in found.items()}  # fmt: skip
     if len(set().union(*kinds.values())) > 1:
-        told = ", ".join(f"{n}: {'videos' if True in k else 'motions'}" for n, k in kinds.items())
-        raise ConfigError(f"systems: all need clips of one kind, videos or motions ({told})")
+        mixed = ", ".join(f"{n}: {'videos' if True in k else 'motions'}" for n, k in kinds.items())
+        raise ConfigError(f"systems: all need clips of one kind, videos or motions ({mixed})")
     videos = kinds[next(iter(found))] == {True}
     by_key = _by_common_key(found)
     common = sorted(set.intersection(*(set(clips) for clips in by_key.values())))

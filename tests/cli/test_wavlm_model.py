@@ -59,7 +59,7 @@ def test_from_weights_to_motion(gesturekit, corpus, write_speech, write_wavlm, t
 def test_training_asks_for_the_weights_before_it_listens(gesturekit, corpus, tmp_path, tiny):
     done = gesturekit("train", CONFIG, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
     assert done.status == 2
-    assert done.err.startswith("Error: WavLM weights are needed")
+    assert done.err.startswith("Error: weights of WavLM are needed")
 
 
 DIFFUSION = (

@@ -110,9 +110,9 @@ def _hands(representation: MultiresRepresentation) -> tuple[str, ...]:
 
 def _limb(skeleton: Skeleton, arms: Mapping[str, Arm], side: str) -> tuple[str, ...]:
     """Return the joints of an arm: from the last joint that both arms hang on, downwards."""
-    own, other = (skeleton.index(arms[s].shoulder) for s in sorted(SIDES, key=lambda s: s != side))
-    both = skeleton.ancestors(other)
-    top = own
+    other = next(s for s in SIDES if s != side)
+    both = skeleton.ancestors(skeleton.index(arms[other].shoulder))
+    top = skeleton.index(arms[side].shoulder)
     while skeleton.parents[top] >= 0 and skeleton.parents[top] not in both:
         top = skeleton.parents[top]
     return tuple(skeleton.names[j] for j in (top, *skeleton.descendants(top)))
