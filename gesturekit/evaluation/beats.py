@@ -61,9 +61,11 @@ class MotionBeats:
     mean_speed: Mapping[str, float]
 
     def alignment(self, sound: Sound) -> rhythm.BeatResult:
+        """Return the beat alignment with a sound, see `rhythm.beat_alignment`."""
         return rhythm.beat_result([self._whole], sound.pulse, self.motion.duration, rhythm.KERNEL)
 
     def consistency(self, sound: Sound) -> rhythm.BeatResult:
+        """Return the beat consistency with a sound, see `rhythm.beat_consistency`."""
         kernel = rhythm.CONSISTENCY_KERNEL
         return rhythm.beat_result(self._by_joint, sound.onsets, self.motion.duration, kernel)
 
