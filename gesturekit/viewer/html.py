@@ -55,7 +55,8 @@ def write_html(
         path: the .html file to write.
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         title: the page's heading; the file's stem by default.
-        body: "mannequin" (by default), "human" or "skeleton"; see `gesturekit.viewer.worn`.
+        body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
+            `gesturekit.viewer.worn`.
         body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs;
             the motion is put on its rig.
 
