@@ -22,6 +22,11 @@ AVATARS = (".vrm", ".glb")
 """Suffixes of files of avatars."""
 
 
+def is_body(name: str) -> bool:
+    """Return whether a name is one of BODIES, or a path that ends as avatars' files do."""
+    return name in BODIES or name.lower().endswith(AVATARS)
+
+
 @dataclass(frozen=True, eq=False)
 class Worn:
     """A motion on the body that is drawn.
@@ -58,8 +63,7 @@ class Worn:
         Warns:
             UserWarning: the human body was not baked, or a body cannot be put on this rig.
         """
-        is_avatar = body is not None and body.lower().endswith(AVATARS)
-        if body is not None and body not in BODIES and not is_avatar:
+        if body is not None and not is_body(body):
             raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)} or a .vrm file")
         if body_model is not None:
             if body is not None:
@@ -67,8 +71,8 @@ class Worn:
             motion = fit_body(motion, body_model)
             skin = Skin.of(body_model, motion.info.get("betas"))
             return cls(motion, Figure.of(motion), (skin,))
-        if body == "human" or is_avatar:
-            avatar = load_avatar(body) if is_avatar else None
+        if body not in (None, "mannequin", "skeleton"):
+            avatar = None if body == "human" else load_avatar(body)
             try:
                 human = avatar or Human.load()
                 moved, scale = human.wear(motion)
