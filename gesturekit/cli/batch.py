@@ -116,6 +116,27 @@ def show(
     return True
 
 
+def show_and_count(
+    outcomes: Iterable[Result], total: int, description: str, add: Callable[[Result], None]
+) -> int:
+    """Do work as `show` does, print how many inputs failed, and return the exit code."""
+    done = failed = 0
+
+    def counted(outcome: Result) -> None:
+        nonlocal done, failed
+        done += 1
+        failed += outcome.error is not None
+        add(outcome)
+
+    def stopped() -> str:
+        return f"{done} done; the same command continues."
+
+    is_whole = show(outcomes, total, description, counted, stopped)
+    if failed and done > 1:
+        click.echo(f"{failed} of {done} failed.", err=True)
+    return 1 if failed or not is_whole else 0
+
+
 def print_preview(batch: Batch) -> None:
     """Print what would be done about each sound of a batch, and the sums."""
     from gesturekit.progress import time_in_words

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
-from gesturekit.cli.batch import batch_options, pop_execution, show
+from gesturekit.cli.batch import batch_options, pop_execution, show_and_count
 from gesturekit.cli.engines import run_elsewhere
 from gesturekit.cli.options import (
     RATE,
@@ -122,21 +122,10 @@ def command(
         dry_run=dry_run,
         execution=execution,
     )
-    done = failed = 0
-
-    def add(outcome: Converted) -> None:
-        nonlocal done, failed
-        done += 1
-        failed += outcome.error is not None
-        _print(outcome)
-
-    stopped = lambda: f"{done} done; the same command continues."  # noqa: E731
-    is_whole = show(conversion.run(), conversion.count, "Converting", add, stopped)
-    if failed and done > 1:
-        click.echo(f"{failed} of {done} failed.", err=True)
+    code = show_and_count(conversion.run(), conversion.count, "Converting", _print)
     if dry_run:
         click.echo("Dry run: nothing was written.", err=True)
-    ctx.exit(1 if failed or not is_whole else 0)
+    ctx.exit(code)
 
 
 def _changes(options: dict[str, Any]) -> Changes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
-from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show
+from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
 from gesturekit.cli.engines import run_elsewhere
 from gesturekit.cli.options import GroupedCommand, channel_option, existing_option
 from gesturekit.wording import counted
@@ -160,20 +160,7 @@ def command(
     if is_dry:
         print_preview(batch)
         return
-    done = failed = 0
-
-    def add(outcome: Outcome) -> None:
-        nonlocal done, failed
-        done += 1
-        failed += outcome.error is not None
-        _print(outcome)
-
-    count = len(batch.tasks)
-    stopped = lambda: f"{done} done; the same command continues."  # noqa: E731
-    is_whole = show(batch.run(), count, "Features", add, stopped)
-    if failed and count > 1:
-        click.echo(f"{failed} of {count} files failed.", err=True)
-    ctx.exit(1 if failed or not is_whole else 0)
+    ctx.exit(show_and_count(batch.run(), len(batch.tasks), "Features", _print))
 
 
 def _print(outcome: Outcome) -> None:
