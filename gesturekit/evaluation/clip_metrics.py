@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from audio_features import AudioFeaturesError, Wave
+from audio_features import AudioFeaturesError
 from gesturekit.errors import EvaluationError, GestureKitError
-from gesturekit.evaluation.clips import Clip, load_recording, load_wave
+from gesturekit.evaluation.beats import MotionBeats, Sound, load_sound
+from gesturekit.evaluation.clips import Clip, load_recording
 from gesturekit.evaluation.definitions import (
     LIFE,
     MOVEMENT,
@@ -28,43 +29,13 @@ from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinge
 from gesturekit.evaluation.metrics.joint_limits import JointLimits, joint_limit_share
 from gesturekit.evaluation.metrics.patches import intra_diversity, patch_features, patch_scores
 from gesturekit.evaluation.metrics.sync import SyncResult, sync
-from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, Stretch
+from gesturekit.evaluation.pairs import Excluded, Stretch
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints
 
 PATCH_PAIRS = 250_000_000
 """Largest number of frames of a clip times frames of its recording that is compared: 2 GB."""
-
-
-@dataclass(frozen=True)
-class Sound:
-    """A recording's sound and its beats.
-
-    Attributes:
-        wave: the sound.
-        onsets: (B,) speech onsets, seconds.
-        pulse: (B,) beats of the beat tracker, seconds.
-    """
-
-    wave: Wave
-    onsets: np.ndarray
-    pulse: np.ndarray
-
-    @classmethod
-    def load(cls, path: Path | Stretch, window: int | None) -> Sound:
-        """Read a sound, or one 10 s window of it.
-
-        Raises:
-            AudioError: it cannot be read.
-        """
-        wave = load_wave(path)
-        if window is not None:
-            wave = wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)
-        return cls(wave, rhythm.speech_onsets(wave), rhythm.music_beats(wave))
-
-
-load_sound = functools.lru_cache(maxsize=16)(Sound.load)
 
 
 @dataclass
@@ -183,9 +154,10 @@ class ClipMetrics:
     def mismatched_sound(self, clip: Clip, sounds: Sequence[Sound]) -> Values:
         """Average the speech metrics of the generated motion over other recordings' sounds."""
         every: dict[str, list[float]] = {}
+        beats = MotionBeats(clip.generated, clip, self.statistics.mean_speed)
         for sound in sounds:
             out = _Collected()
-            self._speech(out, clip, clip.generated, sound)
+            self._speech(out, clip, beats, sound)
             for key, value in out.figures.items():
                 every.setdefault(key, []).append(value)
         return {key: float(np.mean(values)) for key, values in every.items()}
@@ -211,7 +183,8 @@ class ClipMetrics:
             except AudioFeaturesError as error:
                 out.problems.append(("speech", str(error)))
             else:
-                self._speech(out, clip, motion, sound)
+                beats = MotionBeats(motion, clip, self.statistics.mean_speed)
+                self._speech(out, clip, beats, sound)
         if LIFE in self.groups:
             _hands(out, motion)
         if PATCHES in self.groups:
@@ -235,18 +208,15 @@ class ClipMetrics:
         if limits is not None:
             out("joint_limits", lambda: 100.0 * joint_limit_share(motion, limits))
 
-    def _speech(self, out: _Collected, clip: Clip, motion: Motion, sound: Sound) -> None:
+    def _speech(self, out: _Collected, clip: Clip, beats: MotionBeats, sound: Sound) -> None:
+        motion = beats.motion
         synced = out("sync", lambda: _sync(motion, clip, sound), lambda result: result.r)
-        aligned = out(
-            "bas",
-            lambda: rhythm.beat_alignment(motion, sound.pulse, joints=clip.joints),
-            _score,
-        )
+        aligned = out("bas", lambda: beats.alignment(sound), _score)
         if synced is not None and not (synced.note and synced.r):  # else its chance is unknown
             out.figures["in_time"] = synced.r - synced.chance_mean
         elif synced is None and _hardly_moves(motion, clip):
             out.figures["in_time"] = 0.0
-        consistent = out("bc", lambda: self._consistency(clip, motion, sound), _score)
+        consistent = out("bc", lambda: beats.consistency(sound), _score)
         for key, result in (("sync", synced), ("bas", aligned), ("bc", consistent)):
             if result is None:
                 continue
@@ -254,18 +224,6 @@ class ClipMetrics:
             out.figures[f"{key}_z"] = result.z
             if result.note:
                 out.problems.append((key, result.note))
-
-    def _consistency(self, clip: Clip, motion: Motion, sound: Sound) -> rhythm.BeatResult:
-        upper = set(rhythm.upper_body_joints(clip.recording))
-        joints = [name for name in clip.joints if name in upper]
-        speeds = self.statistics.mean_speed
-        usual = [speeds[name] for name in joints] if set(joints) <= set(speeds) else None
-        return rhythm.beat_consistency(
-            motion,
-            sound.onsets,
-            joints=joints,
-            mean_speed=None if usual is None else np.array(usual),
-        )
 
     def both(self, clip: Clip) -> tuple[np.ndarray, np.ndarray]:
         """Return the poses (T, 3 (J - 1)) of both motions over their common frames."""

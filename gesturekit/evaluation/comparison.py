@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
-from gesturekit.evaluation.baselines import baseline_pairs
-from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics, load_sound
+from gesturekit.evaluation.beats import load_sound
+from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
 from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_recordings
+from gesturekit.evaluation.contest.baselines import baseline_pairs
 from gesturekit.evaluation.contest.figures import figures_of
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gesturekit.motion.rotations import multiply_quaternions, rotate_vectors
+from gesturekit.motion.rotations import product_components, rotated_components
 from gesturekit.motion.skeleton import Skeleton
 
 GROUND = [0, 2]
@@ -15,13 +15,7 @@ GROUND = [0, 2]
 
 def global_rotations(rotations: np.ndarray, skeleton: Skeleton) -> np.ndarray:
     """(..., J, 4) rotations from each joint's frame to the world, from local ones (..., J, 4)."""
-    rotations = np.asarray(rotations, dtype=np.float64)
-    world = rotations.copy()
-    for joints, parents in _levels(skeleton):
-        world[..., joints, :] = multiply_quaternions(
-            world[..., parents, :], rotations[..., joints, :]
-        )
-    return world
+    return _components_last(_global_components(rotations, skeleton))
 
 
 def forward_kinematics(
@@ -41,18 +35,41 @@ def forward_kinematics(
     Returns:
         (..., J, 3), metres.
     """
-    world = global_rotations(rotations, skeleton)
-    local = np.broadcast_to(skeleton.offsets, (*world.shape[:-1], 3))
+    world = _global_components(rotations, skeleton)
+    frames = world.shape[2:]
+    local = skeleton.offsets.T.reshape(3, -1, *(1 for _ in frames))
     if joint_translations:
-        local = local.copy()
+        local = np.broadcast_to(local, (3, *world.shape[1:])).copy()
         for name, values in joint_translations.items():
-            local[..., skeleton.index(name), :] = values
-    positions = np.empty(local.shape)
-    positions[..., 0, :] = translation
+            local[:, skeleton.index(name)] = np.moveaxis(np.asarray(values), -1, 0)
+    positions = np.empty((3, *world.shape[1:]))
+    positions[:, 0] = np.moveaxis(np.broadcast_to(translation, (*frames, 3)), -1, 0)
     for joints, parents in _levels(skeleton):
-        step = rotate_vectors(world[..., parents, :], local[..., joints, :])
-        positions[..., joints, :] = positions[..., parents, :] + step
-    return positions
+        steps = rotated_components(world[:, parents], local[:, joints])
+        for axis, step in zip(positions, steps, strict=True):
+            axis[joints] = axis[parents] + step
+    return _components_last(positions)
+
+
+def _global_components(rotations: np.ndarray, skeleton: Skeleton) -> np.ndarray:
+    """Return the components (4, J, ...) of `global_rotations`."""
+    local = _components_first(np.asarray(rotations, dtype=np.float64))
+    world = local.copy()
+    for joints, parents in _levels(skeleton):
+        products = product_components(world[:, parents], local[:, joints])
+        for component, values in zip(world, products, strict=True):
+            component[joints] = values
+    return world
+
+
+def _components_first(values: np.ndarray) -> np.ndarray:
+    """Return values (..., J, D) as (D, J, ...): numpy is faster with frames next to each other."""
+    return np.ascontiguousarray(np.moveaxis(values, (-1, -2), (0, 1)))
+
+
+def _components_last(values: np.ndarray) -> np.ndarray:
+    """Return values (D, J, ...) as (..., J, D)."""
+    return np.ascontiguousarray(np.moveaxis(values, (0, 1), (-1, -2)))
 
 
 def _levels(skeleton: Skeleton) -> list[tuple[list[int], list[int]]]:

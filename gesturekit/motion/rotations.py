@@ -23,16 +23,19 @@ def normalize_quaternions(q: np.ndarray) -> np.ndarray:
 
 def multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(..., 4) Hamilton product of quaternions (..., 4): rotation by `b`, then by `a`."""
-    ax, ay, az, aw = np.moveaxis(np.asarray(a, dtype=np.float64), -1, 0)
-    bx, by, bz, bw = np.moveaxis(np.asarray(b, dtype=np.float64), -1, 0)
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
+    a, b = (np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0) for q in (a, b))
+    return np.stack(product_components(a, b), axis=-1)
+
+
+def product_components(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the four components (...) of `multiply_quaternions`, from components (4, ...)."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
     )
 
 
@@ -43,18 +46,17 @@ def invert_quaternions(q: np.ndarray) -> np.ndarray:
 
 def rotate_vectors(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(..., 3) vectors `v` (..., 3) rotated by quaternions `q` (..., 4)."""
-    x, y, z, w = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
-    a, b, c = np.moveaxis(np.asarray(v, dtype=np.float64), -1, 0)
+    q, v = (np.moveaxis(np.asarray(values, dtype=np.float64), -1, 0) for values in (q, v))
+    return np.stack(rotated_components(q, v), axis=-1)
+
+
+def rotated_components(q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the components (...) of `rotate_vectors`, from components (4, ...) and (3, ...)."""
+    x, y, z, w = q
+    a, b, c = v
     # v + w t + u x t with t = 2 u x v, u the vector part of q.
     s, t, u = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
-    return np.stack(
-        [
-            a + w * s + (y * u - z * t),
-            b + w * t + (z * s - x * u),
-            c + w * u + (x * t - y * s),
-        ],
-        axis=-1,
-    )
+    return a + w * s + (y * u - z * t), b + w * t + (z * s - x * u), c + w * u + (x * t - y * s)
 
 
 def shortest_arc(a: np.ndarray, b: np.ndarray, spare: np.ndarray | None = None) -> np.ndarray:

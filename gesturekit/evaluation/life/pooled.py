@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -79,11 +81,15 @@ class LifeMetrics:
     Args:
         training: motion of the training split; without any, recordings are compared half by half.
         seed: seed of subsamples.
+        known: values of recordings that other models have in common; filled here.
     """
 
-    def __init__(self, training: TrainingMotion, seed: int) -> None:
+    def __init__(
+        self, training: TrainingMotion, seed: int, known: dict[Hashable, Any] | None = None
+    ) -> None:
         self.training = training
         self.seed = seed
+        self._known = {} if known is None else known
         self.problems: list[tuple[str, str]] = []
         self._recorded: dict[tuple[str, int | None], Motion] = {}
         self._generated: dict[tuple[str, int | None], list[Motion]] = {}
@@ -172,7 +178,7 @@ class LifeMetrics:
             "within_reach": 100.0 * within_reach(ours, theirs, seed=self.seed),
             "forward": float(forward.mean()),
         }
-        own, note = self._own_windows(joints)
+        own, note = self._once("windows", joints, lambda: self._own_windows(joints))
         return {key: self._result(key, value, own.get(key), note) for key, value in values.items()}
 
     def _own_windows(self, joints: Sequence[str]) -> tuple[dict[str, float], str]:
@@ -219,13 +225,7 @@ class LifeMetrics:
         ours = subsample(motion_windows(self._all_generated(), joints), rng)
         distances = nearest_training(ours, among, joints)
         self._by_clip["copying"] = _clip_means(ours, distances, np.median)
-        held = []
-        for mine, others in self._splits():
-            windows = subsample(motion_windows(mine, joints), rng)
-            held.append(nearest_training(windows, _at_most(others), joints))
-        median, low = (
-            float(np.mean([np.quantile(own, q) for own in held])) for q in (0.5, LOW_QUANTILE)
-        )
+        median, low = self._once("copying", joints, lambda: self._own_copying(joints))
         if median > 0.0:
             self._by_clip["novelty"] = {
                 clip: value / median for clip, value in self._by_clip["copying"].items()
@@ -236,6 +236,32 @@ class LifeMetrics:
             "copying_low": (float(np.quantile(distances, LOW_QUANTILE)), low),
         }
         return {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
+
+    def _own_copying(self, joints: Sequence[str]) -> tuple[float, float]:
+        """Return median and 5 % quantile of the distances of held-out recordings to others."""
+        rng = np.random.default_rng(self.seed)
+        quantiles = []
+        for mine, others in self._splits():
+            windows = subsample(motion_windows(mine, joints), rng)
+            distances = nearest_training(windows, _at_most(others), joints)
+            quantiles.append(np.quantile(distances, (0.5, LOW_QUANTILE)))
+        median, low = np.mean(quantiles, axis=0)
+        return float(median), float(low)
+
+    def _once(self, name: str, joints: Sequence[str], compute: Callable[[], Any]) -> Any:
+        """Return a value of the recordings, computed once for all models that share them."""
+        key = (name, tuple(joints), self._recordings)
+        if key not in self._known:
+            self._known[key] = compute()
+        return self._known[key]
+
+    @cached_property
+    def _recordings(self) -> str:
+        """Digest of the recordings: clips of another length compare with less of them."""
+        digest = hashlib.sha256()
+        for motion in self._recorded.values():
+            digest.update(np.ascontiguousarray(motion.rotations))
+        return digest.hexdigest()
 
     def _splits(self) -> list[tuple[list[Motion], list[Motion]]]:
         """Return pairs of (held-out recordings, other recordings) to compare."""

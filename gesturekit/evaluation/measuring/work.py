@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.clip_metrics import ClipMetrics, load_sound
+from gesturekit.evaluation.beats import load_sound
+from gesturekit.evaluation.clip_metrics import ClipMetrics
 from gesturekit.evaluation.clips import Clip, clip_notes, load_clip, load_recording
 from gesturekit.evaluation.contest.floors import floors
 from gesturekit.evaluation.definitions import FRECHET, LIFE, SPEECH
@@ -88,6 +89,7 @@ class Work:
     _own: dict[tuple[Window, tuple[str, ...]], dict[str, float]] = field(
         default_factory=dict, init=False
     )
+    _of_recordings: dict[Hashable, Any] = field(default_factory=dict, init=False)
     _contents: dict[Pair, str | None] = field(default_factory=dict, init=False)
 
     def __call__(self, task: Task) -> list[Any]:
@@ -133,7 +135,9 @@ class Work:
         training = TrainingMotion()
         if LIFE in groups:
             training = TrainingMotion.of(self.reference, self.seed)
-        clip_set = SetMetrics(measure, self.seed, LifeMetrics(training, self.seed))
+        clip_set = SetMetrics(
+            measure, self.seed, LifeMetrics(training, self.seed, self._of_recordings)
+        )
         windows, speeds, wrists = {}, {}, {}
         for pair in self.pairs[task.label]:
             try:

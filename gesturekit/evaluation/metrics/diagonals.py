@@ -14,6 +14,7 @@ from gesturekit.compiled import compiled
 # Squared distances below this fraction of the squared lengths are recomputed from the frames, as
 # |a|² + |b|² - 2ab loses digits there. All others have a relative error below about 1e-9.
 _NEAR = 1e-6
+_BOUND_ERROR = 1e-6  # relative; far above that of `frame_distances`
 
 
 def frame_distances(a: np.ndarray, b: np.ndarray, *, squared: bool = False) -> np.ndarray:
@@ -68,6 +69,24 @@ def _finish(
         if not squared:
             for j in range(n):
                 products[i, j] = np.sqrt(products[i, j])
+
+
+@compiled()
+def lower_to_nearest(nearest: np.ndarray, bounds: np.ndarray, a: np.ndarray, b: np.ndarray) -> None:
+    """Lower `nearest` (L,) to the distances of the rows of `a` (L, D) to the nearest rows of `b`.
+
+    Only distances are computed whose lower bound, `bounds` (L, N), is below the nearest so far;
+    bounds may be too large by their rounding errors.
+    """
+    for i in range(bounds.shape[0]):
+        least = bounds[i].argmin()  # most likely the nearest: then all others are left out
+        for step in range(bounds.shape[1] + 1):
+            j = least if step == 0 else step - 1
+            if bounds[i, j] * (1.0 - _BOUND_ERROR) < nearest[i]:
+                total = 0.0
+                for k in range(a.shape[1]):
+                    total += (a[i, k] - b[j, k]) ** 2
+                nearest[i] = min(nearest[i], np.sqrt(total))
 
 
 @compiled()

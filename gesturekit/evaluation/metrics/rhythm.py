@@ -87,7 +87,7 @@ def beat_alignment(
             be identified.
     """
     found = motion_beats(motion, variant=variant, joints=joints)
-    return _result([found], beats, motion.duration, KERNEL)
+    return beat_result([found], beats, motion.duration, KERNEL)
 
 
 def beat_consistency(
@@ -113,6 +113,17 @@ def beat_consistency(
     Raises:
         MotionError: fewer than 3 frames, or joints that cannot be identified.
     """
+    found = joint_beats(motion, mean_speed=mean_speed, joints=joints)
+    return beat_result(found, onsets, motion.duration, CONSISTENCY_KERNEL)
+
+
+def joint_beats(
+    motion: Motion,
+    *,
+    mean_speed: np.ndarray | None = None,
+    joints: Sequence[str] | None = None,
+) -> list[np.ndarray]:
+    """Return the beats (M,) of each joint, seconds; see `beat_consistency`."""
     names = upper_body_joints(motion) if joints is None else joints
     speed = central_speed(motion, names)
     usual = speed.mean(axis=0) if mean_speed is None else np.asarray(mean_speed)
@@ -122,7 +133,7 @@ def beat_consistency(
     for curve, mean in zip(speed.T, usual, strict=True):
         at, times = _minima(curve, order)
         found.append(times[curve[at] > max(CONSISTENCY_SPEED * mean, still)] / motion.fps)
-    return _result(found, onsets, motion.duration, CONSISTENCY_KERNEL)
+    return found
 
 
 def motion_beats(
@@ -202,9 +213,17 @@ def _minima(curve: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     return at, at + 0.5 * (before - after) / np.maximum(bend, 1e-30)
 
 
-def _result(
-    found: list[np.ndarray], beats: np.ndarray, duration: float, sigma: float
+def beat_result(
+    found: Sequence[np.ndarray], beats: np.ndarray, duration: float, sigma: float
 ) -> BeatResult:
+    """Compare beats of a motion with those of a sound; see `beat_alignment`.
+
+    Args:
+        found: beats (M,) of the motion or of each of its joints, seconds.
+        beats: (B,) beats of the sound, seconds; those after the motion's end do not count.
+        duration: of the motion, seconds.
+        sigma: of the kernel, seconds.
+    """
     beats = np.asarray(beats, dtype=np.float64)
     beats = beats[(beats >= 0) & (beats < duration)]
     count = float(np.mean([len(times) for times in found]))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.metrics.diagonals import frame_distances
+from gesturekit.evaluation.metrics.diagonals import frame_distances, lower_to_nearest
 from gesturekit.evaluation.metrics.life import (
     FPS,
     Motions,
@@ -291,11 +291,13 @@ def nearest_training(
         MotionError: training clips that are too short, or a missing joint.
     """
     rows, nearest = windows.values, np.full(len(windows), np.inf)
+    averages = _averages(rows)
     for frames in _training_copies(as_list(training), joints):
         first = window_starts(len(frames), _WIDTH, 1.0)
         for at in range(0, len(first), _BLOCK):
             block = _windows(frames, first[at : at + _BLOCK])
-            nearest = np.minimum(nearest, _nearest(rows, block))
+            bounds = frame_distances(averages, _averages(block))
+            lower_to_nearest(nearest, bounds, rows, block)
     if not np.isfinite(nearest).all():
         raise MotionError(f"no training clip is as long as a window of {WINDOW:g} s")
     return nearest
@@ -306,7 +308,17 @@ def _nearest(values: np.ndarray, others: np.ndarray) -> np.ndarray:
     return frame_distances(values, others).min(axis=1)
 
 
+def _averages(values: np.ndarray) -> np.ndarray:
+    """Return rows whose distances are at most those of windows (N, width · D), and near to them.
+
+    They are averages of 5 frames, scaled: the mean of squares is at least the square of the mean.
+    """
+    frames = values.reshape(len(values), _WIDTH // _AVERAGED, _AVERAGED, -1)
+    return np.sqrt(_AVERAGED) * frames.mean(axis=2).reshape(len(values), -1)
+
+
 _WIDTH = round(WINDOW * FPS)
+_AVERAGED = 5  # frames; a divisor of _WIDTH
 
 
 def _frames(paths: np.ndarray) -> np.ndarray:
