@@ -21,6 +21,7 @@ MAY_IMPORT["formats"] = {"jobs", "motion"}
 MAY_IMPORT["postprocess"] = {"motion"}
 for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
+MAY_IMPORT["corpus"] |= {"jobs"}
 MAY_IMPORT["evaluation"] |= {"corpus", "jobs", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
 MAY_IMPORT["multires"] = {"model", "postprocess", "training", *MAY_IMPORT["training"]}

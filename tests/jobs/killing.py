@@ -4,8 +4,8 @@
 
 ARGUMENTS are those of gesturekit as JSON, with {out} in place of the output. It is first "whole",
 for a run that is left alone and whose duration is measured. Then it is "0": the command is killed
-and started again until it comes to its end, then "1", and so on, until there were KILLS kills
-before the end of a command; the last output is then completed. The number of outputs is printed.
+and started again, up to `MOST` times before it is left alone; then "1", and so on, until there were
+KILLS kills before the end of a command. The number of outputs is printed.
 """
 
 import json
@@ -24,6 +24,9 @@ import gesturekit.rendering.batch
 import gesturekit.rendering.features
 import gesturekit.viewer  # noqa: F401
 from gesturekit.cli import main
+
+MOST = 6
+"""Kills of a command before it is left alone, so that many outputs are killed at many moments."""
 
 
 def start(arguments: list[str], out: str) -> int:
@@ -49,24 +52,24 @@ def check(status: int) -> None:
 
 
 if __name__ == "__main__":
-    rng, kills, number = random.Random(sys.argv[2]), 0, 0
+    rng, kills, number, here = random.Random(sys.argv[2]), 0, 0, 0
     command = json.loads(sys.argv[3])
     begin = time.monotonic()
     check(os.waitpid(start(command, "whole"), 0)[1])
     duration = time.monotonic() - begin
     while kills < int(sys.argv[1]):
         child = start(command, str(number))
-        moment = time.monotonic() + rng.uniform(0, duration)
+        moment = time.monotonic() + (rng.uniform(0, duration) if here < MOST else float("inf"))
         ended = 0
         while not ended and time.monotonic() < moment:
             time.sleep(0.001)
             ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
             check(status)
-            number += 1
+            number, here = number + 1, 0
         else:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-            kills += 1
+            kills, here = kills + 1, here + 1
     check(os.waitpid(start(command, str(number)), 0)[1])
     print(number + 1)
