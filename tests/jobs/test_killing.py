@@ -46,7 +46,7 @@ DIFFUSION = {
     },
     "noise": {"steps": 20, "last_beta": 0.5},
     "training": {"updates": 30, "batch": 4, "window": 2.0, "warm_up": 2},
-    "checkpoint_every": 5,
+    "checkpoint_every": 4,  # a multiple of log_every: losses of a line are not in checkpoints
     "log_every": 2,
 }
 
