@@ -146,6 +146,11 @@ class ModelResult:
     speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
     wrists: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def heading(self) -> str:
+        """The label with the marks, for the head of a table."""
+        return f"{self.label} ({', '.join(self.marks)})" if self.marks else self.label
+
 
 def library_versions() -> dict[str, str]:
     """Return {library: version} of the libraries that the metrics depend on."""

@@ -19,6 +19,7 @@ from gesturekit.motion.rotations import (
 LOWEST_FPS, HIGHEST_FPS = 1e-5, 1e5
 """Frame rates outside this range are treated as errors in the file."""
 _MOST_ROTATIONS = 250_000_000  # 8 GB of them; ten hours of 75 joints at 60 fps are 162 million
+_BLOCK = 4096  # frames that are interpolated at a time, to save memory
 
 
 def checked_fps(fps: float) -> float:
@@ -89,7 +90,12 @@ class Resampler:
 
     def rotations(self, source: np.ndarray) -> np.ndarray:
         """(T, J, 4) unit quaternions, interpolated by slerp from (T', J, 4)."""
-        between = slerp(source[self._low], source[self._high], self._weight[:, None])
+        between = np.empty((len(self._low), *source.shape[1:]))
+        for at in range(0, len(between), _BLOCK):
+            low, high, weight = (
+                values[at : at + _BLOCK] for values in (self._low, self._high, self._weight)
+            )
+            between[at : at + _BLOCK] = slerp(source[low], source[high], weight[:, None])
         return between if self._lowpass is None else self._lowpass.rotations(source, between)
 
 

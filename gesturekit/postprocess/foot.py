@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,6 +56,25 @@ class Foot:
     ball: Anchor | None
     sole: tuple[tuple[int, np.ndarray], ...]
     n_toes: int
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """All joints of the leg that move, or that carry a point of the sole."""
+        own = [*self.limb, self.toe, *(joint for joint, _ in self.sole)]
+        return tuple(sorted({joint for joint in own if joint is not None}))
+
+    def renumbered(self, index: Mapping[int, int]) -> Foot:
+        """Return the foot with other joint indices: {old index: new index}."""
+        return Foot(
+            hip=index[self.hip],
+            knee=index[self.knee],
+            ankle=index[self.ankle],
+            toe=None if self.toe is None else index[self.toe],
+            heel=replace(self.heel, joint=index[self.heel.joint]),
+            ball=None if self.ball is None else replace(self.ball, joint=index[self.ball.joint]),
+            sole=tuple((index[joint], offset) for joint, offset in self.sole),
+            n_toes=self.n_toes,
+        )
 
     @property
     def limb(self) -> list[int]:

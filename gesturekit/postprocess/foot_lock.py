@@ -35,6 +35,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
+from gesturekit.motion.selection.joint_selection import keep_joints
 from gesturekit.postprocess.contact_spans import (
     contact_frames,
     contact_spans,
@@ -92,11 +93,20 @@ class _Goal:
 
 
 class _FootLock:
-    """Foot locking of one motion; `stands` holds (mask (T,), floor height) of each anchor."""
+    """Foot locking of one motion; `stands` holds (mask (T,), floor height) of each anchor.
+
+    Only the legs and the joints above them are computed: `self.motion` has no others, and `kept`
+    are their indices in the whole rig.
+    """
 
     def __init__(self, motion: Motion, contacts: np.ndarray | None) -> None:
-        self.motion, self.skeleton, self.fps = motion, motion.skeleton, motion.fps
-        self.feet = find_feet(motion.skeleton)
+        whole, feet = motion.skeleton, find_feet(motion.skeleton)
+        legs = {joint for foot in feet for joint in foot.joints}
+        self.kept = sorted(legs.union(*map(whole.ancestors, legs)))
+        self.whole, self.fps = motion, motion.fps
+        self.motion = keep_joints(motion, [whole.names[j] for j in self.kept])
+        self.skeleton = self.motion.skeleton
+        self.feet = [foot.renumbered({j: k for k, j in enumerate(self.kept)}) for foot in feet]
         columns = max(k for foot in self.feet for anchor in foot.anchors for k in anchor.columns)
         self.labels = None if contacts is None else np.asarray(contacts, dtype=np.float64)
         if self.labels is not None and self.labels.shape != (motion.n_frames, columns + 1):
@@ -104,8 +114,8 @@ class _FootLock:
                 f"contacts have shape {self.labels.shape}; {motion.n_frames} frames of this rig "
                 f"need ({motion.n_frames}, {columns + 1})"
             )
-        self.world = motion.global_rotations()
-        self.positions = motion.positions()
+        self.world = self.motion.global_rotations()
+        self.positions = self.motion.positions()
         self.radius = _MAX_CORRECTION * leg_length(motion.skeleton)
         self.scale = body_scale(motion.skeleton)
         self.nothing = _NOTHING * self.scale
@@ -114,7 +124,7 @@ class _FootLock:
         """Return the corrected motion; see `lock_feet`."""
         stands = [self._stands(foot) for foot in self.feet]
         if not any(mask.any() for foot in stands for mask, _ in foot):
-            return self.motion
+            return self.whole
         shift = np.zeros((self.motion.n_frames, 3))
         if not keep_path:
             standing = np.stack(
@@ -270,8 +280,21 @@ class _FootLock:
         for foot, goal in zip(self.feet, goals, strict=True):
             if foot.toe is not None:
                 self._turn(rotations, world, foot.toe, _yaw(goal.turn))
-        rotations = np.where(changed[:, None, None], rotations, motion.rotations)
-        return _shifted(replace(motion, rotations=rotations), shift, self.world)
+        locked = self.whole.rotations.copy()
+        locked[:, self.kept] = np.where(changed[:, None, None], rotations, motion.rotations)
+        return self._shifted(replace(self.whole, rotations=locked), shift)
+
+    def _shifted(self, motion: Motion, shift: np.ndarray) -> Motion:
+        """Return the whole motion with the body moved by `shift` (T, 3) at its carrying joint."""
+        skeleton, (left, right) = self.skeleton, (foot.hip for foot in self.feet)
+        above_both = set(skeleton.ancestors(left)) & set(skeleton.ancestors(right))
+        for j in sorted(above_both, reverse=True):
+            if skeleton.names[j] in motion.joint_translations:
+                back = invert_quaternions(self.world[:, skeleton.parents[j]])
+                moving = dict(motion.joint_translations)
+                moving[skeleton.names[j]] = moving[skeleton.names[j]] + rotate_vectors(back, shift)
+                return replace(motion, joint_translations=moving)
+        return replace(motion, translation=motion.translation + shift)
 
     def _turn(self, rotations: np.ndarray, world: np.ndarray, joint: int, turn: np.ndarray) -> None:
         """Set the local rotation that gives a joint its old world rotation turned by `turn` (T, 4).
@@ -282,23 +305,6 @@ class _FootLock:
         back = invert_quaternions(world[:, self.skeleton.parents[joint]])
         wanted = multiply_quaternions(turn, self.world[:, joint])
         rotations[:, joint] = multiply_quaternions(back, wanted)
-
-
-def _shifted(motion: Motion, shift: np.ndarray, world: np.ndarray) -> Motion:
-    """Return the motion with the body moved by `shift` (T, 3), metres, at its carrying joint.
-
-    `world` (T, J, 4) are the joints' world rotations.
-    """
-    skeleton = motion.skeleton
-    hips = [skeleton.index(leg.hip) for leg in find_legs(skeleton).values()]
-    above_both = set(skeleton.ancestors(hips[0])) & set(skeleton.ancestors(hips[1]))
-    for j in sorted(above_both, reverse=True):
-        if skeleton.names[j] in motion.joint_translations:
-            own = rotate_vectors(invert_quaternions(world[:, skeleton.parents[j]]), shift)
-            moving = dict(motion.joint_translations)
-            moving[skeleton.names[j]] = moving[skeleton.names[j]] + own
-            return replace(motion, joint_translations=moving)
-    return replace(motion, translation=motion.translation + shift)
 
 
 def _above_noise(height: np.ndarray, noise: float) -> np.ndarray:

@@ -10,6 +10,7 @@ import pytest
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate
+from gesturekit.evaluation.report.page import write_report
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.selection.joint_selection import keep_joints
@@ -91,6 +92,9 @@ def test_models_of_other_lengths_are_marked(recordings, gesture, tmp_path):
     found = evaluate({"one": one, "two": two}, recordings)
     assert [model.marks for model in found.models] == [[], ["other length"]]
     assert "clips of 2 s where those of one have 4 s" in found.models[1].notes[0]
+    write_report(found, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "</span>two (other length)</th>" in page
 
 
 def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus import Item, Manifest
@@ -23,6 +24,7 @@ from gesturekit.evaluation import (
 )
 from gesturekit.evaluation.intervals import whole_set
 from gesturekit.evaluation.life.verdict import verdict
+from gesturekit.evaluation.metrics.diagonals import lower_to_nearest
 from gesturekit.evaluation.metrics.two_sample import MotionWindows
 from gesturekit.evaluation.results import MetricResult, ModelResult
 from gesturekit.motion import Motion, Skeleton
@@ -288,6 +290,19 @@ def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
     mixed = copying([talker(2, 18.0), training.slice(107, 207)], held_out, training)
     assert mixed.median_ratio > 0.8
     assert mixed.low_ratio < 0.1
+
+
+def test_nearest_rows_are_those_of_an_exhaustive_search():
+    # Bounds of one half of the columns leave out most distances, but never the least.
+    rng = np.random.default_rng(0)
+    a, b = (np.cumsum(rng.standard_normal((n, 6, 4)), axis=1).reshape(n, -1) for n in (40, 300))
+    b[7] = a[3]
+    expected = cdist(a, b).min(axis=1)
+    nearest = np.full(40, np.inf)
+    for part in (b[:200], b[200:]):
+        lower_to_nearest(nearest, cdist(a[:, ::2], part[:, ::2]), a, part)
+    assert nearest == pytest.approx(expected, rel=1e-12)
+    assert nearest[3] == 0.0
 
 
 def test_copying_needs_training_motion_of_a_window(talker):

@@ -16,7 +16,7 @@ from gesturekit.evaluation.contest.paired import Contest, contests
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
 from gesturekit.evaluation.report.headline import headline_lines
 from gesturekit.evaluation.report.tables import number
-from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.results import Evaluation, MetricResult
 from gesturekit.wording import counted, printable
 
 ARROWS = {"higher": "↑", "lower": "↓", "reference": ""}
@@ -109,11 +109,6 @@ def rows_by_group(evaluation: Evaluation) -> Iterator[tuple[str, list[Row]]]:
             yield group, rows
 
 
-def heading(model: ModelResult) -> str:
-    """Return the name of a model with its marks."""
-    return f"{model.label} ({', '.join(model.marks)})" if model.marks else model.label
-
-
 def terminal_lines(evaluation: Evaluation) -> list[str]:
     """Return the three questions and the table for a terminal.
 
@@ -121,7 +116,7 @@ def terminal_lines(evaluation: Evaluation) -> list[str]:
     """
     from tqdm.utils import disp_len
 
-    labels = [printable(heading(model)) for model in evaluation.models]
+    labels = [printable(model.heading) for model in evaluation.models]
     table: list[list[str]] = [["", "", *labels, "recording", "chance"]]
     for group, rows in rows_by_group(evaluation):
         table.append([f"{group}:"])
@@ -179,7 +174,7 @@ def agreement_lines(evaluation: Evaluation) -> list[str]:
 
 def markdown(evaluation: Evaluation) -> str:
     """Return the table in Markdown, one heading line a group."""
-    labels = [_markdown(heading(model)) for model in evaluation.models]
+    labels = [_markdown(model.heading) for model in evaluation.models]
     head = ["Metric", "", *labels, "Recording", "Chance"]
     lines = [f"| {' | '.join(head)} |", f"|---|---|{'---:|' * (len(head) - 2)}"]
     for group, rows in rows_by_group(evaluation):
@@ -192,7 +187,7 @@ def markdown(evaluation: Evaluation) -> str:
 
 def latex(evaluation: Evaluation) -> str:
     """Return the table in LaTeX (booktabs), without a float around it."""
-    labels = [_latex(heading(model)) for model in evaluation.models]
+    labels = [_latex(model.heading) for model in evaluation.models]
     width = len(labels) + 4
     lines = [
         f"% {_latex(_caption(evaluation))}",

@@ -51,7 +51,7 @@ def headline(evaluation: Evaluation, rows: Mapping[str, Contest]) -> str:
     head = "".join(f"<th>{html.escape(answer.question)}</th>" for answer in models[0].answers)
     body = "".join(
         f'<tr><th><span class="dot" style="background:{colour(evaluation.models.index(model))}">'
-        f"</span>{html.escape(model.label)}</th>"
+        f"</span>{html.escape(model.heading)}</th>"
         + "".join(_cell(model, answer, rows) for answer in model.answers)
         + "</tr>"
         for model in models

@@ -64,7 +64,7 @@ def figures(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
     models = evaluation.models
     head = "".join(
         f'<th class="number"><span class="dot" style="background:{colour(i)}"></span>'
-        f"{html.escape(model.label)}</th>"
+        f"{html.escape(model.heading)}</th>"
         for i, model in enumerate(models)
     )
     groups = []
