@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -16,6 +17,8 @@ from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.recipes import find_config, main_configs, named_config
 from gesturekit.training.run_config import RunConfig
 from gesturekit.training.settings import Setting, list_settings
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,8 @@ def train(
         config: YAML file, whose `system:` (or its parent's) is one of `SYSTEMS`, or the name of a
             recipe (`multires_speech/light`). To resume, the run folder is enough.
         overrides: single settings, as `key=value` strings, or by dotted name.
-        resume: continue from the last checkpoint of the run folder.
+        resume: continue from the last checkpoint of the run folder; a run that was stopped before
+            it had a folder begins.
         settings: further settings by name; a mapping changes single settings of a section.
 
     Returns:
@@ -162,6 +166,11 @@ def train(
     if isinstance(overrides, Mapping):
         overrides, settings = (), {**overrides, **settings}
     system, loaded = _resolve(config, overrides, settings, resume=resume)
+    from gesturekit.training.run.folder import has_no_run  # imports torch
+
+    if resume and has_no_run(loaded.out):
+        log.info("%s: no run to resume yet, so it begins.", loaded.out)
+        resume = False
     return _part(system.train)(loaded, resume=resume)
 
 

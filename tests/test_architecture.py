@@ -17,9 +17,11 @@ ROOT = Path(__file__).resolve().parents[1]
 # Packages that each package of gesturekit may import beside itself, audio_features and the modules
 # that every package may import. Imports inside functions count too.
 MAY_IMPORT: dict[str, set[str]] = {"motion": set(), "jobs": set()}
-MAY_IMPORT["formats"] = MAY_IMPORT["postprocess"] = {"motion"}
+MAY_IMPORT["formats"] = {"jobs", "motion"}
+MAY_IMPORT["postprocess"] = {"motion"}
 for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
+MAY_IMPORT["corpus"] |= {"jobs"}
 MAY_IMPORT["evaluation"] |= {"corpus", "jobs", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "motion", "viewer"}
 MAY_IMPORT["multires"] = {"model", "postprocess", "training", *MAY_IMPORT["training"]}

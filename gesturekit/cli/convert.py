@@ -7,9 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
+from gesturekit.cli.batch import batch_options, pop_execution, show_and_count
+from gesturekit.cli.engines import run_elsewhere
 from gesturekit.cli.options import (
     RATE,
+    RECORDING_OPTIONS,
     UNITS,
+    GroupedCommand,
     body_option,
     comma_separated,
     existing_option,
@@ -17,24 +22,31 @@ from gesturekit.cli.options import (
     part_option,
     read_from,
     reading_options,
-    resumable,
     rig_part_option,
     size_option,
 )
 
 if TYPE_CHECKING:
+    from gesturekit.formats.batch import Converted
     from gesturekit.formats.changes import Changes
-    from gesturekit.formats.conversion import Converted
 
+EXAMPLES = """\
+gesturekit convert take.bvh take.npz --rig smplx --fps 30
+gesturekit convert takes/ converted/ --format npz,html
+"""
+GROUPS = {
+    "Output": (
+        *("formats", "rig", "rig_parts", "fps", "antialias", "trim", "mirror", "joints", "up"),
+        *("unit", "frame", "body", "size", "existing"),
+    ),
+    "Input": (*RECORDING_OPTIONS, "person", "body_model", "parts"),
+    **BATCH_GROUPS,
+}
 WIDTH = 100
 """Maximum length of an output line."""
 
 
-@click.command(
-    "convert",
-    epilog="Example: gesturekit convert take.bvh take.npz --rig smplx --fps 30\n\n"
-    "Example: gesturekit convert takes/ converted/ --format npz,html",
-)
+@click.command("convert", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
 @click.argument(
     "sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IN..."
 )
@@ -67,6 +79,7 @@ WIDTH = 100
 )
 @body_option
 @size_option
+@batch_options
 @existing_option("refuse")
 @click.option("--dry-run", is_flag=True, help="Read and report, but write nothing.")
 @reading_options
@@ -79,7 +92,6 @@ def command(
     out: Path,
     formats: str | None,
     existing: str,
-    dry_run: bool,
     body_model: Path | None,
     **options: Any,
 ) -> None:
@@ -87,15 +99,20 @@ def command(
 
     Folders are searched recursively and keep their structure. Unit, axes and frame rate of each
     file are detected and printed, with a ? where they are a guess. A broken file never stops the
-    others: it is listed with its reason, and the exit code is 1.
+    others: it is listed with its reason, and the exit code is 1. To continue an interrupted run,
+    repeat the command: what it made in the folder OUT is kept.
     """
-    from gesturekit.formats.conversion import FormatOptions, convert
+    from gesturekit.formats.batch import Conversion
+    from gesturekit.formats.conversion import FormatOptions
     from gesturekit.motion.parts import parse_parts
-    from gesturekit.progress import Progress
 
+    elsewhere = run_elsewhere(ctx, out, options)
+    if elsewhere is not None:
+        ctx.exit(elsewhere)
+    execution, dry_run = pop_execution(options), options.pop("dry_run")
     changes, parts = _changes(options), parse_parts(options.pop("parts"))
     write = given(**{name: options.pop(name) for name in ("up", "unit", "frame", "body", "size")})
-    outcomes = convert(
+    conversion = Conversion(
         sources,
         out,
         formats=comma_separated(formats),
@@ -103,19 +120,12 @@ def command(
         options=FormatOptions(read_from(options), write, body_model, parts),
         existing=existing,
         dry_run=dry_run,
-        progress=lambda jobs: Progress(jobs, desc="Converting", unit="file"),
+        execution=execution,
     )
-    done = failed = 0
-    with resumable(lambda: f"{done} done; with --existing skip the same command continues."):
-        for outcome in outcomes:
-            done += 1
-            failed += outcome.error is not None
-            _print(outcome)
-    if failed and done > 1:
-        click.echo(f"{failed} of {done} failed.", err=True)
+    code = show_and_count(conversion.run(), conversion.count, "Converting", _print)
     if dry_run:
         click.echo("Dry run: nothing was written.", err=True)
-    ctx.exit(1 if failed else 0)
+    ctx.exit(code)
 
 
 def _changes(options: dict[str, Any]) -> Changes:
@@ -144,17 +154,13 @@ def _changes(options: dict[str, Any]) -> Changes:
 
 
 def _print(outcome: Converted) -> None:
-    """Print one outcome above the progress bar, with its warnings and its failure."""
-    import sys
-
-    from gesturekit.progress import Progress
-
+    """Print one outcome, with its warnings and its failure."""
     if outcome.error is None or outcome.files:
-        Progress.write(_line(outcome))
+        click.echo(_line(outcome))
     for warning in outcome.warnings:
-        Progress.write(f"Warning: {warning}", file=sys.stderr)
+        click.echo(f"Warning: {warning}", err=True)
     if outcome.error is not None:
-        Progress.write(f"Failed: {outcome.error}", file=sys.stderr)
+        click.echo(f"Failed: {outcome.error}", err=True)
 
 
 def _line(outcome: Converted) -> str:

@@ -1,4 +1,4 @@
-"""Engines of `render`: where its shards run. Each repeats the command with `--shard K/N`."""
+"""Engines: where the shards of a command run. Each repeats the command with `--shard K/N`."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def run_elsewhere(ctx: click.Context, out: Path, options: dict[str, Any]) -> int
         raise click.UsageError("--engine-option is for slurm, and --address for ray.")
     if options["dry_run"]:
         return None
-    command = ShardCommand(("render", *ctx.meta[ARGUMENTS]), str(Path.cwd()))
+    command = ShardCommand((ctx.info_name or "", *ctx.meta[ARGUMENTS]), str(Path.cwd()))
     shards = [f"{number}/{jobs or 1}" for number in range(1, (jobs or 1) + 1)]
     codes = (
         _run_slurm(command, shards, out, settings)

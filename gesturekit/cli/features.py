@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-import sys
-from collections import Counter
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import channel_option, existing_option, is_left, resumable
+from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
+from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
+from gesturekit.cli.engines import run_elsewhere
+from gesturekit.cli.options import GroupedCommand, channel_option, existing_option
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
-    from audio_features import Extractor, FeatureTrack, Wave
+    from audio_features import Extractor
+    from gesturekit.jobs.work import Outcome
+
+EXAMPLES = """\
+gesturekit features speech/*.wav --extractor mfcc:20,prosody --out features
+gesturekit features speech/ --out features --workers 4    # all sounds below it
+"""
+GROUPS = {
+    "What to extract": ("extractor", "fps", "align", "channel"),
+    "Output": ("out", "picture", "existing", "skip_existing"),
+    **BATCH_GROUPS,
+    "Networks": (
+        *("weights", "layer", "preset", "dtype", "full_context", "implementation", "device"),
+    ),
+}
 
 # Extractors, and the setting that may follow each after a colon, as in mfcc:16.
 KINDS = {
@@ -37,9 +50,7 @@ _NETWORKS = {
 """Extractors that each option of networks applies to."""
 
 
-@click.command(
-    epilog="Example: gesturekit features speech/*.wav --extractor mfcc:20,prosody --out features"
-)
+@click.command("features", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
 @click.argument("wavs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="WAV...")
 @click.option(
     "--extractor",
@@ -108,104 +119,61 @@ _NETWORKS = {
     help="Precision of cached features; see gesturekit cache.",
 )
 @click.option("--picture", is_flag=True, help="Draw STEM.png as well.")
+@batch_options
+@click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Only print what would be done, how long it would take, and the size of the results.",
+)
 @existing_option("refuse", alias=True)
+@click.pass_context
 def command(
-    wavs: tuple[Path, ...],
-    extractor: str,
-    out: Path,
-    channel: int | None,
-    cache: str,
-    existing: str,
-    **options: Any,
-) -> int:
+    ctx: click.Context, wavs: tuple[Path, ...], extractor: str, out: Path, **options: Any
+) -> None:
     """Turn sound files into feature files.
 
-    Writes STEM.npz (values, times, spec) to the output folder for every WAV; flac, ogg, mp3,
-    aiff, au and SPHERE are read too. A broken file never stops the others: it is listed with its
-    reason.
+    Writes NAME.npz (values, times, spec) to the output folder for every WAV; flac, ogg, mp3, aiff,
+    au and SPHERE are read too. WAV may also be a folder, a glob in quotes, or a list, as in
+    gesturekit render. A broken file never stops the others: it is listed with its reason. To
+    continue an interrupted run, repeat the command: what it made is kept.
     """
     import logging
 
-    from audio_features import AudioFeaturesError, Wave, cache_from_environment
-    from gesturekit.progress import Progress
+    from gesturekit.jobs.batch import Batch
+    from gesturekit.rendering.features import FeatureExtraction
+    from gesturekit.rendering.tasks import sound_inputs
 
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
-    output = _Output(*(options.pop(name) for name in ("fps", "align", "picture")))
-    _check(wavs, output)
-    chosen = _extractor(extractor, options)
-    extract = chosen.extract
-    if cache != "off":
-        extract = partial(cache_from_environment(cache).extract, chosen)
-    files = {wav: [out / f"{wav.stem}.{kind}" for kind in output.formats] for wav in wavs}
-    if existing == "refuse":
-        is_left([file for targets in files.values() for file in targets], existing)
-    failed = 0
-    progress = Progress(files, desc="Features", unit="file")
-    with resumable(lambda: f"{progress.n} done; with --existing skip the same command continues."):
-        for wav in progress:
-            target = files[wav][0]
-            if existing == "skip" and all(file.exists() for file in files[wav]):
-                Progress.write(f"{wav}: left as it is, the outputs exist")
-                continue
-            try:
-                wave = Wave.load(wav, channel=channel)
-                for fault in wave.faults():
-                    Progress.write(f"Warning: {wav}: {fault}", file=sys.stderr)
-                n_frames, width = output.save(extract(wave), wave, target)
-            except (AudioFeaturesError, OSError) as error:
-                failed += 1
-                reason = f"{target}: {error.strerror}" if isinstance(error, OSError) else error
-                Progress.write(f"Error: {reason}", file=sys.stderr)
-            else:
-                Progress.write(f"{target}: {counted(n_frames, 'frame')} × {width}")
-    if failed:
-        click.echo(f"{failed} of {len(wavs)} files failed.", err=True)
-    return 1 if failed else 0
-
-
-@dataclass(frozen=True)
-class _Output:
-    """Settings of the written files.
-
-    Attributes:
-        fps: frames per second to resample to; None for the features' own rate.
-        align: method of resampling; None for linear.
-        picture: whether to draw a PNG as well.
-    """
-
-    fps: float | None
-    align: str | None
-    picture: bool
-
-    @property
-    def formats(self) -> tuple[str, ...]:
-        return ("npz", "png") if self.picture else ("npz",)
-
-    def save(self, track: FeatureTrack, wave: Wave, target: Path) -> tuple[int, int]:
-        """Write one feature file and its picture, and return the shape of its values."""
-        if self.fps is not None:
-            n_frames = wave.n_frames(self.fps)
-            track = track.to_rate(self.fps, n_frames, method=self.align or "linear")
-        track.save(target)
-        if self.picture:
-            from gesturekit.viewer.feature_picture import draw_features
-
-            draw_features(track, target.with_suffix(".png"), wave)
-        return track.values.shape
-
-
-def _check(wavs: tuple[Path, ...], output: _Output) -> None:
-    """Check the inputs and options.
-
-    Raises:
-        click.UsageError: two inputs with the same output file, or --align without --fps.
-    """
-    stems = Counter(wav.stem for wav in wavs)
-    doubles = [str(wav) for wav in wavs if stems[wav.stem] > 1]
-    if doubles:
-        raise click.UsageError(f"{', '.join(doubles)} would be written to the same file: rename")
-    if output.align is not None and output.fps is None:
+    if options["align"] is not None and options["fps"] is None:
         raise click.UsageError("--align resamples features to motion frames: give --fps as well")
+    elsewhere = run_elsewhere(ctx, out, options)
+    if elsewhere is not None:
+        ctx.exit(elsewhere)
+    execution, is_dry = pop_execution(options), options.pop("dry_run")
+    cache, channel = options.pop("cache"), options["channel"]
+    names = ("fps", "align", "picture", "channel", "existing")
+    settings = {name: options.pop(name) for name in names}
+    extraction = FeatureExtraction(
+        _extractor(extractor, options), out, cache=None if cache == "off" else cache, **settings
+    )
+    batch = Batch(extraction, sound_inputs("features", wavs, out, channel=channel), execution)
+    if is_dry:
+        print_preview(batch)
+        return
+    ctx.exit(show_and_count(batch.run(), len(batch.tasks), "Features", _print))
+
+
+def _print(outcome: Outcome) -> None:
+    """Print the files of one sound, or why there are none."""
+    if outcome.error is not None:
+        click.echo(f"Error: {outcome.error}", err=True)
+    elif outcome.files:
+        n_frames, width = outcome.facts["shape"]
+        name = click.format_filename(outcome.files[0])
+        click.echo(f"{name}: {counted(n_frames, 'frame')} × {width}")
+    else:
+        source = click.format_filename(outcome.source)
+        click.echo(f"{source}: left as it is, the outputs exist")
 
 
 def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:

@@ -1,4 +1,4 @@
-"""gesturekit jobs: the state of a rendering, from its journals."""
+"""gesturekit jobs: the state of the work in a folder, from its journals."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _MOST_REASONS = 12
 def command(
     out: Path, failed: bool, left: bool, as_json: bool, page: Path | None, existing: str
 ) -> None:
-    """Show what is done, failed and left in OUT, the output folder of `gesturekit render`.
+    """Show what is done, failed and left in OUT, the output folder of render, features or convert.
 
-    It works at any time, also while other processes render into the folder.
+    It works at any time, also while other processes write into the folder.
     """
     from gesturekit.jobs.status import status_of
 

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.engines import engine_options, run_elsewhere
+from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
+from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show
+from gesturekit.cli.engines import run_elsewhere
 from gesturekit.cli.options import (
     RATE,
     UNITS,
@@ -21,15 +23,14 @@ from gesturekit.cli.options import (
     given,
     parse_expert,
     parse_placed_files,
-    resumable,
     rig_part_option,
     size_option,
 )
-from gesturekit.cli.render_output import Summary, print_preview
+from gesturekit.cli.render_output import Summary
 
 if TYPE_CHECKING:
+    from gesturekit.jobs.batch import Batch
     from gesturekit.model import Model
-    from gesturekit.rendering.execution import Batch, Execution
     from gesturekit.rendering.render import Output, Renderer
 
 EXAMPLES = """\
@@ -51,8 +52,7 @@ GROUPS = {
         *("out", "formats", "fps", "unit", "up", "body", "size", "rig", "rig_parts", "existing"),
         "skip_existing",
     ),
-    "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
-    "Clusters": ("engine", "jobs", "engine_options", "address"),
+    **BATCH_GROUPS,
     "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth"),
     "Controls of multires models": (
         *("level_style", "levels", "keyframes", "keyframe_level", "keep", "recall"),
@@ -131,34 +131,7 @@ GROUPS = {
     help="Precision of diffusion; bf16 is 1.5 to 1.9 times as fast on processors that support it, "
     "and its motion differs slightly.",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    default=1,
-    show_default=True,
-    help="Number of processes. The results are the same for any number.",
-)
-@click.option(
-    "--shard",
-    metavar="K/N",
-    help="Render part K of N, such as 1/8: the parts are of about the same seconds of sound, and "
-    "may be rendered in any order, or at once on several machines, into one --out.",
-)
-@engine_options
-@click.option(
-    "--replan", is_flag=True, help="With --shard: look for the inputs again, after files changed."
-)
-@click.option(
-    "--deadline",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="SECONDS",
-    help="Give up a WAV after this time.",
-)
-@click.option(
-    "--retry-failed",
-    is_flag=True,
-    help="Try WAVs again that were put aside after three failures.",
-)
+@batch_options
 @click.option(
     "--dry-run",
     is_flag=True,
@@ -243,7 +216,8 @@ def command(
     _check(sources, corpus, split, seconds, options)
 
     from gesturekit.corpus import Manifest
-    from gesturekit.rendering.execution import Batch
+    from gesturekit.jobs.batch import Batch
+    from gesturekit.rendering.tasks import sound_inputs
     from gesturekit.systems import load
 
     items = () if corpus is None else Manifest.load(corpus).in_split(split or "test", str(corpus))
@@ -253,14 +227,18 @@ def command(
     names = ("weights", "device", "dtype")
     open_model = partial(load, **{name: options.pop(name) for name in names})
     loaded = open_model(model)
-    execution, is_dry = _execution(options), options.pop("dry_run")
+    execution, is_dry = pop_execution(options), options.pop("dry_run")
     is_whole = options["levels"] is None
     renderer = _renderer(loaded, out, seconds, options, open_model)
-    batch = Batch(renderer, [*sources, *items], execution)
+    inputs = sound_inputs("render", [*sources, *items], out, seconds, renderer.channel)
+    batch = Batch(renderer, inputs, execution)
     if is_dry:
         print_preview(batch)
         return
-    _run(batch, summary, loaded.fps if is_whole else None)
+    rate = loaded.fps if is_whole else None
+    add, stopped = partial(summary.add, rate=rate), lambda: f"{summary}; the same command continues"
+    if not show(batch.run(), len(batch.tasks), "Rendering", add, stopped):
+        summary.counts["failed"] += 1
     if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
         _write_page(batch)
     click.echo(summary, err=True)
@@ -303,42 +281,6 @@ def _check(
         raise click.UsageError(
             "--seconds is for motion without audio; otherwise the audio sets it."
         )
-
-
-def _execution(options: dict[str, Any]) -> Execution:
-    """Pop the options of the execution from all options."""
-    from gesturekit.jobs.plan import parse_shard
-    from gesturekit.rendering.execution import Execution
-
-    shard = options.pop("shard")
-    names = ("workers", "replan", "deadline", "retry_failed")
-    return Execution(
-        shard=(1, 1) if shard is None else parse_shard(shard),
-        **{name: options.pop(name) for name in names},
-    )
-
-
-def _run(batch: Batch, summary: Summary, rate: float | None) -> None:
-    """Do the work with a progress bar; see `Summary.add`."""
-    from tqdm.contrib.logging import logging_redirect_tqdm
-
-    from gesturekit.errors import OutputError
-    from gesturekit.progress import Progress
-
-    try:
-        with (
-            resumable(lambda: f"{summary}; the same command continues"),
-            logging_redirect_tqdm(tqdm_class=Progress),
-            Progress(total=len(batch.tasks), desc="Rendering", unit="file") as bar,
-        ):
-            for outcome in batch.run():
-                with Progress.external_write_mode():
-                    summary.add(outcome, rate)
-                bar.set_postfix_str(summary.speed(), refresh=False)
-                bar.update()
-    except OutputError as error:
-        click.echo(f"Error: {error}", err=True)
-        summary.counts["failed"] += 1
 
 
 def _write_page(batch: Batch) -> None:

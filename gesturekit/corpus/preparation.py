@@ -13,17 +13,18 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.corpus import checks, splits
+from gesturekit.corpus.examination import Examination, examine_each
 from gesturekit.corpus.item import READING
 from gesturekit.corpus.layouts.listing import Listing
 from gesturekit.corpus.layouts.table import read_layout
 from gesturekit.corpus.manifest import Manifest, absolute
 from gesturekit.corpus.pairing import Found, pair, recording_ids, scan, unread
 from gesturekit.corpus.problem import Problem
-from gesturekit.corpus.recording import Recording, examine
+from gesturekit.corpus.recording import Recording
 from gesturekit.corpus.report import Report
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
-from gesturekit.formats.conversion import applicable_read_options, refuse_unused_read_options
+from gesturekit.formats.conversion import refuse_unused_read_options
 from gesturekit.formats.sources import MOTION_SUFFIXES, OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
 from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, listed
@@ -86,6 +87,8 @@ class PrepareOptions:
     read: Mapping[str, Any] | None = None
     """Options for reading motion files that replace detection, see
     `gesturekit.formats.conversion.load`; the manifest stores them."""
+    workers: int = 1
+    """Number of processes that check recordings; the manifest is the same for any number."""
     progress: Callable[[list[Any]], Iterable[Any]] = iter
     """Wraps the list of recordings while they are checked, as tqdm does."""
 
@@ -102,6 +105,8 @@ class PrepareOptions:
         splits.as_intervals(self.hold_out_seconds)
         if not 0 <= self.holdout < 1:
             raise CorpusError(f"holdout is {self.holdout}; it must be a fraction from 0 to below 1")
+        if not 1 <= self.workers <= 1024:
+            raise CorpusError(f"workers is {self.workers}: give at least 1")
         if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
             raise CorpusError(f"tolerance is {self.tolerance}; it must be 0 or more seconds")
         if unknown := sorted(set(self.read or {}) - set(READING)):
@@ -171,14 +176,10 @@ def _examined(
     recordings: list[Recording] = []
     problems: list[Problem] = []
     unmatched = 0
-    for recording, is_alone in options.progress(tasks):
-        recording = replace(recording, channel=options.channel)
-        if recording.motion is not None:
-            reading = applicable_read_options(recording.motion, read)
-            if options.parts and "height" in reading:  # the height depends on the parts
-                reading["parts"] = dict(options.parts)
-            recording = replace(recording, reading=reading)
-        checked, found = examine(recording, options.tolerance, options.parts)
+    examination = Examination(options.tolerance, options.channel, options.parts, read)
+    named = [recording for recording, _ in tasks]
+    each = examine_each(named, examination, options.workers, options.progress)
+    for (_, is_alone), (checked, found) in zip(tasks, each, strict=True):
         if checked is not None:
             checked, unlabelled = label(checked, None if is_alone else options.speaker)
             recordings.append(checked)

@@ -1,21 +1,19 @@
-"""Conversion of motion files between formats; a broken file never stops the others."""
+"""Options of the readers and writers of all motion formats."""
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gesturekit.errors import ConfigError, FormatError, GestureKitError
-from gesturekit.formats.changes import Changes
-from gesturekit.formats.plausibility import plausibility_warnings
+from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.smpl.skeleton import is_smpl
-from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, Job, plan, unreadable_media
+from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, unreadable_media
 from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted
 
@@ -43,27 +41,6 @@ _WRITES = {
 
 
 @dataclass(frozen=True)
-class Converted:
-    """Outcome of one conversion.
-
-    Attributes:
-        source: the file, or the folder of a sequence.
-        files: files written; empty if all of them existed and `existing` is "skip".
-        found: summary of the motion read: unit, axes, rate, frames, joints.
-        done: changes made, one phrase each.
-        warnings: data that a format cannot hold, and problems that other programs will have.
-        error: reason why some or all files are missing.
-    """
-
-    source: Path
-    files: tuple[Path, ...] = ()
-    found: str = ""
-    done: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    error: str | None = None
-
-
-@dataclass(frozen=True)
 class FormatOptions:
     """Options of readers and writers; each gets those that it has.
 
@@ -80,67 +57,28 @@ class FormatOptions:
     parts: Mapping[str, str] = field(default_factory=dict)
 
 
-def convert(
-    sources: Sequence[str | os.PathLike[str]] | str | os.PathLike[str],
-    out: str | os.PathLike[str],
-    *,
-    formats: Sequence[str] = (),
-    changes: Changes | None = None,
-    options: FormatOptions | None = None,
-    existing: str = "refuse",
-    dry_run: bool = False,
-    progress: Callable[[list[Job]], Iterable[Job]] = iter,
-) -> Iterator[Converted]:
-    """Read each motion, change it, and write it in other formats.
-
-    Args:
-        sources: motion files, and folders to search for motions.
-        out: a file for a single motion, otherwise a folder; see `gesturekit.formats.sources.plan`.
-        formats: formats to write into a folder: bvh, npz, html, mp4, png, svg, pdf, obj.
-        changes: changes to make to each motion.
-        options: options of readers and writers.
-        existing: "refuse", "skip" or "replace" files that exist.
-        dry_run: read and change, but write nothing.
-        progress: wrapper of the list of jobs, such as tqdm.
-
-    Yields:
-        The outcome of each motion, as soon as it is done.
-
-    Raises:
-        ConfigError: the conversion cannot start; see `gesturekit.formats.sources.plan`.
-
-    Warns:
-        UserWarning: meshes that cannot be written without a body model, beside other formats.
-    """
-    if isinstance(sources, str | os.PathLike):
-        sources = [sources]
-    options, changes = options or FormatOptions(), changes or Changes()
-    if options.body_model is None:
-        formats = _without_mesh(formats, Path(out))
-    jobs = plan([Path(source) for source in sources], Path(out), formats, existing=existing)
-    options = _checked(options, jobs)
-    shown: set[str] = set()
-    for job in progress(jobs):
-        if job.targets or job.error:
-            outcome = _convert(job, changes, options, dry_run)
-            fresh = tuple(line for line in outcome.warnings if line not in shown)
-            shown.update(fresh)
-            yield replace(outcome, warnings=fresh)
-        else:
-            yield Converted(job.source)
-
-
-def _checked(options: FormatOptions, jobs: Sequence[Job]) -> FormatOptions:
-    """Raise ConfigError for options that no job uses; add the body model to `read` and `write`."""
-    found = {_format(job.source) for job in jobs if not job.error}
-    written = {_format(target) for job in jobs for target in job.targets}
-    refuse_unused_read_options(options.read, found)
-    _refuse_unused(options.write, _WRITES, written, "written")
+def with_body_model(options: FormatOptions) -> FormatOptions:
+    """Return options whose body model is among those of readers and writers."""
     if options.body_model is None:
         return options
     model = {"body_model": options.body_model}
-    _refuse_unused(model, _READS | _WRITES, found | written, "converted")
     return replace(options, read={**options.read, **model}, write={**options.write, **model})
+
+
+def refuse_unused_options(
+    options: FormatOptions, sources: Iterable[Path], targets: Iterable[Path]
+) -> None:
+    """Refuse options that no reader of the sources and no writer of the targets has.
+
+    Raises:
+        ConfigError: an option would have no effect.
+    """
+    found, written = ({_format(path) for path in paths} for paths in (sources, targets))
+    refuse_unused_read_options(options.read, found)
+    _refuse_unused(options.write, _WRITES, written, "written")
+    if options.body_model is not None:
+        model = {"body_model": options.body_model}
+        _refuse_unused(model, _READS | _WRITES, found | written, "converted")
 
 
 def load(
@@ -218,7 +156,7 @@ def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[s
     }
 
 
-def _without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
+def without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
     """Return the formats that can be written without a body model."""
     if "obj" not in (formats or [out.suffix.lower()[1:]]):
         return formats
@@ -248,55 +186,17 @@ def _format(path: Path) -> str:
     return "EasyMocap" if path.is_dir() else path.suffix.lower()
 
 
-def _convert(job: Job, changes: Changes, options: FormatOptions, dry_run: bool) -> Converted:
-    """Return the outcome of one job; its errors and warnings are recorded in it."""
-    outcome = Converted(job.source, error=job.error)
-    files: list[Path] = []
-    at = job.source
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("always", UserWarning)
-            if job.error is None:
-                motion = load(job.source, options.read, options.parts)
-                for reason in plausibility_warnings(motion, options.read):
-                    warnings.warn(f"{job.source}: {reason}", stacklevel=2)
-                outcome = replace(outcome, found=describe(motion))
-                motion, done = changes(motion)
-                outcome = replace(outcome, done=tuple(done))
-                for at in job.targets:
-                    _write(motion, at, changes, options.write, dry_run)
-                    files.append(at)
-    except (GestureKitError, OSError, MemoryError, RecursionError) as error:
-        outcome = replace(outcome, error=_reason(error, job.source, at))
-    lines = dict.fromkeys(str(warning.message) for warning in caught)
-    return replace(outcome, files=tuple(files), warnings=tuple(lines))
-
-
-def _write(
-    motion: Motion, target: Path, changes: Changes, write: Mapping[str, Any], dry_run: bool
-) -> None:
-    """Write one file, warning of data that its format cannot hold."""
+def applicable_write_options(target: Path, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the `options` of writers that have an effect on this target."""
     known = _WRITES.get(_format(target), ())
-    options = {name: value for name, value in write.items() if name in known}
-    if changes.rig is not None:
-        options |= changes.rig.options.get(_format(target), {})
+    return {name: value for name, value in options.items() if name in known}
+
+
+def warn_of_losses(motion: Motion, target: Path) -> None:
+    """Warn of data of a motion that the format of a target cannot hold."""
     if target.suffix.lower() == ".bvh":
         lost = ["face expressions"] if motion.expressions is not None else []
         if is_smpl(motion.skeleton) and np.any(motion.info.get("betas", 0)):
             lost.append("body shape (betas)")
         if lost:
             warnings.warn(f"{target}: BVH holds no {' and no '.join(lost)}; npz does", stacklevel=2)
-    if not dry_run:
-        motion.save(target, **options)
-
-
-def _reason(error: Exception, source: Path, at: Path) -> str:
-    """Return in one line why a motion was not read from `source` or not written to `at`."""
-    if isinstance(error, OSError):  # it may name the temporary file, so name the target instead
-        return f"{at}: {error.strerror or error}"
-    reason = str(error) or "not enough memory"
-    # Some errors do not name the file, such as those about joints.
-    reason = reason if str(source) in reason or str(at) in reason else f"{source}: {reason}"
-    # File names may hold line breaks and bytes that are not text.
-    return " ".join(reason.encode("utf-8", "replace").decode().splitlines())

@@ -11,6 +11,7 @@ from pathlib import Path
 from gesturekit.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.smpl.easymocap import SUBFOLDERS
+from gesturekit.jobs.targets import EXISTING, refuse_existing, refuse_leaving
 from gesturekit.wording import listed
 
 MOTION_SUFFIXES = (".bvh", ".npz")
@@ -30,7 +31,6 @@ OTHER_MOTION_SUFFIXES = (
 )
 """Unsupported motion files; Blender and other programs convert most of them to BVH."""
 WRITABLE = ("bvh", "npz", "html", "mp4", "png", "svg", "pdf", "obj")
-EXISTING = ("refuse", "skip", "replace")
 _NO_MOTION = f"no motion in it; looked for {', '.join(MOTION_SUFFIXES)} and EasyMocap folders"
 _SHOWN = 3
 _GLANCE = 1 << 16
@@ -42,18 +42,18 @@ class Job:
 
     Attributes:
         source: a file, or the folder of a sequence with one file per frame.
-        targets: files to write, without existing ones to skip.
+        targets: files to write.
         error: reason why the source cannot be read.
+        name: path of the targets below the output folder, without suffix.
     """
 
     source: Path
     targets: tuple[Path, ...] = ()
     error: str | None = None
+    name: str = ""
 
 
-def plan(
-    sources: Sequence[Path], out: Path, formats: Sequence[str] = (), *, existing: str = "refuse"
-) -> list[Job]:
+def plan(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) -> list[Job]:
     """Return the jobs of a conversion.
 
     `out` is a file if there is a single motion and `out` has the suffix of a format. Otherwise it
@@ -65,29 +65,25 @@ def plan(
 
     Raises:
         ConfigError: nothing to read, an unknown format, two sources for one target, a target that
-            is a source or outside `out`, one that exists while `existing` is "refuse", or a folder
-            without write permission.
+            is a source or outside `out`, or a folder without write permission.
     """
-    if existing not in EXISTING:
-        raise ConfigError(f"existing is {existing!r}; expected {', '.join(EXISTING)}")
     if not sources:
         raise ConfigError("nothing to convert; name a motion file or a folder of them")
     unknown = [name for name in formats if name not in WRITABLE]
     if unknown:
         raise ConfigError(f"format {', '.join(unknown)}: known: {', '.join(WRITABLE)}")
-    if _is_file_name(out, sources, formats):
+    if is_file_name(out, sources, formats):
         if formats and list(formats) != [out.suffix.lower()[1:]]:
             raise ConfigError(
                 f"{out} is written as {out.suffix.lower()[1:]}, not {', '.join(formats)}; "
                 "give a folder to write several formats"
             )
-        jobs = found = [Job(sources[0], (out,))]
+        jobs = found = [Job(sources[0], (out,), name=out.stem)]
     else:
         found = _into_folder(sources, out, formats)
         jobs = _without_copies(found)
-        refuse_leaving(jobs, out)
+        refuse_leaving([target for job in jobs for target in job.targets], out)
     _refuse_clashes(jobs, {os.path.realpath(job.source) for job in found})
-    jobs = _without_existing(jobs, existing)
     _refuse_locked(jobs, out)
     return jobs
 
@@ -208,7 +204,12 @@ def _has_frames(folder: Path) -> bool:
     return b'"Rh"' in start or b'"poses"' in start
 
 
-def _is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> bool:
+def is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> bool:
+    """Return whether `out` is the file for a single motion, and not a folder.
+
+    Raises:
+        ConfigError: it can be neither.
+    """
     suffix = out.suffix.lower()[1:]
     if out.is_dir():
         return False
@@ -245,7 +246,7 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
                 continue
             targets = tuple(out / f"{key}.{kind}" for kind in formats)
             # A file that is named twice is converted once; a link to it beside it is not it.
-            jobs.setdefault((os.path.realpath(path), key), Job(path, targets))
+            jobs.setdefault((os.path.realpath(path), key), Job(path, targets, name=key))
     _warn_of_unread(sources, jobs.values())
     if not jobs:
         raise ConfigError(f"{sources[0]}: {_NO_MOTION}")
@@ -341,19 +342,6 @@ def _refuse_clashes(jobs: Sequence[Job], sources: set[str]) -> None:
             taken[where] = job.source
 
 
-def refuse_leaving(jobs: Sequence[Job], out: Path) -> None:
-    """Refuse targets that leave a folder through a link inside it.
-
-    Raises:
-        ConfigError: a target whose folder is a link to outside `out`.
-    """
-    inside = Path(os.path.realpath(out))
-    for job in jobs:
-        for target in job.targets:
-            if not Path(os.path.realpath(target.parent)).is_relative_to(inside):
-                raise ConfigError(f"{target} lies outside {out}: {target.parent} is a link")
-
-
 def _refuse_locked(jobs: Sequence[Job], out: Path) -> None:
     """Raise ConfigError if the nearest existing folder is not writable, before hours of reading."""
     if not any(job.targets for job in jobs):
@@ -363,31 +351,15 @@ def _refuse_locked(jobs: Sequence[Job], out: Path) -> None:
         raise ConfigError(f"{out}: {folder} cannot be written to; give another place")
 
 
-def refuse_existing(there: Sequence[Path], reason: str = "") -> None:
-    """Refuse to overwrite existing files.
-
-    Args:
-        there: the files, at least one.
-        reason: additional text, such as ", made with another seed".
+def without_existing(targets: Sequence[Path], existing: str) -> tuple[Path, ...]:
+    """Return the targets to write.
 
     Raises:
-        ConfigError: always; it names the options that allow it.
+        ConfigError: one exists, and `existing` is "refuse"; or an unknown `existing`.
     """
-    more = f" and {len(there) - _SHOWN} more" if len(there) > _SHOWN else ""
-    verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
-    raise ConfigError(
-        f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already{reason}; --existing replace "
-        f"writes over {object_}, --existing skip leaves {object_}"
-    )
-
-
-def _without_existing(jobs: list[Job], existing: str) -> list[Job]:
-    there = [target for job in jobs for target in job.targets if os.path.lexists(target)]
-    if not there or existing == "replace":
-        return jobs
-    if existing == "refuse":
+    if existing not in EXISTING:
+        raise ConfigError(f"existing is {existing!r}; expected {', '.join(EXISTING)}")
+    there = [target for target in targets if os.path.lexists(target)]
+    if there and existing == "refuse":
         refuse_existing(there)
-    gone = set(there)
-    return [
-        Job(job.source, tuple(t for t in job.targets if t not in gone), job.error) for job in jobs
-    ]
+    return tuple(target for target in targets if target not in there or existing == "replace")

@@ -194,10 +194,13 @@ def journal_files(state: Path) -> list[Path]:
     return sorted((state / "journal").glob("*.jsonl"))
 
 
-def last_run(state: Path) -> dict[str, Any] | None:
-    """Return the first line of the latest run in a folder: settings and more; None without one."""
+def last_run(state: Path, field: str = "run") -> dict[str, Any] | None:
+    """Return the first line of the latest run in a folder that has a field; None without one."""
     lines = [
-        values for path in journal_files(state) for kind, values, _ in _read(path) if kind == "run"
+        values
+        for path in journal_files(state)
+        for kind, values, _ in _read(path)
+        if kind == "run" and field in values
     ]
     return max(lines, key=lambda values: values["time"], default=None)
 

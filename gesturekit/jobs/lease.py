@@ -27,6 +27,7 @@ HEARTBEAT = 15.0
 """Seconds between signs of life."""
 EXPIRY = 120.0
 """Seconds without a sign of life after which a lease of another host counts as abandoned."""
+_GRACE = 5.0
 
 
 class Lease:
@@ -136,12 +137,26 @@ def _is_live(path: Path, about: dict[str, Any], age: float) -> bool:
         return age < EXPIRY
     lock = _lock_of(path)
     try:
-        lock.acquire(blocking=False)
+        # A worker that was being started when its parent was killed has the lock a moment longer.
+        lock.acquire(timeout=_GRACE if _is_gone(about.get("pid")) else 0, poll_interval=0.02)
     except Timeout:
         return True
     except OSError:
         return age < EXPIRY  # a file system without locks, or of another user
     lock.release()
+    return False
+
+
+def _is_gone(pid: Any) -> bool:
+    """Return whether it is certain that no process of this host has a number."""
+    if os.name != "posix" or not isinstance(pid, int) or not 0 < pid < 1 << 31:
+        return False
+    try:
+        os.kill(pid, 0)  # sends nothing
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
     return False
 
 

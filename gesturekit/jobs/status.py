@@ -120,7 +120,9 @@ def status_of(out: Path) -> Status:
     state = state_folder(out)
     plan = Plan.open(state / PLAN)
     if plan is None:
-        raise ConfigError(f"{out}: no plan in it; give the --out of `gesturekit render`")
+        raise ConfigError(
+            f"{out}: no plan in it; give the output folder of render, features or convert"
+        )
     with _without_collection():
         return _counted(plan, state)
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gesturekit.errors import gesturekit_errors
-from gesturekit.rendering.execution import Batch, Execution
-from gesturekit.rendering.render import Outcome, Output, Renderer
-from gesturekit.rendering.tasks import Source, Task
+from gesturekit.jobs.batch import Batch, Execution
+from gesturekit.jobs.work import Outcome
+from gesturekit.rendering.render import Output, Renderer
+from gesturekit.rendering.tasks import Source, Task, sound_inputs
 
 if TYPE_CHECKING:
     from gesturekit.model import Model
@@ -52,7 +53,7 @@ def render(
         channel: channel of each file to use, counted from 1; None for the mean of all.
         progress: wraps the list of tasks, as tqdm does.
         options: fields of `gesturekit.rendering.render.Output` (formats, existing, rig, unit, up)
-            and of `gesturekit.rendering.execution.Execution` (workers, shard, deadline ...), and
+            and of `gesturekit.jobs.batch.Execution` (workers, shard, deadline ...), and
             arguments of the model's `generate` (seed, samples, style, foot_lock, smooth ...).
             `formats` are of bvh, npz, html, mp4 and png: `("bvh", "html")` or `"bvh,html"`.
 
@@ -117,7 +118,8 @@ def iter_render(
     Raises the errors of `render`.
     """
     renderer = Renderer(model, Path(out), output or Output(), seconds, channel, controls)
-    batch = Batch(renderer, sources, execution or Execution())
+    inputs = sound_inputs("render", sources, renderer.out, seconds, channel)
+    batch = Batch(renderer, inputs, execution or Execution())
     steps = iter(progress(batch.tasks))
     next(steps, None)
     for outcome in batch.run():

@@ -16,10 +16,10 @@ import numpy as np
 from audio_features import Wave
 from gesturekit.corpus.layouts.table import read_layout
 from gesturekit.errors import CorpusError, GestureKitError
+from gesturekit.jobs.work import Outcome
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
 from gesturekit.rendering.batch import render
-from gesturekit.rendering.render import Outcome
 from gesturekit.rendering.tasks import Task
 from gesturekit.wording import did_you_mean
 

@@ -1,18 +1,18 @@
-"""Preview of a rendering: its plan, time and size."""
+"""Preview of a batch of sounds: its plan, time and size."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import soundfile
 
-from gesturekit.rendering.execution import Batch
-from gesturekit.rendering.render import Outcome, Work
+from gesturekit.jobs.batch import Batch
+from gesturekit.jobs.work import Outcome, Work
 from gesturekit.rendering.tasks import Task
 
 _SHORT, _LONG = 0.5, 5.0  # seconds of sound
@@ -38,7 +38,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of rendering in one process, measured on this machine.
+    """Cost of the work in one process, measured on this machine.
 
     Attributes:
         item: (seconds, bytes) of each item, however short.
@@ -61,7 +61,7 @@ def preview(batch: Batch) -> Iterator[Preview]:
             action = "keep" if work.error is None else "fail"
             yield Preview(task, action, work.kept, work.error)
         else:
-            targets = batch.renderer.targets(task)
+            targets = batch.processor.targets(task)
             left = tuple(file for file in targets if file not in work.kept)
             yield Preview(task, "make", left)
 
@@ -69,16 +69,16 @@ def preview(batch: Batch) -> Iterator[Preview]:
 def measured_cost(batch: Batch) -> Cost:
     """Measure the cost of a short and a longer piece of noise, written to a temporary folder.
 
-    All costs are 0 if the model cannot render noise with these settings.
+    All costs are 0 if nothing can be made of noise with these settings.
     """
     found = []
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
-        renderer = replace(batch.renderer, out=Path(folder))
+        processor = batch.processor.into(Path(folder))
         for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation
             wav = Path(folder) / f"{seconds:g}.wav"
             noise = np.random.default_rng(0).standard_normal(int(seconds * 16_000))
             soundfile.write(wav, 0.1 * noise, 16_000)
-            entry = renderer(Work(Task(str(wav), wav.stem, wav))).entry
+            entry = processor(Work(Task(str(wav), wav.stem, wav))).entry
             size = sum(about["size"] for about in entry.files.values())
             found.append((entry.seconds, size))
     if entry.status != "done":

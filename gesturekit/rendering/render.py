@@ -3,34 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
-import hashlib
-import json
+import logging
 import os
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import audio_features as af
 from gesturekit.corpus.item import Item
-from gesturekit.errors import ConfigError, GestureKitError
+from gesturekit.errors import ConfigError
 from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.rig import Rig
-from gesturekit.formats.sources import EXISTING
-from gesturekit.jobs.journal import Entry
+from gesturekit.jobs.record import described
+from gesturekit.jobs.work import Made, Processor, Work
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering.record import described, file_facts, model_fingerprint, path_digest
+from gesturekit.rendering.record import model_fingerprint, without_models
 from gesturekit.rendering.tasks import Task
 from gesturekit.systems import controls_type
 from gesturekit.viewer.video.encoder import require_encoder
 
+log = logging.getLogger(__name__)
 FORMATS = ("bvh", "npz", "html", "mp4", "png")
-# torch raises RuntimeError when memory runs out.
-_FAILURES = (GestureKitError, af.AudioFeaturesError, OSError, MemoryError, RuntimeError)
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 @dataclass(frozen=True)
@@ -65,53 +60,8 @@ class Output:
         object.__setattr__(self, "formats", tuple(dict.fromkeys(filter(None, plain))))
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """The result of one input.
-
-    Attributes:
-        source: the input.
-        files: files that were written.
-        kept: existing files that were left unchanged.
-        fps: frames per second of the written motion.
-        error: reason why some or all files are missing.
-        sound: seconds of sound, or of motion without sound.
-    """
-
-    source: str
-    files: tuple[Path, ...] = ()
-    kept: tuple[Path, ...] = ()
-    fps: float | None = None
-    error: str | None = None
-    sound: float = 0.0
-
-
-@dataclass(frozen=True)
-class Work:
-    """A task that is to be done, and the existing files of it that are kept."""
-
-    task: Task
-    kept: tuple[Path, ...] = ()
-    attempt: int = 1
-
-
-@dataclass(frozen=True)
-class Done:
-    """The result of a task, for the caller and for the journal.
-
-    Attributes:
-        outcome: for the caller.
-        entry: for the journal.
-        is_full: True if nothing more can be written to the output folder.
-    """
-
-    outcome: Outcome
-    entry: Entry
-    is_full: bool = False
-
-
 @dataclass
-class Renderer:
+class Renderer(Processor):
     """A model with all settings; it renders one task at a time, and can be pickled.
 
     Args:
@@ -151,8 +101,7 @@ class Renderer:
             )
         if "mp4" in output.formats:
             require_encoder()
-        if output.existing not in EXISTING:
-            raise ConfigError(f"existing is {output.existing!r}; expected {', '.join(EXISTING)}")
+        self.existing = output.existing
         self.samples = self.controls.get("samples", 1)
         self.controls = _without_defaults(self.controls, self.model.kind)
         rig = output.rig
@@ -163,15 +112,21 @@ class Renderer:
             output.formats, {name: value for name, value in written.items() if value is not None}
         )
         settings = {k: v for k, v in self.controls.items() if k != "samples"}
-        self.settings = {"model": model_fingerprint(self.model), "seed": 0} | described(settings)
+        self.settings = {"model": model_fingerprint(self.model), "seed": 0} | described(
+            {name: without_models(value) for name, value in settings.items()}
+        )
         if self.body is not None:
             self.settings["rig"] = described(self.body)
         self.model.check_controls(**self.controls)
 
+    def into(self, out: Path) -> Renderer:
+        """Return the same renderer into another folder."""
+        return replace(self, out=out)
+
     @property
-    def run(self) -> str:
-        """Name of the settings, for journals."""
-        return _digest([self.settings, self.written])[:16]
+    def about(self) -> dict[str, Any]:
+        """Folder of the model, where it has one."""
+        return {"model_folder": str(self.model.folder)} if self.model.folder else {}
 
     def names(self, task: Task) -> list[str]:
         """Return the name of each sample."""
@@ -197,9 +152,7 @@ class Renderer:
         Raises:
             GestureKitError: a file of a manifest's item cannot be read.
         """
-        found: dict[str, Any] = {}
-        if task.audio is not None:
-            found["input"] = digest or path_digest(task.audio)
+        found = super().input_of(task, digest)
         for name, value in {"seconds": self.seconds, "channel": self.channel}.items():
             if value is not None:
                 found[name] = value
@@ -210,10 +163,6 @@ class Renderer:
             found |= {"audible": described(item.audible)} if item.audible else {}
             found |= described(self.item_controls(item))
         return found | described(task.options)
-
-    def key(self, found: Mapping[str, Any]) -> str:
-        """Return the key of an item: the SHA-256 of all settings and of `input_of` it."""
-        return _digest([self.settings, self.written, found])
 
     def item_controls(self, item: Item) -> dict[str, Any]:
         """Return the controls of a manifest's item that the model has as inputs."""
@@ -233,59 +182,30 @@ class Renderer:
             )
         return {name: value for name, value in found.items() if name not in self.controls}
 
-    def __call__(self, work: Work) -> Done:
-        """Write the files of a task, except those that are kept."""
-        task, begun = work.task, time.perf_counter()
-        files: dict[Path, dict[str, Any]] = {}
-        facts: dict[str, Any] = {"sound": 0.0, "fps": None}
-        found: dict[str, Any] = {}
-        source = (file_facts(task.audio) if task.audio is not None else None) or {}
-        reason, is_full = None, False
-        try:
-            found = self.input_of(task)
-            self._write_all(work, files, facts)
-        except Exception as error:  # one strange file must not end a night's work
-            reason = _reason(error, task.source)
-            is_full = isinstance(error, OSError) and error.errno in _FULL
-        sound, fps = facts["sound"], facts["fps"]
-        entry = Entry(
-            "done" if reason is None else "dropped" if is_full else "failed",
-            task.name,
-            key=self.key(found),
-            attempt=work.attempt,
-            seconds=round(time.perf_counter() - begun, 4),
-            sound=round(sound, 4),
-            files={file.relative_to(self.out).as_posix(): about for file, about in files.items()},
-            input=found,
-            source=source,
-            error=reason,
-        )
-        return Done(
-            Outcome(task.source, tuple(files), work.kept, fps, reason, sound), entry, is_full
-        )
-
-    def _write_all(
-        self, work: Work, files: dict[Path, dict[str, Any]], facts: dict[str, Any]
-    ) -> None:
-        """Generate and write, and add to `files` and `facts` what is done."""
+    def make(self, work: Work, made: Made) -> None:
+        """Generate the motions of a task and write them."""
         task = work.task
         wave, motions = self._generate(task)
         # The player embeds the original file, unless only a part of it was used.
         whole = task.item is None and self.channel is None and not task.options
         sound = task.audio if whole else wave
-        facts["sound"] = motions[0].duration if wave is None else wave.duration
+        made.sound = motions[0].duration if wave is None else wave.duration
         for motion, name in zip(motions, self.names(task), strict=True):
             motion = motion if self.body is None else self.body.put(motion)
-            facts["fps"] = motion.fps
+            made.facts["fps"] = motion.fps
             for kind in self.output.formats:
                 file = self.out / f"{name}.{kind}"
                 if file not in work.kept:
+                    made.at = str(file)
                     self._write(motion, file, sound)
-                    files[file] = {"sha256": path_digest(file), **(file_facts(file) or {})}
+                    made.files.append(file)
 
     def _generate(self, task: Task) -> tuple[af.Wave | None, list[Motion]]:
         """Return the sound of a task, and its motions."""
         wave, item = task.load_wave(self.channel), task.item
+        if wave is not None and not wave.is_silent:  # the model warns of silence
+            for fault in wave.faults():
+                log.warning("%s: %s", task.source, fault)
         controls, seconds = self.controls, self.seconds
         if item is not None:
             controls = self.item_controls(item) | controls
@@ -296,8 +216,8 @@ class Renderer:
             if wave is None or not self._takes_speech():
                 seconds = task.options.get("seconds", wave and wave.duration)
         speech = wave if seconds is None else None
-        made = self.model.generate(speech, seconds=seconds, **controls)
-        return wave, made if isinstance(made, list) else [made]
+        motions = self.model.generate(speech, seconds=seconds, **controls)
+        return wave, motions if isinstance(motions, list) else [motions]
 
     def _takes_speech(self) -> bool:
         """Return whether the model or one of its experts has speech input."""
@@ -311,10 +231,6 @@ class Renderer:
         if file.suffix in (".html", ".mp4", ".png") and sound is not None:
             options["audio"] = sound
         motion.save(file, **options)
-
-
-def _digest(values: Any) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]:
@@ -336,14 +252,3 @@ def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]
         for name, value in values.items()
         if value is not defaults[name] and value != defaults[name]
     }
-
-
-def _reason(error: Exception, source: str) -> str:
-    """Return the reason of a failure on one line that names the input."""
-    reason = str(error) or "not enough memory"
-    if not isinstance(error, _FAILURES):
-        reason = f"unexpected {type(error).__name__}, please report it: {error}"
-    # Not every reason names the input: a model that gives NaN, a disk that is full.
-    reason = reason if source in reason else f"{source}: {reason}"
-    # One line, and printable: a file name need not be text.
-    return " ".join(reason.encode("utf-8", "replace").decode().splitlines())

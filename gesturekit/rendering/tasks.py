@@ -23,6 +23,7 @@ from gesturekit.formats.sources import (
 )
 from gesturekit.jobs.plan import PlanItem
 from gesturekit.jobs.state import STATE
+from gesturekit.jobs.work import Inputs
 from gesturekit.rendering.lists import is_glob, is_list, matches_of_glob, read_list
 
 _SHOWN = 3
@@ -59,7 +60,7 @@ class Task:
     error: str | None = None
 
     def load_wave(self, channel: int | None) -> af.Wave | None:
-        """Read the sound, cut to the item's interval, and log its faults; None without a sound.
+        """Read the sound, cut to the item's interval; None without a sound.
 
         Raises:
             AudioError: the file cannot be read.
@@ -67,16 +68,10 @@ class Task:
         if self.audio is None:
             return None
         if self.item is not None:
-            wave = self.item.load_wave()
-        else:
-            asked = self.options
-            start, seconds = asked.get("start", 0.0), asked.get("seconds")
-            channel = asked.get("channel", channel)
-            wave = af.Wave.load(self.audio, start=start, duration=seconds, channel=channel)
-        if not wave.is_silent:  # the model warns of silence
-            for fault in wave.faults():
-                log.warning("%s: %s", self.source, fault)
-        return wave
+            return self.item.load_wave()
+        start, seconds = self.options.get("start", 0.0), self.options.get("seconds")
+        channel = self.options.get("channel", channel)
+        return af.Wave.load(self.audio, start=start, duration=seconds, channel=channel)
 
     def measured(self) -> Task:
         """Return the task with its duration, from the header of its sound."""
@@ -101,6 +96,11 @@ class Task:
             more["item"] = fields
         path = None if self.audio is None else os.path.abspath(self.audio)  # noqa: PTH100
         return PlanItem(self.name, path, self.duration, more)
+
+    @property
+    def path(self) -> Path | None:
+        """The sound file."""
+        return self.audio
 
     @classmethod
     def from_plan(cls, planned: PlanItem) -> Task:
@@ -127,6 +127,37 @@ class Task:
         source = planned.more.get("source", str(audio))
         options = planned.more.get("options", {})
         return cls(source, planned.id, audio or None, item, options, planned.duration)
+
+
+def sound_inputs(
+    verb: str,
+    sources: Source | Sequence[Source],
+    out: Path,
+    seconds: float | None = None,
+    channel: int | None = None,
+) -> Inputs:
+    """Return the inputs of a command on sounds.
+
+    Args:
+        verb: name of the command.
+        sources: see `find_tasks`; without any, the input is one motion without sound.
+        out: folder for the results.
+        seconds: length of that motion.
+        channel: channel of each file to use, counted from 1; None for the mean of all.
+    """
+    if isinstance(sources, str | os.PathLike) or not isinstance(sources, Sequence):
+        sources = [sources]
+    named = [
+        os.path.abspath(source) if isinstance(source, str | os.PathLike) else repr(source)  # noqa: PTH100
+        for source in sources
+    ]
+
+    def find() -> list[Task]:
+        if not sources:
+            return [Task("motion", "motion", duration=seconds)]
+        return [task.measured() for task in find_tasks(sources, out)]
+
+    return Inputs([verb, named, seconds, channel], find, Task.from_plan)
 
 
 def find_tasks(sources: Source | Sequence[Source], out: Path) -> list[Task]:
@@ -230,5 +261,5 @@ def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:
         if task.error is None and seen.setdefault(task.name, task) is not task:
             raise ConfigError(
                 f"{seen[task.name].source} and {task.source} would both be written as "
-                f"{out / task.name}; render them into different folders"
+                f"{out / task.name}; write them into different folders"
             )

@@ -126,6 +126,8 @@ def test_a_mistake_does_not_use_up_the_run_folder(train, tmp_path):
 
 
 def test_a_finished_run_is_kept(train, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "notes.txt").write_text("mine")
     nothing = train("--resume")
     assert nothing.status == 2 and "no run to resume" in error_line(nothing)
     assert train().status == 0
@@ -139,6 +141,18 @@ def test_a_finished_run_is_kept(train, tmp_path):
     assert train("--resume").status == 0
     assert (model / "model.safetensors").read_bytes() == before
     assert read_yaml(tmp_path / "run" / "config.yaml")["network"]["levels"] == 4
+
+
+@pytest.mark.parametrize("left", [None, ".", "data"])
+def test_a_run_that_was_stopped_before_its_folder_begins(train, tmp_path, caplog, left):
+    if left is not None:
+        (tmp_path / "run" / left).mkdir(parents=True)
+    caplog.set_level("INFO")
+    done = train("--resume")
+    assert done.status == 0, error_line(done)
+    assert f"{tmp_path / 'run'}: no run to resume yet, so it begins." in caplog.text
+    caplog.clear()
+    assert train("--resume").status == 0 and "begins" not in caplog.text
 
 
 def test_the_run_folder_is_enough_to_resume(gesturekit, train, tmp_path):

@@ -609,3 +609,14 @@ def test_a_style_pattern_that_fits_no_file_is_warned_about(gesture, tmp_path):
     (line,) = warnings("(?P<style>x|y)-")
     assert "matches none of 2 recordings, such as calm_1" in line
     assert warnings("(?P<style>calm)_") == []
+
+
+@pytest.mark.stress
+def test_processes_give_the_same_manifest_and_problems(tmp_path, write_pair):
+    for name in "abcd":
+        write_pair(tmp_path / "in", name, 1.0)
+    (tmp_path / "in" / "b.bvh").write_text("Dear diary,\n")
+    one = prepare(tmp_path / "in", tmp_path / "one.jsonl")
+    two = prepare(tmp_path / "in", tmp_path / "two.jsonl", workers=2)
+    assert (tmp_path / "one.jsonl").read_bytes() == (tmp_path / "two.jsonl").read_bytes()
+    assert one.problems == two.problems and len(one.problems) >= 1

@@ -23,6 +23,7 @@ from audio_features import words as word_lists
 from audio_features.weight_files import read_file, read_json
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.formats.batch import MotionTask
 from gesturekit.formats.smpl.easymocap import read_easymocap
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
@@ -102,6 +103,7 @@ def plan(folder: Path, file: Path) -> None:
     found = Plan.open(file)
     for item in found.items():
         Task.from_plan(item)
+        MotionTask.from_plan(item)
     status_of(folder)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from gesturekit.corpus import prepare
 from gesturekit.errors import GestureKitError
-from gesturekit.formats.conversion import convert
+from gesturekit.formats.batch import convert
 from gesturekit.inspection import Summary, inspect
 from gesturekit.inspection.tree import tree
 from gesturekit.motion import Motion, Skeleton

@@ -1,10 +1,11 @@
 """Kill a command of gesturekit at random moments, in forks of this process; see test_killing.
 
-    python killing.py KILLS SEED WHOLE AGAIN
+    python killing.py KILLS SEED ARGUMENTS
 
-WHOLE and AGAIN are arguments of gesturekit as JSON, for an undisturbed run, whose duration is
-measured, and for the killed ones. The last run is not killed. The number of kills that came before
-the end of the command is printed.
+ARGUMENTS are those of gesturekit as JSON, with {out} in place of the output. It is first "whole",
+for a run that is left alone and whose duration is measured. Then it is "0": the command is killed
+and started again, up to `MOST` times before it is left alone; then "1", and so on, until there were
+KILLS kills before the end of a command. The number of outputs is printed.
 """
 
 import json
@@ -16,19 +17,26 @@ import time
 
 # Everything is imported before the forks, which then start at once.
 import gesturekit.corpus
+import gesturekit.diffusion.training.trainer
+import gesturekit.formats.batch
+import gesturekit.multires.training.trainer
 import gesturekit.rendering.batch
+import gesturekit.rendering.features
 import gesturekit.viewer  # noqa: F401
 from gesturekit.cli import main
 
+MOST = 6
+"""Kills of a command before it is left alone, so that many outputs are killed at many moments."""
 
-def start(arguments: list[str]) -> int:
+
+def start(arguments: list[str], out: str) -> int:
     """Run the command in a fork, and return its process id."""
     child = os.fork()
     if child:
         return child
     code = 1
     try:
-        main(arguments)
+        main([argument.replace("{out}", out) for argument in arguments])
         code = 0
     except SystemExit as end:
         code = int(end.code or 0)
@@ -38,27 +46,30 @@ def start(arguments: list[str]) -> int:
         os._exit(code)
 
 
-def wait(child: int) -> None:
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+def check(status: int) -> None:
+    code = os.waitstatus_to_exitcode(status)
     assert code == 0, f"exit code {code}"
 
 
 if __name__ == "__main__":
-    rng, hits = random.Random(sys.argv[2]), 0
-    whole, killed = (json.loads(text) for text in sys.argv[3:])
+    rng, kills, number, here = random.Random(sys.argv[2]), 0, 0, 0
+    command = json.loads(sys.argv[3])
     begin = time.monotonic()
-    wait(start(whole))
+    check(os.waitpid(start(command, "whole"), 0)[1])
     duration = time.monotonic() - begin
-    for _ in range(int(sys.argv[1])):
-        child = start(killed)
-        moment = time.monotonic() + rng.uniform(0, duration)
+    while kills < int(sys.argv[1]):
+        child = start(command, str(number))
+        moment = time.monotonic() + (rng.uniform(0, duration) if here < MOST else float("inf"))
         ended = 0
         while not ended and time.monotonic() < moment:
             time.sleep(0.001)
-            ended, _ = os.waitpid(child, os.WNOHANG)
-        if not ended:
+            ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            check(status)
+            number, here = number + 1, 0
+        else:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-            hits += 1
-    wait(start(killed))
-    print(json.dumps(hits))
+            kills, here = kills + 1, here + 1
+    check(os.waitpid(start(command, str(number)), 0)[1])
+    print(number + 1)

@@ -6,25 +6,59 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
+import yaml
 
-KILLS = 50
-"""Number for each command; `make test` kills a few."""
+KILLS = int(os.environ.get("GESTUREKIT_KILLS", "200"))
+"""Number for each command; `make test` kills one command twice."""
 SCRIPT = Path(__file__).with_name("killing.py")
+MULTIRES = {
+    "system": "multires",
+    "fps": 25,
+    "threads": 1,
+    "network": {"levels": 4, "channels": [2, 2, 2], "embedding": 4},
+    "training": {
+        "first_stage": 10,
+        "further_stages": 10,
+        "discriminator_steps": 1,
+        "reconstruction_steps": 1,
+        "batch": 2,
+        "window": 2.0,
+        "window_cache": 2,
+        "renew_every": 7,
+    },
+    "checkpoint_every": 4,
+    "log_every": 2,
+}
+DIFFUSION = {
+    "system": "diffusion",
+    "threads": 1,
+    "network": {
+        "blocks": 2,
+        "layers": 1,
+        "channels": 16,
+        "heads": 2,
+        "feedforward": 16,
+        "embedding": 16,
+    },
+    "noise": {"steps": 20, "last_beta": 0.5},
+    "training": {"updates": 30, "batch": 4, "window": 2.0, "warm_up": 2},
+    "checkpoint_every": 4,  # a multiple of log_every: losses of a line are not in checkpoints
+    "log_every": 2,
+}
 
 
-def killed(kills: int, whole: list[object], again: list[object]) -> int:
-    """Run `whole`; kill `again` so many times and run it to its end; return the kills in time."""
-    arguments = [json.dumps(list(map(str, one))) for one in (whole, again)]
+def killed(kills: int, *command: object) -> int:
+    """Run a command whole, and with so many kills; return the number of outputs with kills."""
     done = subprocess.run(
-        [sys.executable, SCRIPT, str(kills), "0", *arguments],
+        [sys.executable, SCRIPT, str(kills), "0", json.dumps(list(map(str, command)))],
         capture_output=True,
         text=True,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
-        timeout=1800,
+        timeout=3600,
     )
     assert done.returncode == 0, done.stderr[-3000:]
     return int(done.stdout.splitlines()[-1])
@@ -47,28 +81,54 @@ def content(folder: Path) -> dict[str, bytes]:
     }
 
 
+def compare(folder: Path, count: int, of: Callable[[Path], object] = content) -> None:
+    """Compare the outputs of killed commands with the undisturbed one."""
+    whole = of(folder / "whole")
+    assert whole
+    assert [of(folder / str(number)) == whole for number in range(count)] == [True] * count
+
+
 @pytest.mark.parametrize("kills", [2, pytest.param(KILLS, marks=pytest.mark.stress)])
 def test_features(recordings, tmp_path, kills):
-    command = ["features", *sorted(recordings.glob("*.wav")), "--cache", "off", "--existing"]
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    hits = killed(kills, [*command, "skip", "--out", whole], [*command, "skip", "--out", out])
-    assert hits and content(whole).keys() == content(out).keys()
-    for path in whole.glob("*.npz"):
-        with np.load(path) as one, np.load(out / path.name) as other:
-            assert (one["values"] == other["values"]).all()
+    command = ("features", *sorted(recordings.glob("*.wav")), "--cache", "off", "--out")
+    compare(tmp_path, killed(kills, *command, tmp_path / "{out}"))
+
+
+@pytest.mark.stress
+def test_convert(recordings, tmp_path):
+    command = ("convert", recordings, tmp_path / "{out}", "--format", "npz,html")
+    compare(tmp_path, killed(KILLS, *command))
 
 
 @pytest.mark.stress
 def test_prepare(recordings, tmp_path):
-    whole, out = recordings / "whole.jsonl", recordings / "out.jsonl"
-    command = ["prepare", recordings, "--existing", "replace", "--out"]
-    assert killed(KILLS, [*command, whole], [*command, out]) > KILLS // 4
-    assert whole.read_bytes() == out.read_bytes()
+    command = ("prepare", recordings, "--out", recordings / "{out}.jsonl")
+    count = killed(KILLS, *command)
+    compare(recordings, count, lambda path: path.with_suffix(".jsonl").read_bytes())
 
 
 @pytest.mark.stress
 def test_render(recordings, tmp_path):
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    command = ["render", recordings, "--model", "demo", "--format", "bvh,npz", "--out"]
-    assert killed(KILLS, [*command, whole], [*command, out]) > 5  # later ones find all done
-    assert content(whole) == content(out) and len(content(out)) == 16
+    command = ("render", recordings, "--model", "demo", "--format", "bvh,npz", "--out")
+    compare(tmp_path, killed(KILLS, *command, tmp_path / "{out}"))
+    assert len(content(tmp_path / "whole")) == 16
+
+
+def trained(run: Path) -> dict[str, object]:
+    """Model and losses of a run, without times and the name of the run."""
+    weights = {path.name: path.read_bytes() for path in (run / "model").glob("*.safetensors")}
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    losses = [{k: v for k, v in line.items() if "seconds" not in k} for line in lines]
+    names = sorted(path.name for path in run.rglob("*") if path.is_file())
+    shown = [name for name in names if not name.startswith((".", "events."))]
+    return {"weights": weights, "losses": losses, "names": shown}
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("system", ["multires", "diffusion"])
+def test_train(corpus, tmp_path, system):
+    config = tmp_path / "config.yaml"
+    values = {"multires": MULTIRES, "diffusion": DIFFUSION}[system]
+    config.write_text(yaml.safe_dump(values))
+    settings = (f"corpus={corpus}", f"out={tmp_path / '{out}'}", "--resume")
+    compare(tmp_path, killed(KILLS, "train", config, *settings), trained)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
+from filelock import FileLock
 
 from gesturekit.errors import ConfigError
 from gesturekit.jobs import lease as module
@@ -50,6 +53,20 @@ def test_the_lease_of_a_killed_process_is_free_at_once(tmp_path):
     holder.kill()
     holder.wait()
     Lease(tmp_path, 1, 2, {"plan": "another"}).release()
+
+
+def test_a_lock_that_outlives_its_process_for_a_moment_is_waited_for(tmp_path):
+    """A worker that was being started when its parent was killed inherits the lock."""
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    path = tmp_path / "leases" / "00001-of-00001.json"
+    path.parent.mkdir()
+    about = {"host": socket.gethostname(), "pid": gone.pid, "since": 0.0, "run": RUN}
+    path.write_text(json.dumps(about))
+    lock = FileLock(path.with_suffix(".lock"), thread_local=False)
+    lock.acquire()
+    threading.Timer(0.2, lock.release).start()
+    Lease(tmp_path, 1, 1, RUN).release()
 
 
 def test_a_process_of_another_host_lives_by_its_heartbeat(tmp_path):

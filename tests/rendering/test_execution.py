@@ -16,15 +16,15 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import ConfigError, OutputError
+from gesturekit.jobs import batch as execution
+from gesturekit.jobs.batch import Execution
 from gesturekit.jobs.journal import History, Journal
 from gesturekit.jobs.plan import PLAN, Plan
 from gesturekit.jobs.pool import Failure
 from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import status_of
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering import execution
 from gesturekit.rendering.batch import iter_render
-from gesturekit.rendering.execution import Execution
 from gesturekit.rendering.render import Output, Renderer
 
 

@@ -16,6 +16,7 @@ from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError, ModelError, MotionError
 from gesturekit.formats.rig import Rig
 from gesturekit.jobs.plan import PlanItem
+from gesturekit.jobs.record import described
 from gesturekit.jobs.state import STATE
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.kinematics import global_rotations
@@ -23,7 +24,6 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.postprocess import smooth_motion
 from gesturekit.rendering.batch import iter_render as render
-from gesturekit.rendering.record import described
 from gesturekit.rendering.render import FORMATS, Output
 from gesturekit.rendering.sampling import sample_lda, sample_multires
 from gesturekit.rendering.tasks import Task

@@ -21,6 +21,7 @@ _VERSIONS_OF = ("gesturekit", "torch", "numpy", "scipy", "librosa", "soxr", "tra
 
 # These settings do not change what a run computes, so they may change when it is resumed.
 _REPORTING = ("out", "checkpoint_every", "log_every", "eval_every")
+_BEFORE_CONFIG = ("data", "command.txt", "versions.json")  # written before config.yaml
 
 
 class Run:
@@ -147,6 +148,19 @@ class Run:
         self._report.close()
         if self._events is not None:
             self._events.close()
+
+
+def has_no_run(folder: Path) -> bool:
+    """Return whether a folder is missing, empty, or has only what a run killed at its start left.
+
+    A folder with anything else may have been named by mistake.
+    """
+    if not folder.exists():
+        return True
+    if not folder.is_dir():
+        return False
+    names = [path.name for path in folder.iterdir()]
+    return all(name in _BEFORE_CONFIG or name.startswith(".") for name in names)
 
 
 def _dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

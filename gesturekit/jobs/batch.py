@@ -1,10 +1,8 @@
-"""Batch rendering: plan, leases, journal and processes; a broken file never stops the others."""
+"""Work on many tasks: plan, leases, journal, processes; a broken input never stops the others."""
 
 from __future__ import annotations
 
 import glob
-import hashlib
-import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -13,15 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import ConfigError, GestureKitError, OutputError
-from gesturekit.formats.sources import Job, refuse_existing, refuse_leaving
 from gesturekit.jobs.journal import ATTEMPTS, Entry, History, Journal, journal_files
 from gesturekit.jobs.lease import Lease, live_leases, locked
 from gesturekit.jobs.plan import PLAN, Plan, PlanItem, balanced, write_plan
 from gesturekit.jobs.pool import Failure, Pool
+from gesturekit.jobs.record import Record
 from gesturekit.jobs.state import state_folder
-from gesturekit.rendering.record import Record
-from gesturekit.rendering.render import Done, Outcome, Renderer, Work
-from gesturekit.rendering.tasks import Source, Task, find_tasks
+from gesturekit.jobs.targets import EXISTING, refuse_existing, refuse_leaving
+from gesturekit.jobs.work import Done, Inputs, Outcome, Processor, Task, Work, digest_of
 
 _SUSPICIOUS = 2  # times that a run was killed with an item in hand
 
@@ -31,10 +28,10 @@ class Execution:
     """Settings of how the work is done; none of them changes a byte of the results.
 
     Attributes:
-        workers: number of processes; 1 renders in this process.
-        shard: number of the shard to render, counted from 1, and the number of all shards, which
-            hold about the same seconds of sound. Runs of different shards share a plan: the first
-            makes it, and the others use it even if files were added since.
+        workers: number of processes; 1 works in this process.
+        shard: number of the shard to do, counted from 1, and the number of all shards, which
+            hold about the same seconds of sound or motion. Runs of different shards share a plan:
+            the first makes it, and the others use it even if files were added since.
         replan: look for the inputs again, instead of using the plan of another shard's run.
         retry_failed: try items again that were put aside after three failures.
         deadline: seconds after which an item is given up; such items count as failed.
@@ -59,8 +56,8 @@ class Batch:
     """The work of one process: the tasks of its shard, and what is to be done about each.
 
     Args:
-        renderer: model and settings.
-        sources: see `gesturekit.rendering.tasks.find_tasks`; none for one motion without sound.
+        processor: the work on one task, with all settings.
+        inputs: the inputs.
         execution: how the work is done.
 
     Attributes:
@@ -68,27 +65,29 @@ class Batch:
         kept: existing files that are kept.
 
     Raises:
-        ConfigError: see `gesturekit.rendering.batch.render`.
+        ConfigError: the inputs cannot be used; two would write the same file; a file exists that
+            was made with other settings, and `existing` is "refuse"; an unknown `existing`.
         FormatError: plan or journals cannot be read.
     """
 
-    def __init__(
-        self, renderer: Renderer, sources: Source | Sequence[Source], execution: Execution
-    ) -> None:
-        self.renderer, self.execution, self.out = renderer, execution, renderer.out
+    def __init__(self, processor: Processor, inputs: Inputs, execution: Execution) -> None:
+        if processor.existing not in EXISTING:
+            raise ConfigError(f"existing is {processor.existing!r}; expected {', '.join(EXISTING)}")
+        self.processor, self.execution, self.out = processor, execution, processor.out
         self.state = state_folder(self.out)
-        self._request = _request(sources, renderer, execution)
+        self._inputs = inputs
+        self._request = digest_of([inputs.request, execution.shard[1]])
         plan = self._shared_plan()
         self._found: list[Task] | None = None
         if plan is None:
-            self._found = [task.measured() for task in _tasks(sources, renderer)]
+            self._found = inputs.find()
             self.tasks = self._of_shard(self._found)
         else:
-            self.tasks = [Task.from_plan(item) for item in plan.items(execution.shard[0])]
+            self.tasks = self._planned(plan)
         self._settle()
 
     def run(self) -> Iterator[Outcome]:
-        """Render, and yield the outcome of each task as soon as it is done.
+        """Do the work, and yield the outcome of each task as soon as it is done.
 
         Raises:
             OutputError: the output folder cannot be written to any more.
@@ -102,10 +101,10 @@ class Batch:
         except OSError as error:
             raise ConfigError(f"{self.state}: {error.strerror or error}") from None
         try:
-            model = self.renderer.model.folder
-            about = {"model_folder": str(model)} if model else {}
-            about |= {"written": self.renderer.written, "shard": shard, "shards": shards}
-            settings, run = self.renderer.settings, self.renderer.run
+            processor = self.processor
+            about = {**processor.about, "written": processor.written}
+            about |= {"shard": shard, "shards": shards}
+            settings, run = processor.settings, processor.run
             with _journaling(self.out):
                 journal = Journal(
                     self.state, shard, shards, run=run, settings=settings, about=about
@@ -123,11 +122,14 @@ class Batch:
         if not any(entry.status != "done" for entry in self.history.entries(task.name)):
             return 0, None
         try:
-            key = self.renderer.key(self._input_of(task))
+            key = self.processor.key(self._input_of(task))
         except (GestureKitError, OSError):
             return 0, None
         failures = self.history.failures(task.name, key)
         return len(failures), failures[-1].error if failures else None
+
+    def _planned(self, plan: Plan) -> list[Task]:
+        return [self._inputs.from_plan(item) for item in plan.items(self.execution.shard[0])]
 
     def _shared_plan(self) -> Plan | None:
         """Return the plan that a run of another shard made of the same request."""
@@ -150,10 +152,8 @@ class Batch:
             ConfigError: `existing` is "refuse", and a file was made with other settings; or a
                 target lies outside the output folder.
         """
-        targets = {task.name: self.renderer.targets(task) for task in self.tasks}
-        refuse_leaving(
-            [Job(Path(task.source), targets[task.name]) for task in self.tasks], self.out
-        )
+        targets = {task.name: self.processor.targets(task) for task in self.tasks}
+        refuse_leaving([file for files in targets.values() for file in files], self.out)
         self._seen = _journal_sizes(self.state)
         self.history = History(self.state, targets)
         self._record = Record(self.out, self.history)
@@ -177,17 +177,17 @@ class Batch:
     def _settle_task(self, task: Task, targets: Sequence[Path], another: set[str]) -> list[Path]:
         """Add to `kept` the files of a task that are kept, and return those that are refused."""
         there = [file for file in targets if os.path.lexists(file) and not file.is_dir()]
-        existing = self.renderer.output.existing
+        existing = self.processor.existing
         if existing == "skip":
             self.kept.update(there)
             return []
         try:
-            base = self.renderer.settings | self._input_of(task) if there else {}
+            base = self.processor.settings | self._input_of(task) if there else {}
         except (GestureKitError, OSError):
             return []  # the item fails when its turn comes, and nothing is written
         refused = []
         for file in there:
-            made_with = base | self.renderer.written[file.suffix[1:]]
+            made_with = base | self.processor.written[file.suffix[1:]]
             state = self._record.state(task.name, file, made_with)
             if state == "same":
                 self.kept.add(file)
@@ -197,8 +197,8 @@ class Batch:
         return refused
 
     def _input_of(self, task: Task) -> dict[str, Any]:
-        digest = self._record.input_digest(task.name, task.audio) if task.audio else None
-        return self.renderer.input_of(task, digest)
+        digest = self._record.input_digest(task.name, task.path) if task.path else None
+        return self.processor.input_of(task, digest)
 
     def _begin(self) -> Lease:
         """Write the plan unless there is one, and take the lease of the shard."""
@@ -207,7 +207,7 @@ class Batch:
         planned = None
         if plan is not None:
             # Made by the run of another shard, perhaps since this one looked for the inputs.
-            planned = [Task.from_plan(item) for item in plan.items(number)]
+            planned = self._planned(plan)
         elif self._found is None:
             raise ConfigError(f"{self.state / PLAN} was replaced meanwhile; start this shard again")
         else:
@@ -221,7 +221,7 @@ class Batch:
                 plan = write_plan(new, list(items.values()), count, self._request)
             if leases:
                 new.unlink()  # only its hash is wanted, to compare it with that of the live run
-        run = {"plan": plan.sha256, "shards": count, "settings": self.renderer.run}
+        run = {"plan": plan.sha256, "shards": count, "settings": self.processor.run}
         lease = Lease(self.state, number, count, run)
         is_new = planned is not None and planned != self.tasks
         if is_new or _journal_sizes(self.state) != self._seen:
@@ -251,11 +251,11 @@ class Batch:
                 waiting.append(work)
         for works, count in ((waiting, workers), (alone, 1)):
             if works:
-                yield from shard.map(Pool(self.renderer, count, deadline), works)
+                yield from shard.map(Pool(self.processor, count, deadline), works)
 
     def work_on(self, task: Task) -> Outcome | Work:
         """Return what is to be done about a task, or its outcome if that is nothing."""
-        targets = self.renderer.targets(task)
+        targets = self.processor.targets(task)
         kept = tuple(file for file in targets if file in self.kept)
         if task.error is not None or len(kept) == len(targets):
             return Outcome(task.source, kept=kept, error=task.error)
@@ -284,15 +284,15 @@ class _Shard:
         self._in_hand[name] = work
 
     def call_inside(self, work: Work) -> Done:
-        """Render in this process."""
+        """Work in this process."""
         try:
-            return self._batch.renderer(work)
+            return self._batch.processor(work)
         except BaseException:
             self._drop()
             raise
 
     def map(self, pool: Pool, works: Sequence[Work]) -> Iterator[Outcome]:
-        """Render in the processes of a pool, and yield outcomes as they come."""
+        """Work in the processes of a pool, and yield outcomes as they come."""
         try:
             for work, result in pool.map(works, self.begin):
                 yield self.finish(work, result)
@@ -322,13 +322,13 @@ class _Shard:
     def _lost(self, work: Work, failure: Failure) -> Done:
         """Return the result of a task whose process was ended."""
         self._remove_temporary(work)
-        task, renderer = work.task, self._batch.renderer
+        task, processor = work.task, self._batch.processor
         error = f"{task.source}: {failure}"
         found: dict[str, Any] = {}
         with suppress(GestureKitError, OSError):
-            found = renderer.input_of(task)
-        key = renderer.key(found)
-        entry = Entry("lost", task.name, key, renderer.run, work.attempt, input=found, error=error)
+            found = processor.input_of(task)
+        key = processor.key(found)
+        entry = Entry("lost", task.name, key, processor.run, work.attempt, input=found, error=error)
         return Done(Outcome(task.source, kept=work.kept, error=error), entry)
 
     def _drop(self) -> None:
@@ -340,7 +340,7 @@ class _Shard:
         self._in_hand.clear()
 
     def _remove_temporary(self, work: Work) -> None:
-        for file in self._batch.renderer.targets(work.task):
+        for file in self._batch.processor.targets(work.task):
             for left in file.parent.glob(f".{glob.escape(file.stem)}-????????{file.suffix}"):
                 left.unlink(missing_ok=True)
 
@@ -355,24 +355,6 @@ def _journaling(out: Path) -> Iterator[None]:
             f"{out}: {error.strerror}; stopped: nothing that is done is lost, and the same command "
             "continues"
         ) from None
-
-
-def _tasks(sources: Source | Sequence[Source], renderer: Renderer) -> list[Task]:
-    if sources:
-        return find_tasks(sources, renderer.out)
-    return [Task("motion", "motion", duration=renderer.seconds)]
-
-
-def _request(sources: Source | Sequence[Source], renderer: Renderer, execution: Execution) -> str:
-    """Return the SHA-256 of what is asked for: the inputs, and the number of shards."""
-    if isinstance(sources, str | os.PathLike) or not isinstance(sources, Sequence):
-        sources = [sources]
-    named = [
-        os.path.abspath(source) if isinstance(source, str | os.PathLike) else repr(source)  # noqa: PTH100
-        for source in sources
-    ]
-    asked = [named, execution.shard[1], renderer.seconds, renderer.channel]
-    return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
 
 
 def _journal_sizes(state: Path) -> dict[str, int]:

@@ -1,0 +1,162 @@
+"""Options and output of commands that work on many files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from gesturekit.cli.engines import engine_options
+from gesturekit.cli.options import resumable
+
+if TYPE_CHECKING:
+    from gesturekit.jobs.batch import Batch, Execution
+
+Result = TypeVar("Result")
+GROUPS = {
+    "Many files": ("workers", "shard", "replan", "deadline", "retry_failed", "dry_run"),
+    "Clusters": ("engine", "jobs", "engine_options", "address"),
+}
+"""Groups of the options of `batch_options` in the help."""
+
+_OPTIONS = (
+    click.option(
+        "--workers",
+        type=click.IntRange(1, 1024),
+        default=1,
+        show_default=True,
+        help="Number of processes. The results are the same for any number.",
+    ),
+    click.option(
+        "--shard",
+        metavar="K/N",
+        help="Do part K of N, such as 1/8: the parts are of about the same length, and may be done "
+        "in any order, or at once on several machines, into one output folder.",
+    ),
+    engine_options,
+    click.option(
+        "--replan",
+        is_flag=True,
+        help="With --shard: look for the inputs again, after files changed.",
+    ),
+    click.option(
+        "--deadline",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="SECONDS",
+        help="Give up an input after this time.",
+    ),
+    click.option(
+        "--retry-failed",
+        is_flag=True,
+        help="Try inputs again that were put aside after three failures.",
+    ),
+)
+
+
+def batch_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of `pop_execution` and of engines."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def pop_execution(options: dict[str, Any]) -> Execution:
+    """Pop the options of the execution from all options."""
+    from gesturekit.jobs.batch import Execution
+    from gesturekit.jobs.plan import parse_shard
+
+    shard = options.pop("shard")
+    names = ("workers", "replan", "deadline", "retry_failed")
+    return Execution(
+        shard=(1, 1) if shard is None else parse_shard(shard),
+        **{name: options.pop(name) for name in names},
+    )
+
+
+def show(
+    outcomes: Iterable[Result],
+    total: int,
+    description: str,
+    add: Callable[[Result], str | None],
+    stopped: Callable[[], str],
+) -> bool:
+    """Do work with a progress bar.
+
+    Args:
+        outcomes: results, made as they are asked for.
+        total: their number.
+        description: name of the bar.
+        add: called with each outcome, to print it; it may return a text for the bar.
+        stopped: returns the message of Ctrl-C.
+
+    Returns:
+        False if the output folder could no longer be written to, which is printed.
+    """
+    from tqdm.contrib.logging import logging_redirect_tqdm
+
+    from gesturekit.errors import OutputError
+    from gesturekit.progress import Progress
+
+    try:
+        with (
+            resumable(stopped),
+            logging_redirect_tqdm(tqdm_class=Progress),
+            Progress(total=total, desc=description, unit="file") as bar,
+        ):
+            for outcome in outcomes:
+                with Progress.external_write_mode():
+                    text = add(outcome)
+                if text is not None:
+                    bar.set_postfix_str(text, refresh=False)
+                bar.update()
+    except OutputError as error:
+        click.echo(f"Error: {error}", err=True)
+        return False
+    return True
+
+
+def show_and_count(
+    outcomes: Iterable[Result], total: int, description: str, add: Callable[[Result], None]
+) -> int:
+    """Do work as `show` does, print how many inputs failed, and return the exit code."""
+    done = failed = 0
+
+    def counted(outcome: Result) -> None:
+        nonlocal done, failed
+        done += 1
+        failed += outcome.error is not None
+        add(outcome)
+
+    def stopped() -> str:
+        return f"{done} done; the same command continues."
+
+    is_whole = show(outcomes, total, description, counted, stopped)
+    if failed and done > 1:
+        click.echo(f"{failed} of {done} failed.", err=True)
+    return 1 if failed or not is_whole else 0
+
+
+def print_preview(batch: Batch) -> None:
+    """Print what would be done about each sound of a batch, and the sums."""
+    from gesturekit.progress import time_in_words
+    from gesturekit.rendering.preview import measured_cost, preview
+
+    counts, sound = {"make": 0, "keep": 0, "fail": 0}, 0.0
+    for found in preview(batch):
+        length = found.task.duration
+        where = ", ".join(map(str, found.targets)) or found.reason or ""
+        shown = "      ? s" if length is None else f"{length:7.1f} s"
+        source = click.format_filename(found.task.source)
+        click.echo(f"{found.action}  {shown}  {source} -> {where}")
+        counts[found.action] += 1
+        sound += (length or 0.0) if found.action == "make" else 0.0
+    seconds, size = measured_cost(batch).of(counts["make"], sound)
+    took = time_in_words(seconds / batch.execution.workers)
+    parts = ", ".join(f"{count} to {action}" for action, count in counts.items())
+    click.echo(
+        f"{parts}; {time_in_words(sound)} of sound, about {size / 1e6:.1f} MB and "
+        f"{took} with {batch.execution.workers} of --workers, besides loading: {batch.out} "
+        "(dry run: nothing was written)",
+        err=True,
+    )

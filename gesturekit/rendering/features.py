@@ -1,0 +1,112 @@
+"""Extraction of speech features into files, as a batch."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from gesturekit.errors import SpeechError
+from gesturekit.jobs.record import described, path_digest
+from gesturekit.jobs.work import Made, Processor, Work
+from gesturekit.rendering.tasks import Task
+
+if TYPE_CHECKING:
+    from audio_features import Extractor, FeatureTrack, Wave
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class FeatureExtraction(Processor):
+    """Extraction of the features of one sound, with all settings.
+
+    Args:
+        extractor: what is extracted.
+        out: folder for the results, NAME.npz.
+        fps: frames per second to resample to; None for the features' own rate.
+        align: method of resampling; None for linear.
+        picture: whether to draw NAME.png as well.
+        channel: channel of each file to use, counted from 1; None for the mean of all.
+        cache: precision of cached features, see `audio_features.FeatureCache`; None for no cache.
+        existing: "refuse", "skip" or "replace" files that were made with other settings.
+    """
+
+    extractor: Extractor
+    out: Path
+    fps: float | None = None
+    align: str | None = None
+    picture: bool = False
+    channel: int | None = None
+    cache: Literal["fp32", "fp16"] | None = "fp32"
+    existing: str = "refuse"
+    settings: dict[str, Any] = field(init=False)
+    written: dict[str, dict[str, Any]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        settings = {"extractor": self.extractor.spec, "fps": self.fps}
+        settings |= {"align": self.align or "linear", "precision": self.cache or "fp32"}
+        self.settings = described(settings)
+        self.written = {"npz": {}, "png": {}} if self.picture else {"npz": {}}
+
+    def into(self, out: Path) -> FeatureExtraction:
+        """Return the same extraction into another folder, without a cache."""
+        return replace(self, out=out, cache=None)
+
+    def targets(self, task: Task) -> tuple[Path, ...]:
+        """Return all output files of a task."""
+        if task.error is not None:
+            return ()
+        return tuple(self.out / f"{task.name}.{kind}" for kind in self.written)
+
+    def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
+        """Return the digests of the sound and of its words, and which part of it is used."""
+        from audio_features.words import words_beside
+
+        found = super().input_of(task, digest)
+        if self.channel is not None:
+            found["channel"] = self.channel
+        used = {name: task.options.get(name) for name in ("start", "seconds", "channel")}
+        found |= {name: value for name, value in used.items() if value is not None}
+        parts = getattr(self.extractor, "parts", (self.extractor,))
+        if task.audio is not None and any(part.spec["kind"] == "words" for part in parts):
+            words = words_beside(task.audio)
+            found["words"] = words and path_digest(words)
+        return found
+
+    def make(self, work: Work, made: Made) -> None:
+        """Extract the features of a sound and write them."""
+        task = work.task
+        wave = task.load_wave(self.channel)
+        if wave is None:
+            raise SpeechError(f"{task.source}: no sound, so there are no features of it")
+        for fault in wave.faults():
+            log.warning("%s: %s", task.source, fault)
+        made.sound = wave.duration
+        track = self._extracted(wave)
+        made.facts["shape"] = track.values.shape
+        for target in self.targets(task):
+            if target in work.kept:
+                continue
+            made.at = str(target)
+            if target.suffix == ".npz":
+                track.save(target)
+            else:
+                from gesturekit.viewer.feature_picture import draw_features
+
+                draw_features(track, target, wave)
+            made.files.append(target)
+
+    def _extracted(self, wave: Wave) -> FeatureTrack:
+        from audio_features import cache_from_environment
+
+        extract = self.extractor.extract
+        if self.cache is not None:
+            extract = partial(cache_from_environment(self.cache).extract, self.extractor)
+        track = extract(wave)
+        if self.fps is None:
+            return track
+        n_frames = wave.n_frames(self.fps)
+        return track.to_rate(self.fps, n_frames, method=self.align or "linear")

@@ -1,0 +1,175 @@
+"""features and convert on many files: the plan, journal, shards and engines of render."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from audio_features import FeatureTrack
+from gesturekit import Motion
+from gesturekit.jobs.state import STATE
+from gesturekit.jobs.status import status_of
+
+
+@pytest.fixture
+def folder(tmp_path, write_pair) -> Path:
+    """Five pairs of sound and motion, in folders."""
+    for number, name in enumerate(("a", "b", "day/c", "day/d", "day/night/e")):
+        path = tmp_path / "in" / name
+        write_pair(path.parent, path.name, 0.4 + 0.3 * number, fps=25.0, seed=number)
+    return tmp_path / "in"
+
+
+COMMANDS = {
+    "features": lambda folder, out: ["features", folder, "--out", out],
+    "convert": lambda folder, out: ["convert", folder, out, "--format", "npz,html"],
+}
+KINDS = {"features": ("npz",), "convert": ("npz", "html")}
+SAVES = {"features": FeatureTrack, "convert": Motion}
+INPUTS = {"features": "wav", "convert": "bvh"}
+
+
+@pytest.fixture(params=COMMANDS)
+def verb(request) -> str:
+    return request.param
+
+
+@pytest.fixture
+def run(gesturekit, folder, tmp_path, verb):
+    """run(out, *options): the command, into a folder of this name."""
+    return lambda out, *options: gesturekit(*COMMANDS[verb](folder, tmp_path / out), *options)
+
+
+def results(out: Path) -> dict[str, bytes]:
+    """Bytes of each file but those of state; nothing temporary may be left."""
+    files = [path for path in out.rglob("*") if path.is_file() and STATE not in path.parts]
+    assert not [path for path in files if path.name.startswith(".")]
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in files}
+
+
+def test_shards_in_any_order_give_the_same_files(run, gesturekit, tmp_path, verb):
+    whole = run("whole")
+    assert (whole.status, whole.err) == (0, "") and len(whole.out.splitlines()) >= 5
+    made = results(tmp_path / "whole")
+    assert set(made) == {
+        f"{name}.{kind}" for name in ("a", "b", "day/c", "day/d", "day/night/e")
+        for kind in KINDS[verb]
+    }  # fmt: skip
+    for shard in ("3/3", "1/3", "2/3"):
+        assert run("out", "--shard", shard).status == 0
+    assert results(tmp_path / "out") == made
+    shown = gesturekit("jobs", tmp_path / "out")
+    assert "done 5, failed 0, left 0" in shown.out and "shards: 3 of 3 finished" in shown.out
+    again = run("out")
+    assert again.status == 0 and again.out.count("left as it is") == 5
+
+
+@pytest.mark.stress
+def test_workers_and_engines_give_the_same_files(run, tmp_path):
+    run("whole")
+    assert run("workers", "--workers", 2).status == 0
+    assert results(tmp_path / "workers") == results(tmp_path / "whole")
+    pytest.importorskip("submitit")
+    done = run("slurm", "--engine", "slurm", "--jobs", 2, "--engine-option", "cluster=debug")
+    assert done.status == 0, done.err
+    assert results(tmp_path / "slurm") == results(tmp_path / "whole")
+
+
+def test_a_rerun_does_what_changed(run, folder, tmp_path, verb, write_pair):
+    assert run("out").status == 0
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.*")}
+    kinds = KINDS[verb]
+    (tmp_path / "out" / f"a.{kinds[-1]}").unlink()
+    write_pair(folder, "b", 0.5, fps=25.0, seed=9)
+    refused = run("out")
+    count = f"made with another input ({len(kinds)} refused, {4 * len(kinds) - 1} kept, 1 to make"
+    assert refused.status == 2 and count in refused.err
+    assert run("out", "--existing", "replace").status == 0
+    after = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.*")}
+    changed = {path.name for path in after if path.suffix and after[path] != before.get(path)}
+    assert {name for name in changed if name[0] in "abcde"} == {
+        f"a.{kinds[-1]}", *(f"b.{kind}" for kind in kinds)
+    }  # fmt: skip
+
+
+def test_three_failures_put_an_item_aside(run, folder, tmp_path, verb):
+    broken = folder / f"b.{INPUTS[verb]}"
+    whole = broken.read_bytes()
+    broken.write_text("Dear diary,\n")
+    for _ in range(3):
+        done = run("out")
+        assert done.status == 1 and "put aside" not in done.err and str(broken) in done.err
+    assert "put aside after 3 failures" in run("out").err
+    assert status_of(tmp_path / "out").failed[0].is_aside
+    assert "put aside" not in run("out", "--retry-failed").err
+    broken.write_bytes(whole)
+    assert run("out").status == 0 and status_of(tmp_path / "out").done == 5
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(run, tmp_path, verb, monkeypatch):
+    run("whole")
+    kind = SAVES[verb]
+    save = kind.save
+
+    def full(self, path, **options):
+        if Path(path).name == "d.npz":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        save(self, path, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(kind, "save", full)
+        done = run("out")
+    assert done.status == 1
+    (line,) = done.err.splitlines()
+    assert line.startswith(f"Error: {tmp_path}/out/day/d.npz: No space left on device; stopped")
+    assert status_of(tmp_path / "out").done == 3 and not status_of(tmp_path / "out").failed
+    assert run("out").status == 0
+    assert results(tmp_path / "out") == results(tmp_path / "whole")
+
+
+def test_the_plan_is_shown_and_nothing_written(run, tmp_path, verb):
+    done = run("out", "--dry-run")
+    assert done.status == 0 and not (tmp_path / "out").exists()
+    assert len(done.out.splitlines()) >= 5
+    assert "ry run: nothing was written" in done.err
+    if verb == "features":
+        assert done.out.count("make ") == 5 and "5 to make, 0 to keep, 0 to fail" in done.err
+
+
+def test_words_beside_a_sound_are_an_input(gesturekit, folder, tmp_path):
+    words = folder / "a.ctm"
+    words.write_text("a 1 0.00 0.20 hello\n")
+    command = ("features", folder / "a.wav", "--extractor", "words", "--out", tmp_path / "out")
+    assert gesturekit(*command).status == 0
+    words.write_text("a 1 0.10 0.20 hello\n")
+    assert "other words" in gesturekit(*command).err
+
+
+def test_one_motion_leaves_no_state_beside_it(gesturekit, folder, tmp_path):
+    assert gesturekit("convert", folder / "a.bvh", tmp_path / "x.npz").status == 0
+    assert not (tmp_path / STATE).exists()
+    refused = gesturekit("convert", folder / "a.bvh", tmp_path / "y.npz", "--shard", "1/2")
+    assert refused.status == 2 and "is a file, which has no shards; give a folder" in refused.err
+
+
+def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):
+    lines = [
+        '{"audio": "a.wav", "id": "part", "start": 0.1, "seconds": 0.2}',
+        '{"id": "idle", "seconds": 1}',
+    ]
+    (folder / "night.jsonl").write_text("\n".join(lines))
+    command = ("features", folder / "night.jsonl", "--fps", 50, "--picture")
+    done = gesturekit(*command, "--out", tmp_path / "out")
+    assert done.status == 1 and "no sound, so there are no features" in done.err
+    assert len(FeatureTrack.load(tmp_path / "out" / "part.npz").values) == 10
+    assert (tmp_path / "out" / "part.png").is_file()
+
+
+def test_results_of_another_verb_are_never_replaced(gesturekit, folder, tmp_path):
+    out = tmp_path / "out"
+    assert gesturekit(*COMMANDS["convert"](folder, out)).status == 0
+    refused = gesturekit("features", folder, "--out", out)
+    assert refused.status == 2 and "a.npz" in refused.err and "exist already" in refused.err
