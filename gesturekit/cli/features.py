@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import channel_option, existing_option, is_left, resumable
+from gesturekit.cli.options import (
+    channel_option,
+    existing_option,
+    is_left,
+    resumable,
+    weights_option,
+)
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
@@ -65,12 +71,7 @@ _NETWORKS = {
     "mean, or by the ratio of lengths, as in systems that ignore frame times.  [default: linear]",
 )
 @channel_option
-@click.option(
-    "--weights",
-    type=click.Path(path_type=Path),
-    help="WavLM weights: Hugging Face's folder, Microsoft's .pt or a torchaudio state dict; or the "
-    "Hugging Face folder of hf.",
-)
+@weights_option
 @click.option(
     "--layer",
     help="Layer of WavLM or hf: a number from 0, last, mean, several concatenated (6,9,12) or "

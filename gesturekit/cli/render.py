@@ -24,6 +24,7 @@ from gesturekit.cli.options import (
     resumable,
     rig_part_option,
     size_option,
+    weights_option,
 )
 from gesturekit.cli.render_output import Summary, print_preview
 
@@ -107,9 +108,7 @@ GROUPS = {
 )
 @channel_option
 @click.option("--speaker", cls=ControlOption)
-@click.option(
-    "--weights", type=click.Path(path_type=Path), help="Weights the model was trained with."
-)
+@weights_option
 @click.option(
     "--rig",
     metavar="RIG",
