@@ -30,7 +30,7 @@ help:
 	@echo "make interop open files written by gesturekit in Blender and three.js (installs Blender: 1.6 GB)"
 	@echo "make blender make the Blender add-on, build/gesturekit_motion.zip"
 	@echo "make docs    build the documentation site in build/site (installs mkdocs)"
-	@echo "make picture render docs/demo.png again (needs chromium)"
+	@echo "make picture render the moving picture docs/demo.webp again"
 	@echo "make gallery render clips of the bundled model to build/gallery/index.html"
 	@echo "make clean   remove everything that these commands created, including $(VENV)"
 
@@ -89,13 +89,9 @@ blender:
 interop: setup blender $(VENV)/interop/ready
 	@$(BIN)/python tests/interop/interop.py $(VENV)/interop/bin/python
 
-# The picture in README.md: the bundled model's demo in the player, 5.6 s into it.
+# The moving picture in README.md: the bundled model speaking the bundled speech.
 picture: setup
-	@folder=$$(mktemp -d) && $(BIN)/gesturekit demo --out "$$folder" >/dev/null && \
-	    chromium --headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader \
-	    --disable-background-networking --hide-scrollbars --window-size=1100,720 \
-	    --virtual-time-budget=8000 --screenshot="$(CURDIR)/docs/demo.png" \
-	    "file://$$folder/speech.html#t=5.6" 2>/dev/null; rm -rf "$$folder"
+	@$(BIN)/python docs/moving_picture.py docs/demo.webp
 
 $(VENV)/.docs-ready: pyproject.toml constraints.txt | $(READY)
 	@echo "Installing mkdocs into $(VENV) ..."

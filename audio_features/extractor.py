@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -19,9 +19,10 @@ from audio_features.acoustic.extractors import (
 )
 from audio_features.acoustic.music import Music
 from audio_features.acoustic.spectrum import ShortTimeSpectrum
-from audio_features.errors import FeatureError
+from audio_features.errors import FeatureError, WeightsError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
+from audio_features.weight_files import WeightPlaces
 from audio_features.word_features import Words
 
 LIGHT = {
@@ -35,6 +36,8 @@ LIGHT = {
     "words": Words,
 }
 """Extractors that need no weights, by kind."""
+_ENCODERS = {"wavlm": None, "hf": "path", "words": "encoder"}
+"""Kinds of extractors with weights, and the setting of a spec that names their folder."""
 
 
 @runtime_checkable
@@ -120,7 +123,7 @@ class Stack:
 def extractor_from_spec(
     spec: dict[str, Any],
     *,
-    weights: str | os.PathLike[str] | None = None,
+    weights: WeightPlaces | None = None,
     device: str = "cpu",
 ) -> Extractor:
     """Build the extractor that a spec describes.
@@ -128,7 +131,8 @@ def extractor_from_spec(
     Args:
         spec: value of `Extractor.spec`, as stored in feature files and models.
         weights: folder or file of the WavLM weights, or folder of the Hugging Face encoder of
-            speech or words, if the spec contains one and does not name its path.
+            speech or words, if the spec contains one and does not name its path; for several
+            encoders, {kind: path}, such as {"wavlm": "wavlm-base-plus/", "words": "bert-base/"}.
         device: "cpu" or "cuda", for WavLM, Hugging Face encoders and torchaudio.
 
     Raises FeatureError for an unknown kind or a setting that the kind does not have, and
@@ -136,22 +140,13 @@ def extractor_from_spec(
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)
-    if kind == "wavlm":
-        from audio_features.wavlm import WavLM
-
-        return WavLM.from_spec(settings, weights, device)
-    if kind == "hf":
-        from audio_features.huggingface.extractor import HuggingFace
-
-        return HuggingFace.from_spec(settings, weights, device)
-    if kind == "words" and settings:
-        from audio_features.huggingface.word_embeddings import WordEmbeddings
-
-        return WordEmbeddings.from_spec(settings, weights, device)
+    if needs_weights(spec):
+        return _encoder(kind, settings, _place_of(kind, weights), device)
     if kind == "stack":
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
+        _check_one_place(parts, weights)
         return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
     if kind not in LIGHT:
         known = ", ".join([*LIGHT, "wavlm", "hf", "stack"])
@@ -162,3 +157,65 @@ def extractor_from_spec(
         return LIGHT[kind](**settings)
     except TypeError as error:
         raise FeatureError(f"feature spec {spec!r}: {error}") from error
+
+
+def needs_weights(spec: Any) -> bool:
+    """Return whether an extractor of this spec has the weights of an encoder.
+
+    Times of words, {"kind": "words"}, need none; a word encoder has further settings.
+    """
+    if not isinstance(spec, dict):
+        return False
+    kind = spec.get("kind")
+    return kind in ("wavlm", "hf") or (kind == "words" and len(spec) > 1)
+
+
+def folder_in_spec(spec: Mapping[str, Any]) -> str | None:
+    """Return the folder of the encoder that a spec names itself."""
+    name = _ENCODERS.get(spec.get("kind"))
+    return None if name is None else spec.get(name)
+
+
+def _encoder(
+    kind: str, settings: dict[str, Any], place: str | os.PathLike[str] | None, device: str
+) -> Extractor:
+    if kind == "wavlm":
+        from audio_features.wavlm import WavLM
+
+        return WavLM.from_spec(settings, place, device)
+    if kind == "hf":
+        from audio_features.huggingface.extractor import HuggingFace
+
+        return HuggingFace.from_spec(settings, place, device)
+    from audio_features.huggingface.word_embeddings import WordEmbeddings
+
+    return WordEmbeddings.from_spec(settings, place, device)
+
+
+def _place_of(kind: str, weights: WeightPlaces | None) -> str | os.PathLike[str] | None:
+    """Return the place of the weights of one kind of encoder.
+
+    Raises WeightsError for a kind that does not exist.
+    """
+    if not isinstance(weights, Mapping):
+        return weights
+    for name in weights:
+        if name not in _ENCODERS:
+            raise WeightsError(
+                f"weights {name}={os.fspath(weights[name])}: {name!r} is no encoder; expected "
+                f"{', '.join(_ENCODERS)}"
+            )
+    return weights.get(kind)
+
+
+def _check_one_place(parts: list[Any], weights: WeightPlaces | None) -> None:
+    """Raise WeightsError if one path is given for several encoders."""
+    if weights is None or isinstance(weights, Mapping):
+        return
+    kinds = {part["kind"] for part in parts if needs_weights(part) and not folder_in_spec(part)}
+    if len(kinds) > 1:
+        named = " ".join(f"--weights {kind}=PATH" for kind in _ENCODERS if kind in kinds)
+        raise WeightsError(
+            f"{os.fspath(weights)}: the features are of {len(kinds)} encoders, and this is one "
+            f"path: name the weights of each ({named})"
+        )

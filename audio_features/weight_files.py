@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 HUGGINGFACE_EPS = 1e-7
 """Constant that Hugging Face's feature extractor adds to the waveform's variance."""
 
+WeightPlaces = str | os.PathLike[str] | Mapping[str, str | os.PathLike[str]]
+"""Folder or file of the weights of an encoder; or that of each encoder by its kind."""
+
 _MAX_CONFIG_BYTES = 1 << 20
 _INDEX = "model.safetensors.index.json"
 

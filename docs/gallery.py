@@ -5,15 +5,23 @@ from __future__ import annotations
 import html
 import sys
 from pathlib import Path
+from typing import Any
 
 import gesturekit as gk
+from audio_features import Wave
 from gesturekit.atomic import atomic_write
+from gesturekit.systems import bundled_speech
+from gesturekit.viewer import contact_sheet, speech_and_motion
 
-SPEECH = Path(gk.__file__).parent / "models" / "demo" / "speech.wav"
-CLIPS = {
-    **{f"The bundled speech, seed {seed}": {"speech": SPEECH, "seed": seed} for seed in range(4)},
-    "Without speech": {"seconds": 10.0},
+CLIPS: dict[str, dict[str, Any]] = {
+    "The bundled speech, seed 0": {"speech": bundled_speech(), "seed": 0},
+    "The same speech, seed 1": {"speech": bundled_speech(), "seed": 1},
+    "Calmer: liveliness 0.5": {"speech": bundled_speech(), "liveliness": 0.5},
+    "Livelier: liveliness 1.5": {"speech": bundled_speech(), "liveliness": 1.5},
+    "Without recall: all levels from noise": {"speech": bundled_speech(), "recall": False},
+    "Without speech: idle motion": {"seconds": 10.0},
 }
+"""Titles of the clips and the arguments of `Model.generate`."""
 PAGE = """<!doctype html>
 <meta charset="utf-8">
 <title>gesturekit: gallery</title>
@@ -25,18 +33,37 @@ img {{ width: 100%; }}</style>
 """
 
 
-def make(folder: Path) -> Path:
-    """Write every clip as a page and a picture, and index.html, which is returned."""
+def write_clips(folder: Path) -> None:
+    """Write each clip as a player, NUMBER.html, and as a picture, NUMBER.png."""
     folder.mkdir(parents=True, exist_ok=True)
-    model, shown = gk.load("demo"), []
+    model = gk.load("demo")
     for number, (title, controls) in enumerate(CLIPS.items()):
-        motion = model.generate(**controls)
-        for suffix in ("html", "png"):
-            motion.save(folder / f"{number}.{suffix}", audio=controls.get("speech"))
-        name = html.escape(title)
-        shown.append(
-            f'<h2>{name}</h2><a href="{number}.html"><img src="{number}.png" alt="{name}"></a>'
-        )
+        motion, speech = model.generate(**controls), controls.get("speech")
+        motion.save(folder / f"{number}.html", audio=speech, title=title)
+        picture = folder / f"{number}.png"
+        if speech is None:
+            contact_sheet(motion, picture, title="")
+        else:
+            speech_and_motion(motion, Wave.load(speech), picture, title="")
+
+
+def markdown(folder: str) -> str:
+    """Return the page of the documentation, whose clips lie in `folder`."""
+    lines = ["# Gallery", "", "Clips of the bundled model. A click opens a clip with its sound."]
+    for number, title in enumerate(CLIPS):
+        picture = f"![{title}]({folder}/{number}.png)"
+        lines += ["", f"## {title}", "", f"[{picture}]({folder}/{number}.html)"]
+    return "\n".join(lines) + "\n"
+
+
+def make(folder: Path) -> Path:
+    """Write the clips and index.html, which is returned."""
+    write_clips(folder)
+    shown = (
+        f'<h2>{html.escape(title)}</h2>\n<a href="{number}.html">'
+        f'<img src="{number}.png" alt="{html.escape(title)}"></a>'
+        for number, title in enumerate(CLIPS)
+    )
     with atomic_write(folder / "index.html") as part:
         part.write_text(PAGE.format(clips="\n".join(shown)), encoding="utf-8")
     return folder / "index.html"

@@ -119,6 +119,7 @@ def site_link(page: str, target: str, pages: dict[str, str]) -> str | None:
 
 def on_files(files: Any, config: Any) -> Any:
     """Add generated files to those of docs/."""
+    import gallery
     from mkdocs.structure.files import File
     from pictures import write_pictures
 
@@ -128,9 +129,11 @@ def on_files(files: Any, config: Any) -> Any:
         made[place] = file.read_text(encoding="utf-8")
         for picture in file.parent.glob("*.png"):
             made[f"recipes/{file.parent.name}/{picture.name}"] = picture.read_bytes()
+    made["gallery.md"] = gallery.markdown("gallery")
     with tempfile.TemporaryDirectory() as folder:
-        write_pictures(Path(folder))
-        made |= {f"pictures/{p.name}": p.read_bytes() for p in Path(folder).glob("*.png")}
+        write_pictures(Path(folder, "pictures"))
+        gallery.write_clips(Path(folder, "gallery"))
+        made |= {p.relative_to(folder).as_posix(): p.read_bytes() for p in Path(folder).glob("*/*")}
     for place, content in made.items():
         files.append(File.generated(config, place, content=content))
     config.extra["pages"] = _pages(files)
@@ -144,6 +147,7 @@ def on_config(config: Any) -> Any:
     sys.path[:0] = [str(ROOT / "docs"), str(ROOT)]
     recipes = [{p.stem: place} for place, p in _recipe_places()]
     config.nav += [
+        {"Gallery": "gallery.md"},
         {"Recipes": recipes},
         {
             "Reference": [

@@ -21,7 +21,6 @@ from gesturekit.evaluation import arm_speed
 from gesturekit.evaluation.metrics.sync import speech_envelope
 from gesturekit.motion import Motion
 from gesturekit.systems import bundled_speech
-from gesturekit.viewer import speech_and_motion
 
 ORANGE, BLUE, GREY, INK = "#c65d2e", "#3b7dae", "#c8d2da", "#24292f"
 
@@ -38,11 +37,6 @@ def _axes(width: float, height: float, rows: int = 1) -> tuple[Figure, list]:
         one.spines[["top", "right"]].set_visible(False)
         one.tick_params(labelsize=8, colors=INK)
     return figure, list(axes)
-
-
-def strip(file: Path) -> None:
-    """Draw the demo: speech, hand speed, ten poses."""
-    speech_and_motion(_demo(True), af.Wave.load(bundled_speech()), file, title="demo")
 
 
 def pyramid(file: Path) -> None:
@@ -168,7 +162,6 @@ def experts(file: Path) -> None:
 
 
 PICTURES: dict[str, Callable[[Path], None]] = {
-    "strip": strip,
     "pyramid": pyramid,
     "alternation": alternation,
     "recall": recall,

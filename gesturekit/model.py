@@ -14,6 +14,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import did_you_mean
 
 if TYPE_CHECKING:
+    from audio_features.weight_files import WeightPlaces
     from gesturekit.corpus.speech import Speech
     from gesturekit.motion.root_path import RootPath
 
@@ -180,7 +181,7 @@ class Model(Protocol):
         cls,
         folder: str | Path,
         *,
-        weights: str | Path | None = None,
+        weights: WeightPlaces | None = None,
         device: str = "cpu",
         dtype: Literal["fp32"] = "fp32",
     ) -> Model:

@@ -8,7 +8,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.field_docs import field_docs
@@ -17,6 +17,9 @@ from gesturekit.training.config import load_config, read_chain, read_yaml
 from gesturekit.training.recipes import find_config, main_configs, named_config
 from gesturekit.training.run_config import RunConfig
 from gesturekit.training.settings import Setting, list_settings
+
+if TYPE_CHECKING:
+    from audio_features.weight_files import WeightPlaces
 
 log = logging.getLogger(__name__)
 
@@ -93,7 +96,7 @@ def control_docs() -> dict[str, str]:
 def load(
     model: str | Path,
     *,
-    weights: str | Path | None = None,
+    weights: WeightPlaces | None = None,
     device: str = "cpu",
     dtype: Literal["fp32", "bf16"] = "fp32",
 ) -> Model:
@@ -101,7 +104,9 @@ def load(
 
     Args:
         model: a bundled name such as "demo", a model folder, or a run folder with a model.
-        weights: folder of WavLM weights, for models with WavLM features.
+        weights: folder of WavLM weights or of a Hugging Face encoder, for models with such
+            features; for several encoders {kind: folder}, such as {"wavlm": "wavlm-base-plus/",
+            "words": "bert-base/"}; the kinds are wavlm, hf and words.
         device: device of the networks: cpu, cuda, cuda:1, or auto (a GPU if there is one).
             Multires networks stay on the CPU, where they generate in milliseconds.
         dtype: precision of the network. With bf16, diffusion is 1.5 to 1.9 times as fast on
@@ -113,7 +118,7 @@ def load(
     Raises:
         ModelError: there is no such model, it cannot be read, or it does not support the dtype.
         ConfigError: there is no such device.
-        WeightsError: the WavLM weights are missing, or differ from those of training.
+        WeightsError: weights are missing, or differ from those of training.
     """
     folder = model_folder(model)
     if not _is_model(folder) and _is_model(folder / "model"):

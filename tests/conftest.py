@@ -293,6 +293,53 @@ def write_encoder() -> Callable[..., Any]:
     return write
 
 
+_VOCABULARY = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", "so", "hand", "##s", "wave"]
+_SIZES = {
+    "vocab_size": len(_VOCABULARY),
+    "hidden_size": 16,
+    "num_hidden_layers": 2,
+    "num_attention_heads": 2,
+    "intermediate_size": 24,
+    "max_position_embeddings": 40,
+    "pad_token_id": 0,
+}
+_STEMS = {
+    "bert": "Bert",
+    "roberta": "Roberta",
+    "xlm-roberta": "XLMRoberta",
+    "distilbert": "DistilBert",
+    "mpnet": "MPNet",
+    "electra": "Electra",
+}
+
+
+@pytest.fixture(scope="session")
+def write_text_encoder() -> Callable[..., Any]:
+    """write_text_encoder(folder, name="bert", seed=0, head="Model"): a tiny text encoder of random
+    weights with its tokeniser, as Hugging Face saves it. Returns transformers' model."""
+    import torch
+    import transformers
+
+    def write(folder: Path, name: str = "bert", seed: int = 0, head: str = "Model") -> Any:
+        torch.manual_seed(seed)
+        sizes = dict(_SIZES)
+        if name == "distilbert":
+            sizes = {"vocab_size": 9, "dim": 16, "n_layers": 2, "n_heads": 2, "hidden_dim": 24}
+        if name == "electra":
+            sizes["embedding_size"] = 8
+        config = getattr(transformers, f"{_STEMS[name]}Config")(**sizes)
+        model = getattr(transformers, f"{_STEMS[name]}{head}")(config).eval()
+        with torch.no_grad():
+            for parameter in model.parameters():
+                parameter.add_(0.1 * torch.randn_like(parameter))
+        model.save_pretrained(folder)
+        (folder / "vocab.txt").write_text("\n".join(_VOCABULARY), encoding="utf-8")
+        transformers.BertTokenizerFast(str(folder / "vocab.txt")).save_pretrained(folder)
+        return model
+
+    return write
+
+
 @pytest.fixture
 def no_network(monkeypatch) -> None:
     """Any attempt to reach the network fails the test."""

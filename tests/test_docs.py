@@ -11,8 +11,10 @@ from pathlib import Path
 from types import ModuleType
 
 import click
+import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 import audio_features as af
 import gesturekit as gk
@@ -172,7 +174,8 @@ def test_links_lead_somewhere(page):
     made = re.findall(
         r'"(\w+)": \w+,$', (ROOT / "docs/pictures.py").read_text("utf-8"), re.MULTILINE
     )
-    generated = {"cli.md", "api/gesturekit.md", *(f"pictures/{name}.png" for name in made)}
+    generated = {"cli.md", "gallery.md", "api/gesturekit.md"}
+    generated |= {f"pictures/{name}.png" for name in made}
     text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     for link in re.findall(r"\]\(([^)\s]+)\)", text):
         if link.startswith("https://") or (page.parent.name == "docs" and link in generated):
@@ -243,6 +246,29 @@ def test_pages_show_every_picture_that_is_made_and_it_is_a_picture(tmp_path):
     for name in ("alternation", "guidance", "experts"):
         pictures[name](tmp_path / f"{name}.png")
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_picture_of_the_readme_moves_and_is_small():
+    (name,) = re.findall(r"\]\((docs/\S+\.webp)\)", (ROOT / "README.md").read_text("utf-8"))
+    assert (ROOT / name).stat().st_size < 1_000_000
+    with Image.open(ROOT / name) as picture:
+        assert picture.is_animated
+        shown = []
+        for frame in (0, picture.n_frames // 2):
+            picture.seek(frame)
+            shown.append(np.asarray(picture.convert("L"), float))
+    assert (abs(shown[0] - shown[1]) > 50).mean() > 0.02, "the body does not move"
+
+
+def test_the_gallery_is_in_the_navigation_and_plays_its_clips(tmp_path, monkeypatch):
+    gallery = script("gallery")
+    title = next(iter(gallery.CLIPS))
+    monkeypatch.setattr(gallery, "CLIPS", {title: {"seconds": 1.0}})
+    gallery.write_clips(tmp_path)
+    page = gallery.markdown(tmp_path.name)
+    for target in re.findall(r"\]\(([^)]+)\)", page):
+        assert (tmp_path.parent / target).stat().st_size > 10_000, target
+    assert f"<title>{title}" in (tmp_path / "0.html").read_text(encoding="utf-8")
 
 
 def test_the_readme_is_short():

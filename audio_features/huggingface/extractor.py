@@ -115,7 +115,7 @@ class HuggingFace:
             raise weights_needed(
                 model or "a Hugging Face speech encoder",
                 settings.get("fingerprint"),
-                "path: FOLDER in the config to train, else --weights FOLDER",
+                "path: FOLDER in the config to train, else --weights hf=FOLDER",
             )
         return cls(folder, **settings, device=device)
 

@@ -111,7 +111,7 @@ class WordEmbeddings:
             raise weights_needed(
                 f"the text encoder {model}" if model else "a text encoder",
                 settings.get("fingerprint"),
-                "encoder: FOLDER in the config to train, else --weights FOLDER",
+                "encoder: FOLDER in the config to train, else --weights words=FOLDER",
             )
         return cls(folder, **settings, device=device)
 

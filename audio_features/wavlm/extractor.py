@@ -138,7 +138,7 @@ class WavLM:
         settings = {key: value for key, value in settings.items() if key != "kind"}
         check_names(settings)
         if weights is None:
-            how = "features.weights=PATH to train, else --weights PATH"
+            how = "features.weights=PATH to train, else --weights wavlm=PATH"
             raise weights_needed("WavLM", settings.get("fingerprint"), how)
         return cls(weights, **settings, device=device)
 

@@ -16,7 +16,7 @@ bl_info = {
     "name": "gesturekit motion",
     "author": "gesturekit",
     "version": (1, 0, 0),
-    "blender": (4, 2, 0),
+    "blender": (3, 4, 0),
     "location": "File > Import > gesturekit motion",
     "description": "Import .bvh and .npz motion with its sound at the right rate, scale and axes",
     "category": "Import-Export",

@@ -20,6 +20,7 @@ from gesturekit.cli.options import (
     is_left,
     read_from,
     recording_options,
+    weights_option,
 )
 from gesturekit.cli.trained_on import trained_on
 from gesturekit.wording import counted, listed
@@ -113,11 +114,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Folder for motion sampled from model folders.",
 )
-@click.option(
-    "--weights",
-    type=click.Path(path_type=Path),
-    help="Weights for model folders.",
-)
+@weights_option
 @click.option(
     "--variant",
     type=click.Choice(["ganimator", "paper"]),

@@ -10,7 +10,7 @@ import click
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
 from gesturekit.cli.engines import run_elsewhere
-from gesturekit.cli.options import GroupedCommand, channel_option, existing_option
+from gesturekit.cli.options import GroupedCommand, channel_option, existing_option, weights_option
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
@@ -76,12 +76,7 @@ _NETWORKS = {
     "mean, or by the ratio of lengths, as in systems that ignore frame times.  [default: linear]",
 )
 @channel_option
-@click.option(
-    "--weights",
-    type=click.Path(path_type=Path),
-    help="WavLM weights: Hugging Face's folder, Microsoft's .pt or a torchaudio state dict; or the "
-    "Hugging Face folder of hf.",
-)
+@weights_option
 @click.option(
     "--layer",
     help="Layer of WavLM or hf: a number from 0, last, mean, several concatenated (6,9,12) or "

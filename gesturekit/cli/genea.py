@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from gesturekit.cli.options import weights_option
+
 
 @click.command(
     epilog="Example: gesturekit genea export beat_english_v2.0.0/ --model runs/mine/model "
@@ -35,9 +37,7 @@ import click
     help="Motions for each sound; the leaderboard asks for 5 of a model with randomness.",
 )
 @click.option("--seed", default=0, show_default=True, help="Random seed.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), help="Weights the model was trained with."
-)
+@weights_option
 @click.option("--workers", type=click.IntRange(1, 1024), default=1, show_default=True)
 def command(
     action: str,

@@ -69,6 +69,32 @@ rig_part_option = click.option(
 )
 
 
+def parse_weights(
+    ctx: click.Context, _: click.Parameter, values: tuple[str, ...]
+) -> Path | dict[str, Path] | None:
+    """Parse --weights: one path, or KIND=PATH once for each encoder, to {kind: path}."""
+    places: dict[str, Path] = {}
+    for value in values:
+        kind, mark, path = value.partition("=")
+        if not mark or Path(value).exists():
+            if len(values) > 1:
+                raise click.UsageError(f"--weights {value}: of several, each is KIND=PATH.")
+            return Path(value)
+        if kind in places:
+            raise click.UsageError(f"--weights: {kind} is given twice.")
+        places[kind] = Path(path)
+    return places or None
+
+
+weights_option = click.option(
+    "--weights",
+    multiple=True,
+    callback=parse_weights,
+    metavar="[KIND=]PATH",
+    help="Weights of the speech or text encoder that the model was trained with. With several, "
+    "each by its kind, wavlm, hf or words: --weights wavlm=PATH --weights words=PATH.",
+)
+
 size_option = click.option(
     "--size", type=click.Choice(["720p", "1080p"]), help="Size of mp4 videos.  [default: 720p]"
 )

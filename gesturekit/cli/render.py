@@ -25,6 +25,7 @@ from gesturekit.cli.options import (
     parse_placed_files,
     rig_part_option,
     size_option,
+    weights_option,
 )
 from gesturekit.cli.render_output import Summary
 
@@ -107,9 +108,7 @@ GROUPS = {
 )
 @channel_option
 @click.option("--speaker", cls=ControlOption)
-@click.option(
-    "--weights", type=click.Path(path_type=Path), help="Weights the model was trained with."
-)
+@weights_option
 @click.option(
     "--rig",
     metavar="RIG",

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from gesturekit.cli.options import weights_option
 from gesturekit.errors import ConfigError
 
 TOKEN = "GESTUREKIT_TOKEN"
@@ -48,9 +49,7 @@ TOKEN = "GESTUREKIT_TOKEN"
     show_default=True,
     help="Number of motions that are generated at once.",
 )
-@click.option(
-    "--weights", type=click.Path(path_type=Path), help="Weights the model was trained with."
-)
+@weights_option
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, or auto.")
 def command(
     model: str,
@@ -58,7 +57,7 @@ def command(
     port: int,
     names: tuple[str, ...],
     token_file: Path | None,
-    weights: Path | None,
+    weights: Path | dict[str, Path] | None,
     device: str,
     **limits: float,
 ) -> None:

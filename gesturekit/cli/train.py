@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -107,8 +107,8 @@ def _next_steps(model: Path) -> list[str]:
     config, run = read_yaml(model / "config.yaml"), read_yaml(model.parent / "config.yaml")
     takes_speech = config.get("features") is not None
     needed = []
-    if weights := takes_speech and run["features"].get("weights"):
-        needed += ["--weights", weights]
+    if takes_speech:
+        needed += _weights_arguments(run["features"])
     if config.get("path"):
         needed += ["--path", "way.csv"]
     if styles := config.get("styles"):
@@ -129,3 +129,13 @@ def _next_steps(model: Path) -> list[str]:
             f"Evaluate with: {shlex.join(['gesturekit', 'evaluate', 'rendered', *split])}",
         ]
     return lines
+
+
+def _weights_arguments(features: Mapping[str, Any]) -> list[str]:
+    """Return the options of `render` that name the weights of the encoders."""
+    from gesturekit.training.data.features import FeatureConfig
+
+    places = FeatureConfig(features["extractors"], features.get("weights")).encoder_places
+    if len(places) == 1:
+        return ["--weights", *map(str, places.values())]
+    return [text for kind, place in places.items() for text in ("--weights", f"{kind}={place}")]

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.event_frames import event_flags
 from gesturekit.errors import ModelError
@@ -148,7 +148,7 @@ class Conditions:
         values: Mapping[str, Any],
         tensors: Mapping[str, Tensor],
         fps: float,
-        weights: str | Path | None = None,
+        weights: WeightPlaces | None = None,
         device: str = "cpu",
     ) -> Conditions:
         """Rebuild conditions from `to_values` and `to_tensors`; see `DiffusionModel.load`.

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, to_output_rate
 from gesturekit.diffusion.composition.experts import clip_denoised
 from gesturekit.diffusion.composition.product import ModelProduct, Term, product_of
@@ -188,7 +189,7 @@ class DiffusionModel(TrainedModel):
         cls,
         folder: str | Path,
         *,
-        weights: str | Path | None = None,
+        weights: WeightPlaces | None = None,
         device: str = "cpu",
         dtype: Literal["fp32", "bf16"] = "fp32",
     ) -> DiffusionModel:
@@ -196,7 +197,7 @@ class DiffusionModel(TrainedModel):
 
         Args:
             folder: as written by `save`.
-            weights: the WavLM weights of training, for a model with WavLM features.
+            weights: path of the encoder's weights of training; {kind: path} for several encoders.
             device: where the denoiser and WavLM compute: auto, cpu, cuda, cuda:1 ...
             dtype: precision of the denoiser. `bf16` halves memory and is faster on processors
                 that support it; predictions then differ by about 1 %.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from audio_features.weight_files import WeightPlaces
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
@@ -73,7 +73,7 @@ def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
     return model_readme(rows | notes, ", ".join(call))
 
 
-def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
+def model_arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> dict[str, Any]:
     """Return the fields of `TrainedModel` from a model folder; see `DiffusionModel.load`.
 
     Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.

@@ -10,6 +10,7 @@ from typing import Literal, Unpack
 from torch import Tensor
 
 import audio_features as af
+from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, speech_features, to_output_rate
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.motion.motion import Motion
@@ -178,7 +179,7 @@ class MultiresModel(TrainedModel):
         cls,
         folder: str | Path,
         *,
-        weights: str | Path | None = None,
+        weights: WeightPlaces | None = None,
         device: str = "cpu",
         dtype: Literal["fp32"] = "fp32",
     ) -> MultiresModel:
@@ -186,7 +187,7 @@ class MultiresModel(TrainedModel):
 
         Args:
             folder: as written by `save`.
-            weights: the WavLM weights of training, for a model with WavLM features.
+            weights: path of the encoder's weights of training; {kind: path} for several encoders.
             device: where WavLM computes: auto, cpu, cuda, cuda:1 ... The pyramid stays on the CPU.
             dtype: precision of the pyramid; there is one only.
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
+from audio_features.weight_files import WeightPlaces
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -63,7 +63,7 @@ def model_parts(model: TrainedModel) -> tuple[dict[str, Any], dict[str, Any], di
     return config, rig_values(model.representation, model.speakers), tensors
 
 
-def model_arguments(parts: ModelParts, weights: str | Path | None, device: str) -> dict[str, Any]:
+def model_arguments(parts: ModelParts, weights: WeightPlaces | None, device: str) -> dict[str, Any]:
     """Return the fields of `TrainedModel` from a model folder; see `MultiresModel.load`."""
     config, rig, tensors = parts.config, parts.rig, parts.tensors
     where = str(parts.folder / "config.yaml")

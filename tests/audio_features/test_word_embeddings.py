@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,44 +13,6 @@ torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
 pytestmark = pytest.mark.usefixtures("no_network")
 
-VOCABULARY = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", "so", "hand", "##s", "wave"]
-SIZES = {
-    "vocab_size": len(VOCABULARY),
-    "hidden_size": 16,
-    "num_hidden_layers": 2,
-    "num_attention_heads": 2,
-    "intermediate_size": 24,
-    "max_position_embeddings": 40,
-    "pad_token_id": 0,
-}
-STEMS = {
-    "bert": "Bert",
-    "roberta": "Roberta",
-    "xlm-roberta": "XLMRoberta",
-    "distilbert": "DistilBert",
-    "mpnet": "MPNet",
-    "electra": "Electra",
-}
-
-
-def write_text_encoder(folder: Path, name: str = "bert", seed: int = 0, head: str = "Model") -> Any:
-    """Write a tiny text encoder of random weights with its tokeniser, and return it."""
-    torch.manual_seed(seed)
-    sizes = dict(SIZES)
-    if name == "distilbert":
-        sizes = {"vocab_size": 9, "dim": 16, "n_layers": 2, "n_heads": 2, "hidden_dim": 24}
-    if name == "electra":
-        sizes["embedding_size"] = 8
-    config = getattr(transformers, f"{STEMS[name]}Config")(**sizes)
-    model = getattr(transformers, f"{STEMS[name]}{head}")(config).eval()
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
-    model.save_pretrained(folder)
-    (folder / "vocab.txt").write_text("\n".join(VOCABULARY), encoding="utf-8")
-    transformers.BertTokenizerFast(str(folder / "vocab.txt")).save_pretrained(folder)
-    return model
-
 
 @pytest.fixture
 def talk(write_speech, tmp_path) -> af.Wave:
@@ -61,8 +21,12 @@ def talk(write_speech, tmp_path) -> af.Wave:
     return af.Wave.load(wav)
 
 
-@pytest.mark.parametrize("name", STEMS)
-def test_a_word_has_the_mean_of_its_tokens_states_while_it_is_spoken(name, talk, tmp_path):
+@pytest.mark.parametrize(
+    "name", ["bert", "roberta", "xlm-roberta", "distilbert", "mpnet", "electra"]
+)
+def test_a_word_has_the_mean_of_its_tokens_states_while_it_is_spoken(
+    name, talk, tmp_path, write_text_encoder
+):
     model = write_text_encoder(tmp_path / "text", name)
     with torch.no_grad():  # [CLS] hand ##s [SEP], [CLS] so [SEP]
         hands = model(torch.tensor([[2, 6, 7, 3]]), output_hidden_states=True)
@@ -78,7 +42,7 @@ def test_a_word_has_the_mean_of_its_tokens_states_while_it_is_spoken(name, talk,
     np.testing.assert_allclose(first, hands.hidden_states[1][0, 1:3].mean(dim=0), atol=1e-5)
 
 
-def test_words_are_cached_and_the_encoder_is_recognised(talk, tmp_path):
+def test_words_are_cached_and_the_encoder_is_recognised(talk, tmp_path, write_text_encoder):
     write_text_encoder(tmp_path / "text")
     cache, words = af.FeatureCache(tmp_path / "cache"), af.WordEmbeddings(tmp_path / "text")
     first = cache.extract(words, talk).values
@@ -89,17 +53,17 @@ def test_words_are_cached_and_the_encoder_is_recognised(talk, tmp_path):
     (tmp_path / "talk.ctm").write_text("x 1 0.9 0.3 so\n")
     assert not cache.extract(words, talk).values[10:45].any(), "other words, same sound"
 
-    with pytest.raises(af.WeightsError, match=f"fingerprint {words.fingerprint} is needed"):
+    with pytest.raises(af.WeightsError, match=f"fingerprint {words.fingerprint} are needed"):
         af.extractor_from_spec(words.spec)
     write_text_encoder(tmp_path / "other", seed=1)
-    with pytest.raises(af.WeightsError, match="give the encoder that the model was trained on"):
+    with pytest.raises(af.WeightsError, match="give the weights that the model was trained on"):
         af.extractor_from_spec(words.spec, weights=tmp_path / "other")
     file = tmp_path / "text" / "tokenizer.json"
     file.write_text(file.read_text().replace('"so"', '"os"'))
     assert af.WordEmbeddings(tmp_path / "text").fingerprint != words.fingerprint
 
 
-def test_published_files_with_heads_and_old_names_are_read(talk, tmp_path):
+def test_published_files_with_heads_and_old_names_are_read(talk, tmp_path, write_text_encoder):
     """bert-base-uncased has a prefix, a head for masked words, and gamma and beta."""
     from safetensors.torch import load_file, save_file
 
@@ -121,7 +85,7 @@ def test_published_files_with_heads_and_old_names_are_read(talk, tmp_path):
     assert np.isfinite(words.embedding("so" * 5000)).all()
 
 
-def test_folders_that_cannot_be_used_are_named(talk, tmp_path):
+def test_folders_that_cannot_be_used_are_named(talk, tmp_path, write_text_encoder):
     folder = tmp_path / "text"
     write_text_encoder(folder)
     with pytest.raises(af.FeatureError, match="layer=3: a number from 0 to 2"):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
+import gesturekit as gk
 from audio_features import FeatureTrack
 from gesturekit import Motion
+from gesturekit.corpus import Manifest
 
 pytestmark = pytest.mark.usefixtures("no_network")
 
@@ -56,13 +59,53 @@ def test_training_names_the_folder_that_is_wrong(gesturekit, corpus, light, tmp_
     for where, complaint in (
         (extractors(tmp_path / "none"), "none: no such folder"),
         ("features.extractors=[{kind: hf}]", "path: FOLDER"),
-        ("features.extractors=[{kind: hf, path: a}, {kind: wavlm}]", "at most one"),
-        ("features.extractors=[{kind: words, encoder: a}, {kind: wavlm}]", "at most one"),
+        ("features.extractors=[{kind: wavlm}, {kind: hf, path: a}]", "weights of WavLM are needed"),
+        ("features.extractors=[{kind: hf, path: a}, {kind: hf, path: b}]", "2 of kind hf"),
         ("features.extractors=[{kind: words, encoder: a}]", "a: no such folder"),
     ):
         done = gesturekit(*train, where)
         assert done.status == 2 and complaint in done.err, done.err
         assert len(done.err.splitlines()) == 1
+
+
+def test_a_model_takes_a_speech_and_a_text_encoder(
+    gesturekit, corpus, light, write_wavlm, write_text_encoder, write_speech, tmp_path, tiny
+):
+    wavlm, text = tmp_path / "wavlm", tmp_path / "text"
+    write_wavlm(wavlm)
+    write_text_encoder(text)
+    (tmp_path / "speech.tsv").write_text("0.1\t0.4\tso\n0.5\t0.9\thands\n", encoding="utf-8")
+    said = {"words": tmp_path / "speech.tsv"}
+    Manifest([replace(item, conditions=said) for item in Manifest.load(corpus)]).save(
+        tmp_path / "corpus.jsonl"
+    )
+    both = f"[{{kind: wavlm, layer: 2}}, {{kind: words, encoder: {text}, layer: 1}}]"
+    done = gesturekit(
+        *("train", light, f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}"),
+        *(f"features.extractors={both}", f"features.weights={wavlm}", *tiny),
+    )
+    assert done.status == 0, done.err
+    named = ("--weights", f"wavlm={wavlm}", "--weights", f"words={text}")
+    assert " ".join(named) in done.out
+    assert gesturekit("train", "--resume", tmp_path / "run").status == 0
+
+    speech, model = write_speech(tmp_path / "speech.wav", 1.3), tmp_path / "run" / "model"
+    render = ("render", speech, "--model", model, "--out", tmp_path / "out")
+    for given, complaint in (
+        (("--weights", wavlm), "(--weights wavlm=PATH --weights words=PATH)"),
+        (named[:2], "weights of the text encoder bert with fingerprint"),
+        (("--weights", wavlm, *named[2:]), f"--weights {wavlm}: of several, each is KIND=PATH"),
+        ((*named, *named[2:]), "words is given twice"),
+        (("--weights", f"wavml={wavlm}", *named[2:]), "'wavml' is no encoder"),
+        (("--weights", f"wavlm={text}", "--weights", f"words={wavlm}"), "text"),
+    ):
+        done = gesturekit(*render, *given)
+        assert done.status == 2 and complaint in done.err, done.err
+    assert gesturekit(*render, *named).status == 0
+    loaded = gk.load(model, weights={"wavlm": wavlm, "words": text})
+    assert loaded.conditions.conditioner.extractor.dim == 32 + 16
+    again, first = loaded.generate(speech, seed=0), Motion.load(tmp_path / "out" / "speech.bvh")
+    np.testing.assert_allclose(again.positions(), first.positions(), atol=1e-4)
 
 
 def test_features_and_doctor_take_the_folder(gesturekit, hubert, write_speech, tmp_path):

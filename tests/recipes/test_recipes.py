@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import runpy
 import shlex
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -177,3 +178,35 @@ def test_fine_tuning_goes_on_from_what_pretraining_made(corpus, idle, tmp_path):
         assert left.value.code == 0, name
     page = (after / "model" / "README.md").read_text(encoding="utf-8")
     assert f"**Began with**: {before / 'model'}" in page
+
+
+def test_the_commands_of_the_experts_recipe_run(
+    write_pair, write_speech, tmp_path, monkeypatch, capsys
+):
+    """Its README, line by line: tiny recordings, two steps of training, four of sampling."""
+    paired = tmp_path / "demo-corpus" / "paired"
+    for seed, name in enumerate(("calm_01", "calm_02", "lively_01", "lively_02")):
+        write_pair(paired, name, 3.0, seed=seed)
+    write_speech(tmp_path / "demo-corpus" / "demo.wav", 2.0)
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "recipes" / "experts" / "README.md").read_text(encoding="utf-8")
+    lines = [line.strip() for line in page.splitlines() if line.startswith("    ")]
+    assert lines[0].startswith("python recipes/demo/prepare.py"), "made above instead"
+    more = {"train": TABLE["debug"]["diffusion"], "render": ["--steps", "4"]}
+    for line in lines[1:]:
+        words = shlex.split(line)
+        if words[0] == "gesturekit":
+            with pytest.raises(SystemExit) as left:
+                main([*words[1:], *more.get(words[1], ())])
+            assert left.value.code == 0, f"{line}\n{capsys.readouterr().err}"
+        elif words[0] == "python":
+            arguments = [*words[1:], "--samples", "1", "--steps", "2"]
+            monkeypatch.setattr(sys, "argv", arguments)
+            runpy.run_path(str(ROOT / words[1]), run_name="__main__")
+        else:
+            subprocess.run(line, shell=True, check=True)
+    for folder in ("guided", "between", "transition", "both", "change"):
+        assert (tmp_path / folder / "demo.bvh").is_file(), folder
+    assert (tmp_path / "product" / "product.png").read_bytes().startswith(b"\x89PNG")
+    shown = capsys.readouterr().out
+    assert shown.count("gamma ") == 5 and "transition, after: median" in shown

@@ -123,7 +123,7 @@ class TrainingData:
             ConfigError: the folder's data is missing or damaged.
             WeightsError: the WavLM weights are not those of the start of the run.
         """
-        weights = None if config.features is None else config.features.weights_path
+        weights = None if config.features is None else config.features.encoder_places
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             paired, unpaired = about["seconds"]

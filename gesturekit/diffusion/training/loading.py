@@ -155,7 +155,7 @@ def _takes(
 def _start(config: DiffusionConfig) -> DiffusionModel | None:
     if config.start_from is None:
         return None
-    weights = None if config.features is None else config.features.weights_path
+    weights = None if config.features is None else config.features.encoder_places
     start = DiffusionModel.load(model_of(config.start_from), weights=weights)
     check_settings("start_from", config.start_from, {"fps": start.fps}, {"fps": config.fps})
     for name, known in (("network", start.network.config), ("noise", start.noise_config)):
@@ -169,7 +169,7 @@ def _like(config: DiffusionConfig) -> DiffusionModel | None:
     """Load the model of `moves_like`, whose motion vectors this run uses."""
     if config.moves_like is None:
         return None
-    weights = None if config.features is None else config.features.weights_path
+    weights = None if config.features is None else config.features.encoder_places
     like = DiffusionModel.load(model_of(config.moves_like), weights=weights)
     check_settings("moves_like", config.moves_like, {"fps": like.fps}, {"fps": config.fps})
     if like.representation.makes_root == config.path:

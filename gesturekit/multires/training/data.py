@@ -262,7 +262,7 @@ class TrainingData:
                 conditioner=None
                 if config.features is None
                 else load_conditioner(
-                    about["features"], tensors, config.fps, config.features.weights_path
+                    about["features"], tensors, config.fps, config.features.encoder_places
                 ),
                 styles=tuple(about["styles"]),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),

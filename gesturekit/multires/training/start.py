@@ -36,7 +36,7 @@ def load_start(config: MultiresConfig, extractor: af.Extractor | None) -> Multir
     folder = config.start_from
     if folder is None:
         return None
-    weights = None if config.features is None else config.features.weights_path
+    weights = None if config.features is None else config.features.encoder_places
     start = MultiresModel.load(model_of(folder), weights=weights)
     check_settings("start_from", folder, _known_settings(start), _wanted_settings(config))
     conditions = start.conditions

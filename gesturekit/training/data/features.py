@@ -12,13 +12,12 @@ import torch
 from torch import Tensor
 
 import audio_features as af
+from audio_features.extractor import folder_in_spec, needs_weights
+from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract, wide_columns
 from gesturekit.progress import Progress
 from gesturekit.training.run_config import check_positive
-
-_FOLDERS = ("path", "encoder")
-"""Settings of extractors that name the folder of a Hugging Face encoder."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,8 @@ class FeatureConfig:
     extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
     """Extractors by name and settings; their features are concatenated."""
     weights: Path | None = None
-    """Folder or file of the WavLM weights, or folder of a Hugging Face encoder without `path`."""
+    """Folder or file of the WavLM weights, or folder of a Hugging Face encoder that does not name
+    its own as `path` or `encoder`."""
     align: Literal["mean", "gaussian", "linear"] = "mean"
     """Resampling of features to motion frames: the mean over each frame, those means smoothed by a
     Gaussian of one frame, or linear interpolation."""
@@ -48,10 +48,14 @@ class FeatureConfig:
             check_positive(components=self.components)
 
     @property
-    def weights_path(self) -> Path | None:
-        """Path of the weights: that of a Hugging Face encoder, or `weights`."""
-        paths = [spec[name] for spec in self.extractors for name in _FOLDERS if spec.get(name)]
-        return Path(paths[0]) if paths else self.weights
+    def encoder_places(self) -> dict[str, Path]:
+        """Folder or file of the weights of each encoder, by its kind."""
+        places = {}
+        for spec in self.extractors:
+            folder = folder_in_spec(spec) or self.weights
+            if needs_weights(spec) and folder is not None:
+                places[spec["kind"]] = Path(folder)
+        return places
 
     def extractor(self) -> Any:
         """Make the extractor.
@@ -60,18 +64,15 @@ class FeatureConfig:
             FeatureError: an unknown extractor or setting.
             WeightsError: weights that are missing or cannot be read.
         """
-        kinds = [spec.get("kind") for spec in self.extractors]
-        if sum(map(_needs_weights, self.extractors)) > 1:
+        kinds = [spec["kind"] for spec in self.extractors if needs_weights(spec)]
+        twice = next((kind for kind in kinds if kinds.count(kind) > 1), None)
+        if twice is not None:
             raise af.FeatureError(
-                f"features.extractors: {', '.join(map(str, kinds))}: at most one of them may need "
-                "weights: a model is rendered with the weights of one network"
+                f"features.extractors: {kinds.count(twice)} of kind {twice}: a model takes at most "
+                "one encoder of each kind: leave one, which may have a list of layers"
             )
         parts = {"kind": "stack", "parts": list(self.extractors)}
         return af.extractor_from_spec(parts, weights=self.weights)
-
-
-def _needs_weights(spec: Mapping[str, Any]) -> bool:
-    return spec.get("kind") in ("wavlm", "hf") or any(spec.get(name) for name in _FOLDERS)
 
 
 def extract_features(
@@ -152,7 +153,7 @@ def load_conditioner(
     values: Mapping[str, Any],
     tensors: Mapping[str, Tensor],
     fps: float,
-    weights: str | Path | None,
+    weights: WeightPlaces | None,
     device: str = "cpu",
 ) -> SpeechConditioner:
     """Build a conditioner from its `conditioner_values` and `conditioner_tensors`.
