@@ -22,8 +22,10 @@ FINGERS = 5
 FPS = 30.0
 
 
-def with_fingers(motion: gk.Motion) -> gk.Motion:
-    """Return the motion on a rig with five fingers of four joints on each hand."""
+def with_fingers(
+    motion: gk.Motion, lengths: tuple[float, ...] = (0.07, 0.035, 0.025, 0.02)
+) -> gk.Motion:
+    """Return the motion on a rig with five fingers of so many joints on each hand."""
     rig = motion.skeleton
     names, parents, offsets = list(rig.names), list(rig.parents), list(rig.offsets)
     for side in ("Left", "Right"):
@@ -31,7 +33,7 @@ def with_fingers(motion: gk.Motion) -> gk.Motion:
         way = offsets[hand] / np.linalg.norm(offsets[hand])
         for finger in range(FINGERS):
             above = hand
-            for joint, length in enumerate((0.07, 0.035, 0.025, 0.02)):
+            for joint, length in enumerate(lengths):
                 aside = np.array([0, 0, 0.018 * (finger - 2) if joint == 0 else 0.0])
                 names.append(f"{side}Finger{finger}_{joint}")
                 parents.append(above)

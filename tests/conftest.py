@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from chromium import Browser
 from scipy.spatial.transform import Rotation
 
 from gesturekit.motion import Motion, Skeleton
@@ -396,3 +398,19 @@ def capsule_body() -> Callable[[int], dict[str, Any]]:
     from gesturekit.formats.smpl.skeleton import model_pelvis, smpl_skeleton
 
     return lambda n_joints: _capsule_body(smpl_skeleton(n_joints), model_pelvis(n_joints))
+
+
+@pytest.fixture
+def open_browser(tmp_path) -> Iterator[Callable[[], Browser]]:
+    """open_browser(): a browser whose downloads lie in tmp_path."""
+    if not shutil.which("chromium"):
+        pytest.skip("Chromium is not installed")
+    opened = []
+
+    def start() -> Browser:
+        opened.append(Browser(tmp_path))
+        return opened[-1]
+
+    yield start
+    for browser in opened:
+        browser.close()

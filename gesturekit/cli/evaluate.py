@@ -14,6 +14,7 @@ from gesturekit.cli.evaluate_models import folders_of, place_of, rendered_baseli
 from gesturekit.cli.evaluate_sanity import sanity
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
+    body_option,
     comma_separated,
     existing_option,
     is_left,
@@ -141,6 +142,7 @@ if TYPE_CHECKING:
     type=click.IntRange(min=1),
     help="Number of processes; the figures are the same for any number.  [default: the cores]",
 )
+@body_option
 @existing_option("replace", note="; samples of an earlier run are only skipped or refused")
 @recording_options
 @click.pass_context
@@ -198,7 +200,7 @@ def command(
             model.notes.append(warning)
             model.marks.append("trained on these")
     _print(found)
-    _write(found, tables, json_out, out)
+    _write(found, tables, json_out, out, options["body"])
     click.echo(_summary(found, out or json_out))
     ctx.exit(0 if found.is_complete else 1)
 
@@ -218,6 +220,7 @@ def _write(
     tables: Mapping[str, Path | None],
     json_out: Path | None,
     out: Path | None,
+    body: str | None,
 ) -> None:
     """Write the files that were asked for."""
     import sys
@@ -233,7 +236,8 @@ def _write(
         found.write_json(json_out)
         click.echo(f"written  {json_out}")
     if out is not None:
-        write_report(found, out, command=shlex.join(["gesturekit", *sys.argv[1:]]))
+        command = shlex.join(["gesturekit", *sys.argv[1:]])
+        write_report(found, out, command=command, body=body)
         click.echo(f"written  {out}")
 
 

@@ -74,11 +74,24 @@ size_option = click.option(
 )
 
 
+class _Body(click.Choice):
+    """A body of the package, or the path of an avatar."""
+
+    def __init__(self) -> None:
+        super().__init__(["mannequin", "human", "skeleton"])
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if str(value).lower().endswith((".vrm", ".glb")):
+            return str(value)
+        return super().convert(value, param, ctx)
+
+
 body_option = click.option(
     "--body",
-    type=click.Choice(["mannequin", "human", "skeleton"]),
-    help="Body in pages, videos and pictures; human: the motion is retargeted to it.  "
-    "[default: mannequin]",
+    type=_Body(),
+    metavar="[mannequin|human|skeleton|FILE.vrm]",
+    help="Body in pages, videos and pictures; the motion is retargeted to human and to your own "
+    "VRM avatar.  [default: mannequin]",
 )
 
 

@@ -41,7 +41,8 @@ class Output:
             smpl, smplh or smplx; see `gesturekit.formats.rig`. None for the model's own.
         unit: unit of BVH files; None for cm.
         up: up axis of SMPL npz files, "y" or "z"; None for y.
-        body: in pages, videos and pictures: "mannequin", "human" or "skeleton"; None for mannequin.
+        body: in pages, videos and pictures: "mannequin", "human", "skeleton" or the path of a VRM
+            avatar; None for mannequin.
         size: of videos, "720p" or "1080p"; None for 720p.
     """
 

@@ -17,6 +17,7 @@ from gesturekit.atomic import atomic_write
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.evaluation.agreement.answers import MISMATCHED
 from gesturekit.formats.conversion import load
+from gesturekit.motion import Motion
 from gesturekit.progress import Progress
 from gesturekit.study.clips import Material, Segment, find_clips
 from gesturekit.study.config import INTRODUCTION, SILENT_INTRODUCTION, StudyConfig
@@ -71,6 +72,8 @@ REASONS = {
     },
 }
 """GENEA's codes of reasons, with our words."""
+_BODY = "body"
+"""Script of the mesh of all clips' bodies; as `SHARED` in page/clip.js."""
 _HERE = Path(__file__).parent
 _BUNDLE = _HERE / "study.bundle.js"
 
@@ -119,6 +122,8 @@ def build_study(
             raise ConfigError("design mismatch: needs at least two segments, found 1")
         others = mismatches(material.segments, config.seed)
     lists = make_lists(config, material.segments)
+    if material.videos and config.body != "mannequin":
+        raise ConfigError(f"body: {config.body} is for motions; the clips are videos")
     clips = _Clips(config, material, others)
     page_lists = [[clips.trial(comparison) for comparison in one] for one in lists]
     clips.write(out)
@@ -177,7 +182,7 @@ class _Clips:
 
     def write(self, out: Path) -> None:
         """Write all clips, and the lengths of motions into the comparisons."""
-        sources = Progress(self.sources.items(), unit="clip")
+        sources, mesh = Progress(self.sources.items(), unit="clip"), None
         for (system, shown, spoken), name in sources:
             source = self.segments[shown].clips[system]
             if self.material.videos:
@@ -185,21 +190,31 @@ class _Clips:
                     shutil.copyfile(source, temporary)
             else:
                 sound = self.segments[spoken].sound
-                self.seconds[name] = _write_motion(source, sound, out / "clips" / f"{name}.js")
+                motion, seconds = _loaded(source, sound)
+                self.seconds[name] = seconds
+                clip = json.loads(player_data(motion, sound, body=self.config.body))
+                if "skin" in clip:  # a mesh that all clips share
+                    mesh, clip["skin"] = clip["skin"], _BODY
+                _write_script(out / "clips" / f"{name}.js", clip)
+        if mesh is not None:
+            _write_script(out / "clips" / f"{_BODY}.js", mesh)
         for side, name in self._sides:
             side["seconds"] = self.seconds[name]
 
 
-def _write_motion(source: Path, sound: Path | None, path: Path) -> float:
-    """Write a motion as a script, and return the seconds that both motion and sound last."""
+def _loaded(source: Path, sound: Path | None) -> tuple[Motion, float]:
+    """Return a motion, and the seconds that both it and its sound last."""
     motion = load(source, {}, {})
     seconds = motion.duration
     if sound is not None:
         seconds = min(seconds, Wave.load(sound).duration)
-    data = player_data(motion, sound)
+    return motion, round(seconds, 3)
+
+
+def _write_script(path: Path, value: object) -> None:
+    """Write a value as a script: the only kind of file that a page opened from a disk may read."""
     with atomic_write(path) as temporary:
-        temporary.write_text(f'gesturekitClip("{path.stem}",{data});\n', encoding="utf-8")
-    return round(seconds, 3)
+        temporary.write_text(f'gesturekitClip("{path.stem}",{_json(value)});\n', encoding="utf-8")
 
 
 def _setup(

@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from gesturekit.errors import ConfigError
 from gesturekit.training.config import load_config
+from gesturekit.viewer.worn import BODIES, is_body
 
 INTRODUCTION = """You will see pairs of short clips of a moving figure. Play both clips of a pair \
 to the end, then answer the question below them. There are no right or wrong answers: we want to \
@@ -40,6 +41,8 @@ class StudyConfig:
     style, without sound. `mismatch`: a system's motion against its own motion of other speech."""
     audio: Path | None = None
     """Folder of the speech of motions, under the same paths; videos have their own sound."""
+    body: str = "mannequin"
+    """Body of motions: mannequin, human, skeleton, or the file of a VRM avatar."""
     styles: dict[str, str] = field(default_factory=dict)
     """Words for the question by style, such as `happy: the person is happy`. The style of a clip is
     a folder or a part of its file name (`style`)."""
@@ -71,6 +74,8 @@ class StudyConfig:
         if not self.title.strip():
             raise ConfigError("title is empty; it is the heading that raters see")
         self._check_systems()
+        if not is_body(self.body):
+            raise ConfigError(f"body: {self.body!r}; expected {', '.join(BODIES)} or a .vrm file")
         for name, least in (("lists", 1), ("attention_checks", 0), ("seed", 0)):
             if getattr(self, name) < least:
                 raise ConfigError(f"{name}: {getattr(self, name)} is below {least}")
@@ -125,4 +130,5 @@ def load_study_config(path: str | os.PathLike[str], overrides: tuple[str, ...] =
     config = load_config(Path(path), StudyConfig, overrides)
     here = Path(path).resolve().parent
     folders = {name: str(here / Path(f).expanduser()) for name, f in config.systems.items()}
-    return replace(config, systems=folders)
+    body = config.body if config.body in BODIES else str(here / Path(config.body).expanduser())
+    return replace(config, systems=folders, body=body)

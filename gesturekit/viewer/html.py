@@ -25,6 +25,7 @@ from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer import tracks
 from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.human.body import COLOURS
 from gesturekit.viewer.page_skin import add_skins, base64_text, packed
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
 from gesturekit.viewer.worn import Worn
@@ -55,7 +56,8 @@ def write_html(
         path: the .html file to write.
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         title: the page's heading; the file's stem by default.
-        body: "mannequin" (by default), "human" or "skeleton"; see `gesturekit.viewer.worn`.
+        body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
+            `gesturekit.viewer.worn`.
         body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs;
             the motion is put on its rig.
 
@@ -104,7 +106,8 @@ def player_data(
 ) -> str:
     """Return the JSON for `{{motion}}` of `player_shell`; arguments as for `write_html`.
 
-    `colours` are those of figures by label, such as "#3f7fae"; the player's own for all others.
+    `colours` are those of figures by label, such as "#3f7fae"; the player's own for all others. A
+    human body has clothes of its figure's colour.
 
     Raises AudioError where `audio` is no sound, FormatError where `body_model` is none.
     """
@@ -117,6 +120,8 @@ def player_data(
     for figure in page["figures"]:
         if colours is not None and figure["label"] in colours:
             figure["ink"] = colours[figure["label"]]
+            if body == "human" and "skin" in figure:
+                figure["skin"]["palette"][list(COLOURS).index("top")] = figure["ink"]
     return _json(page)
 
 

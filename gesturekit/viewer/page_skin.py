@@ -47,7 +47,9 @@ def add_skins(page: dict[str, Any], shown: Sequence[Worn]) -> None:
         if skin.regions is None:
             figure["skin"]["vertices"] = base64_text(skin.vertices.astype("<f4").tobytes())
         else:
-            colours = palette_of(TOPS[k % len(TOPS)]).values()
+            colours = skin.palette
+            if colours is None:
+                colours = palette_of(TOPS[k % len(TOPS)]).values()
             palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours]
             figure["skin"] |= {"scale": worn.scale, "palette": palette}
 

@@ -59,7 +59,8 @@ def write_picture(
         motion: what to draw; or {label: motion} for several, one below the other.
         path: the .png, .svg or .pdf file to write.
         audio: the speech that belongs to it, a file or a `Wave`.
-        body: "mannequin" (by default), "human" or "skeleton"; see `gesturekit.viewer.worn`.
+        body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
+            `gesturekit.viewer.worn`.
 
     Raises:
         AudioError: `audio` is no sound.

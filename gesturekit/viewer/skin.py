@@ -32,6 +32,7 @@ class Skin:
         rest: (J, 3) joints at rest, metres.
         regions: (V,) uint8, the part of the surface that gives a vertex its colour; None for a
             body of one colour.
+        palette: (R, 3) uint8, RGB of the regions; None for those of the human body.
     """
 
     vertices: np.ndarray
@@ -40,6 +41,7 @@ class Skin:
     weights: np.ndarray
     rest: np.ndarray
     regions: np.ndarray | None = None
+    palette: np.ndarray | None = None
 
     @classmethod
     def of(cls, body: BodyModel, betas: np.ndarray | None = None) -> Skin:
@@ -47,14 +49,13 @@ class Skin:
         n_joints = min(INFLUENCES, body.n_joints)
         joints = np.argsort(-body.weights, axis=1, kind="stable")[:, :n_joints]
         weights = np.take_along_axis(body.weights, joints, axis=1).astype(np.float64)
-        weights = np.floor(255 * weights / weights.sum(axis=1, keepdims=True) + 0.5)
-        weights[:, 0] += 255 - weights.sum(axis=1)  # what rounding took or gave
         padding = ((0, 0), (0, INFLUENCES - n_joints))
+        joints, weights = whole_weights(np.pad(joints, padding), np.pad(weights, padding))
         return cls(
             vertices=body.vertices_at_rest(betas),
             faces=body.faces.astype(np.uint32),
-            joints=np.pad(joints, padding).astype(np.uint8),
-            weights=np.pad(weights, padding).astype(np.uint8),
+            joints=joints,
+            weights=weights,
             rest=body.joints_at_rest(betas),
         )
 
@@ -72,6 +73,18 @@ class Skin:
             np.add.at(total, corners[:, k], of_faces)
         total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
         return total[same.reshape(-1)]
+
+
+def whole_weights(joints: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return joints and weights (V, 4) as in `Skin`: the greatest first, in units of 1/255.
+
+    The sums of the given weights must be above 0.
+    """
+    order = np.argsort(-weights, axis=1, kind="stable")
+    joints, weights = (np.take_along_axis(values, order, axis=1) for values in (joints, weights))
+    weights = np.floor(255 * weights / weights.sum(axis=1, keepdims=True) + 0.5)
+    weights[:, 0] += 255 - weights.sum(axis=1)  # what rounding took or gave
+    return joints.astype(np.uint8), weights.astype(np.uint8)
 
 
 def steady_turns(motion: Motion) -> np.ndarray:

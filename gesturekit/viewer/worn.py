@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from gesturekit.errors import FormatError, GestureKitError
 from gesturekit.formats.smpl.skeleton import fit_body
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.viewer.avatar.vrm import load_avatar
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import Human
 from gesturekit.viewer.skin import Skin
@@ -17,6 +18,13 @@ if TYPE_CHECKING:
     from gesturekit.motion import Motion
 
 BODIES = ("mannequin", "human", "skeleton")
+AVATARS = (".vrm", ".glb")
+"""Suffixes of files of avatars."""
+
+
+def is_body(name: str) -> bool:
+    """Return whether a name is one of BODIES, or a path that ends as avatars' files do."""
+    return name in BODIES or name.lower().endswith(AVATARS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,30 +52,31 @@ class Worn:
 
         Args:
             motion: what to show.
-            body: of BODIES; "mannequin" by default. A mannequin and a skeleton have the joints of
-                the motion's own rig; for "human" the motion is retargeted. Where that cannot be
-                had, the mannequin is worn.
+            body: of BODIES, or the path of an avatar; "mannequin" by default. A mannequin and a
+                skeleton have the joints of the motion's own rig; for "human" and avatars the motion
+                is retargeted. Where that cannot be had, the mannequin is worn.
             body_model: its skin is worn instead.
 
         Raises:
-            FormatError: an unknown body, or both a body and a model.
+            FormatError: an unknown body, an avatar that cannot be read, or both a body and a model.
 
         Warns:
-            UserWarning: the human body was not baked, or cannot be put on this rig.
+            UserWarning: the human body was not baked, or a body cannot be put on this rig.
         """
-        if body is not None and body not in BODIES:
-            raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)}")
+        if body is not None and not is_body(body):
+            raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)} or a .vrm file")
         if body_model is not None:
             if body is not None:
                 raise FormatError("give either a body or a body model, not both")
             motion = fit_body(motion, body_model)
             skin = Skin.of(body_model, motion.info.get("betas"))
             return cls(motion, Figure.of(motion), (skin,))
-        if body == "human":
+        if body not in (None, "mannequin", "skeleton"):
+            avatar = None if body == "human" else load_avatar(body)
             try:
-                human = Human.load()
+                human = avatar or Human.load()
                 moved, scale = human.wear(motion)
                 return cls(moved, Figure.of(moved), human.skins, scale)
             except GestureKitError as error:
-                warnings.warn(f"the mannequin is drawn in place of a human: {error}", stacklevel=2)
+                warnings.warn(f"the mannequin is drawn in place of {body}: {error}", stacklevel=2)
         return cls(motion, Figure.of(motion, plain=body == "skeleton"))

@@ -15,6 +15,7 @@ import pytest
 import gesturekit.viewer.html as player
 from gesturekit.evaluation import evaluate, write_report
 from gesturekit.evaluation.report.tables import number
+from gesturekit.viewer.human.body import is_baked
 
 pytestmark = pytest.mark.skipif(
     not player._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
@@ -45,6 +46,17 @@ def page(evaluation, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("page") / "report.html"
     write_report(evaluation, path, command="gesturekit evaluate model recordings")
     return path
+
+
+@pytest.mark.skipif(not is_baked(), reason="the human body is not baked (make setup)")
+def test_the_human_body_wears_the_colours_of_the_models(evaluation, tmp_path):
+    write_report(evaluation, tmp_path / "human.html", body="human")
+    text = (tmp_path / "human.html").read_text(encoding="utf-8")
+    clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
+    figures = json.loads(clips[0]["motion"])["figures"]
+    assert len(figures) == 3
+    for figure in figures:
+        assert figure["ink"] in figure["skin"]["palette"]
 
 
 def markup(page: Path) -> str:

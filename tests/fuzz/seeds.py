@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import soundfile
 import torch
+from avatars import avatar
 from safetensors.numpy import save
 
 import audio_features as af
@@ -203,6 +204,10 @@ def plan(folder: Path) -> list[bytes]:
         {"shard": 2, "id": "c", "path": "/x/c.wav", "duration": 1.0, "more": {"item": item}},
     ]
     return [b"".join(json.dumps(row).encode() + b"\n" for row in rows)]
+
+
+def avatars(folder: Path) -> list[bytes]:
+    return [avatar(version) for version in (0, 1)]
 
 
 def lists(folder: Path) -> list[bytes]:

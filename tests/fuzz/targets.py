@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import avatars
 import mutators
 import numpy as np
 import seeds
@@ -41,6 +42,7 @@ from gesturekit.rendering.tasks import Task
 from gesturekit.systems import model_folder
 from gesturekit.training.config import load_config
 from gesturekit.training.run.checkpoint import Checkpoints
+from gesturekit.viewer.avatar.vrm import read_avatar
 
 Seeds = Callable[[Path], list[bytes]]
 
@@ -178,6 +180,13 @@ def run_folder(folder: Path) -> None:
     (folder / "metrics.jsonl").write_text('{"step": 3, "loss": 0.5}\n')
 
 
+@cache
+def avatar_parts() -> tuple[bytes, bytes]:
+    """JSON and arrays of an avatar."""
+    found, data = avatars.avatar_json(1)
+    return json.dumps(found).encode(), data
+
+
 def words(name: str, suffix: str, seeds_: Seeds, how: tuple[Any, ...] = mutators.TEXT) -> Target:
     return Target(
         f"words_{name}", f"a{suffix}", seeds_, lambda _, file: word_lists.load_words(file), how
@@ -243,6 +252,12 @@ TARGETS = {
         Target(
             *("body_model", "a.npz", seeds.body_model),
             *(lambda _, file: BodyModel.load(file), mutators.NPZ),
+        ),
+        Target("avatar", "a.vrm", seeds.avatars, lambda _, f: read_avatar(f), mutators.ANY),
+        Target(
+            *("avatar_json", "a.vrm", lambda _: [avatar_parts()[0]]),
+            *(lambda _, file: read_avatar(file), mutators.JSON),
+            wrap=lambda text: avatars.glb(text, avatar_parts()[1]),
         ),
         Target(
             *("features", "a.npz", seeds.features),

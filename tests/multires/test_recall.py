@@ -345,6 +345,18 @@ def test_fingers_and_the_face_are_recalled(model, plain, speech):
     assert np.ptp(still.rotations[:, still.skeleton.index(FINGERS[0])], axis=0).max() < 1e-6
 
 
+def test_fingers_and_the_face_move_with_every_control(model, speech):
+    clip, other = recording(1.0, 0).resample(25.0), recording(5.0, 9)
+    coarse = model.generate(speech, levels=1, seed=4)
+    for controls in ({"keep": {0.0: clip}}, {"keyframes": coarse, "seed": 4}, {"like": other}):
+        made = model.generate(speech, **controls)
+        for finger in FINGERS:
+            quaternions = made.rotations[50:, made.skeleton.index(finger)]
+            angle = 2 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
+            assert np.ptp(angle) > 0.3, (finger, *controls)
+        assert np.ptp(made.expressions[50:, 3]) > 0.5, [*controls]
+
+
 def test_fingers_move_with_their_arm(model, speech):
     """The pieces of an arm are those of its fingers."""
     left, right, rest = model.library.passive.columns(model.library.parts)
@@ -369,6 +381,7 @@ def test_all_other_controls_go_with_recall(model, speech, tmp_path):
     clip = recording(2.0, 0).resample(25.0)
     kept = model.generate(speech, keep={1.0: clip})
     np.testing.assert_allclose(kept.rotations[25:75], clip.rotations, atol=1e-9)
+    np.testing.assert_array_equal(kept.expressions[25:75], clip.expressions)
 
     coarse = model.generate(speech, levels=LEVEL, seed=4)
     assert coarse.n_frames == af.level_lengths(125, 4)[LEVEL - 1]

@@ -130,6 +130,16 @@ def test_folders_that_do_not_fit_are_refused(tmp_path, clips, message):
         find_clips(video_study(tmp_path, clips))
 
 
+def test_a_body_is_of_the_package_or_an_avatar_beside_the_file_and_for_motions(tmp_path):
+    with pytest.raises(ConfigError, match=r"body: 'robot'; expected mannequin, .*\.vrm"):
+        config_of(2, body="robot")
+    (tmp_path / "study.yaml").write_text("title: T\nbody: me.vrm\nsystems: {a: a, b: b}\n")
+    assert load_study_config(tmp_path / "study.yaml").body == str(tmp_path / "me.vrm")
+    config = video_study(tmp_path, {"a": ["x.mp4"], "b": ["x.mp4"]}, body="human")
+    with pytest.raises(ConfigError, match="body: human is for motions; the clips are videos"):
+        build_study(config, tmp_path / "out")
+
+
 def setup_of(page: Path) -> dict:
     text = page.read_text(encoding="utf-8")
     return json.loads(re.search(r'id="setup">(.*?)</script>', text, re.S)[1])

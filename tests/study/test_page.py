@@ -11,6 +11,8 @@ from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
+import matplotlib.image
+import numpy as np
 import pytest
 
 import gesturekit.study.build as build_module
@@ -18,8 +20,9 @@ from gesturekit.cli import main
 from gesturekit.evaluation import read_answers
 from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, OWN_COLUMNS
 from gesturekit.study import build_study
-from gesturekit.study.config import StudyConfig
+from gesturekit.study.config import StudyConfig, load_study_config
 from gesturekit.viewer import html as player_module
+from gesturekit.viewer.human.body import is_baked
 
 pytestmark = pytest.mark.skipif(
     not (build_module._BUNDLE.is_file() and player_module._BUNDLE.is_file()),
@@ -174,6 +177,32 @@ def test_motions_are_shown_in_3d_on_a_phone_without_controls(
     first, second = read_answers([downloaded(tmp_path, "out_u.csv")]).kept
     assert (first.score, first.reasons, second.score) == (1, ("MotionSmoothness",), 0)
     assert {first.clip, second.clip} == {"a b", "c"}
+
+
+@pytest.mark.skipif(not is_baked(), reason="the human body is not baked (make setup)")
+def test_both_sides_wear_the_body_of_the_study(tmp_path, gesture, open_browser):
+    for k, system in enumerate(("ours", "base")):
+        for name in ("x", "y"):
+            gesture(0.4, seed=k).save(tmp_path / system / f"{name}.bvh")
+    (tmp_path / "study.yaml").write_text(
+        "title: Study\nbody: human\nattention_checks: 0\nsystems: {ours: ours, base: base}\n"
+    )
+    built = build_study(load_study_config(tmp_path / "study.yaml"), tmp_path / "study")
+    mesh = tmp_path / "study" / "clips" / "body.js"
+    assert built.page_bytes + mesh.stat().st_size < 2_000_000
+    clips = [path for path in mesh.parent.iterdir() if path != mesh]
+    assert len(clips) == 4 and max(path.stat().st_size for path in clips) < 1e5
+    browser = open_browser()
+    start(browser, built.page)
+    play_both(browser)
+    browser.screenshot(tmp_path / "page.png")
+    image = matplotlib.image.imread(tmp_path / "page.png")[..., :3]
+    for half in np.split(image[:, : image.shape[1] // 2 * 2], 2, axis=1):
+        red, green, blue = np.moveaxis(half, -1, 0)
+        # The blue top; the mannequin's blue side is greener.
+        shirt = (blue > 1.3 * red) & (blue > 1.15 * green) & (blue > 0.25) & (blue < 0.8)
+        assert shirt.sum() > 300
+    assert browser.lines == []
 
 
 def test_silent_styles_are_asked_one_after_the_other(videos, tmp_path, open_browser):

@@ -32,6 +32,7 @@ def write_report(
     *,
     title: str | None = None,
     command: str | None = None,
+    body: str | None = None,
 ) -> None:
     """Write the report of an evaluation.
 
@@ -40,14 +41,17 @@ def write_report(
         path: the .html file to write.
         title: the heading; by default the models and the reference.
         command: the command line that made the report.
+        body: of the figures in the player: "mannequin" (by default), "human", "skeleton" or the
+            path of a VRM avatar; see `gesturekit.viewer.worn`.
 
     Raises:
         GestureKitError: the player has not been bundled.
+        FormatError: an unknown body, or an avatar that cannot be read.
     """
     evaluation = _with_short_names(evaluation)
     names = ", ".join(model.label for model in evaluation.models)
     heading = title or f"{names} against {evaluation.reference.name}"
-    shown = best_and_worst(evaluation)
+    shown = best_and_worst(evaluation, body)
     rows = contests(evaluation.models)
     sections = [
         without_folders(headline(evaluation, rows)),

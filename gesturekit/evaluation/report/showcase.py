@@ -40,10 +40,10 @@ class Shown:
     motion: str
 
 
-def best_and_worst(evaluation: Evaluation) -> list[Shown]:
+def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Shown]:
     """Return best and worst clips of the first model, with other models' clips of the same name.
 
-    Files that no longer exist are skipped.
+    Files that no longer exist are skipped. `body` is as in `gesturekit.viewer.worn`.
     """
     model = evaluation.models[0]
     key = next((k for k in _RANKED_BY if all(k in c.figures for c in model.clips)), None)
@@ -61,7 +61,7 @@ def best_and_worst(evaluation: Evaluation) -> list[Shown]:
     shown = []
     for label, clip in chosen:
         try:
-            data = _data(evaluation, clip)
+            data = _data(evaluation, clip, body)
         except (GestureKitError, AudioFeaturesError, OSError):
             continue
         detail = f"{clip.pair.name}: {definition.name.lower()} {clip.figures[key]:.2f}"
@@ -69,7 +69,7 @@ def best_and_worst(evaluation: Evaluation) -> list[Shown]:
     return shown
 
 
-def _data(evaluation: Evaluation, result: ClipResult) -> str:
+def _data(evaluation: Evaluation, result: ClipResult, body: str | None) -> str:
     clip = load_clip(result.pair, evaluation.fps)
     motions = {evaluation.models[0].label: _start(clip.generated)}
     for model in evaluation.models[1:]:
@@ -82,7 +82,7 @@ def _data(evaluation: Evaluation, result: ClipResult) -> str:
         start = (result.pair.window or 0) * WINDOW_SECONDS
         wave = load_wave(result.pair.audio).slice(start, min(SECONDS, result.seconds))
     colours = {m.label: colour(i) for i, m in enumerate(evaluation.models)}
-    return player_data(motions, wave, colours={**colours, "recording": RECORDING})
+    return player_data(motions, wave, colours={**colours, "recording": RECORDING}, body=body)
 
 
 def _same(model: ModelResult, result: ClipResult) -> ClipResult | None:

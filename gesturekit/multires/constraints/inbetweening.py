@@ -125,33 +125,44 @@ class InbetweenClips:
         return moved(self.representation, motion, missing)
 
     def restored(self, motion: Motion) -> Motion:
-        """Return the motion with all joints of the clips as they were given.
+        """Return the motion with all joints of the clips, and their faces, as they were given.
 
-        Joints that are not modelled are blended to the model's fixed pose over `_BLEND`.
+        Joints that are not modelled are blended to those of the motion over `_BLEND`.
         """
         rotations, translation = motion.rotations.copy(), motion.translation.copy()
         moving = {name: values.copy() for name, values in motion.joint_translations.items()}
+        face = None if motion.expressions is None else motion.expressions.copy()
         skeleton = motion.skeleton
         modelled = {*self.representation.indices, *skeleton.ancestors(self.representation.root)}
         others = [j for j in range(skeleton.n_joints) if j not in modelled]
         for begin, clip in self.clips:
             stop = begin + clip.n_frames
             rotations[begin:stop], translation[begin:stop] = clip.rotations, clip.translation
+            faces = [values for values in (face, clip.expressions) if values is not None]
+            has_face = len(faces) == 2 and faces[0].shape[1] == faces[1].shape[1]
+            if has_face:
+                face[begin:stop] = clip.expressions
             for name, values in moving.items():
                 still = clip.skeleton.offsets[skeleton.index(name)]
                 values[begin:stop] = clip.joint_translations.get(name, still)
             for edge, step in ((begin, -1), (stop - 1, 1)):
                 for k, fraction in enumerate(_fractions(round(_BLEND * self.fps)), 1):
                     frame = edge + step * k
-                    if not others or not self._is_free(frame, motion.n_frames):
+                    if not self._is_free(frame, motion.n_frames):
                         break
+                    if has_face:
+                        face[frame] += _ease(1 - fraction) * (face[edge] - face[frame])
                     rotations[frame, others] = slerp(
                         rotations[frame, others],
                         rotations[edge, others],
                         np.full(len(others), _ease(1 - fraction)),
                     )
         return replace(
-            motion, rotations=rotations, translation=translation, joint_translations=moving
+            motion,
+            rotations=rotations,
+            translation=translation,
+            joint_translations=moving,
+            expressions=face,
         )
 
     def _is_free(self, frame: int, n_frames: int) -> bool:

@@ -31,6 +31,11 @@ class PassiveChannels:
     joints: tuple[str, ...] = ()
     expressions: int = 0
 
+    @property
+    def is_empty(self) -> bool:
+        """True without such joints and without a face."""
+        return not self.joints and not self.expressions
+
     @classmethod
     def find(cls, motions: Sequence[Motion], modelled: Sequence[str]) -> PassiveChannels:
         """Return what moves in the motions of one rig beside the modelled joints."""

@@ -88,9 +88,9 @@ class Sampler:
             0 if self.request.library is None else self.request.library.level - 1,
         )
         if request.start is not None:
-            return self._from_level(pyramid)
+            return self._with_passive(self._from_level(pyramid), choice)
         if request.clips is not None:
-            return self._between_clips(pyramid)
+            return self._between_clips(pyramid, choice)
         levels = request.controls.levels
         if request.path is None and levels is not None and levels < len(request.lengths):
             values = self._cropped(pyramid.random(levels=levels))
@@ -103,7 +103,7 @@ class Sampler:
                 output = self._at_rest(output, choice, pyramid.recalled)
             values = self._cropped(output)
             motion = self._finished(self._decoded(values), values)
-        return motion if choice is None else self._with_passive(motion, choice)
+        return self._with_passive(motion, choice)
 
     def _constraint(self) -> PathConstraint | InbetweenConstraint | None:
         """Return the constraint on motions from noise; warn if it needs too high a speed."""
@@ -145,10 +145,10 @@ class Sampler:
         )
 
     def _recalled(self, seed: int, number: int, styles: list[Tensor]) -> RecalledMotion | None:
-        """Choose the recalled pieces; None without recall."""
+        """Choose the recalled pieces; None without recall, or if no joint would take them."""
         request = self.request
         library = request.library
-        if library is None:
+        if library is None or (request.controls.like is not None and library.passive.is_empty):
             return None
         return library.recall(
             request.features.T,
@@ -172,8 +172,10 @@ class Sampler:
         coarse = plain_values(self.normaliser, resample_smoothly(recalled, len(values)))
         return coarse + self.request.library.detail(choice, len(values)).T * (values - coarse)
 
-    def _with_passive(self, motion: Motion, choice: RecalledMotion) -> Motion:
-        """Return the motion with the fingers and the face of the recalled pieces."""
+    def _with_passive(self, motion: Motion, choice: RecalledMotion | None) -> Motion:
+        """Return the motion with the fingers and the face of the recalled pieces, if any."""
+        if choice is None:
+            return motion
         library = self.request.library
         curves = [recording.passive for recording in library.recordings]
         columns = library.passive.columns(library.parts)
@@ -192,14 +194,13 @@ class Sampler:
         motion = moved(self.representation, self._decoded(values), self.request.path.positions[0])
         return self._finished(motion, values, keep_path=True)
 
-    def _between_clips(self, pyramid: Pyramid) -> Motion:
+    def _between_clips(self, pyramid: Pyramid, choice: RecalledMotion | None) -> Motion:
         """Generate the motion before, between and after the given clips."""
         clips = self.request.clips
         values = self._cropped(pyramid.random(constraint=self.constraint))
         given = clips.given(self.request.n_frames)
-        return clips.restored(
-            self._finished(clips.placed(values), values, given=given, keep_path=True)
-        )
+        motion = self._finished(clips.placed(values), values, given=given, keep_path=True)
+        return clips.restored(self._with_passive(motion, choice))
 
     def _from_level(self, pyramid: Pyramid) -> Motion:
         """Generate the levels above keyframes, or above a motion to redo (`like`)."""

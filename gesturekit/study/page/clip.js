@@ -3,8 +3,9 @@
 
 const shell = () => JSON.parse(document.getElementById("shell").textContent);
 const motions = new Map();
+const SHARED = "body"; // the script of the mesh that all clips wear, if they wear one
 
-// A page opened from a disk may not fetch files, but may run scripts: see `_motion_file` in build.py.
+// A page opened from a disk may not fetch files, but may run scripts: see `_write_script` in build.py.
 window.gesturekitClip = (id, motion) => motions.set(id, motion);
 
 function loadScript(file) {
@@ -38,10 +39,15 @@ class MotionClip {
 
   async load() {
     if (!motions.has(this.id)) await loadScript(`clips/${this.id}.js`);
+    const motion = motions.get(this.id);
+    if (motion.skin === SHARED) {
+      if (!motions.has(SHARED)) await loadScript(`clips/${SHARED}.js`);
+      motion.skin = motions.get(SHARED);
+    }
     const page = shell()
       .replace("<html ", "<html data-bare ")
       .replaceAll("{{title}}", "")
-      .replace("{{motion}}", () => JSON.stringify(motions.get(this.id)).replaceAll("<", "\\u003c"));
+      .replace("{{motion}}", () => JSON.stringify(motion).replaceAll("<", "\\u003c"));
     motions.delete(this.id);
     this.element.srcdoc = page;
     const root = () => this.element.contentDocument?.documentElement?.dataset ?? {};

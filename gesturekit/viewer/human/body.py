@@ -51,7 +51,9 @@ def is_baked() -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Human:
-    """The body of an average adult, 1.66 m tall, with its arms lowered.
+    """A body with skins, on a rig with our names of bones.
+
+    `load` gives an average adult, 1.66 m tall, with lowered arms; `avatar.vrm` a user's own.
 
     Attributes:
         skeleton: J joints with fingers; joints named "...Twist" follow the rotation of the bone

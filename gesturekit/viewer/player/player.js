@@ -98,7 +98,9 @@ async function main() {
     for (const body of bodies) body.place(pose(body.figure, time, body.points), time);
     stage.setMiddle(middleOf(bodies, time, middle), $("follow").checked);
     strip.draw(time);
-    $("scrub").value = time / duration;
+    // Whole pixels: a slider that moves by less is drawn again for nothing.
+    const place = Math.round((time / duration) * $("scrub").clientWidth) / $("scrub").clientWidth || 0;
+    if (place !== Number($("scrub").value)) $("scrub").value = place;
     const frame = Math.min(Math.floor(time * first.fps + 1e-6), first.n_frames - 1);
     $("time").innerHTML = `${clockText(time)} / ${clockText(duration)}<small>frame ${frame}</small>`;
   }
@@ -205,8 +207,8 @@ async function main() {
     clock.tick(now);
     show(clock.time);
     if (clock.playing !== wasPlaying) showPlaying();
-    stage.setMoving(clock.playing);
-    for (const body of bodies) body.skin?.setCoarse(stage.slow && clock.playing);
+    stage.setMoving(clock.playing, now);
+    for (const body of bodies) body.shape.setCoarse(stage.coarse);
     stage.draw();
     requestAnimationFrame(draw);
   });

@@ -17,7 +17,7 @@ export class Strip {
   }
 
   resize() {
-    const scale = window.devicePixelRatio || 1;
+    const scale = (this.scale = window.devicePixelRatio || 1);
     this.width = this.canvas.clientWidth;
     this.height = this.canvas.clientHeight;
     for (const canvas of [this.canvas, this.picture]) {
@@ -33,6 +33,7 @@ export class Strip {
   }
 
   paint() {
+    this.drawn = null;
     const c = this.picture.getContext("2d");
     const { width, height, page } = this;
     const style = getComputedStyle(document.documentElement);
@@ -158,10 +159,13 @@ export class Strip {
     this.paintTicks(c, figure.beats, bottom - 4, bottom);
   }
 
+  // Draw the playhead, if it moved by a pixel or the picture was painted again.
   draw(time) {
+    const { width, height, scale } = this;
+    const x = Math.round(this.x(time) * scale) / scale;
+    if (x === this.drawn) return;
+    this.drawn = x;
     const c = this.canvas.getContext("2d");
-    const { width, height } = this;
-    const x = this.x(time);
     c.clearRect(0, 0, width, height);
     c.drawImage(this.picture, 0, 0, width, height);
     c.fillStyle = "rgba(47, 111, 159, .09)";

@@ -105,7 +105,9 @@ class SkinnedBody:
         self._figure, self._turns = worn.figure, steady_turns(worn.motion)
         self._rest = worn.scale * skin.rest
         palette = np.array([COLOURS[MIDDLE]])
-        if skin.regions is not None:
+        if skin.palette is not None:
+            palette = skin.palette
+        elif skin.regions is not None:
             palette = np.array(list(palette_of(top).values()))
         regions = np.zeros(len(skin.vertices), int) if skin.regions is None else skin.regions
         self.mesh = Mesh(

@@ -56,7 +56,8 @@ def write_video(
         path: the .mp4 file to write.
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         title: written in the corner of a single motion; the file's stem by default.
-        body: "mannequin" (by default), "human" or "skeleton", see `gesturekit.viewer.worn`.
+        body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
+            `gesturekit.viewer.worn`.
         body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs.
         size: "720p" or "1080p".
         fps: frames per second; by default the fastest motion's, at most 30.

@@ -1,0 +1,207 @@
+"""A user's VRM avatar, worn by motions, and files that claim to be one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from avatars import BONES, HAIR, avatar, avatar_json, packed
+
+import gesturekit.viewer.html as page_module
+from gesturekit.cli import main
+from gesturekit.errors import FormatError
+from gesturekit.motion.body_size import body_height
+from gesturekit.viewer import write_picture, write_video
+from gesturekit.viewer.avatar.simplify import simplified
+from gesturekit.viewer.avatar.vrm import read_avatar
+from gesturekit.viewer.skin import Skin
+from gesturekit.viewer.video.mesh import SkinnedBody
+from gesturekit.viewer.worn import Worn
+
+bundled = pytest.mark.skipif(
+    not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
+)
+LEFT_ARM = {"Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "HandIndex1": "IndexProximal"}
+
+
+@pytest.fixture(params=[0, 1])
+def vrm(tmp_path, request) -> Path:
+    (tmp_path / "me.vrm").write_bytes(avatar(request.param))
+    return tmp_path / "me.vrm"
+
+
+def test_both_versions_of_vrm_look_along_z_with_their_bones_and_colours(vrm):
+    human = read_avatar(vrm)
+    rig, skin = human.skeleton, human.skins[0]
+    for ours, theirs in LEFT_ARM.items():
+        place = skin.rest[rig.index(f"Left{ours}")]
+        np.testing.assert_allclose(place, BONES[f"left{theirs}"][1], atol=1e-5)
+    assert skin.vertices.min(axis=0)[2] > HAIR[2] - 0.04 and skin.vertices[:, 2].max() > 0.1
+    assert rig.end_sites["LeftToeBase"][0][1] == pytest.approx(-0.03, abs=1e-5)
+    # The hair has no bone of ours, and moves with the head.
+    hair = np.linalg.norm(skin.vertices - HAIR, axis=1) < 0.06
+    assert hair.sum() == 8
+    assert set(skin.joints[hair, 0]) == {rig.index("Head")}
+    red, green = (skin.palette[skin.regions[chosen]].mean(axis=0) for chosen in (~hair, hair))
+    np.testing.assert_array_equal(red, [200, 30, 30])
+    np.testing.assert_array_equal(green, [30, 200, 30])
+    assert (skin.weights.sum(axis=1) == 255).all()
+
+
+def test_a_motion_is_put_on_the_avatar(vrm, gesture):
+    motion = gesture(1.0)
+    worn = Worn.of(motion, str(vrm))
+    rig = worn.motion.skeleton
+    assert body_height(rig) == pytest.approx(body_height(motion.skeleton), rel=1e-3)
+    skinned = SkinnedBody(worn, worn.skins[0])
+    moves = skinned.transforms(0.5)[skinned.mesh.parts[:, 0]]
+    moved = np.einsum("vij,vj->vi", moves[..., :3], skinned.mesh.vertices) + moves[..., 3]
+    positions = worn.motion.positions()[15]
+    hand = rig.index("LeftHand")
+    boxes = moved[worn.skins[0].joints[:, 0] == hand]
+    np.testing.assert_allclose(boxes.mean(axis=0), positions[hand], atol=1e-3)
+    arm = positions[hand] - positions[rig.index("LeftArm")]
+    own = motion.positions()[15]
+    source = np.subtract(*(own[motion.skeleton.index(n)] for n in ("LeftHand", "LeftArm")))
+    assert arm @ source > 0.95 * np.linalg.norm(arm) * np.linalg.norm(source)
+    assert abs(moved[:, 1].min() - worn.figure.floor) < 0.1
+
+
+@bundled
+def test_pages_pictures_and_videos_show_the_avatar(tmp_path, vrm, gesture, open_browser, capsys):
+    motion = gesture(0.3)
+    motion.save(tmp_path / "a.bvh")
+    with pytest.raises(SystemExit) as exit_:
+        main(["view", str(tmp_path / "a.bvh"), "--body", str(vrm), "-o", str(tmp_path / "a.html")])
+    assert exit_.value.code == 0, capsys.readouterr()
+    write_picture(motion, tmp_path / "a.png", body=str(vrm))
+    write_video(motion, tmp_path / "a.mp4", body=str(vrm))
+    browser = open_browser()
+    browser.open(f"{(tmp_path / 'a.html').as_uri()}#t=0.1", width=640, height=480)
+    browser.wait("document.documentElement.dataset.state == 'ready'")
+    browser.screenshot(tmp_path / "page.png")
+    import matplotlib.image
+
+    for name in ("page.png", "a.png"):
+        red, green, _ = np.moveaxis(matplotlib.image.imread(tmp_path / name)[..., :3], -1, 0)
+        assert ((red > 0.35) & (red > 2.5 * green)).sum() > 200, name
+    assert browser.lines == []
+
+
+def test_faces_of_transparent_texture_are_left_out(tmp_path):
+    found, data = avatar_json(1)
+    found["materials"][0]["alphaMode"] = "MASK"
+    (tmp_path / "me.vrm").write_bytes(packed(found, data))
+    skin = read_avatar(tmp_path / "me.vrm").skins[0]
+    assert (np.linalg.norm(skin.vertices - HAIR, axis=1) > 0.06).all()
+    np.testing.assert_array_equal(np.unique(skin.palette[skin.regions], axis=0), [[200, 30, 30]])
+
+
+def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path):
+    found, data = avatar_json(1)
+    found["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [0, 0, 1, 1]
+    found["images"][0]["bufferView"] = 0
+    (tmp_path / "me.vrm").write_bytes(packed(found, data))
+    with pytest.warns(UserWarning, match="texture cannot be read"):
+        skin = read_avatar(tmp_path / "me.vrm").skins[0]
+    np.testing.assert_array_equal(skin.palette, [[0, 0, 255]])
+
+
+def changed(*path: Any, value: Any = None, drop: bool = False) -> Callable[[dict], None]:
+    """Return a function that sets, or drops, a value in the JSON of an avatar."""
+
+    def change(found: dict) -> None:
+        place: Any = found
+        for key in path[:-1]:
+            place = place[key]
+        if drop:
+            del place[path[-1]]
+        else:
+            place[path[-1]] = value
+
+    return change
+
+
+BAD = {
+    "no metadata": (changed("extensions", drop=True), "Export it as VRM"),
+    "no head": (
+        changed("extensions", "VRMC_vrm", "humanoid", "humanBones", "head", drop=True),
+        "no bone 'head'",
+    ),
+    "huge count": (changed("accessors", 0, "count", value=10**12), "count of POSITION"),
+    "negative count": (changed("accessors", 0, "count", value=-1), "count of POSITION is -1"),
+    "negative offset": (changed("bufferViews", 0, "byteOffset", value=-4), "byteOffset is -4"),
+    "beyond the file": (changed("bufferViews", 0, "byteLength", value=1 << 40), "byteLength"),
+    "other file": (changed("buffers", 0, "uri", value="http://a.b/c.bin"), "another file"),
+    "two parents": (changed("nodes", 3, "children", value=[1]), "two parents"),
+    "cycle": (changed("nodes", 4, "children", value=[len(BONES) + 1]), "form no tree"),
+    "not a number": (changed("nodes", 2, "translation", value=[0, float("nan"), 0]), "translation"),
+    "far": (changed("nodes", 2, "translation", value=[0, 1e300, 0]), "translation"),
+    "one point": (
+        changed("nodes", len(BONES) + 1, "scale", value=[0, 0, 0]),
+        "form no body|metres tall",
+    ),
+    "few joints": (changed("skins", 0, "joints", value=[0]), "JOINTS_0 is beyond"),
+    "compressed": (
+        changed("extensionsRequired", value=["KHR_draco_mesh_compression"]),
+        "without compression",
+    ),
+    "no mesh": (changed("meshes", 0, "primitives", value=[]), "no mesh"),
+    "no list": (changed("nodes", value={}), "nodes is no list"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_avatars_are_refused_by_name(tmp_path, case):
+    change, message = BAD[case]
+    found, data = avatar_json(1)
+    change(found)
+    (tmp_path / "me.vrm").write_bytes(packed(found, data))
+    with pytest.raises(FormatError, match=message) as error:
+        read_avatar(tmp_path / "me.vrm")
+    assert str(error.value).startswith(f"{tmp_path / 'me.vrm'}: ")
+
+
+@pytest.mark.parametrize("n_bytes", [0, 10, 300, -500])
+def test_files_that_are_cut_short_are_refused(tmp_path, n_bytes):
+    (tmp_path / "me.vrm").write_bytes(avatar(0)[:n_bytes])
+    with pytest.raises(FormatError, match=r"me\.vrm: (cut short|no binary glTF)"):
+        read_avatar(tmp_path / "me.vrm")
+
+
+def test_values_that_are_not_numbers_are_refused(tmp_path):
+    found, data = avatar_json(1)
+    start = found["bufferViews"][0]["byteOffset"]
+    broken = data[:start] + np.float32(np.nan).tobytes() + data[start + 4 :]
+    (tmp_path / "me.vrm").write_bytes(packed(found, broken))
+    with pytest.raises(FormatError, match="POSITION holds numbers that are not finite"):
+        read_avatar(tmp_path / "me.vrm")
+
+
+def test_a_missing_avatar_is_named_on_the_command_line(tmp_path, gesture, capsys):
+    gesture(0.2).save(tmp_path / "a.bvh")
+    with pytest.raises(SystemExit) as exit_:
+        main(["view", str(tmp_path / "a.bvh"), "--body", "who.vrm", "-o", str(tmp_path / "a.png")])
+    assert exit_.value.code == 2
+    assert "who.vrm: no such file" in capsys.readouterr().err
+
+
+def test_dense_meshes_become_smaller_and_keep_their_shape():
+    side = 80
+    x, y = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side))
+    vertices = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).reshape(-1, 1)
+    faces = np.concatenate([corner + [0, 1, side], corner + [1, side + 1, side]])
+    joints = np.zeros((len(vertices), 4), np.uint8)
+    joints[:, 0] = vertices[:, 0] > 0.5
+    weights = np.tile(np.array([255, 0, 0, 0], np.uint8), (len(vertices), 1))
+    skin = Skin(vertices, faces, joints, weights, np.zeros((2, 3)), np.zeros(len(vertices), int))
+    small = simplified(skin, 300, 1.7)
+    assert 100 < len(small.vertices) <= 300
+    a, b, c = (small.vertices[small.faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    assert area == pytest.approx(1, abs=0.2)
+    assert set(small.joints[small.vertices[:, 0] > 0.55, 0]) == {1}
