@@ -116,7 +116,7 @@ def test_render(recordings, tmp_path):
 
 def trained(run: Path) -> dict[str, object]:
     """Model and losses of a run, without times and the name of the run."""
-    weights = {path.name: path.read_bytes() for path in (run / "model").glob("*.safetensors")}
+    weights = {path.name: path.read_bytes() for path in (run / "model").glob("[!.]*.safetensors")}
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     losses = [{k: v for k, v in line.items() if "seconds" not in k} for line in lines]
     names = sorted(path.name for path in run.rglob("*") if path.is_file())
