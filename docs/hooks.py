@@ -90,7 +90,7 @@ def commands_page() -> str:
         "",
     ]
     for verb in VERBS:
-        context = click.Context(cli, info_name="gesturekit")
+        context = click.Context(cli, info_name="gesturekit", **cli.context_settings)
         command = cli.get_command(context, verb)
         inner = click.Context(command, info_name=verb, parent=context, max_content_width=96)
         lines += [f"## {verb}", "", "```text", command.get_help(inner), "```", ""]

@@ -58,6 +58,14 @@ def commands(page: Path) -> list[str]:
     ]
 
 
+# With the group's settings: click keeps the help option that a command was first asked for.
+CONTEXT = click.Context(cli, info_name="gesturekit", **cli.context_settings)
+
+
+def command_of(verb: str) -> click.Command:
+    return cli.get_command(CONTEXT, verb)
+
+
 def script(name: str) -> ModuleType:
     """Return a module of docs/, which is no package."""
     spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
@@ -82,7 +90,7 @@ def check_command(line: str) -> None:
     if arguments[:1] == ["..."] or verb == "VERB":
         return
     assert verb in VERBS, line
-    parameters = cli.get_command(click.Context(cli), verb).make_context(verb, arguments).params
+    parameters = command_of(verb).make_context(verb, arguments, parent=CONTEXT).params
     config = parameters.get("config")
     if verb == "train" and not parameters["resume"] and config.name not in ("my_recipe", "..."):
         file = find_config(ROOT / config if (ROOT / config).is_file() else config)
@@ -102,7 +110,7 @@ def test_verbs_and_options_in_sentences_exist(page):
     for line in re.findall(r"`gesturekit\s+([a-z][^`]*)`", text):
         verb, *words = line.split()
         assert verb in VERBS, line
-        command = cli.get_command(click.Context(cli), verb)
+        command = command_of(verb)
         if isinstance(command, click.Group) and words and words[0] in command.commands:
             command = command.commands[words[0]]
         known = {
@@ -115,8 +123,10 @@ def test_verbs_and_options_in_sentences_exist(page):
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_the_examples_in_the_help_are_valid(verb):
-    command = cli.get_command(click.Context(cli), verb)
-    shown = " ".join(command.get_help(click.Context(command, info_name=verb)).split())
+    command = command_of(verb)
+    shown = " ".join(
+        command.get_help(click.Context(command, info_name=verb, parent=CONTEXT)).split()
+    )
     lines = [line.removeprefix("Example: ") for line in command.epilog.splitlines() if line]
     assert lines and all(" ".join(line.split()) in shown for line in lines), verb
     for line in lines:
