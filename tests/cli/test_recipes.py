@@ -66,7 +66,7 @@ def test_the_list_names_recipes_and_configurations(gesturekit):
     assert {line.split()[0] for line in listed.out.splitlines()} == folders
     one = gesturekit("recipes", "ls", "experts").out
     assert "gesturekit train experts corpus=" in one
-    assert "gesturekit train experts/second corpus=" in one and "moves_like" in one
+    assert "gesturekit train experts/single corpus=" in one and "moves_like" in one
 
 
 def test_a_copy_can_be_edited_and_is_trained_by_its_folder(gesturekit, tmp_path):
