@@ -1,4 +1,4 @@
-"""Smoothing: a low-pass filter on the upper body that keeps gesture beats.
+"""Smoothing: a low-pass filter on hips and upper body that keeps gesture beats.
 
 A plain low-pass filter flattens peaks of speed together with jitter, and these peaks coincide with
 stressed words. Two zero-phase Butterworth filters are therefore blended: one with the requested
@@ -15,9 +15,15 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
-from gesturekit.motion.rotations import normalize_quaternions, rotation_angles
+from gesturekit.motion.rotations import (
+    invert_quaternions,
+    multiply_quaternions,
+    normalize_quaternions,
+    rotation_angles,
+)
 
 _GESTURE = 6.0
 """Hz; higher frequencies are jitter."""
@@ -28,7 +34,10 @@ _AROUND = 0.1
 
 
 def smooth_motion(motion: Motion, seconds: float) -> Motion:
-    """Smooth the upper body except for its beats; legs, feet and root path do not change.
+    """Smooth the hips and the upper body except for its beats; the root path does not change.
+
+    The hips are smoothed too, because trembling hips shake the head most. Legs keep their
+    orientation in the world, so that feet move with the hip joints alone, by millimetres.
 
     Args:
         motion: T frames of any rig; one whose upper body cannot be identified does not change.
@@ -36,7 +45,8 @@ def smooth_motion(motion: Motion, seconds: float) -> Motion:
             1 / (2 seconds) Hz. From 1/12 s down only the 6 Hz filter remains.
 
     Returns:
-        The motion with smoothed rotations of the spine and all joints above it, without delay.
+        The motion with smoothed rotations of the hips, the spine and all joints above it, without
+        delay.
 
     Raises:
         MotionError: seconds is not positive and finite.
@@ -45,13 +55,21 @@ def smooth_motion(motion: Motion, seconds: float) -> Motion:
         raise MotionError(f"smooth {seconds}: expected a positive number of seconds")
     if unidentified(motion.skeleton):
         return motion
-    joints = [motion.skeleton.index(name) for name in upper_body(motion.skeleton)]
+    skeleton = motion.skeleton
+    upper = [skeleton.index(name) for name in upper_body(skeleton)]
+    hips = list(skeleton.ancestors(upper[0]))
+    joints = [*upper, *hips]
     turns = _without_sign_flips(motion.rotations[:, joints])
     gesture = _low_pass(turns, _GESTURE, motion.fps)
     calm = _low_pass(turns, min(0.5 / seconds, _GESTURE), motion.fps)
-    keep = _beats(gesture, motion.fps)[:, None, None]
+    keep = _beats(gesture[:, : len(upper)], motion.fps)[:, None, None]
     rotations = motion.rotations.copy()
     rotations[:, joints] = normalize_quaternions(calm + keep * (gesture - calm))
+    before, after = motion.global_rotations(), global_rotations(rotations, skeleton)
+    for joint, parent in enumerate(skeleton.parents):
+        if parent in hips and joint not in joints:
+            back = invert_quaternions(after[:, parent])
+            rotations[:, joint] = multiply_quaternions(back, before[:, joint])
     return replace(motion, rotations=rotations)
 
 
