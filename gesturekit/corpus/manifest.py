@@ -160,7 +160,8 @@ def _parsed(line: bytes, where: str) -> dict[str, Any]:
     try:
         record = json.loads(line.decode(), object_pairs_hook=unique, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
-        raise CorpusError(f"{where}: not a line of JSON: {error}") from error
+        hint = "; gesturekit prepare writes manifests" if where.endswith(":1") else ""
+        raise CorpusError(f"{where}: not a line of JSON: {error}{hint}") from error
     if not isinstance(record, dict):
         raise CorpusError(f"{where}: expected a JSON object, got {type(record).__name__}")
     return record

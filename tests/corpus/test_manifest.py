@@ -119,7 +119,7 @@ def test_an_id_used_twice_names_both_lines(tmp_path):
         (b"", "empty"),
         (b'{"schema": true}\n', "begins with"),
         (b'{"schema": 1, "x": 2}\n', "got also x"),
-        (b"id,audio\n", "m.jsonl:1: not a line of JSON"),
+        (b"id,audio\n", "m.jsonl:1: not a line of JSON.*gesturekit prepare writes manifests"),
         (b'{"schema": 1}\n[1]\n', "m.jsonl:2: expected a JSON object"),
         (b'{"schema": 1}\n{"id": "\xff"}\n', "m.jsonl:2: not a line of JSON"),
         (b'{"schema": 1}\n{"duration": NaN}\n', "m.jsonl:2: .*NaN"),

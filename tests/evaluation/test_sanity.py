@@ -9,11 +9,12 @@ import pytest
 import soundfile
 
 from audio_features import Wave
+from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.contest.paired import contests
 from gesturekit.evaluation.sanity.bad_motion import BAD_MOTION, Source
 from gesturekit.evaluation.sanity.run import RECORDING, run_sanity
 from gesturekit.evaluation.sanity.table import conclusion, marks, noticed_by, ranking
-from gesturekit.motion import Motion
+from gesturekit.motion import Motion, Skeleton
 
 ALL = set(BAD_MOTION)
 
@@ -92,3 +93,13 @@ def test_bad_motions_are_what_they_are_called(gesture):
     assert made["training recording"].rotations == pytest.approx(training.rotations)
     hips = made["foot slide"].translation - recording.translation
     assert np.abs(hips[:, 0]).max() > 0.1 and not hips[:, 1:].any()
+
+
+def test_recordings_that_cannot_be_used_are_named(tmp_path, gesture):
+    gesture(4.0).save(tmp_path / "broken sound.npz")
+    (tmp_path / "broken sound.wav").write_bytes(b"RIFF")
+    pole = Skeleton(("top", "end"), (-1, 0), np.array([[0, 0, 0], [0, 1, 0]]))
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (100, 2, 1))
+    Motion(pole, still, np.zeros((100, 3)), 25.0).save(tmp_path / "pole.npz")
+    with pytest.raises(EvaluationError, match=r"broken sound: .*broken sound\.wav.*pole: cannot"):
+        run_sanity(tmp_path)

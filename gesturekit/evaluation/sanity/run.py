@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from audio_features import AudioFeaturesError
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.comparison import evaluate
@@ -16,6 +17,7 @@ from gesturekit.evaluation.results import Evaluation
 from gesturekit.evaluation.sanity.bad_motion import BAD_MOTION, Source
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion import Motion
+from gesturekit.motion.parts import find_parts
 
 RECORDING = "recording"
 """Name of the recordings themselves among the models."""
@@ -62,10 +64,10 @@ def run_sanity(recordings: Path, audio: Path | None = None, **options: Any) -> S
     for key, path in motion_files(recordings).items():
         try:
             items.append(_item(key, path, file_of(key, sounds, audio), Motion.load(path)))
-        except GestureKitError as error:
+        except (GestureKitError, AudioFeaturesError) as error:
             result[key] = str(error)
     if not items:
-        reasons = "; ".join(list(result.values())[:2])
+        reasons = "; ".join(f"{key}: {reason}" for key, reason in list(result.items())[:2])
         raise EvaluationError(f"{recordings}: no recording can be used: {reasons}")
     held_out, training = _split(items)
     with tempfile.TemporaryDirectory(prefix="gesturekit_sanity_") as folder:
@@ -91,9 +93,12 @@ def _item(key: str, path: Path, sound: Path | None, motion: Motion) -> Item:
 
     Raises:
         EvaluationError: it is too short.
+        MotionError: arms and legs, which most bad motion needs, cannot be identified.
+        AudioError: the sound cannot be read.
     """
     from audio_features import Wave
 
+    find_parts(motion.skeleton)
     seconds = min(LONGEST, motion.duration)
     if sound is not None:
         seconds = min(seconds, Wave.load(sound).duration)
