@@ -48,6 +48,12 @@ class Words:
         return "Words()"
 
 
+def takes_words(extractor: Any) -> bool:
+    """Return whether an extractor, or one of a stack, reads the words of a recording."""
+    parts = getattr(extractor, "parts", (extractor,))
+    return any(part.spec["kind"] == "words" for part in parts)
+
+
 def words_of(wave: Wave) -> list[Word]:
     """Return the words of a recording, in seconds from the first sample of the wave.
 

@@ -86,11 +86,13 @@ class Inputs:
 
     Attributes:
         speech: whether it was trained with speech (or music) features.
+        words: whether these features include the words beside a recording.
         path: whether it was trained with the path of the root.
         events: names of the events that it was trained with.
     """
 
     speech: bool = False
+    words: bool = False
     path: bool = False
     events: tuple[str, ...] = ()
 

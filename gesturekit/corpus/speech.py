@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 import audio_features as af
+from audio_features.word_features import takes_words
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 
@@ -136,6 +137,11 @@ class SpeechConditioner:
             return self.extractor.dim
         wide, count = self.components.shape
         return self.extractor.dim - wide + count
+
+    @property
+    def takes_words(self) -> bool:
+        """Whether the features include the words beside a recording."""
+        return takes_words(self.extractor)
 
     @property
     def effort(self) -> tuple[int, ...]:

@@ -52,8 +52,13 @@ class TrainedModel(BaseModel):
     def inputs(self) -> Inputs:
         """Inputs besides style and speaker."""
         conditions = self.conditions
-        has_speech = conditions.conditioner is not None
-        return Inputs(speech=has_speech, path=conditions.path, events=conditions.events)
+        speech = conditions.conditioner
+        return Inputs(
+            speech=speech is not None,
+            words=speech is not None and speech.takes_words,
+            path=conditions.path,
+            events=conditions.events,
+        )
 
     @property
     def device(self) -> torch.device:

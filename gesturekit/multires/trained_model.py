@@ -89,4 +89,5 @@ class TrainedModel(BaseModel):
     @property
     def inputs(self) -> Inputs:
         """Inputs besides style and speaker."""
-        return Inputs(speech=self.conditions.conditioner is not None)
+        speech = self.conditions.conditioner
+        return Inputs(speech=speech is not None, words=speech is not None and speech.takes_words)

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import audio_features as af
+from audio_features.words import words_beside
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.rig import Rig
-from gesturekit.jobs.record import described
+from gesturekit.jobs.record import described, path_digest
 from gesturekit.jobs.work import Made, Processor, Work
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
@@ -156,6 +157,10 @@ class Renderer(Processor):
         for name, value in {"seconds": self.seconds, "channel": self.channel}.items():
             if value is not None:
                 found[name] = value
+        if task.audio is not None and any(model.inputs.words for model in self._models):
+            given = None if task.item is None else task.item.conditions.get("words")
+            words = given or words_beside(task.audio)
+            found["words"] = words and path_digest(Path(words))
         if task.item is not None:
             item = task.item
             found |= {"start": item.audio_start, "duration": item.duration}
@@ -221,8 +226,11 @@ class Renderer(Processor):
 
     def _takes_speech(self) -> bool:
         """Return whether the model or one of its experts has speech input."""
-        models = [self.model, *(expert[0] for expert in self.controls.get("experts", ()))]
-        return any(model.inputs.speech for model in models)
+        return any(model.inputs.speech for model in self._models)
+
+    @property
+    def _models(self) -> list[Model]:
+        return [self.model, *(expert[0] for expert in self.controls.get("experts", ()))]
 
     def _write(self, motion: Motion, file: Path, sound: Path | af.Wave | None) -> None:
         options = dict(self.written[file.suffix[1:]])

@@ -106,6 +106,8 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     assert loaded.conditions.conditioner.extractor.dim == 32 + 16
     again, first = loaded.generate(speech, seed=0), Motion.load(tmp_path / "out" / "speech.bvh")
     np.testing.assert_allclose(again.positions(), first.positions(), atol=1e-4)
+    (tmp_path / "speech.tsv").write_text("0.2\t0.4\tno\n", encoding="utf-8")
+    assert "other words" in gesturekit(*render, *named).err
 
 
 def test_features_and_doctor_take_the_folder(gesturekit, hubert, write_speech, tmp_path):
