@@ -140,7 +140,7 @@ class SpeechConditioner:
 
     @property
     def takes_words(self) -> bool:
-        """Whether the features include the words beside a recording."""
+        """True if the features include the words beside a recording."""
         return takes_words(self.extractor)
 
     @property
