@@ -1,4 +1,4 @@
-"""What the player draws on a software renderer, seen in a headless browser."""
+"""Drawings of the player on a software renderer, seen in a headless browser."""
 
 from __future__ import annotations
 
