@@ -206,6 +206,15 @@ def plan(folder: Path) -> list[bytes]:
     return [b"".join(json.dumps(row).encode() + b"\n" for row in rows)]
 
 
+def plan_of_motions(folder: Path) -> list[bytes]:
+    """The lines of a plan of conversions, without its header."""
+    rows = [
+        {"shard": shard, "id": name, "path": f"/x/{name}.bvh", "duration": seconds, "more": {}}
+        for shard, name, seconds in ((1, "a", 1.5), (1, "b", 1.0), (2, "c", 1.0))
+    ]
+    return [b"".join(json.dumps(row).encode() + b"\n" for row in rows)]
+
+
 def avatars(folder: Path) -> list[bytes]:
     return [avatar(version) for version in (0, 1)]
 

@@ -100,9 +100,13 @@ def lease(folder: Path, file: Path) -> None:
 
 
 def plan(folder: Path, file: Path) -> None:
-    found = Plan.open(file)
-    for item in found.items():
+    for item in Plan.open(file).items():
         Task.from_plan(item)
+    status_of(folder)
+
+
+def plan_of_motions(folder: Path, file: Path) -> None:
+    for item in Plan.open(file).items():
         MotionTask.from_plan(item)
     status_of(folder)
 
@@ -301,6 +305,12 @@ TARGETS = {
         ),
         Target(
             *("plan", f"{STATE}/{PLAN}", seeds.plan, plan, mutators.JSON, write_plan),
+            wrap=with_header,
+            says="FOLDER|^plan: item '",
+        ),
+        Target(
+            *("plan_of_motions", f"{STATE}/{PLAN}", seeds.plan_of_motions, plan_of_motions),
+            *(mutators.JSON, write_plan),
             wrap=with_header,
             says="FOLDER|^plan: item '",
         ),
