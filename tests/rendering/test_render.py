@@ -92,10 +92,10 @@ def test_feet_are_locked_unless_told_and_never_for_the_papers_protocol(tmp_path)
 def test_smoothing_leaves_the_legs(model, sounds, tmp_path):
     (outcome,) = render(model, sounds[:1], tmp_path, output=Output(formats=("npz",)), smooth=0.3)
     smooth, plain = Motion.load(outcome.files[0]), model.generate(sounds[0])
-    same = (smooth.rotations == plain.rotations).all(axis=(0, 2))
+    moved = np.linalg.norm(smooth.positions() - plain.positions(), axis=-1).max(axis=0)
     legs = [name for name in plain.skeleton.names if name.endswith(("Leg", "Foot"))]
-    assert legs and all(same[plain.skeleton.index(name)] for name in legs)
-    assert not same[plain.skeleton.index("LeftArm")]
+    assert legs and all(moved[plain.skeleton.index(name)] < 5e-4 for name in legs)
+    assert moved[plain.skeleton.index("LeftHand")] > 1e-3
 
 
 def test_smoothing_defaults_to_the_models_setting(model, sounds, tmp_path):
