@@ -272,23 +272,30 @@ ENCODERS = {
 }
 
 
+def save_encoder(folder: Path, stem: str, head: str, settings: dict[str, Any]) -> Any:
+    """Save a tiny encoder of random weights in which every tensor counts, and return it."""
+    import torch
+    import transformers
+
+    config = getattr(transformers, f"{stem}Config")(**settings)
+    model = getattr(transformers, f"{stem}{head}")(config).eval()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    model.save_pretrained(folder)
+    return model
+
+
 @pytest.fixture(scope="session")
 def write_encoder() -> Callable[..., Any]:
     """write_encoder(folder, name, seed=0): a tiny speech encoder of random weights in which every
     tensor counts, as Hugging Face saves it. Returns transformers' model."""
     import torch
-    import transformers
 
     def write(folder: Path, name: str, seed: int = 0) -> Any:
         stem, head, settings = ENCODERS[name]
         torch.manual_seed(seed)
-        config = getattr(transformers, f"{stem}Config")(**settings)
-        model = getattr(transformers, f"{stem}{head}")(config).eval()
-        with torch.no_grad():
-            for parameter in model.parameters():
-                parameter.add_(0.1 * torch.randn_like(parameter))
-        model.save_pretrained(folder)
-        return model
+        return save_encoder(folder, stem, head, settings)
 
     return write
 
@@ -327,12 +334,7 @@ def write_text_encoder() -> Callable[..., Any]:
             sizes = {"vocab_size": 9, "dim": 16, "n_layers": 2, "n_heads": 2, "hidden_dim": 24}
         if name == "electra":
             sizes["embedding_size"] = 8
-        config = getattr(transformers, f"{_STEMS[name]}Config")(**sizes)
-        model = getattr(transformers, f"{_STEMS[name]}{head}")(config).eval()
-        with torch.no_grad():
-            for parameter in model.parameters():
-                parameter.add_(0.1 * torch.randn_like(parameter))
-        model.save_pretrained(folder)
+        model = save_encoder(folder, _STEMS[name], head, sizes)
         (folder / "vocab.txt").write_text("\n".join(_VOCABULARY), encoding="utf-8")
         transformers.BertTokenizerFast(str(folder / "vocab.txt")).save_pretrained(folder)
         return model

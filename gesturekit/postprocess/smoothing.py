@@ -8,6 +8,7 @@ peak of the summed angular speed, the first elsewhere.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,6 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import (
@@ -24,6 +24,7 @@ from gesturekit.motion.rotations import (
     normalize_quaternions,
     rotation_angles,
 )
+from gesturekit.motion.skeleton import Skeleton
 
 _GESTURE = 6.0
 """Hz; higher frequencies are jitter."""
@@ -65,12 +66,23 @@ def smooth_motion(motion: Motion, seconds: float) -> Motion:
     keep = _beats(gesture[:, : len(upper)], motion.fps)[:, None, None]
     rotations = motion.rotations.copy()
     rotations[:, joints] = normalize_quaternions(calm + keep * (gesture - calm))
-    before, after = motion.global_rotations(), global_rotations(rotations, skeleton)
+    before, after = (_world_of(hips, own, skeleton) for own in (motion.rotations, rotations))
     for joint, parent in enumerate(skeleton.parents):
         if parent in hips and joint not in joints:
-            back = invert_quaternions(after[:, parent])
-            rotations[:, joint] = multiply_quaternions(back, before[:, joint])
+            world = multiply_quaternions(before[parent], rotations[:, joint])
+            rotations[:, joint] = multiply_quaternions(invert_quaternions(after[parent]), world)
     return replace(motion, rotations=rotations)
+
+
+def _world_of(
+    ancestors: Sequence[int], rotations: np.ndarray, skeleton: Skeleton
+) -> dict[int, np.ndarray]:
+    """Return the world rotations (T, 4) of a joint's ancestors, the nearest first, by joint."""
+    world: dict[int, np.ndarray] = {}
+    for joint in reversed(ancestors):
+        own, parent = rotations[:, joint], skeleton.parents[joint]
+        world[joint] = own if parent < 0 else multiply_quaternions(world[parent], own)
+    return world
 
 
 def _beats(turns: np.ndarray, fps: float) -> np.ndarray:

@@ -64,7 +64,6 @@ class FeatureExtraction(Processor):
     def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
         """Return the digests of the sound and of its words, and which part of it is used."""
         from audio_features.word_features import takes_words
-        from audio_features.words import words_beside
 
         found = super().input_of(task, digest)
         if self.channel is not None:
@@ -72,8 +71,7 @@ class FeatureExtraction(Processor):
         used = {name: task.options.get(name) for name in ("start", "seconds", "channel")}
         found |= {name: value for name, value in used.items() if value is not None}
         if task.audio is not None and takes_words(self.extractor):
-            words = words_beside(task.audio)
-            found["words"] = words and path_digest(words)
+            found["words"] = task.words and path_digest(task.words)
         return found
 
     def make(self, work: Work, made: Made) -> None:

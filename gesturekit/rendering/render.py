@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import audio_features as af
-from audio_features.words import words_beside
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.conversion import writer_options
@@ -158,9 +157,7 @@ class Renderer(Processor):
             if value is not None:
                 found[name] = value
         if task.audio is not None and any(model.inputs.words for model in self._models):
-            given = None if task.item is None else task.item.conditions.get("words")
-            words = given or words_beside(task.audio)
-            found["words"] = words and path_digest(Path(words))
+            found["words"] = task.words and path_digest(task.words)
         if task.item is not None:
             item = task.item
             found |= {"start": item.audio_start, "duration": item.duration}

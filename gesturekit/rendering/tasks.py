@@ -13,6 +13,7 @@ import soundfile
 
 import audio_features as af
 from audio_features.wave import SAMPLE_RATES
+from audio_features.words import words_beside
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.formats.sources import (
@@ -101,6 +102,14 @@ class Task:
     def path(self) -> Path | None:
         """The sound file."""
         return self.audio
+
+    @property
+    def words(self) -> Path | None:
+        """The word list of the item, or beside the sound."""
+        given = None if self.item is None else self.item.conditions.get("words")
+        if given is not None:
+            return Path(given)
+        return None if self.audio is None else words_beside(self.audio)
 
     @classmethod
     def from_plan(cls, planned: PlanItem) -> Task:
