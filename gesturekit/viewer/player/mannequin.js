@@ -1,11 +1,9 @@
 // Limbs and head of a figure as one mesh: each vertex moves with one bone, so that a body of any
 // number of joints is one draw call. What is drawn where is decided in gesturekit/viewer/figure.py.
 
-import {
-  Bone, BufferAttribute, Color, Group, LatheGeometry, Matrix4, Skeleton, SkinnedMesh,
-  SphereGeometry, Vector2, Vector3,
-} from "three";
+import { BufferAttribute, Color, LatheGeometry, Matrix4, SphereGeometry, Vector2, Vector3 } from "three";
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
+import { Skinned } from "./skinned.js";
 
 // Steps along the arc at each end and around a limb that is thick or thin; around and along a ball.
 // A coarse limb begins a little thinner, so that the end of the one before it covers its corners.
@@ -72,33 +70,14 @@ function whole({ limbs, head }, sides, height, detail) {
   return mergeGeometries(parts);
 }
 
-export class Mannequin extends Group {
+export class Mannequin extends Skinned {
   // Of a figure on a page of this height, metres; `sides` are the colours of its middle, left, right.
   constructor(figure, material, sides, height) {
     super();
     this.figure = figure;
-    this.bones = Array.from({ length: figure.limbs.length + (figure.head ? 1 : 0) }, () => {
-      const bone = new Bone();
-      bone.matrixAutoUpdate = false;
-      return bone;
-    });
-    if (!this.bones.length) return;
-    const skeleton = new Skeleton(this.bones, this.bones.map(() => new Matrix4()));
-    Object.assign(material, { vertexColors: true, color: new Color("white") });
-    this.levels = [FINE, COARSE].map((detail) => {
-      const mesh = new SkinnedMesh(whole(figure, sides, height, detail), material);
-      mesh.castShadow = mesh.receiveShadow = true;
-      mesh.frustumCulled = false;
-      mesh.bind(skeleton, new Matrix4());
-      return mesh;
-    });
-    this.add(...this.levels, ...this.bones);
-    this.setCoarse(false);
-  }
-
-  // Draw few vertices, or all.
-  setCoarse(coarse) {
-    this.levels?.forEach((mesh, k) => { mesh.visible = (k === 1) === coarse; });
+    const count = figure.limbs.length + (figure.head ? 1 : 0);
+    const shapes = count ? [FINE, COARSE].map((detail) => whole(figure, sides, height, detail)) : [];
+    this.bind(shapes, material, Array.from({ length: count }, () => new Matrix4()), count > 0);
   }
 
   // Points as data.js' `pose` fills them.

@@ -1,10 +1,8 @@
 // A body's skin, moved by the joints of its figure: linear blend skinning, done by three.js.
 
-import {
-  Bone, BufferAttribute, BufferGeometry, Color, Group, Matrix4, Quaternion, Skeleton, SkinnedMesh,
-  Vector3,
-} from "three";
+import { BufferAttribute, BufferGeometry, Color, Matrix4, Quaternion, Vector3 } from "three";
 import { turns } from "./data.js";
+import { Skinned } from "./skinned.js";
 
 const ONE = new Vector3(1, 1, 1);
 const PLACE = new Vector3();
@@ -27,37 +25,17 @@ function geometry({ vertices, faces, joints, weights, regions }, palette) {
   return shape;
 }
 
-export class Skin extends Group {
+export class Skin extends Skinned {
   constructor(figure, material) {
     super();
     const { levels, palette, rest } = figure.skin;
     const inverses = [];
-    this.bones = [];
     for (let j = 0; j < rest.length / 3; j++) {
-      const bone = new Bone();
-      bone.matrixAutoUpdate = false;
-      this.bones.push(bone);
       inverses.push(new Matrix4().makeTranslation(-rest[3 * j], -rest[3 * j + 1], -rest[3 * j + 2]));
     }
     this.figure = figure;
-    this.turns = new Float32Array(4 * this.bones.length);
-    const skeleton = new Skeleton(this.bones, inverses);
-    if (palette) Object.assign(material, { vertexColors: true, color: new Color("white") });
-    this.levels = levels.map((level) => {
-      const mesh = new SkinnedMesh(geometry(level, palette), material);
-      mesh.castShadow = mesh.receiveShadow = true;
-      mesh.frustumCulled = false;
-      mesh.bind(skeleton, new Matrix4());
-      return mesh;
-    });
-    this.add(...this.levels, ...this.bones);
-    this.setCoarse(false);
-  }
-
-  // Draw few vertices, or all.
-  setCoarse(coarse) {
-    const shown = coarse ? this.levels.length - 1 : 0;
-    this.levels.forEach((mesh, k) => { mesh.visible = k === shown; });
+    this.turns = new Float32Array(4 * inverses.length);
+    this.bind(levels.map((level) => geometry(level, palette)), material, inverses, Boolean(palette));
   }
 
   // Each joint carries its frame to the world; the figure's first points are its joints.
