@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from gesturekit.cli.engines import engine_options
-from gesturekit.cli.options import resumable
+from gesturekit.cli.options import resumable, workers_option
 
 if TYPE_CHECKING:
     from gesturekit.jobs.batch import Batch, Execution
@@ -21,13 +21,7 @@ GROUPS = {
 """Groups of the options of `batch_options` in the help."""
 
 _OPTIONS = (
-    click.option(
-        "--workers",
-        type=click.IntRange(1, 1024),
-        default=1,
-        show_default=True,
-        help="Number of processes. The results are the same for any number.",
-    ),
+    workers_option,
     click.option(
         "--shard",
         metavar="K/N",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import weights_option
+from gesturekit.cli.options import weights_option, workers_option
 
 
 @click.command(
@@ -38,7 +38,7 @@ from gesturekit.cli.options import weights_option
 )
 @click.option("--seed", default=0, show_default=True, help="Random seed.")
 @weights_option
-@click.option("--workers", type=click.IntRange(1, 1024), default=1, show_default=True)
+@workers_option
 def command(
     action: str,
     folder: Path,

@@ -95,6 +95,14 @@ weights_option = click.option(
     "each by its kind, wavlm, hf or words: --weights wavlm=PATH --weights words=PATH.",
 )
 
+workers_option = click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    default=1,
+    show_default=True,
+    help="Number of processes. The results are the same for any number.",
+)
+
 size_option = click.option(
     "--size", type=click.Choice(["720p", "1080p"]), help="Size of mp4 videos.  [default: 720p]"
 )

@@ -14,6 +14,7 @@ from gesturekit.cli.options import (
     part_option,
     read_from,
     recording_options,
+    workers_option,
 )
 
 
@@ -93,13 +94,7 @@ from gesturekit.cli.options import (
     show_default=True,
     help="Largest difference in length of sound and motion, seconds; the longer one is trimmed.",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    default=1,
-    show_default=True,
-    help="Number of processes. The manifest is the same for any number.",
-)
+@workers_option
 @channel_option
 @recording_options
 @part_option
