@@ -300,6 +300,13 @@ def test_predictions_are_trusted_as_far_as_they_were_right(r, share):
     np.testing.assert_allclose(trusted, 1.0 + share * np.array([-1.0, 0.0, 1.0, 2.0]))
 
 
+def test_predictions_get_the_recorded_spread_and_stay_in_its_range():
+    predicted, recorded = np.linspace(-1.0, 1.0, 50), np.linspace(-1.0, 5.0, 50)
+    line = Regression(np.zeros(1), np.ones(1), 0.0, predicted, recorded, 0.9)
+    scaled = line.scaled(np.array([-9.0, -0.5, 0.0, 0.5, 9.0]))
+    np.testing.assert_allclose(scaled, [-1.0, 0.5, 2.0, 3.5, 5.0])
+
+
 def test_an_unusual_voice_is_centred_and_a_usual_one_left_alone():
     voices = np.array([[-1.0], [0.0], [1.0]])
 

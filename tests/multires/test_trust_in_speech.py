@@ -73,5 +73,5 @@ def test_a_prediction_counts_as_far_as_it_was_right():
     values = np.linspace(-1.0, 1.0, 5)
     for r, share in ((0.9, 1.0), (0.3, 1.0), (0.15, 0.5), (-0.2, 0.0)):
         doubted = type(fast)(**{**vars(fast), "r": r})
-        np.testing.assert_array_equal(doubted.mapped(values), share * fast.mapped(values))
+        np.testing.assert_array_equal(doubted.scaled(values), share * fast.scaled(values))
         assert doubted.trust == pytest.approx(share)

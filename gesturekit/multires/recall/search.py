@@ -34,8 +34,8 @@ class ChoiceWeights:
     """
 
     movement: float = 6.0
-    slow: float = 2.0
-    continuity: float = 2.0
+    slow: float = 1.0
+    continuity: float = 3.0
     used: float = 0.25
     chance: float = 0.5
 

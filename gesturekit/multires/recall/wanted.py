@@ -2,8 +2,8 @@
 
 Movement is the logarithm of the hand speed. Its slow part (calm or lively) is predicted from vocal
 effort, its fast part (when the hands move) from the speech features around each frame, both by
-ridge regression. Predictions vary less than the recordings, so they are mapped to the recorded
-distribution, quantile by quantile.
+ridge regression. Predictions vary less than the recordings. So the fast part is scaled to the
+recorded spread, and the sum of both is mapped to the recorded distribution, quantile by quantile.
 
 Predictions of left-out recordings tell how far speech is trusted: a few features are used in the
 place of many that predict hardly better, since few hold for unknown voices, and no prediction
@@ -105,20 +105,16 @@ class Regression:
         """Share from 0 to 1 of the predictions' variation that counts."""
         return float(np.clip(self.r / _CREDIBLE, 0.0, 1.0))
 
-    def mapped(self, predictions: np.ndarray) -> np.ndarray:
-        """Map predictions (T,) to the recorded distribution, as far as they are trusted."""
-        return self.trust * _mapped(predictions, self.predicted, self.recorded)
+    def scaled(self, predictions: np.ndarray) -> np.ndarray:
+        """Scale predictions (T,) to the recorded spread, as far as they are trusted."""
+        factor = self.recorded.std() / max(self.predicted.std(), 1e-9)
+        values = self.recorded.mean() + factor * (predictions - self.predicted.mean())
+        return self.trust * np.clip(values, self.recorded[0], self.recorded[-1])
 
     def trusted(self, predictions: np.ndarray) -> np.ndarray:
         """Draw predictions (T,) towards their mean, as far as left-out ones were wrong."""
         within = np.clip(predictions, self.recorded[0], self.recorded[-1])
         return self.offset + self.trust * (within - self.offset)
-
-
-def _mapped(values: np.ndarray, own: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Map values by the quantiles `own` and `goal` (Q,) of two distributions."""
-    # Quantiles of a constant prediction do not increase.
-    return np.interp(values, own + 1e-9 * np.arange(len(own)), goal)
 
 
 def _ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -234,7 +230,7 @@ class WantedMovement:
                 np.quantile(efforts, 0.98, axis=1),
             ]
         )
-        left_out = of_fast.mapped(of_fast.left_out) + of_slow.trusted(of_slow.left_out)
+        left_out = of_fast.scaled(of_fast.left_out) + of_slow.trusted(of_slow.left_out)
         return cls(
             fps,
             effort,
@@ -259,8 +255,9 @@ class WantedMovement:
         n_frames = speech.shape[1]
         parts = [slice(i, i + _FRAMES_AT_ONCE) for i in range(0, n_frames, _FRAMES_AT_ONCE)]
         fast = np.concatenate([self.fast(_flat(inputs[part])) for part in parts])
-        fast = self.fast.mapped(fast)
-        movement = _mapped(fast + slow, self.predicted, self.recorded)
+        # Quantiles of a constant prediction do not increase.
+        predicted = self.predicted + 1e-9 * np.arange(len(self.predicted))
+        movement = np.interp(self.fast.scaled(fast) + slow, predicted, self.recorded)
         return np.stack([movement, slow_part(movement, self.fps)])
 
 
