@@ -36,10 +36,10 @@ def steps(run) -> list[int]:
 
 @pytest.fixture
 def config_file(make_config, tmp_path):
-    """200 iterations over two pairs of levels, a checkpoint every 50."""
+    """120 iterations over two pairs of levels, a checkpoint every 30."""
     config = make_config(
-        training={"first_stage": 100, "further_stages": 100, "renew_every": 30, "window": 2.0},
-        checkpoint_every=50,
+        training={"first_stage": 60, "further_stages": 60, "renew_every": 20, "window": 2.0},
+        checkpoint_every=30,
         log_every=2,
     )
     path = tmp_path / "config.yaml"
@@ -51,20 +51,20 @@ def test_killed_between_checkpoints_and_resumed_bitwise(config_file, tmp_path):
     whole = start(config_file, f"out={tmp_path / 'whole'}")
     killed = start(config_file, f"out={tmp_path / 'killed'}")
     deadline = time.monotonic() + 240
-    while not any(120 <= step <= 180 for step in steps(tmp_path / "killed")):
+    while not any(72 <= step <= 108 for step in steps(tmp_path / "killed")):
         assert killed.poll() is None and time.monotonic() < deadline, killed.communicate()[0]
         time.sleep(0.02)
     killed.send_signal(signal.SIGKILL)
     killed.wait()
     reached = steps(tmp_path / "killed")[-1]
-    assert 120 <= reached < 200
+    assert 72 <= reached < 120
     assert whole.wait(timeout=240) == 0, whole.communicate()[0]
 
     resumed = start(config_file, f"out={tmp_path / 'killed'}", "--resume")
     output, _ = resumed.communicate(timeout=240)
     assert resumed.returncode == 0, output
-    after = 50 * (reached // 50)
-    assert f"Resuming after step {after}." in output and reached - after < 100
+    after = 30 * (reached // 30)
+    assert f"Resuming after step {after}." in output
     one, other = (
         load_file(tmp_path / run / "model" / "model.safetensors") for run in ("whole", "killed")
     )
@@ -80,11 +80,12 @@ def test_killed_between_checkpoints_and_resumed_bitwise(config_file, tmp_path):
 
 def test_a_damaged_checkpoint_falls_back_on_the_one_before(config_file, tmp_path):
     run = tmp_path / "run"
-    process = start(config_file)
+    short = ("training.first_stage=10", "training.further_stages=10", "checkpoint_every=5")
+    process = start(config_file, *short)
     assert process.wait(timeout=240) == 0, process.communicate()[0]
     last = sorted((run / "checkpoints").iterdir())[-1]
     last.write_bytes(last.read_bytes()[:1000])
-    resumed = start(config_file, "--resume")
+    resumed = start(config_file, *short, "--resume")
     output, _ = resumed.communicate(timeout=240)
     assert resumed.returncode == 0, output
-    assert "cannot be read" in output and "Resuming after step 150." in output
+    assert "cannot be read" in output and "Resuming after step 15." in output
