@@ -95,7 +95,7 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
         ("speech features", _speech_features(facts["features"].get("spec"))),
     ]
     if facts["components"]:
-        rows.append(("reduced features", reduction(*facts["components"])))
+        rows.append(("reduced features", reduction(facts["components"])))
     rows += [
         ("network", _settings(facts["network"])),
         ("parameters", f"{facts['parameters']:,}"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -142,9 +142,9 @@ def rates(fps: float, recorded_fps: float) -> str:
     return f"{fps:g} fps" + ("" if recorded_fps == fps else f", resampled to {recorded_fps:g} fps")
 
 
-def reduction(n_features: int, n_components: int) -> str:
-    """Return a description of speech features reduced to principal components."""
-    return f"{n_features} features reduced to {counted(n_components, 'component')}"
+def reduction(shape: Sequence[int]) -> str:
+    """Return a description of the projection (W, N) of W speech features to N components."""
+    return f"{shape[0]} features reduced to {counted(shape[-1], 'component')}"
 
 
 def model_readme(rows: Mapping[str, str], call: str) -> str:

@@ -72,7 +72,7 @@ class BaseModel:
             return {}
         rows = {"Speech features": json.dumps(conditioner.extractor.spec)}
         if conditioner.components is not None:
-            rows["Reduced features"] = reduction(*conditioner.components.shape)
+            rows["Reduced features"] = reduction(conditioner.components.shape)
         return rows
 
 
