@@ -22,11 +22,13 @@ def sanity(
         options: the other options of `gesturekit evaluate`.
 
     Raises:
-        UsageError: more is named than the recordings.
+        UsageError: more is named than the recordings, or --body.
     """
     recordings, *surplus = filter(None, names)
     if surplus or options["corpus"] is not None:
         raise click.UsageError("--sanity takes a folder of recordings alone, and --audio")
+    if options["body"] is not None:
+        raise click.UsageError("--sanity draws no bodies; leave out --body")
     from gesturekit.evaluation import PatchOptions, write_report
     from gesturekit.evaluation.report.headline import headline_lines
     from gesturekit.evaluation.sanity.run import run_sanity

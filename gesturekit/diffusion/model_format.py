@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -51,8 +50,8 @@ def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
         "Motion": model.motion_row(),
     }
     call = []
-    if conditions.conditioner is not None:
-        rows["Speech features"] = json.dumps(conditions.conditioner.extractor.spec)
+    if speech := model.speech_rows():
+        rows |= speech
         call.append('"speech.wav"')
     if conditions.path:
         rows["Path"] = "the root follows a given path"

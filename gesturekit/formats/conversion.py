@@ -20,7 +20,7 @@ from gesturekit.wording import counted
 # Options of each format's reader and writer.
 _SEQUENCE = {"up", "fps", "person", "body_model"}
 _READS = {
-    ".bvh": {"unit", "up", "forward"},
+    ".bvh": {"unit", "up", "forward", "fps"},
     ".npz": {"up", "body_model"},
     ".json": _SEQUENCE,
     "EasyMocap": _SEQUENCE,

@@ -14,11 +14,11 @@ from gesturekit.errors import ConfigError, GestureKitError, ModelError
 from gesturekit.inspection.summary import Summary, size
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
-from gesturekit.training.model_folder import rates
+from gesturekit.training.model_folder import rates, reduction
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
-_SHOWN_ABOVE = {"Kind", "Motion", "Hears", "Speech features", "Styles"}
+_SHOWN_ABOVE = {"Kind", "Motion", "Hears", "Speech features", "Reduced features", "Styles"}
 _OF_CONFORMERS = {
     "layers",
     "heads",
@@ -66,6 +66,7 @@ def inspect_model(folder: Path) -> Summary:
         "joints": joints,
         "skeleton": list(skeleton.names),
         "features": features,
+        "components": shapes.get("features.components"),
         "styles": [str(name) for name in config.get("styles") or ()],
         "network": _used(config.get("network", {})),
         "parameters": sum(math.prod(shape) for shape in weights.values()),
@@ -92,6 +93,10 @@ def _rows(facts: dict[str, Any], skeleton: Skeleton) -> list[tuple[str, str]]:
             + (f"; not {listed(still, 4)}" if still else ""),
         ),
         ("speech features", _speech_features(facts["features"].get("spec"))),
+    ]
+    if facts["components"]:
+        rows.append(("reduced features", reduction(facts["components"])))
+    rows += [
         ("network", _settings(facts["network"])),
         ("parameters", f"{facts['parameters']:,}"),
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gesturekit.atomic import remove_unfinished
 from gesturekit.errors import ConfigError, GestureKitError, OutputError
 from gesturekit.jobs.journal import ATTEMPTS, Entry, History, Journal, journal_files
 from gesturekit.jobs.lease import Lease, live_leases, locked
@@ -341,8 +341,7 @@ class _Shard:
 
     def _remove_temporary(self, work: Work) -> None:
         for file in self._batch.processor.targets(work.task):
-            for left in file.parent.glob(f".{glob.escape(file.stem)}-????????{file.suffix}"):
-                left.unlink(missing_ok=True)
+            remove_unfinished(file)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -115,9 +114,8 @@ def readme(model: TrainedModel, notes: Mapping[str, str]) -> str:
         "Motion": model.motion_row(),
     }
     call = "seconds=10"
-    conditioner = model.conditions.conditioner
-    if conditioner is not None:
-        lines["Speech features"] = json.dumps(conditioner.extractor.spec)
+    if speech := model.speech_rows():
+        lines |= speech
         call = '"speech.wav"'
     if model.library is not None:
         lines["Recalled motion"] = library_row(model.library)

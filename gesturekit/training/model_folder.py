@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,11 +14,12 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.atomic import atomic_write
+from gesturekit.atomic import atomic_write, remove_unfinished
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion.parts import unidentified
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.renamed_keys import with_new_keys
+from gesturekit.wording import counted
 
 FORMAT = 1
 
@@ -55,7 +56,7 @@ def save_model(
     tensors: Mapping[str, Tensor],
     readme: str,
 ) -> None:
-    """Write a model folder.
+    """Write a model folder, and remove what a killed process left of writing it.
 
     Args:
         folder: created if missing.
@@ -65,6 +66,8 @@ def save_model(
         readme: content of `README.md`.
     """
     folder = Path(folder)
+    for name in ("skeleton.json", "model.safetensors", "README.md", "config.yaml"):
+        remove_unfinished(folder / name)
     with atomic_write(folder / "skeleton.json") as temporary:
         temporary.write_text(json.dumps(rig), encoding="utf-8")
     with atomic_write(folder / "model.safetensors") as temporary:
@@ -137,6 +140,11 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
 def rates(fps: float, recorded_fps: float) -> str:
     """Return a description of the frame rate of a model's motion."""
     return f"{fps:g} fps" + ("" if recorded_fps == fps else f", resampled to {recorded_fps:g} fps")
+
+
+def reduction(shape: Sequence[int]) -> str:
+    """Return a description of the projection (W, N) of W speech features to N components."""
+    return f"{shape[0]} features reduced to {counted(shape[-1], 'component')}"
 
 
 def model_readme(rows: Mapping[str, str], call: str) -> str:

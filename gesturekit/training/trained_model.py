@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any, ClassVar
 
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.training.model_folder import ModelParts, rates
+from gesturekit.training.model_folder import ModelParts, rates, reduction
 
 
 @dataclass(eq=False, kw_only=True)
@@ -63,6 +64,16 @@ class BaseModel:
         """Return the rates and joints of the motion, for the README of the model folder."""
         joints = f"{len(self.representation.joints)} of {self.skeleton.n_joints} joints modelled"
         return f"{rates(self.fps, self.recorded_fps)}, {joints}"
+
+    def speech_rows(self) -> dict[str, str]:
+        """Return the speech features, for the README; empty without speech input."""
+        conditioner = self.conditions.conditioner
+        if conditioner is None:
+            return {}
+        rows = {"Speech features": json.dumps(conditioner.extractor.spec)}
+        if conditioner.components is not None:
+            rows["Reduced features"] = reduction(conditioner.components.shape)
+        return rows
 
 
 def common_arguments(parts: ModelParts) -> dict[str, Any]:

@@ -177,11 +177,15 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _height(skeleton: Skeleton) -> float:
-    """Return the body height, metres; a millimetre for a rig without bones."""
+    """Return the body height, metres.
+
+    A rig without bones is as tall as its longest end site, or a millimetre.
+    """
     try:
         return body_height(skeleton)
     except MotionError:
-        return 1e-3
+        ends = [site for sites in skeleton.end_sites.values() for site in sites]
+        return max([1e-3, *(float(np.linalg.norm(end)) for end in ends)])
 
 
 def _axes(points: _Points, parts: BodyParts) -> tuple[np.ndarray, np.ndarray]:

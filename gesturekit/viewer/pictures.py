@@ -235,9 +235,9 @@ def _figures(
         if stills is None:
             _figure(axes, figure, frame, time, wide)
             continue
-        reach = stills.reach
-        place = (time - wide * reach, time + wide * reach, -reach, reach)
-        axes.imshow(stills.at(frame), extent=place, aspect="auto", zorder=3, clip_on=True)
+        image, (left, right, bottom, top) = stills.at(frame)
+        place = (time + wide * left, time + wide * right, bottom, top)
+        axes.imshow(image, extent=place, aspect="auto", zorder=3, clip_on=False)
     if stills:  # imshow fits the axes to each picture
         axes.set_xlim(0, seconds)
         axes.set_ylim(low, high)

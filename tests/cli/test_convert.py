@@ -100,6 +100,15 @@ def test_joints_and_parts_that_are_not_there(gesturekit, takes, tmp_path):
         assert done.status == 1 and says in done.err and "a.bvh" in done.err
 
 
+def test_the_rate_of_a_file_that_has_none_is_given(gesturekit, takes, tmp_path):
+    text = re.sub("Frame Time: .*", "Frame Time: 0", (takes / "a.bvh").read_text())
+    (takes / "a.bvh").write_text(text)
+    done = gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz")
+    assert done.status == 1 and "Frame Time: '0' s" in done.err and "--in-fps" in done.err
+    done = gesturekit("convert", takes / "a.bvh", tmp_path / "x.npz", "--in-fps", 60)
+    assert done.status == 0 and Motion.load(tmp_path / "x.npz").fps == 60
+
+
 def test_folders_without_permission(gesturekit, takes, tmp_path):
     locked = tmp_path / "locked"
     locked.mkdir(mode=0o500)

@@ -11,6 +11,7 @@ from safetensors.torch import load_file
 
 import gesturekit as gk
 from gesturekit import Motion
+from gesturekit.inspection import inspect
 from gesturekit.multires.recall.wanted import WantedMovement
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
@@ -97,6 +98,9 @@ def test_a_model_of_components(
     assert ("Hand movement predicted from speech" in caplog.text) == recalls
     tensors = load_file(run / "model" / "model.safetensors")
     assert tensors["features.components"].shape == (32, count)
+    told = f"32 features reduced to {count} components"
+    assert f"- **Reduced features**: {told}\n" in (run / "model" / "README.md").read_text()
+    assert dict(inspect(run / "model").rows)["reduced features"] == told
     assert gk.load(run / "model", weights=weights).conditions.conditioner.dim == dim
     speech = write_speech(tmp_path / "speech.wav", 1.3)
     render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")

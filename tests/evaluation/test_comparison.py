@@ -13,7 +13,7 @@ from scipy import stats
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import PatchOptions, evaluate
 from gesturekit.evaluation.report.headline import interval_warnings
-from gesturekit.motion import Motion
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.selection.joint_selection import keep_joints
 
 
@@ -192,6 +192,15 @@ def test_bad_clips_are_left_out_with_their_reasons_and_the_rest_is_measured(fold
     (made / "clip0.npz").unlink()
     with pytest.raises(GestureKitError, match="no clip could be measured: .*one frame"):
         evaluate(made, folders / "recordings")
+
+
+def test_a_rig_of_one_joint_cannot_be_measured(tmp_path):
+    lone = Skeleton(("root",), (-1,), np.zeros((1, 3)))
+    still = Motion(lone, np.tile([0.0, 0.0, 0.0, 1.0], (50, 1, 1)), np.zeros((50, 3)), 25.0)
+    still.save(_made(tmp_path / "a.npz"))
+    with pytest.raises(GestureKitError, match="the recording has 1 body joint") as told:
+        evaluate(tmp_path, tmp_path)
+    assert "missing" not in str(told.value)
 
 
 def test_oddities_of_a_clip_are_reported(folders, tmp_path):

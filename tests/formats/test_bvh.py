@@ -140,8 +140,10 @@ def test_broken_files_are_named_with_their_line(write, old, new, line, says):
 @pytest.mark.parametrize("value", ["0", "-0.03", "x", "nan", "inf", ""])
 def test_frame_time_that_is_none(write, value):
     path = write(SMALL.replace("0.0333333", value))
-    with pytest.raises(FormatError, match="Frame Time"):
+    with pytest.raises(FormatError, match="Frame Time.*--in-fps"):
         read_bvh(path)
+    motion = read_bvh(path, fps=50)
+    assert motion.fps == 50 and motion.info["frame_time"] == value
 
 
 def test_several_skeletons_in_a_file_are_refused(write):
@@ -350,6 +352,14 @@ def test_another_kind_of_file_is_called_by_its_name(tmp_path, start, kind):
     with pytest.raises(FormatError, match="begins with") as told:
         read_bvh(path)
     assert str(told.value).isprintable()
+
+
+@pytest.mark.parametrize("text", ["", " \n\n\t\n", "\ufeff"])
+def test_an_empty_file_is_called_so(write, text):
+    path = write(text)
+    with pytest.raises(FormatError) as caught:
+        read_bvh(path)
+    assert str(caught.value).startswith(f"{path}: the file is empty; ")
 
 
 def test_a_decimal_comma_in_the_frame_time_is_named(gesture, tmp_path):

@@ -71,3 +71,12 @@ def test_one_of_its_kind_says_nothing(target):
     assert float(loss.detach()) == 0
     loss.backward()
     assert not own.grad.any()
+
+
+def test_joints_that_all_keep_their_place_have_none():
+    """The places of a rig of one joint are zeros: no detail, and no logarithm of it."""
+    detail = DetailTarget([recording(0, 1)], LEVEL, LEVELS, lambda x: 0 * places(x), 50, 1)
+    made = windows(0).requires_grad_()
+    loss = detail(0 * places(made), torch.zeros(len(made), dtype=torch.long))
+    loss.backward()
+    assert abs(float(loss.detach())) < 1e-3 and made.grad.isfinite().all()

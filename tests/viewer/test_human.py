@@ -244,6 +244,17 @@ def test_videos_and_pictures_show_the_same_body(tmp_path, gesture):
     assert one != other
 
 
+@baked
+def test_the_picture_of_a_giant_in_a_t_pose_shows_both_its_outer_hands(tmp_path, gesture):
+    motion = gesture(0.2, t_pose=6).scaled(10)
+    write_picture(motion, tmp_path / "a.png", body="human")
+    red, green, blue = np.moveaxis(matplotlib.image.imread(tmp_path / "a.png")[..., :3], -1, 0)
+    skin = (red > green + 0.05) & (green > blue + 0.05) & (blue > 0.2)
+    columns = np.flatnonzero(skin[: len(skin) // 2].any(axis=0))
+    # The layout leaves no margin beyond the hands.
+    assert columns[0] < 20 and columns[-1] > skin.shape[1] - 20
+
+
 def test_without_the_baked_body_the_mannequin_is_worn_and_said(
     tmp_path, gesture, monkeypatch, capsys
 ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import matplotlib.colors
@@ -47,6 +48,17 @@ def test_each_figure_shows_its_own_moment(tmp_path: Path) -> None:
     contact_sheet(a_swing(1.2), tmp_path / "moving.png", frames=4)
     assert np.ptp(widths(tmp_path / "still.png", 4)) <= 2
     assert np.ptp(widths(tmp_path / "moving.png", 4)) > 20
+
+
+def test_a_rig_of_one_joint_is_as_tall_as_its_end(tmp_path: Path) -> None:
+    lone = Skeleton(
+        ("root",), (-1,), np.zeros((1, 3)), {"root": (np.array([0.0, 1.0, 0.0]),)}, ("ZXY",)
+    )
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (90, 1, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        contact_sheet(Motion(lone, still, np.zeros((90, 3)), 30.0), tmp_path / "a.png", frames=4)
+    assert np.ptp(widths(tmp_path / "a.png", 4)) <= 2
 
 
 def test_the_picture_with_sound_has_the_speech_on_it(tmp_path: Path) -> None:

@@ -37,10 +37,13 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
         names; notes.
 
     Raises:
-        MotionError: neither joints of the same names nor body parts are found.
+        MotionError: neither joints of the same names nor body parts are found, or the recording has
+            a single body joint.
     """
     rig = recording.skeleton
     names = body_joints(rig)
+    if len(names) < 2:
+        raise MotionError("the recording has 1 body joint; a motion to be measured has at least 2")
     own = {bare_name(name): name for name in reversed(motion.skeleton.names)}
     renamed = {own[bare_name(name)]: name for name in names if bare_name(name) in own}
     found = set(renamed.values())

@@ -42,6 +42,7 @@ def read_bvh(
     unit: str = "auto",
     up: str = "auto",
     forward: str = "auto",
+    fps: float | None = None,
 ) -> Motion:
     """Read a BVH file.
 
@@ -53,6 +54,7 @@ def read_bvh(
             wrote, otherwise the rest pose and the frames in which the body stands.
         forward: axis that a body at rest faces; "auto" uses the rest pose, or the usual axis for
             `up`. Only the axes are changed, to Y up, +Z forward; the heading in the world is kept.
+        fps: true frames per second, which replace those of the file's `Frame Time`.
 
     Returns:
         The motion, metres, Y up, +Z forward. `info` has `source`, `unit`, `up`, `forward` (of the
@@ -65,7 +67,7 @@ def read_bvh(
     path = Path(path)
     if unit != "auto" and unit not in METRES:
         raise FormatError(f"unit {unit!r}; expected auto, {', '.join(METRES)}")
-    parsed = parse_bvh(path)
+    parsed = parse_bvh(path, fps)
     if parsed.unit is not None:
         unit = parsed.unit if unit == "auto" else unit
         if up in ("auto", bvh_mark.UP) and forward in ("auto", bvh_mark.FORWARD):

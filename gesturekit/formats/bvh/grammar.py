@@ -65,8 +65,12 @@ class ParsedBvh:
     unit: str | None
 
 
-def parse_bvh(path: Path) -> ParsedBvh:
+def parse_bvh(path: Path, fps: float | None = None) -> ParsedBvh:
     """Parse a file.
+
+    Args:
+        path: the file.
+        fps: frames per second in place of `Frame Time`, which may then be anything.
 
     Raises:
         FormatError: missing, not a BVH file, broken, or truncated; the message names file and line.
@@ -77,9 +81,9 @@ def parse_bvh(path: Path) -> ParsedBvh:
         _refuse_others(path, start)
         encoding = _BYTE_ORDER_MARKS.get(start[:2], "utf-8-sig")
         try:
-            return _parse(path, encoding)
+            return _parse(path, encoding, fps)
         except UnicodeError:
-            return _parse(path, "latin-1")
+            return _parse(path, "latin-1", fps)
     except OSError as error:
         raise FormatError(f"{path}: cannot be read: {error.strerror or error}") from None
 
@@ -92,16 +96,19 @@ def _refuse_others(path: Path, start: bytes) -> None:
         )
 
 
-def _parse(path: Path, encoding: str) -> ParsedBvh:
+def _parse(path: Path, encoding: str, fps: float | None) -> ParsedBvh:
     # newline=None takes all three line ends: \n, \r\n, and the \r of old Macs.
     with path.open(encoding=encoding, newline=None) as stream:
         lines = Lines(stream, path)
-        if (first := lines.next()).upper() != "HIERARCHY":
-            what = f"begins with {ascii(first[:20])}" if first else "is empty"
-            raise lines.error(f"the file {what}; a BVH file begins with HIERARCHY")
+        first = lines.next()
+        if not first:
+            raise FormatError(f"{path}: the file is empty; a BVH file begins with HIERARCHY")
+        if first.upper() != "HIERARCHY":
+            what = ascii(first[:20])
+            raise lines.error(f"the file begins with {what}; a BVH file begins with HIERARCHY")
         blocks, unit = _parse_hierarchy(lines)
         joints, renamed = _name_apart(_fold_ends(blocks))
-        n_frames, frame_time, fps = _parse_timing(lines)
+        n_frames, frame_time, fps = _parse_timing(lines, fps)
         n_channels = sum(len(joint.channels) for joint in joints)
         if not n_channels:
             raise lines.error("no joint has CHANNELS: the file holds no motion")
@@ -256,8 +263,8 @@ def _parse_channels(text: str, lines: Lines) -> list[str]:
 # The head of the motion
 
 
-def _parse_timing(lines: Lines) -> tuple[int, str, float]:
-    n_frames = frame_time = fps = None
+def _parse_timing(lines: Lines, fps: float | None) -> tuple[int, str, float]:
+    n_frames = frame_time = None
     while n_frames is None or frame_time is None:
         line = lines.next()
         key, value = re.match(r"(?i)(frames|frame\s+time|)\s*:?\s*(.*)", line).groups()
@@ -268,9 +275,9 @@ def _parse_timing(lines: Lines) -> tuple[int, str, float]:
         elif key:
             frame_time = value
             try:
-                fps = frame_rate(value)
+                fps = frame_rate(value) if fps is None else fps
             except ValueError as error:
-                raise lines.error(str(error)) from None
+                raise lines.error(f"{error}; --in-fps RATE sets the rate") from None
         else:
             missing = "Frames:" if n_frames is None else "Frame Time:"
             raise lines.error(f"expected {missing!r} after MOTION, found {line[:40]!r}")

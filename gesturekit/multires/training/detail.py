@@ -20,6 +20,8 @@ from gesturekit.multires.training.data import PairedSequence, TrainingData
 _FLOOR = 0.1
 """Share of the RMS detail of all styles, below which a joint counts as still. Fixed: it keeps the
 logarithm finite."""
+_LEAST = 1e-12
+"""Smallest floor, m^2, for rigs whose joints all keep their place, such as a root alone."""
 _WINDOWS = 64
 """Recorded windows per style, evenly chosen. Fixed: it bounds the cost of a step."""
 
@@ -60,7 +62,7 @@ class DetailTarget(nn.Module):
             windows = motion[0].unfold(-1, size, 1).transpose(0, 1)
             powers[sequence.style].append(self._power(places(windows)))
         everywhere = torch.cat([part for parts in powers for part in parts]).mean()
-        self.register_buffer("floor", _FLOOR**2 * everywhere)
+        self.register_buffer("floor", (_FLOOR**2 * everywhere).clamp(min=_LEAST))
         for style, parts in enumerate(powers):
             if not parts:  # no recording has this style of a model to start from
                 continue

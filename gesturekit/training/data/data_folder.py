@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.atomic import atomic_write
+from gesturekit.atomic import atomic_write, remove_unfinished
 from gesturekit.errors import ConfigError
 
 Data = TypeVar("Data")
@@ -24,6 +24,8 @@ Data = TypeVar("Data")
 
 def save_data(folder: Path, tensors: dict[str, Tensor], about: Mapping[str, Any]) -> None:
     """Write `data.safetensors` and `data.json`, which holds plain values."""
+    for name in ("data.safetensors", "data.json"):
+        remove_unfinished(folder / name)
     with atomic_write(folder / "data.safetensors") as temporary:
         save_file(tensors, temporary)
     with atomic_write(folder / "data.json") as temporary:

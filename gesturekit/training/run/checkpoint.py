@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from gesturekit.atomic import atomic_write
+from gesturekit.atomic import atomic_write, remove_unfinished
 from gesturekit.errors import ModelError
 
 log = logging.getLogger(__name__)
@@ -40,6 +40,7 @@ class Checkpoints:
 
     def save(self, step: int, state: dict[str, Any]) -> None:
         """Write the state of `step`, then delete all but the last `keep` checkpoints."""
+        remove_unfinished(self.path(step))  # of a run that was killed while it wrote it
         with atomic_write(self.path(step)) as temporary:
             torch.save(state, temporary)
         for old in self.steps()[: -self.keep]:

@@ -1,0 +1,34 @@
+"""Folders whose writing was interrupted by a kill are whole and tidy after the next save."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+import pytest
+import torch
+
+from gesturekit.atomic import atomic_write
+from gesturekit.training.data.data_folder import save_data
+from gesturekit.training.model_folder import save_model
+from gesturekit.training.run.checkpoint import Checkpoints
+
+WRITERS = {
+    "model": lambda folder: save_model(folder, {"kind": "x", "fps": 1}, {}, {}, "text"),
+    "data": lambda folder: save_data(folder, {"x": torch.zeros(1)}, {}),
+    "checkpoints": lambda folder: Checkpoints(folder).save(5, {}),
+}
+
+
+@pytest.mark.parametrize("save", WRITERS.values(), ids=WRITERS)
+def test_the_next_save_removes_what_a_kill_left(tmp_path, save):
+    save(tmp_path)
+    whole = sorted(path.name for path in tmp_path.iterdir())
+    (tmp_path / ".mine-of_mine.txt").touch()
+    with ExitStack() as unfinished:
+        for name in whole:
+            unfinished.enter_context(atomic_write(tmp_path / name)).write_text("half")
+        assert len(list(tmp_path.iterdir())) == 2 * len(whole) + 1
+        save(tmp_path)
+        found = sorted(path.name for path in tmp_path.iterdir())
+        unfinished.pop_all()
+    assert found == [".mine-of_mine.txt", *whole]
