@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from dataclasses import replace
 
@@ -22,6 +23,7 @@ from gesturekit.multires.config import MultiresConfig, RecallConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.building import build_library
+from gesturekit.multires.recall.parts import movements
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 from gesturekit.multires.training.window_cache import WindowCache
@@ -190,7 +192,7 @@ def test_arms_and_the_rest_are_recalled_apart(model, speech):
     assert sorted(columns) == list(range(model.representation.n_features))
     left, right, rest = model.library.parts
     assert left.moving == ("left_wrist",) or left.moving == ("left_elbow",)
-    assert {"left_index1", "left_elbow", "left_shoulder"} <= {*left.joints}
+    assert {"left_index1", "left_elbow", "left_shoulder", "left_collar"} <= {*left.joints}
     assert "right_thumb2" in right.joints and {"pelvis", "head", "left_hip"} <= {*rest.joints}
     assert rest.moving == ("head",)
     # Finer levels keep their detail in legs, contacts and the root, which foot locking needs.
@@ -242,10 +244,32 @@ def test_styles_are_recalled_from_their_recordings(model, speech):
     for pieces in made.pieces:
         assert (np.diff(pieces.recordings) >= 0).all()
         assert set(pieces.recordings) == {0, 1}
-    unknown = styled.recall(
-        features, lambda _: torch.Generator().manual_seed(0), styles=np.full(n_level, 7)
-    )
-    assert set(np.concatenate([p.recordings for p in unknown.pieces])) == {0, 1}
+
+    def starts(styles: np.ndarray | None) -> list[list[int]]:
+        choice = styled.recall(features, lambda _: torch.Generator().manual_seed(0), styles=styles)
+        return [pieces.starts.tolist() for pieces in choice.pieces]
+
+    assert starts(np.full(n_level, 7)) == starts(None), "a style that nobody has is any style"
+
+
+def test_movement_is_that_of_the_hands_beside_the_body(data, config):
+    representation, n = data.representation, 60
+    standing = recording(2.0, 0)
+    still = replace(standing, rotations=np.tile(standing.rotations[:1], (n, 1, 1)))
+    walking = replace(still, translation=still.translation + np.linspace(0, 2, n)[:, None])
+    parts = build_library(data, config).parts
+    for motion in (still, walking):
+        values = torch.from_numpy(representation.encode(motion).T.copy()).float()
+        for movement in movements(parts, representation, config.fps, values):
+            np.testing.assert_allclose(movement[5:-5], np.log(0.05), atol=0.05)
+
+
+def test_profiles_of_all_parts_have_one_distribution(data, config):
+    """What speech asks of the hands can then be asked of every part of the body."""
+    profiles = torch.cat([own.profiles for own in build_library(data, config).recordings], dim=1)
+    assert profiles.shape[0] == 6
+    np.testing.assert_allclose(profiles[::2].mean(dim=1), 0.0, atol=0.1)
+    np.testing.assert_allclose(profiles[::2].std(dim=1), 1.0, atol=0.2)
 
 
 # Generated motion.
@@ -409,6 +433,26 @@ def test_coarse_levels_are_the_recalled_motion(model, speech):
     assert (apart < 0.01).float().mean() > 0.5
 
 
+def test_finer_levels_leave_a_resting_arm_alone(model, speech, monkeypatch):
+    def arms(seed: int) -> np.ndarray:
+        motion = model.generate(speech, seed=seed, foot_lock=False)
+        return motion.rotations[:, [motion.skeleton.index(f"{s}_elbow") for s in ("left", "right")]]
+
+    def changed_by_the_network() -> float:
+        before = arms(0)
+        network = copy.deepcopy(model.network)
+        for value in network.parameters():
+            value.data += 0.3 * torch.randn(value.shape, generator=torch.Generator().manual_seed(1))
+        with monkeypatch.context() as patch:
+            patch.setattr(model, "network", network)
+            return float(np.abs(arms(0) - before).max())
+
+    assert changed_by_the_network() > 0.01
+    rested = [replace(own, profiles=own.profiles - 10) for own in model.library.recordings]
+    monkeypatch.setattr(model, "library", replace(model.library, recordings=tuple(rested)))
+    assert changed_by_the_network() < 1e-6
+
+
 def test_the_command_line_has_the_controls(folder, speech, tmp_path, capsys):
     soundfile.write(tmp_path / "new.wav", speech.samples, RATE)
 
@@ -547,29 +591,34 @@ def test_windows_start_from_recalled_and_from_recorded_motion(data, config):
     finest = resample(above.recalled[-1], lengths[LEVEL - 1])
     assert float((finest - above.coarser).abs().mean()) < 0.1
 
+    # A library without chance recalls what the window's own speech asks for.
+    chance = replace(library.weights, chance=0.0)
+    cache.library = replace(library, weights=chance)
+    made = windows(LEVEL, "random")
+    motions = [own.motion for own in library.recordings]
+    for speech, coarser in zip(made.speech[-1], made.coarser, strict=True):
+        choice = cache.library.recall(speech.numpy(), lambda _: torch.Generator())
+        torch.testing.assert_close(coarser, choice.vectors(motions, lengths[LEVEL - 1]))
+
     paired = windows(LEVEL, "paired")
     assert paired.recalled is None
     finest = paired.targets[-1]
     torch.testing.assert_close(paired.coarser, resample(finest, lengths[LEVEL - 1]))
 
 
-def test_training_depends_on_the_recalled_motion(recordings, folder, tmp_path):
+@pytest.mark.parametrize("change", [{"piece": 1.5}, {"own_movement": 0.0}])
+def test_training_depends_on_the_recalled_motion(recordings, folder, tmp_path, change):
     """Levels up to the recalled one are trained as without it, the finer ones are not."""
-    out = tmp_path / "other"
-    longer = train(settings(recordings, out, recall={"piece": 1.5}))
-    one, other = (load_file(path / "model.safetensors") for path in (folder, longer))
-    own = [name for name in one if name.startswith("network.levels.")] or [
-        name for name in one if ".levels." in name or name.startswith("levels.")
-    ]
-    same = {name: torch.equal(one[name], other[name]) for name in own}
-    assert own, sorted(one)[:20]
+    changed = train(settings(recordings, tmp_path / "other", recall=change))
+    one, other = (load_file(path / "model.safetensors") for path in (folder, changed))
+    same = {name: torch.equal(one[name], other[name]) for name in one if "levels." in name}
 
     def level_of(name: str) -> int:
         return int(name.split("levels.")[1].split(".")[0])
 
-    weights = [name for name in own if one[name].is_floating_point()]
-    assert all(same[name] for name in weights if level_of(name) < LEVEL)
-    assert not all(same[name] for name in weights if level_of(name) >= LEVEL)
+    assert {level_of(name) for name in same} == set(range(4))
+    assert all(same[name] for name in same if level_of(name) < LEVEL)
+    assert not any(same[name] for name in same if level_of(name) >= LEVEL)
 
 
 def test_a_run_with_recall_resumes_bitwise(recordings, folder, tmp_path):

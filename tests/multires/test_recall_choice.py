@@ -21,6 +21,7 @@ from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
 from gesturekit.multires.recall.wanted import (
     Regression,
     WantedMovement,
+    _folds,
     slow_part,
     usual_voice,
 )
@@ -135,6 +136,13 @@ def test_movement_counts_more_than_its_slow_part():
     assert placed(search([10, 10], slow).choose(wanted, rng())) == [(1, 0)]
 
 
+def test_the_nearer_of_two_movements_is_chosen():
+    curves = [np.full((10, 2), level) for level in (0.55, 1.0)]
+    found = PieceSearch([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
+    for wanted, recording in ((0.3, 0), (0.6, 0), (0.9, 1), (3.0, 1)):
+        assert placed(found.choose(np.full((10, 2), wanted), rng())) == [(recording, 0)]
+
+
 def test_unknown_movement_is_not_asked_for():
     wanted = profile_of(1)[:10].copy()
     wanted[:, 0] = ANYTHING
@@ -148,6 +156,13 @@ def test_continuity_prefers_what_came_next_in_the_recording():
     assert after == [(k, start + 8), (k, start + 16)]
     apart = placed(search([30, 30]).choose(wanted, rng()))
     assert apart[1] != (apart[0][0], apart[0][1] + 8), "nothing else would have done this"
+
+
+def test_what_came_next_is_a_candidate_among_hours():
+    """It is one even where thousands of pieces come nearer to what is wanted."""
+    found = search([4000], ChoiceWeights(movement=0.01, continuity=9.0, used=0.0, chance=0.0))
+    (_, start), *after = placed(found.choose(noise(42, 2, seed=1), rng()))
+    assert after == [(0, start + 8 * n) for n in range(1, 5)]
 
 
 def test_only_allowed_recordings_are_used():
@@ -261,6 +276,33 @@ def test_movement_of_unseen_speech_is_foreseen(wanted):
     assert agreement(asked[0] - asked[1], movement - slow) > 0.7
     # As spread as the recordings are, not as a prediction is.
     assert asked[0].std() == pytest.approx(movement.std(), rel=0.35)
+
+
+def test_no_more_is_asked_for_than_was_recorded(wanted):
+    asked = wanted(5 * talk(77)[0])[0]
+    assert wanted.recorded[0] <= asked.min() and asked.max() <= wanted.recorded[-1]
+
+
+def test_an_unusual_voice_asks_for_as_much_as_a_usual_one(wanted):
+    speech = talk(77)[0]
+    usual, *unusual = speech, speech.copy(), speech.copy()
+    for other, shift in zip(unusual, (-50.0, 50.0), strict=True):
+        other[list(EFFORT)] += shift - other[list(EFFORT)].mean(axis=1, keepdims=True)
+        assert wanted(other)[1].mean() == pytest.approx(wanted(usual)[1].mean(), abs=0.25)
+
+
+def test_long_speech_asks_for_the_same_in_parts(wanted, monkeypatch):
+    speech = talk(77)[0]
+    whole = wanted(speech)
+    monkeypatch.setattr("gesturekit.multires.recall.wanted._FRAMES_AT_ONCE", 70)
+    np.testing.assert_allclose(wanted(speech), whole, atol=1e-9)
+
+
+def test_frames_beside_a_left_out_quarter_are_left_out_too():
+    """12 frames in quarters of 3, of which the second recording has a single one."""
+    quarters = [((0, 2), (0, 3)), ((2, 5), (1, 6)), ((5, 8), (4, 8)), ((8, 12), (8, 12))]
+    expected = [(slice(*out), slice(*near)) for out, near in quarters]
+    assert _folds([8, 4], gap=1) == expected
 
 
 def test_speech_without_effort_or_with_many_features_is_enough():
