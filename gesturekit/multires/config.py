@@ -214,7 +214,7 @@ class RecallConfig:
     Not in the papers.
     """
 
-    level: int = 4
+    level: int = 6
     """Level that is replaced, counted from 1 (coarsest); even, as levels are trained in pairs. The
     finest level gives recorded motion alone (retrieval)."""
     piece: float = 2.0
@@ -223,7 +223,7 @@ class RecallConfig:
     """Length of the cross-fade between two pieces, seconds."""
     parts: Literal["arms", "body"] = "arms"
     """Choose pieces for each arm and for the rest of the body separately, or for the whole body."""
-    own_movement: float = 0.8
+    own_movement: float = 0.9
     """Share of the recalled pieces' own arm movement in the targets of `losses.arm_speed` and
     `losses.arm_acceleration`; the rest is what the speech predicts."""
 

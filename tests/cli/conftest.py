@@ -14,7 +14,7 @@ LIGHT = Path(__file__).resolve().parents[2] / "recipes" / "multires_speech" / "l
 TINY = (
     "fps=25",
     "threads=1",
-    "network.levels=4",
+    "network.levels=6",
     "network.channels=[2,2,2]",
     "network.embedding=4",
     "training.first_stage=2",
@@ -65,7 +65,7 @@ def model(corpus, tmp_path_factory) -> Path:
     """A model folder, by `gesturekit train`; its motion is of no use, but it is motion."""
     run = tmp_path_factory.mktemp("runs") / "tiny"
     with pytest.raises(SystemExit) as left:
-        # Its finest level is the fourth, which the recipe would recall.
+        # Its finest level is the sixth, which the recipe would recall.
         main(["train", str(LIGHT), f"corpus={corpus}", f"out={run}", *TINY, "recall.level=2"])
     assert left.value.code == 0
     return run / "model"

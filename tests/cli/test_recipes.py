@@ -108,7 +108,7 @@ def test_mistakes(gesturekit, arguments, says):
 def test_base_names_a_recipe_or_the_nearest_file(tmp_path):
     (tmp_path / "mine.yaml").write_text("base: multires_speech/light\nfps: 30\n")
     chain = read_chain(tmp_path / "mine.yaml")
-    assert (chain["fps"], chain["system"], chain["recall"]["level"]) == (30, "multires", 4)
+    assert (chain["fps"], chain["system"], chain["recall"]["level"]) == (30, "multires", 6)
     (tmp_path / "mine.yaml").write_text("base: multires_speech/lite\n")
     with pytest.raises(ConfigError, match="multires_speech/lite: no such"):
         read_chain(tmp_path / "mine.yaml")

@@ -140,7 +140,7 @@ def test_a_finished_run_is_kept(train, tmp_path):
     shutil.rmtree(model)
     assert train("--resume").status == 0
     assert (model / "model.safetensors").read_bytes() == before
-    assert read_yaml(tmp_path / "run" / "config.yaml")["network"]["levels"] == 4
+    assert read_yaml(tmp_path / "run" / "config.yaml")["network"]["levels"] == 6
 
 
 @pytest.mark.parametrize("left", [None, ".", "data"])
