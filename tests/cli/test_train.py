@@ -190,7 +190,7 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     caplog.set_level(logging.INFO)
     done = train("--plan")
     assert done.status == 0 and not (tmp_path / "run").exists()
-    assert f"Run folder {tmp_path / 'run'}: multires, speech mode, 4 levels, 4 iterations" in (
+    assert f"Run folder {tmp_path / 'run'}: multires, speech mode, 6 levels, 6 iterations" in (
         caplog.text
     )
     assert "2 recordings, 9 s at 30 fps, trained at 25 fps" in caplog.text
@@ -217,7 +217,7 @@ def test_it_ends_with_figures_on_held_out_speech(train, one_recording, tmp_path,
     assert done.status == 0
     assert "Training on 1 recording, 32 s at 30 fps" in caplog.text
     said = r"on 1 held-out recording \(8 s\): sync \S+ \(chance \S+, the recording's own \S+\), "
-    assert re.search(rf"Step 4: {said}arm speed \S+ of the recording's", caplog.text)
+    assert re.search(rf"Step 6: {said}arm speed \S+ of the recording's", caplog.text)
     assert re.search(said, (tmp_path / "run" / "model" / "README.md").read_text())
     lines = [json.loads(x) for x in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     (figures,) = (line for line in lines if line.get("kind") == "held_out")
