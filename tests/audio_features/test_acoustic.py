@@ -166,7 +166,7 @@ def test_liveliness_is_the_range_of_pitch_and_energy():
 
 @pytest.mark.parametrize(
     "tracker",
-    # librosa compiles pyin for 20 seconds.
+    # librosa compiles pyin for seconds.
     [pytest.param("pyin", marks=pytest.mark.stress), "parselmouth", "pyworld"],
 )
 def test_other_pitch_trackers_find_the_same_melody(speech, tracker):
