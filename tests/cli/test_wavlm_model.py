@@ -98,9 +98,9 @@ def test_a_model_of_components(
     assert ("Hand movement predicted from speech" in caplog.text) == recalls
     tensors = load_file(run / "model" / "model.safetensors")
     assert tensors["features.components"].shape == (32, count)
-    told = f"32 features reduced to {count} components"
-    assert f"- **Reduced features**: {told}\n" in (run / "model" / "README.md").read_text()
-    assert dict(inspect(run / "model").rows)["reduced features"] == told
+    reduction = f"32 features reduced to {count} components"
+    assert f"- **Reduced features**: {reduction}\n" in (run / "model" / "README.md").read_text()
+    assert dict(inspect(run / "model").rows)["reduced features"] == reduction
     assert gk.load(run / "model", weights=weights).conditions.conditioner.dim == dim
     speech = write_speech(tmp_path / "speech.wav", 1.3)
     render = ("render", speech, "--model", run / "model", "--out", tmp_path / "out")

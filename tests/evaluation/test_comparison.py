@@ -198,9 +198,9 @@ def test_a_rig_of_one_joint_cannot_be_measured(tmp_path):
     lone = Skeleton(("root",), (-1,), np.zeros((1, 3)))
     still = Motion(lone, np.tile([0.0, 0.0, 0.0, 1.0], (50, 1, 1)), np.zeros((50, 3)), 25.0)
     still.save(_made(tmp_path / "a.npz"))
-    with pytest.raises(GestureKitError, match="the recording has 1 body joint") as told:
+    with pytest.raises(GestureKitError, match="the recording has 1 body joint") as error:
         evaluate(tmp_path, tmp_path)
-    assert "missing" not in str(told.value)
+    assert "missing" not in str(error.value)
 
 
 def test_oddities_of_a_clip_are_reported(folders, tmp_path):

@@ -265,7 +265,7 @@ def test_movement_is_that_of_the_hands_beside_the_body(data, config):
 
 
 def test_profiles_of_all_parts_have_one_distribution(data, config):
-    """What speech asks of the hands can then be asked of every part of the body."""
+    """Movement that speech asks of the hands can then be asked of every part of the body."""
     profiles = torch.cat([own.profiles for own in build_library(data, config).recordings], dim=1)
     assert profiles.shape[0] == 6
     np.testing.assert_allclose(profiles[::2].mean(dim=1), 0.0, atol=0.1)
