@@ -245,11 +245,17 @@ def test_styles_are_recalled_from_their_recordings(model, speech):
         assert (np.diff(pieces.recordings) >= 0).all()
         assert set(pieces.recordings) == {0, 1}
 
-    def starts(styles: np.ndarray | None) -> list[list[int]]:
+    def chosen_for(styles: np.ndarray | None) -> list[tuple[int, int]]:
         choice = styled.recall(features, lambda _: torch.Generator().manual_seed(0), styles=styles)
-        return [pieces.starts.tolist() for pieces in choice.pieces]
+        return [
+            piece
+            for pieces in choice.pieces
+            for piece in zip(pieces.recordings.tolist(), pieces.starts.tolist(), strict=True)
+        ]
 
-    assert starts(np.full(n_level, 7)) == starts(None), "a style that nobody has is any style"
+    unknown = chosen_for(np.full(n_level, 7))
+    assert {recording for recording, _ in unknown} == {0, 1}
+    assert unknown == chosen_for(None), "a style that nobody has is any style"
 
 
 def test_movement_is_that_of_the_hands_beside_the_body(data, config):
