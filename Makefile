@@ -40,8 +40,9 @@ setup: $(READY) $(BUNDLES) $(BODY)
 demo: setup
 	@$(BIN)/gesturekit demo
 
+# Two files of tests at a time; arguments of your own replace this.
 test: lint
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest $(or $(PYTEST_ARGS),-n 2 --dist loadfile)
 
 stress: setup
 	$(BIN)/python -m pytest -m stress $(PYTEST_ARGS)
