@@ -77,5 +77,8 @@ def test_copies_are_named():
         found = states(clips(), novelty=figure)["novelty"]
         assert found[0] == state and words in found[1] and "training motion" in found[1]
     low = result("copying_low", 0.1, 0.3)
+    figure = result("novelty", 442.0, 1.0, informative=False)
+    state, words = states(clips(), novelty=figure)["novelty"]
+    assert state == "not informative here" and "the same as the recordings" in words
     found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
     assert found["novelty"][0] == "partly" and "now and then" in found["novelty"][1]
