@@ -62,7 +62,7 @@ def inspect_manifest(path: Path) -> Summary:
     if rig:
         facts["rig"] = rig
         rows.append(
-            ("rig", f"{counted(rig['joints'], 'joint')}, {rig['fps']:.6g} fps (of {rig['of']})")
+            ("rig", f"{counted(rig['joints'], 'joint')}, {rig['fps']:.6g} fps (of recording {rig['of']})")
         )
     return Summary(
         kind="corpus",

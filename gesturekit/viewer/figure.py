@@ -274,9 +274,10 @@ def _hand_speed(points: _Points, parts: BodyParts | None) -> np.ndarray:
     motion = points.motion
     if motion.n_frames < 2:
         return np.zeros(motion.n_frames)
-    moving = points.joints - points.joints[:, :1]
-    if parts:
-        moving = moving[:, list(_hands(points, parts))]
+    if parts:  # the root may be a still joint above the hips
+        moving = points.joints[:, list(_hands(points, parts))] - points.at(parts.pelvis)[:, None]
+    else:
+        moving = points.joints - points.joints[:, :1]
     speed = np.linalg.norm(np.gradient(moving, axis=0), axis=-1) * motion.fps
     total = speed.sum(axis=1) if parts else speed.mean(axis=1)
     return gaussian_filter1d(total, SPEED_SMOOTHING * motion.fps, mode="nearest")
