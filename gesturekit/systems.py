@@ -284,7 +284,10 @@ def _not_a_config(path: Path) -> str:
     if path.suffix.lower() == ".jsonl":
         what = f"a manifest, not a configuration; give it as corpus={path} beside one of"
     elif path.suffix.lower() in (".bvh", ".npz", ".wav"):
-        what = "a recording, not a configuration; run gesturekit prepare on its folder, then train one of"
+        what = (
+            "a recording, not a configuration; run gesturekit prepare on its folder, then train "
+            "one of"
+        )
     else:
         what = "not a configuration, which is a .yaml file such as"
     return f"{what} {', '.join(main_configs())}"

@@ -99,7 +99,7 @@ def test_what_writers_do_differently(write, change):
     ("old", "new", "line", "says"),
     [
         ("HIERARCHY", "WAVE", 1, "HIERARCHY"),
-        ("HIERARCHY\n", "HIERARCHY ", 1, "the first line of a BVH file is HIERARCHY"),
+        ("HIERARCHY\n", "HIERARCHY ", 1, "that of a BVH file is HIERARCHY"),
         ("Frames: 3", "Frames: 4", 21, "3 frames but declares 4"),
         ("Frames: 3", "Frames: 2", 21, "more rows than the 2 that `Frames:` declares; correct"),
         ("Frames: 3", "Frames: -3", 17, "-3"),
@@ -107,7 +107,7 @@ def test_what_writers_do_differently(write, change):
         ("Frames: 3", "Frames: 99999999999999", 21, "99999999999999"),
         ("12 22 32", "12 22", 21, "has 8 values"),
         ("5 11 21", "5 11,5 21", 20, "decimals need a point"),
-        ("5 11 21", "5 nan 21", 20, "value 7 of frame 2 is nan; expected a finite number up to 1e+09; fill"),
+        ("5 11 21", "5 nan 21", 20, "is nan; expected a finite number up to 1e+09; fill"),
         ("5 11 21", "5 1e999 21", 20, "inf"),
         ("5 11 21", "5 1_1 21", 20, "number"),
         ("5 11 21", "5 11.0.5 21", 20, "'11.0.5' is not a number"),

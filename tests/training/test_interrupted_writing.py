@@ -40,7 +40,7 @@ def test_a_path_that_cannot_be_written_is_named_as_the_user_wrote_it(tmp_path, m
         raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path / ".a-x1.jsonl"))
 
     monkeypatch.setattr("tempfile.mkstemp", refuse)
-    with pytest.raises(PermissionError, match="cannot be written: ") as caught:
-        with atomic_write(tmp_path / "a.jsonl"):
-            pass
+    refused = pytest.raises(PermissionError, match="cannot be written: ")
+    with refused as caught, atomic_write(tmp_path / "a.jsonl"):
+        pass
     assert caught.value.filename == str(tmp_path / "a.jsonl")

@@ -105,7 +105,7 @@ def _parse(path: Path, encoding: str, fps: float | None) -> ParsedBvh:
             raise FormatError(f"{path}: the file is empty; a BVH file begins with HIERARCHY")
         if first.upper() != "HIERARCHY":
             what = ascii(first[:20])
-            raise lines.error(f"the file begins with {what}; the first line of a BVH file is HIERARCHY")
+            raise lines.error(f"the first line is {what}; that of a BVH file is HIERARCHY")
         blocks, unit = _parse_hierarchy(lines)
         joints, renamed = _name_apart(_fold_ends(blocks))
         n_frames, frame_time, fps = _parse_timing(lines, fps)

@@ -31,7 +31,7 @@ class Lines:
         while line := self.stream.readline(LONGEST_LINE):
             self.number += 1
             if len(line) >= LONGEST_LINE:
-                raise self.error(f"a line of over {LONGEST_LINE} characters; this is not a BVH file")
+                raise self.error(f"a line of over {LONGEST_LINE} characters; not a BVH file")
             if line := line.strip():
                 return line
         return ""
@@ -56,7 +56,7 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
         text, rest = text[:end], text[end:]
         if len(rest) >= LONGEST_LINE:
             lines.number += text.count("\n") + 1
-            raise lines.error(f"a line of over {LONGEST_LINE} characters; this is not a BVH file")
+            raise lines.error(f"a line of over {LONGEST_LINE} characters; not a BVH file")
         values = _bulk(text, n_channels)
         if values is None:
             values = _line_by_line(text, lines, n_rows, n_frames, n_channels)
