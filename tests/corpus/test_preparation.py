@@ -378,7 +378,7 @@ def test_labels_come_from_names(tmp_path, write_pair):
     [
         ({"holdout": 1.0}, "holdout is 1.0"),
         ({"tolerance": float("nan")}, "tolerance is nan"),
-        ({"style_pattern": "("}, "no regular expression"),
+        ({"style_pattern": "("}, "not a regular expression"),
         ({"style_pattern": "calm"}, "no group named style"),
         ({"unpaired": ["nowhere"]}, "no such folder"),
     ],

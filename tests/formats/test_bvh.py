@@ -350,7 +350,7 @@ def test_another_kind_of_file_is_called_by_its_name(tmp_path, start, kind):
         read_bvh(path)
     assert str(told.value).isprintable()
     path.write_bytes(bytes(range(128, 160)) * 9)
-    with pytest.raises(FormatError, match="begins with") as told:
+    with pytest.raises(FormatError, match="the first line is") as told:
         read_bvh(path)
     assert str(told.value).isprintable()
 
