@@ -67,6 +67,11 @@ def test_what_differs_is_named():
     assert states(clips(jerk=9.0), likeness=result("likeness", 0.3, 0.9))["likeness"][0] == "no"
 
 
+def test_what_is_not_measured_says_why():
+    state, words = states(clips())["novelty"]
+    assert state == "not measured" and "too short, or the rig's arms and legs" in words
+
+
 def test_copies_are_named():
     for value, state, words in (
         (0.1, "no", "Mostly copied"),

@@ -146,7 +146,8 @@ def _likeness(clips: Sequence[ClipResult], figures: Figures) -> Answer:
 def _novelty(figures: Figures) -> Answer:
     figure, low = figures.get("novelty"), figures.get("copying_low")
     if figure is None:
-        return Answer(NEW, "novelty", "not measured", "Not measured: the clips are too short.")
+        text = "Not measured: the clips are too short, or the rig's arms and legs are not known."
+        return Answer(NEW, "novelty", "not measured", text)
     among = "training motion" if "training split" in figure.note else "the recordings"
     if not figure.informative:
         text = (
