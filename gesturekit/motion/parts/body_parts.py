@@ -210,8 +210,8 @@ def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
     if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
         reason = (
             f"cannot identify the {found.missing_limbs()}: specify them if the rig has them, as in "
-            f"--part {found.missing[0]}=JOINT; without them, losses and metrics of arms and feet are "
-            "left out"
+            f"--part {found.missing[0]}=JOINT; without them, losses and metrics of arms and feet "
+            "are left out"
         )
     labels = _labels(found)
     is_body = set(labels.values()) - {"other", "root", "end", "twist"}
