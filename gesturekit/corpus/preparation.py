@@ -345,17 +345,20 @@ def _corpus_notes(recordings: list[Recording]) -> list[Problem]:
 
 
 def _missing_parts(recordings: list[Recording]) -> list[Problem]:
-    """Note once that body parts cannot be identified, and the consequences for training."""
+    """Note once that body parts cannot be identified or are not there, and the consequences."""
     first = next((one for one in recordings if one.skeleton is not None), None)
     if first is None:
         return []
     try:
-        find_parts(first.skeleton)
+        parts = find_parts(first.skeleton)
     except MotionError as error:
         what = "training leaves out what needs these parts"
         if any(one.audio and one.motion for one in recordings):
             what += "; multires by speech needs them, or network.modulate=all"
         return [Problem("note", first.motion, f"{error}. Without them {what}")]
+    if not parts.legs:
+        text = "the rig has no legs: foot contacts, foot locking and foot metrics are left out"
+        return [Problem("note", first.motion, text)]
     return []
 
 

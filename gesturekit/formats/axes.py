@@ -1,14 +1,16 @@
 """Up and forward axes of a file: detection, and conversion to Y up, +Z forward.
 
 If the rest pose (all rotations zero) stands upright, it shows the axes: up from legs and spine,
-forward from hips and toes. If it stands on four legs, up comes from these and forward from pelvis
-to chest. The direction in which a body walks or looks says nothing about the axes. Many rigs have a
-rest pose that does not stand (bones along their own x axes): up is then the axis along which the
-body stands in most frames, and forward the usual axis for that up.
+forward from hips and toes; without legs, both from spine, neck and shoulders. If it stands on four
+legs, up comes from these and forward from pelvis to chest. The direction in which a body walks or
+looks says nothing about the axes. Many rigs have a rest pose that does not stand (bones along their
+own x axes): up is then the axis along which the body stands in most frames, and forward the usual
+axis for that up.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -174,8 +176,10 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     def between(start: str, end: str) -> np.ndarray:
         return places[skeleton.index(end)] - places[skeleton.index(start)]
 
-    legs = [parts.legs[side] for side in ("left", "right")]
     arms = [parts.arms[side] for side in ("left", "right")]
+    if not parts.legs:
+        return _upper_body_axes(between, parts)
+    legs = [parts.legs[side] for side in ("left", "right")]
     up = _axis(between(parts.pelvis, parts.head or parts.spine[-1]))
     down = [-between(leg.hip, leg.ankle) for leg in legs]
     left = _axis(between(legs[1].hip, legs[0].hip))
@@ -200,11 +204,32 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     return up, forward
 
 
+def _upper_body_axes(
+    between: Callable[[str, str], np.ndarray], parts: BodyParts
+) -> tuple[str, str] | None:
+    """Return (up, forward) of a rest pose without legs; None if spine, neck and arms disagree.
+
+    `between` gives the vector (3,) from one joint to another.
+    """
+    left_arm, right_arm = parts.arms["left"], parts.arms["right"]
+    left = _axis(between(right_arm.shoulder, left_arm.shoulder))
+    spans = [(parts.pelvis, parts.spine[-1])]
+    spans += [(parts.spine[-1], parts.head)] if parts.head else []
+    ups = {_axis(between(*span)) for span in spans}
+    up = ups.pop()
+    if ups or up is None or left is None or left[-1] == up[-1]:
+        return None
+    upper = [(left_arm, 1.0), (right_arm, -1.0)]
+    if any(sign * between(a.shoulder, a.elbow) @ _vector(left) < 0 for a, sign in upper):
+        return None  # left and right may be named the wrong way round
+    return up, _axis(np.cross(_vector(left), _vector(up)))
+
+
 def _standing(motion: Motion, parts: BodyParts, rest_up: str | None) -> str | None:
     """Return the axis of the world along which the body stands in most frames.
 
     An axis other than that of the rest pose counts only if the feet are on a floor at zero, because
-    the body may be lying down.
+    the body may be lying down. A body without legs is captured sitting or standing.
     """
     frames = np.unique(np.linspace(0, motion.n_frames - 1, _MOST_FRAMES).astype(int))
     skeleton = motion.skeleton
@@ -214,12 +239,15 @@ def _standing(motion: Motion, parts: BodyParts, rest_up: str | None) -> str | No
         skeleton,
         {name: places[frames] for name, places in motion.joint_translations.items()},
     )
-    ankles = positions[:, [skeleton.index(parts.legs[side].ankle) for side in ("left", "right")]]
-    body = positions[:, skeleton.index(parts.spine[-1])] - ankles.mean(axis=1)
+    ankles = positions[:, [skeleton.index(leg.ankle) for leg in parts.legs.values()]]
+    low = ankles.mean(axis=1) if parts.legs else positions[:, skeleton.index(parts.pelvis)]
+    body = positions[:, skeleton.index(parts.spine[-1])] - low
     share = _along(body).mean(axis=0)
     if share.max() <= 0.5:
         return None
     up = AXES[int(share.argmax())]
+    if not parts.legs:
+        return up
     height = np.median((ankles @ _vector(up)).min(axis=1))
     on_floor = abs(height) < 0.35 * leg_length(skeleton)
     return up if on_floor or rest_up in (None, up) else None

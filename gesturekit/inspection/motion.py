@@ -27,7 +27,7 @@ from gesturekit.motion.defects import (
     speed_limit,
 )
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import SIDES, known_part_labels
+from gesturekit.motion.parts import SIDES, find_legs, known_part_labels
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.viewer.figure import Figure
@@ -78,6 +78,7 @@ def inspect_motion(
         "parts": labels,
         **_movement(motion, figure, labels),
         **_feet(motion, labels),
+        "legs": find_legs(skeleton) is not None if not unknown else None,
     }
     problems = [
         *(str(warning.message) for warning in said),
@@ -195,6 +196,8 @@ def _rows(
         shares = ", ".join(f"{k} {100 * v:.0f} %" for k, v in facts["contact_share"].items())
         slow = format_speed(CONTACT_SPEED * body_scale(skeleton))
         rows.append(("feet", f"stand still (heel or toe below {slow}): {shares} of the frames"))
+    if facts["legs"] is False:
+        rows.append(("legs", "no legs: upper body only; contacts and foot metrics are left out"))
     if info.get("renamed"):
         pairs = [f"{new} (was {old})" for new, old in info["renamed"].items()]
         rows.append(("renamed", f"names that repeat: {listed(pairs)}"))

@@ -6,7 +6,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.kinematics import forward_kinematics
-from gesturekit.motion.parts import find_parts, leg_length
+from gesturekit.motion.parts import arm_length, find_parts, leg_length
 from gesturekit.motion.rotations import IDENTITY
 from gesturekit.motion.skeleton import Skeleton
 
@@ -16,6 +16,10 @@ REFERENCE_SIZE = 1.4
 _ABOVE_AND_BELOW = 0.16
 """Share of a body's height that is above the head's joint and below the ankles'."""
 
+_STATURE_PER_ARM, _STATURE_PER_UPPER_ARM = 2.75, 5.3
+"""Stature over the length of upper arm and forearm, and of the upper arm alone: 2.74 to 2.85, and
+5.05 to 5.7, on adults and on the rigs of five datasets."""
+
 # Longest chain of bones between two leaves over legs and spine, on adults without fingers.
 _CHAIN_PER_STATURE = 1.54
 
@@ -23,10 +27,15 @@ _CHAIN_PER_STATURE = 1.54
 def stature(skeleton: Skeleton) -> float:
     """Return the length of the bones from the ankles (mean of both) to the head, metres.
 
+    That of a rig without legs is estimated from its arms: what the whole person would have.
+
     Raises:
         MotionError: legs or spine cannot be identified; see `gesturekit.motion.parts.find_parts`.
     """
     parts = find_parts(skeleton)
+    if not parts.legs:
+        upper, lower = arm_length(skeleton)
+        return _STATURE_PER_ARM * (upper + lower) if lower else _STATURE_PER_UPPER_ARM * upper
     pelvis = skeleton.index(parts.pelvis)
     joint, length = skeleton.index(parts.head or parts.spine[-1]), leg_length(skeleton)
     while joint not in (pelvis, -1):

@@ -8,7 +8,7 @@ import numpy as np
 
 from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_legs
+from gesturekit.motion.parts import heading_joints
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 
 _TOO_STEEP = 0.05
@@ -18,7 +18,8 @@ _TOO_STEEP = 0.05
 def heading(motion: Motion) -> float:
     """Return the mean direction the body faces, radians about Y; 0 is +Z, positive towards +X.
 
-    A body that faces +Z has its left hip at +X of its right one. A rig without legs faces +Z.
+    A body that faces +Z has its left hip at +X of its right one. Shoulders count where there are
+    no legs; a rig without either faces +Z.
     """
     across = _across(motion)
     if across is None:
@@ -30,9 +31,9 @@ def heading(motion: Motion) -> float:
 def side_axis(motions: Sequence[Motion], root: int) -> np.ndarray:
     """(3,) unit vector towards the body's left in the frame of joint `root`.
 
-    It is the mean direction from the right hip to the left one in that frame. A rig without legs
-    is assumed to face the joint's +Z; if that points up or down, the most horizontal axis is the
-    side.
+    It is the mean direction from the right hip to the left one in that frame, or between the
+    shoulders of a rig without legs. A rig without either is assumed to face the joint's
+    +Z; if that points up or down, the most horizontal axis is the side.
 
     Args:
         motions: motions of one rig.
@@ -77,10 +78,10 @@ def headings_of_sides(across: np.ndarray) -> np.ndarray:
 
 
 def _across(motion: Motion) -> np.ndarray | None:
-    """(T, 3) world vectors from the right hip to the left one, metres; None without legs."""
-    legs = find_legs(motion.skeleton)
-    if legs is None:
+    """(T, 3) world vectors from the right of `heading_joints` to the left one, metres; or None."""
+    joints = heading_joints(motion.skeleton)
+    if joints is None:
         return None
     positions = motion.positions()
-    left, right = (motion.skeleton.index(legs[side].hip) for side in ("left", "right"))
+    left, right = (motion.skeleton.index(name) for name in joints)
     return positions[:, left] - positions[:, right]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gesturekit.motion.contacts import FootPoint, foot_points
-from gesturekit.motion.parts import SIDES, find_legs, find_parts
+from gesturekit.motion.parts import SIDES, require_legs
 from gesturekit.motion.parts.end_sites import real_end_sites
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
@@ -102,14 +102,15 @@ def find_feet(skeleton: Skeleton) -> tuple[Foot, Foot]:
     """Return the left and the right foot of a rig.
 
     Raises:
-        MotionError: legs cannot be identified; see `gesturekit.motion.parts.find_parts`.
+        MotionError: no legs, or none that can be identified; see
+            `gesturekit.motion.parts.require_legs`.
     """
     left, right = _feet(skeleton)
     return left, right
 
 
 def _feet(skeleton: Skeleton) -> Iterator[Foot]:
-    legs = find_legs(skeleton) or find_parts(skeleton).legs
+    legs = require_legs(skeleton)
     points, ends = foot_points(skeleton), real_end_sites(skeleton)
     for side in SIDES:
         leg = legs[side]

@@ -16,6 +16,9 @@ UNIDENTIFIED = (
 )
 """Log message for a rig without some parts: their names, and the consequences."""
 
+LEGLESS = "The rig has no legs: no contact labels or loss, and no feet to lock."
+"""Log message for a rig of an upper body alone."""
+
 
 def check_positive(**values: float) -> None:
     """Raise ConfigError for a value that is not above 0 and finite."""

@@ -87,7 +87,7 @@ def shapes(skeleton: Skeleton, parts: BodyParts | None) -> dict[str, Shape | Non
         between(collar, parts.head, NECK)
         below(parts.head, None)  # eyes, jaw, crown: the head is drawn as a whole
     for name, side in SIDES.items():
-        arm, leg = parts.arms[name], parts.legs[name]
+        arm, leg = parts.arms[name], parts.legs.get(name)
         between(chest, arm.shoulder, CLAVICLE)
         between(arm.shoulder, arm.elbow, UPPER_ARM.on(side))
         if arm.wrist:
@@ -97,6 +97,8 @@ def shapes(skeleton: Skeleton, parts: BodyParts | None) -> dict[str, Shape | Non
             between(arm.elbow, arm.wrist, FOREARM.on(side))
         else:
             below(arm.elbow, FOREARM.on(side))
+        if leg is None:
+            continue
         between(parts.pelvis, leg.hip, HIP)
         below(leg.ankle, TOE.on(side))
         for joint in skeleton.children(skeleton.index(leg.ankle)):
@@ -132,8 +134,9 @@ def tip(joint: str, drawn: dict[str, Shape | None], parts: BodyParts | None) -> 
             return HAND.on(side)
         if joint == parts.arms[name].elbow:
             return FOREARM.on(side)
-        if joint == parts.legs[name].ankle:  # a heel needs no limb beside the foot
-            return None if parts.legs[name].toe else FOOT.on(side)
+        leg = parts.legs.get(name)
+        if leg and joint == leg.ankle:  # a heel needs no limb beside the foot
+            return None if leg.toe else FOOT.on(side)
     own = drawn[joint]
     if own is None:
         return None

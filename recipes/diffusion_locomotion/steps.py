@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts import require_legs
 from gesturekit.motion.root_path import RootPath
 
 HIGHEST = 5.0
@@ -25,7 +25,7 @@ def step_times(motion: Motion, path: RootPath) -> np.ndarray:
         motion: T frames.
         path: T frames at the motion's rate, for its headings.
     """
-    legs = find_parts(motion.skeleton).legs
+    legs = require_legs(motion.skeleton)
     left, right = (motion.skeleton.index(legs[side].ankle) for side in ("left", "right"))
     places = motion.positions()
     apart = (places[:, left] - places[:, right])[:, [0, 2]]

@@ -13,6 +13,7 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import contact_labels, foot_positions
+from gesturekit.motion.parts import unidentified
 
 NEAR = 0.025
 """H of Zhang et al. 2018: height above standing from which a foot point is in the air, metres on
@@ -28,7 +29,7 @@ def standing_heights(motion: Motion) -> np.ndarray:
         (F,) metres, in the order of `gesturekit.motion.contacts.foot_points`.
 
     Raises:
-        MotionError: legs that cannot be identified.
+        MotionError: no legs, or none that can be identified.
     """
     heights = _feet(motion)[..., 1]
     resting = contact_labels(motion) > 0
@@ -52,7 +53,7 @@ def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
         heights: (F,) standing heights, metres; None takes the motion's own.
 
     Raises:
-        MotionError: fewer than 2 frames, or legs that cannot be identified.
+        MotionError: fewer than 2 frames, or no legs, or none that can be identified.
     """
     if motion.n_frames < 2:
         raise MotionError(f"the motion has {motion.n_frames} frame; at least 2 are needed")
@@ -73,7 +74,7 @@ def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> floa
             detect that the whole body is too low.
 
     Raises:
-        MotionError: legs that cannot be identified.
+        MotionError: no legs, or none that can be identified.
     """
     depth = _standing(motion, heights) - _feet(motion)[..., 1]
     return float(np.maximum(depth, 0.0).mean())
@@ -83,7 +84,8 @@ def _feet(motion: Motion) -> np.ndarray:
     """Return the (T, F, 3) foot points; raise MotionError if there are none."""
     feet = foot_positions(motion)
     if not feet.shape[1]:
-        raise MotionError("the rig has no two legs that can be identified")
+        known = " two legs that can be identified" if unidentified(motion.skeleton) else " legs"
+        raise MotionError(f"the rig has no{known}")
     return feet
 
 

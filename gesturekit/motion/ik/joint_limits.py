@@ -24,7 +24,7 @@ def bent_backwards(motion: Motion) -> dict[str, np.ndarray]:
 
     Returns:
         "left_elbow", "right_elbow", "left_knee", "right_knee" to (T,) bool; without a wrist joint
-        there is no elbow.
+        there is no elbow, and without legs no knee.
 
     Raises:
         MotionError: parts that cannot be identified, or a body that never stands.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.parts.checks import bone_length
 from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder, find_leg_joints
 from gesturekit.motion.parts.joint_names import SIDES, named_pairs
 from gesturekit.motion.parts.limb_shapes import find_limbs
@@ -40,12 +41,12 @@ class BodyParts:
     """Joint names by body part.
 
     Attributes:
-        pelvis: joint where the legs meet the spine.
+        pelvis: joint where the legs meet the spine; without legs, the lowest joint of the trunk.
         spine: joints above the pelvis up to the parent of the arms, in order.
         neck: the lowest joint between spine and head; None if there is none.
         head: None if the rig has none.
         arms: "left" and "right".
-        legs: "left" and "right".
+        legs: "left" and "right"; empty if the rig has no legs.
         fingers: joints below the wrists, except hands and end joints.
         face: joints below the head (jaw, eyes), except end joints.
         ends: leaves that only mark the end of a bone ("HeadEnd", "LeftToe_End", "Nub").
@@ -99,6 +100,9 @@ def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
 def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> BodyParts:
     """Identify the body parts of a rig.
 
+    A rig with arms has no legs if nothing on its trunk could be a leg. Chains that could be, and
+    are not identified, are an error.
+
     Args:
         skeleton: the rig, including parts specified by hand (`Skeleton.parts`).
         overrides: more joints specified by hand, such as {"left_elbow": "Joint12"}. Keys are `head`
@@ -137,7 +141,7 @@ def _named(skeleton: Skeleton, found: PartFinder) -> BodyParts:
         neck=skeleton.names[found.neck[0]] if found.neck else None,
         head=None if found.head is None else skeleton.names[found.head],
         arms={side: Arm(**limb(side, ARM)) for side in SIDES},
-        legs={side: Leg(**limb(side, LEG)) for side in SIDES},
+        legs={side: Leg(**limb(side, LEG)) for side in SIDES} if found.has_legs else {},
         fingers=names(found.fingers()),
         face=names([j for j in below_head if j not in found.ends]),
         ends=names(sorted(found.ends)),
@@ -145,12 +149,12 @@ def _named(skeleton: Skeleton, found: PartFinder) -> BodyParts:
 
 
 def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
-    """Return the "left" and "right" leg of any rig, or None if two legs cannot be identified.
+    """Return the "left" and "right" leg of any rig; None without, or if they cannot be identified.
 
     Unlike `find_parts`, this needs no other body parts, such as two arms or a head.
     """
     try:
-        return find_parts(skeleton).legs
+        return find_parts(skeleton).legs or None
     except MotionError:
         found = find_leg_joints(skeleton)
     if found is None:
@@ -159,8 +163,38 @@ def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
     return {side: Leg(**{part: names[f"{side}_{part}"] for part in LEG}) for side in SIDES}
 
 
+def require_legs(skeleton: Skeleton) -> Mapping[str, Leg]:
+    """Return `find_legs`, for what cannot be done without legs.
+
+    Raises:
+        MotionError: two legs cannot be identified, or the rig has none.
+    """
+    legs = find_legs(skeleton) or find_parts(skeleton).legs
+    if not legs:
+        raise MotionError("the rig has no legs")
+    return legs
+
+
+def heading_joints(skeleton: Skeleton) -> tuple[str, str] | None:
+    """Return the left and right joint whose line faces sideways: hips, or shoulders without legs.
+
+    None if the rig has no legs that can be identified, and other parts that cannot either.
+    """
+    legs = find_legs(skeleton)
+    if legs is not None:
+        return legs["left"].hip, legs["right"].hip
+    try:
+        arms = find_parts(skeleton).arms
+    except MotionError:
+        return None
+    return arms["left"].shoulder, arms["right"].shoulder
+
+
 def unidentified(skeleton: Skeleton) -> str:
-    """Return the limbs that cannot be identified, in words; "" if all parts are found."""
+    """Return the limbs that cannot be identified, in words; "" if all parts are found.
+
+    A rig without legs lacks nothing.
+    """
     try:
         find_parts(skeleton)
     except MotionError:
@@ -264,9 +298,9 @@ def leg_length(skeleton: Skeleton) -> float:
     """Return the length of thigh and shank, mean of both sides, metres.
 
     Raises:
-        MotionError: two legs cannot be identified.
+        MotionError: two legs cannot be identified, or the rig has none.
     """
-    legs = find_legs(skeleton) or find_parts(skeleton).legs
+    legs = require_legs(skeleton)
     bones: list[int] = []
     for leg in legs.values():
         ankle, hip = skeleton.index(leg.ankle), skeleton.index(leg.hip)
@@ -274,6 +308,25 @@ def leg_length(skeleton: Skeleton) -> float:
         chain = [ankle, *skeleton.ancestors(ankle)]
         bones += chain[: chain.index(hip)]
     return float(np.linalg.norm(skeleton.offsets[bones], axis=1).sum() / 2)
+
+
+def arm_length(skeleton: Skeleton) -> tuple[float, float]:
+    """Return the lengths of upper arm and forearm, means of both sides, metres.
+
+    The forearm has length 0 on a rig that lacks a wrist.
+
+    Raises:
+        MotionError: parts that cannot be identified; see `find_parts`.
+    """
+    arms = find_parts(skeleton).arms.values()
+
+    def mean(bones: list[tuple[str, str]]) -> float:
+        indexed = [(skeleton.index(above), skeleton.index(below)) for above, below in bones]
+        return sum(bone_length(skeleton, *bone) for bone in indexed) / 2
+
+    upper = mean([(arm.shoulder, arm.elbow) for arm in arms])
+    lower = [(arm.elbow, arm.wrist) for arm in arms if arm.wrist is not None]
+    return upper, mean(lower) if len(lower) == 2 else 0.0
 
 
 def arm_joints(skeleton: Skeleton) -> tuple[str, str, str, str]:

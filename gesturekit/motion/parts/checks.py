@@ -62,7 +62,7 @@ def _check_lengths(skeleton: Skeleton, known: Mapping[str, int]) -> None:
         for side in SIDES:
             parts = [f"{side}_{part}" for part in chain if f"{side}_{part}" in known]
             bones = [
-                _length(skeleton, known[above], known[below])
+                bone_length(skeleton, known[above], known[below])
                 for above, below in zip(parts, parts[1:])
             ]
             whole[side] = sum(bones)
@@ -84,6 +84,8 @@ def _check_lengths(skeleton: Skeleton, known: Mapping[str, int]) -> None:
 
 def _check_sides(skeleton: Skeleton, known: Mapping[str, int]) -> None:
     """Raise MotionError if the toes of a rig that stands at rest contradict left and right."""
+    if "left_hip" not in known:
+        return
     places = skeleton.offsets.copy()
     for j, above in enumerate(skeleton.parents):
         places[j] = places[j] + places[above] if above >= 0 else 0.0
@@ -104,7 +106,7 @@ def _check_sides(skeleton: Skeleton, known: Mapping[str, int]) -> None:
         )
 
 
-def _length(skeleton: Skeleton, above: int, below: int) -> float:
+def bone_length(skeleton: Skeleton, above: int, below: int) -> float:
     """Return metres along the bones from a joint to one of its descendants."""
     chain = [below, *skeleton.ancestors(below)]
     return float(np.linalg.norm(skeleton.offsets[chain[: chain.index(above)]], axis=1).sum())

@@ -4,18 +4,22 @@ Left and right come first: a joint is on the left if its name contains a mark of
 ("Left", "l_", ".L", a leading "L", ...) and the name with the mark of the right side exists. Then
 elbows and knees are found by name, because their names are the least ambiguous ("RightShoulder" is
 a clavicle in one file and an upper arm in the next), and all other parts by their position in the
-tree. Limbs without informative names are identified by the shape of the rig (`limb_shapes`).
+tree. Limbs without informative names are identified by the shape of the rig (`limb_shapes`). A rig
+has no legs if names and the user identify none, and no chain on its trunk is long enough for one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts.checks import check_limbs
+from gesturekit.motion.parts.checks import bone_length, check_limbs
 from gesturekit.motion.parts.joint_names import SIDES, bare_name, named_pairs, named_side
 from gesturekit.motion.parts.limb_shapes import Limbs, find_limbs
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.wording import listed
 
 ARM = ("clavicle", "shoulder", "elbow", "wrist")
 LEG = ("hip", "knee", "ankle", "toe")
@@ -29,8 +33,12 @@ _WRIST = ("wrist", "hand", "palm")
 _ANKLE = ("ankle", "foot")
 _TOE = ("toe", "toes", "toebase", "ball", "foot")
 _HEAD = ("head", "face", "skull")
+_PELVIS = ("hips", "hip", "pelvis")
 _END = ("end", "nub", "tip", "site", "headtop")
 _TWIST = ("twist", "roll")
+_STUB = 0.5
+"""Shortest chain below the chest that may be a leg, as a share of an arm; shorter ones are stubs of
+hips, end joints and helpers."""
 
 
 def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
@@ -56,6 +64,7 @@ class PartFinder:
 
     Attributes:
         limbs: part ("left_elbow", ...) to joint; None if the rig has none.
+        has_legs: False if the rig has arms, and nothing that could be a leg.
         pelvis, spine, neck, head: the trunk; `neck` is all joints between spine and head.
         ends: leaves that only mark the end of a bone.
     """
@@ -65,6 +74,9 @@ class PartFinder:
         for side in SIDES:
             self._arm(side)
             self._leg(side)
+        self.has_legs = not self._is_legless()
+        if not self.has_legs:
+            self.missing = []
         guessed = bool(by_hand or self.missing)
         shape = self._limbs_by_shape() if self.missing else None
         check_limbs(skeleton, self.limbs, guessed)
@@ -139,18 +151,63 @@ class PartFinder:
         """Find pelvis, spine, neck and head from the limbs."""
         limbs, name = self.limbs, self.skeleton.names
         chest = self._meeting(limbs["left_shoulder"], limbs["right_shoulder"])
-        pelvis = self._meeting(limbs["left_hip"], limbs["right_hip"])
-        self.pelvis = self._meeting(pelvis, chest)
+        if self.has_legs:
+            pelvis = self._meeting(limbs["left_hip"], limbs["right_hip"])
+            self.pelvis = self._meeting(pelvis, chest)
+        else:
+            self.pelvis = self._lowest_of_trunk(chest)
         self.spine = [j for j in self._way_down(self.pelvis, chest) if j != self.pelvis]
         if not self.spine:
-            raise MotionError(
-                f"arms and legs both hang on {name[self.pelvis]!r}: the rig has no spine"
-            )
+            what = "arms and legs both hang" if self.has_legs else "the arms hang"
+            raise MotionError(f"{what} on {name[self.pelvis]!r}: the rig has no spine")
         self.head = self._head(chest, shape)
         self.neck = [] if self.head is None else self._way_down(chest, self.head)[1:-1]
         # 3ds Max hangs arms on the neck.
         if len(self.spine) > 1 and self.bare[chest].endswith("neck"):
             self.neck.insert(0, self.spine.pop())
+
+    def _is_legless(self) -> bool:
+        """Return whether the rig has both arms, and nothing that could be a leg."""
+        legs = [f"{side}_{part}" for side in SIDES for part in LEG]
+        if not set(self.missing) <= set(legs) or any(self.limbs[p] is not None for p in legs):
+            return False
+        return not self._possible_legs()
+
+    def _possible_legs(self) -> list[int]:
+        """Return the first joints of chains that are long enough for legs, on a rig with arms.
+
+        Rest poses differ, so that length counts, not direction. Chains on the joints below the
+        chest count from `_STUB` of an arm on. On the chest itself, where neck and head are too and
+        a spine may lead downwards, longer ones than an arm count.
+        """
+        skeleton, limbs = self.skeleton, self.limbs
+        chest = self._meeting(limbs["left_shoulder"], limbs["right_shoulder"])
+        trunk = {chest, *skeleton.ancestors(chest)}
+        # Forearms are about as long as upper arms, but may lack a wrist.
+        arm = sum(bone_length(skeleton, limbs[f"{s}_shoulder"], limbs[f"{s}_elbow"]) for s in SIDES)
+        heads = [j for j, b in enumerate(self.bare) if not self.side[j] and b.endswith(_HEAD)]
+        others = {limbs["left_elbow"], limbs["right_elbow"], *heads, self.by_hand.get("head")}
+        found = []
+        for above in trunk:
+            for j in set(skeleton.children(above)) - trunk:
+                length = _reach(skeleton, j) - _STUB * arm
+                if above != chest:
+                    is_long = length >= 0
+                else:
+                    is_long = length > _STUB * arm and others.isdisjoint(
+                        (j, *skeleton.descendants(j))
+                    )
+                found += [j] * is_long
+        return sorted(found)
+
+    def _lowest_of_trunk(self, chest: int) -> int:
+        """Return the pelvis of a rig without legs: by name, or the root."""
+        below = [0, *self._way_down(0, chest)[1:-1]]
+        for endings in (_PELVIS, ("root",)):
+            named = [j for j in below if self.bare[j].endswith(endings)]
+            if named:
+                return named[-1]
+        return 0
 
     def _known_trunk(self) -> None:
         """Find the parts of the trunk that the known limbs and the names identify."""
@@ -238,6 +295,8 @@ class PartFinder:
         names = self.skeleton.names
         problem = f"cannot identify the {self.missing_limbs()}"
         first = self.missing[0]
+        if all(part.endswith(LEG) for part in self.missing) and (legs := self._possible_legs()):
+            problem += f", which may begin at {listed([names[j] for j in legs], 4)}"
         by_hand = (
             f"name what the rig has: --part {first}=JOINT (--rig-part for --rig), or "
             f"`parts: {{{first}: JOINT}}`"
@@ -292,3 +351,15 @@ class PartFinder:
         """Return the joints from `top` down to `bottom`, both included; none if not connected."""
         way = [bottom, *self.skeleton.ancestors(bottom)]
         return way[: way.index(top) + 1][::-1] if top in way else []
+
+
+def _reach(skeleton: Skeleton, joint: int) -> float:
+    """Return metres along bones from a joint's parent to the farthest end below the joint."""
+    bones = np.linalg.norm(skeleton.offsets, axis=1)
+    away = {joint: float(bones[joint])}
+    farthest = away[joint]
+    for j in (joint, *skeleton.descendants(joint)):  # parents come before their children
+        away.setdefault(j, away.get(skeleton.parents[j], 0.0) + float(bones[j]))
+        ends = map(np.linalg.norm, skeleton.end_sites.get(skeleton.names[j], ()))
+        farthest = max(farthest, away[j] + float(max(ends, default=0.0)))
+    return farthest

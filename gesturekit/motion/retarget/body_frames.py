@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.body_size import body_scale, body_size
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, BodyParts
@@ -45,6 +45,8 @@ _DRAWN_LEVEL = np.deg2rad(10.0)
 ankle is as low as the ball of the foot."""
 _STEEP = np.deg2rad(60.0)
 """A steeper bone means a foot that points down."""
+_LEG_SHARE = 0.57
+"""Length of an adult's leg from hip to ankle, as a share of `body_size`."""
 _USUAL_PITCH = np.deg2rad(27.0)
 """Pitch of the bone from ankle to toes on a level foot."""
 _STEADY = np.deg2rad(15.0)
@@ -114,7 +116,9 @@ class BodyFrames:
         return lengths
 
     def leg_length(self) -> float:
-        """Return the mean length of both legs, metres."""
+        """Return the mean length of both legs, metres; without legs, what the person would have."""
+        if not self.parts.legs:
+            return _LEG_SHARE * body_size(self.skeleton)
         return sum(self.leg_lengths().values()) / 2
 
     def foot_heights(self, side: str) -> tuple[float, float]:
@@ -185,7 +189,8 @@ class _Builder:
         self._trunk()
         for side, outward in zip(SIDES, (LEFT, -LEFT)):
             self._arm(side, outward)
-            self._leg(side)
+            if self.parts.legs:
+                self._leg(side)
         from_anatomical = {
             segment: multiply_quaternions(
                 invert_quaternions(self.world[joint]), self.frames[segment]

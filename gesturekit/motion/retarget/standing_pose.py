@@ -57,13 +57,15 @@ def standing_pose(motion: Motion, parts: BodyParts | None = None) -> np.ndarray:
         bones[f"{side}_{bone}"][..., 1] * weight
         for side in SIDES
         for bone, weight in (("thigh", 1.0), ("shank", 1.0), ("arm", 0.25))
+        if f"{side}_{bone}" in bones
     )
     pose = motion.rotations[int(score.argmax())]
     if not _stands(skeleton, parts, pose):
+        knee = f"left knee {parts.legs['left'].knee!r}, " if parts.legs else ""
         raise MotionError(
             "the body stands upright neither at rest nor in any frame; are its parts right? "
-            f"Pelvis {parts.pelvis!r}, left knee {parts.legs['left'].knee!r}, left elbow "
-            f"{parts.arms['left'].elbow!r}; name them by hand where they are not"
+            f"Pelvis {parts.pelvis!r}, {knee}left elbow {parts.arms['left'].elbow!r}; name them by "
+            "hand where they are not"
         )
     return pose
 
@@ -142,13 +144,17 @@ def body_frame(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> np.nda
 
 
 def _stands(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> bool:
-    """Return whether legs point down along the torso, and shoulders to the same side as hips."""
+    """Return whether legs point down along the torso, and shoulders to the same side as hips.
+
+    The head of a body without legs points up along the torso.
+    """
     bones = _bones(skeleton, parts, forward_kinematics(pose, np.zeros(3), skeleton))
     up, hips = bones["torso"], bones["hips"]
-    legs = [bones[f"{side}_{bone}"] for side in SIDES for bone in ("thigh", "shank")]
+    upward = [-bones[f"{side}_{bone}"] for side in parts.legs for bone in ("thigh", "shank")]
+    upward += [bones["head"]] if "head" in bones else []
     arms = (bones["left_arm"] - bones["right_arm"]) @ hips
     return bool(
-        min(-leg @ up for leg in legs) > _UPRIGHT
+        min((bone @ up for bone in upward), default=1.0) > _UPRIGHT
         and abs(up @ hips) < 0.5
         and bones["shoulders"] @ hips > _UPRIGHT
         and arms > -1.0
@@ -156,22 +162,29 @@ def _stands(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> bool:
 
 
 def _bones(skeleton: Skeleton, parts: BodyParts, places: np.ndarray) -> dict[str, np.ndarray]:
-    """Return bone name to unit direction (..., 3), from joint positions (..., J, 3)."""
+    """Return bone name to unit direction (..., 3), from joint positions (..., J, 3).
+
+    The shoulders stand in for the hips of a body without legs.
+    """
 
     def at(name: str) -> np.ndarray:
         return places[..., skeleton.index(name), :]
 
     arms, legs = parts.arms, parts.legs
     shoulders = [at(arms[side].shoulder) for side in SIDES]
-    hips = [at(legs[side].hip) for side in SIDES]
-    found = {
-        "torso": sum(shoulders) / 2 - sum(hips) / 2,
-        "hips": hips[0] - hips[1],
-        "shoulders": shoulders[0] - shoulders[1],
-    }
+    across = shoulders[0] - shoulders[1]
+    if legs:
+        hips = [at(legs[side].hip) for side in SIDES]
+        torso, between_hips = sum(shoulders) / 2 - sum(hips) / 2, hips[0] - hips[1]
+    else:
+        torso, between_hips = sum(shoulders) / 2 - at(parts.pelvis), across
+    found = {"torso": torso, "hips": between_hips, "shoulders": across}
+    if not legs and parts.head is not None:
+        found["head"] = at(parts.head) - sum(shoulders) / 2
     for side in SIDES:
-        found[f"{side}_thigh"] = at(legs[side].knee) - at(legs[side].hip)
-        found[f"{side}_shank"] = at(legs[side].ankle) - at(legs[side].knee)
+        if legs:
+            found[f"{side}_thigh"] = at(legs[side].knee) - at(legs[side].hip)
+            found[f"{side}_shank"] = at(legs[side].ankle) - at(legs[side].knee)
         found[f"{side}_arm"] = at(arms[side].elbow) - at(arms[side].shoulder)
     shortest = _NO_BONE * body_scale(skeleton)
     for name, bone in found.items():
@@ -185,10 +198,13 @@ def _bones(skeleton: Skeleton, parts: BodyParts, places: np.ndarray) -> dict[str
 def _across(
     parts: BodyParts, hips: bool, at: Callable[[str], np.ndarray], scale: float
 ) -> np.ndarray:
-    """(3,) vector from right to left hip, or from right to left clavicle or shoulder, metres."""
-    left, right = (parts.legs[side] if hips else parts.arms[side] for side in SIDES)
-    if hips:
-        return at(left.hip) - at(right.hip)
+    """(3,) vector from right to left hip, or from right to left clavicle or shoulder, metres.
+
+    A body without legs has the latter for both.
+    """
+    if hips and parts.legs:
+        return at(parts.legs["left"].hip) - at(parts.legs["right"].hip)
+    left, right = (parts.arms[side] for side in SIDES)
     if left.clavicle and right.clavicle:
         between = at(left.clavicle) - at(right.clavicle)
         if np.linalg.norm(between) > _NO_DISTANCE * scale:
@@ -212,8 +228,9 @@ def _t_pose(
 
     add([parts.pelvis, *parts.spine, parts.neck, parts.head], UP, FORWARD)
     for side, outward in zip(SIDES, (LEFT, -LEFT)):
-        arm, leg = parts.arms[side], parts.legs[side]
+        arm = parts.arms[side]
         add([arm.clavicle, arm.shoulder, arm.elbow, arm.wrist], outward, FORWARD)
+    for leg in parts.legs.values():
         add([leg.hip, leg.knee, leg.ankle], -UP, LEFT)
         add([leg.ankle, leg.toe], FORWARD - 0.5 * UP, LEFT)
     return bones

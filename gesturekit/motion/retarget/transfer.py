@@ -9,7 +9,8 @@
 4. If the target's feet are then not at the scaled source positions, two-bone IK places them there
    (`feet`): planted feet stay planted, on the floor.
 
-Joints without a counterpart in the source keep their rest rotation.
+Joints without a counterpart in the source keep their rest rotation. Where one of the rigs has no
+legs, the pelvis moves as the source's, and legs of the target stand straight below it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, FootMotion, FootTargets
 from gesturekit.motion.retarget.hands import place_hands
-from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
+from gesturekit.motion.retarget.standing_pose import FORWARD, standing_pose, standing_rig
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -69,11 +70,14 @@ def retarget(
 
     Raises:
         MotionError: parts of either rig that cannot be identified, or a source that never stands.
+            Legs are not needed.
     """
     source_parts = find_parts(motion.skeleton, parts)
     source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
-    source_feet = FootMotion.measure(motion, source)
-    source = source.levelled(motion, source_feet.standing)
+    source_feet = None
+    if source_parts.legs:
+        source_feet = FootMotion.measure(motion, source)
+        source = source.levelled(motion, source_feet.standing)
     same = (skeleton.names, skeleton.parents) == (motion.skeleton.names, motion.skeleton.parents)
     if same:
         # Joint axes mean the same on one rig, whatever the offsets of a performer.
@@ -90,14 +94,18 @@ def retarget(
         if same and skeleton.index(name) != carrier
     }
     world = _world_rotations(motion, source, target, same)
-    targets = FootTargets(
-        target,
-        scale,
-        source_feet,
-        source_feet.heights(source, target, same, scale),
-        round(HIP_DROP_SECONDS * motion.fps),
-    )
-    rotations, root = _solved(motion, source, targets, world, moving, carrier, feet)
+    if source_feet is None or not target.parts.legs:
+        floor = 0.0 if source_feet is None else source_feet.floor
+        rotations, root = _without_feet(motion, source, target, world, moving, carrier, floor)
+    else:
+        targets = FootTargets(
+            target,
+            scale,
+            source_feet,
+            source_feet.heights(source, target, same, scale),
+            round(HIP_DROP_SECONDS * motion.fps),
+        )
+        rotations, root = _solved(motion, source, targets, world, moving, carrier, feet)
     made = _placed(motion, skeleton, rotations, moving, carrier, root)
     return replace(made, expressions=motion.expressions) if same else made
 
@@ -129,6 +137,39 @@ def _solved(
         rotations = targets.solve_legs(rotations, world, positions, hips)
         positions = forward_kinematics(rotations, origin, skeleton, moving)
     return rotations, positions[:, carrier] + (hips - targets.hip_centre(positions))
+
+
+def _without_feet(
+    motion: Motion,
+    source: BodyFrames,
+    target: BodyFrames,
+    world: np.ndarray,
+    moving: dict[str, np.ndarray],
+    carrier: int,
+    floor: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve the arms where one of the rigs has no legs; see `_solved`.
+
+    The path of the pelvis is scaled about the floor (its height in metres is `floor`) under its
+    first frame. The height of a source without legs says nothing about standing, so that a target
+    with legs stands on the floor.
+    """
+    skeleton, scale = target.skeleton, target.leg_length() / source.leg_length()
+    rotations = _local_rotations(world, skeleton)
+    origin = np.zeros((motion.n_frames, 3))
+    positions = forward_kinematics(rotations, origin, skeleton, moving)
+    own = motion.positions()
+    rotations = place_hands(source, target, own, motion.global_rotations(), positions, rotations)
+    pelvis = own[:, source.joints["pelvis"]]
+    base = np.array([pelvis[0, 0], floor, pelvis[0, 2]])
+    path = (pelvis - base) * scale + base
+    body = positions[:, target.joints["pelvis"]]
+    if target.parts.legs:
+        names = [joint for leg in target.parts.legs.values() for joint in (leg.ankle, leg.toe)]
+        feet = [skeleton.index(name) for name in names if name is not None]
+        stands = np.median(body[:, 1] - positions[:, feet, 1].min(axis=1))
+        path[:, 1] += floor + stands - np.median(path[:, 1])
+    return rotations, positions[:, carrier] + (path - body)
 
 
 def _world_rotations(
@@ -192,9 +233,18 @@ def _segment_frames(
             found[segment] = frames[spine[-1]]
         elif kind.endswith("wrist"):
             found[segment] = frames[kind.replace("wrist", "elbow")]
+        elif not source.parts.legs and kind.endswith(("hip", "knee", "ankle", "toe")):
+            found[segment] = _heading(frames["pelvis"])
         elif kind.endswith("toe"):
             found[segment] = frames[kind.replace("toe", "ankle")]
     return found
+
+
+def _heading(turns: np.ndarray) -> np.ndarray:
+    """(T, 4) rotations about the vertical that face where anatomical frames (T, 4) face."""
+    ahead = rotate_vectors(turns, np.broadcast_to(FORWARD, (len(turns), 3)))
+    half = np.arctan2(ahead[:, 0], ahead[:, 2]) / 2
+    return np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=-1)
 
 
 def _along(

@@ -31,7 +31,7 @@ from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import plan as session_plan
 from gesturekit.training.run.session import session
-from gesturekit.training.run_config import UNIDENTIFIED
+from gesturekit.training.run_config import LEGLESS, UNIDENTIFIED
 from gesturekit.training.seeds import seeded
 from gesturekit.wording import counted, roughly
 
@@ -125,13 +125,17 @@ class Trainer:
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
         """Return the settings without losses on body parts that the rig lacks; log them."""
         skeleton = self.data.representation.skeleton
-        missing = unidentified(skeleton)
-        if not missing:
+        missing, legs = unidentified(skeleton), find_legs(skeleton)
+        if not missing and legs is not None:
             return config
+        if not missing:
+            if self.processes.is_first:
+                log.info(LEGLESS)
+            return replace(config, losses=replace(config.losses, contact=0.0))
         off, follows = {"arm_speed": 0.0, "arm_acceleration": 0.0}, []
         if config.uses_arm_speed:
             follows.append("no losses on the arms")
-        if find_legs(skeleton) is None:
+        if legs is None:
             off["contact"] = 0.0
             follows += ["no contact labels or loss", "recordings keep their heading"]
         if config.joints == "body":

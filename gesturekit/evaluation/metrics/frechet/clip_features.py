@@ -110,7 +110,7 @@ def geometric_features(motion: Motion) -> np.ndarray:
         motion: at least 4 frames at 30 fps.
 
     Raises:
-        EvaluationError: fewer frames, or a forearm without an end.
+        EvaluationError: fewer frames, a forearm without an end, or a rig without legs.
         MotionError: body parts that cannot be identified.
     """
     now = _places(_long_enough(motion))
@@ -231,6 +231,8 @@ def _places(motion: Motion) -> dict[str, np.ndarray]:
     """Return {name: (T, 3) positions} of the joints that `_GEOMETRIC` names."""
     skeleton, positions = motion.skeleton, motion.positions()
     parts = find_parts(skeleton)
+    if not parts.legs:
+        raise EvaluationError(f"{described(motion)} has no legs, which geometric features need")
     names = {"root": parts.pelvis, "belly": parts.spine[0], "chest": parts.spine[-1]}
     names["neck"] = parts.neck or parts.head or parts.spine[-1]
     for side in SIDES:

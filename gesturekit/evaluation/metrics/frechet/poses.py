@@ -12,7 +12,7 @@ from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
-from gesturekit.motion.parts import body_joints, find_parts, upper_body
+from gesturekit.motion.parts import body_joints, find_parts, heading_joints, upper_body
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 
 _SMALLEST_SCALE = 1e-3
@@ -233,9 +233,11 @@ def _bones(
 
 
 def _to_front(motion: Motion, positions: np.ndarray) -> np.ndarray:
-    """Return (T, 4) turns about the vertical that put the left hip at +X of the right one."""
-    legs = find_parts(motion.skeleton).legs
-    left, right = (motion.skeleton.index(legs[side].hip) for side in ("left", "right"))
+    """Return (T, 4) turns about the vertical that put the left hip at +X of the right one.
+
+    Shoulders stand in for the hips of a rig without legs.
+    """
+    left, right = (motion.skeleton.index(name) for name in heading_joints(motion.skeleton))
     across = positions[:, left] - positions[:, right]
     turn = np.zeros((len(across), 3))
     turn[:, 1] = np.arctan2(across[:, 2], across[:, 0])
