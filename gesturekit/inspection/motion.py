@@ -177,7 +177,7 @@ def _rows(
             + (f" (Frame Time: {info['frame_time']})" if "frame_time" in info else ""),
         ),
         ("axes", _axes(facts)),
-        ("body", f"{facts['height']:.2f} m from sole to crown, {_counted(skeleton, labels)}"),
+        ("body", f"{facts['height']:.2f} m {_measured(facts)}, {_counted(skeleton, labels)}"),
         ("moves", _moves(motion, facts)),
     ]
     if facts["format"] == "bvh":
@@ -211,6 +211,11 @@ def _axes(facts: Mapping[str, Any]) -> str:
     side = ("+Z", "+X", "-Z", "-X")[round(turn / 90) % 4]
     words.append(f"the body faces {side} ({turn}° about Y) on average")
     return ", ".join(words)
+
+
+def _measured(facts: Mapping[str, Any]) -> str:
+    """Return what the height of the body means, in words."""
+    return "as a whole person, by its arms" if facts["legs"] is False else "from sole to crown"
 
 
 def _counted(skeleton: Skeleton, labels: Mapping[str, str]) -> str:

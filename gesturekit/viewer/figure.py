@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 _UPRIGHT = 0.5
 """A body is upright if the unit vector from pelvis to shoulders has a mean y above this."""
+_BUST = 0.75
+"""Height that trunk, head and moving arms take in a view, as a share of the whole person's."""
 SPEED_SMOOTHING = 0.1
 """Standard deviation of the Gaussian that hand speed is smoothed with, in seconds."""
 
@@ -76,8 +78,9 @@ class Figure:
         hand_speed: (T,) m/s, sum of both hands' speeds relative to the pelvis, smoothed by a
             Gaussian of SPEED_SMOOTHING; the mean over all joints if hands cannot be identified.
         speed_of: label of `hand_speed`: "hand speed" or "mean speed of all joints".
-        height: of the body, metres.
-        floor: height of the ground, metres.
+        height: of the body, metres; that of the whole person on a rig without legs.
+        extent: height that the figure takes in a view, metres; less than `height` without legs.
+        floor: height of the ground, metres; the seat of a rig without legs.
         front: mean yaw of the facing direction, radians, 0 towards +Z and positive towards +X.
     """
 
@@ -89,6 +92,7 @@ class Figure:
     hand_speed: np.ndarray
     speed_of: str
     height: float
+    extent: float
     floor: float
     front: float
 
@@ -121,7 +125,7 @@ class Figure:
         head = _head(points, parts, height) if parts and parts.head and not plain else None
         limbs = _limbs(points, None if plain else parts, height)
         hands = _hands(points, parts)
-        drawn = points.stacked()
+        drawn, is_bust = points.stacked(), parts is not None and not parts.legs
         return cls(
             points=drawn,
             fps=motion.fps,
@@ -131,8 +135,8 @@ class Figure:
             hand_speed=_hand_speed(points, hands, parts),
             speed_of="hand speed" if parts else "mean speed of all joints",
             height=height,
-            # A low quantile instead of the minimum: in most recordings feet dip below the ground.
-            floor=float(np.quantile(drawn[:, :, 1].min(axis=1), 0.25)),
+            extent=_BUST * height if is_bust else height,
+            floor=_seat(points, parts, height) if is_bust else _floor(drawn),
             front=_front(points, parts) if parts else 0.0,
         )
 
@@ -187,6 +191,23 @@ def _height(skeleton: Skeleton) -> float:
     except MotionError:
         ends = [site for sites in skeleton.end_sites.values() for site in sites]
         return max([1e-3, *(float(np.linalg.norm(end)) for end in ends)])
+
+
+def _floor(drawn: np.ndarray) -> float:
+    """Return the height of the ground under points (T, P, 3), metres.
+
+    A low quantile instead of the minimum: in most recordings feet dip below the ground.
+    """
+    return float(np.quantile(drawn[:, :, 1].min(axis=1), 0.25))
+
+
+def _seat(points: _Points, parts: BodyParts, height: float) -> float:
+    """Return the lower end of a trunk without legs, metres; the still root of a rig may be lower.
+
+    Hands that hang below it do not count.
+    """
+    radius = anatomy.TRUNK[0][1] * height
+    return float(np.quantile(points.at(parts.pelvis)[:, 1], 0.25)) - radius
 
 
 def _axes(points: _Points, parts: BodyParts) -> tuple[np.ndarray, np.ndarray]:

@@ -149,7 +149,7 @@ def _json(page: dict[str, Any]) -> str:
 def _page(shown: Mapping[str, Worn], audio: Any) -> dict[str, Any]:
     page: dict[str, Any] = {
         "format": 1,
-        "height": max(worn.figure.height for worn in shown.values()),
+        "height": max(worn.figure.extent for worn in shown.values()),
         "figures": [_figure(label, worn.motion, worn.figure) for label, worn in shown.items()],
     }
     add_skins(page, list(shown.values()))

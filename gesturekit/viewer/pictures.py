@@ -218,7 +218,7 @@ def _figures(
     frames, seconds = grid
     n_frames = len(figure.points)
     _style(axes, seconds)
-    low, high = -0.05 * figure.height, 1.09 * figure.height
+    low, high = -0.05 * figure.extent, 1.09 * figure.extent
     axes.set_ylim(low, high)
     axes.set_yticks([])
     words = "from the front" if stills else "from the front; its left is orange"
