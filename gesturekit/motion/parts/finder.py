@@ -176,9 +176,9 @@ class PartFinder:
     def _possible_legs(self) -> list[int]:
         """Return the first joints of chains that are long enough for legs, on a rig with arms.
 
-        Rest poses differ, so that length counts, not direction. Chains on the joints below the
-        chest count from `_STUB` of an arm on. On the chest itself, where neck and head are too and
-        a spine may lead downwards, longer ones than an arm count.
+        Rest poses differ, so that length counts, not direction. A thigh without a knee is no chain.
+        Chains on the joints below the chest count from `_STUB` of an arm on. On the chest itself,
+        where neck and head are too and a spine may lead downwards, longer ones than an arm count.
         """
         skeleton, limbs = self.skeleton, self.limbs
         chest = self._meeting(limbs["left_shoulder"], limbs["right_shoulder"])
@@ -190,6 +190,8 @@ class PartFinder:
         found = []
         for above in trunk:
             for j in set(skeleton.children(above)) - trunk:
+                if skeleton.is_leaf(j):
+                    continue
                 length = _reach(skeleton, j) - _STUB * arm
                 if above != chest:
                     is_long = length >= 0
