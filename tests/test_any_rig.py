@@ -106,6 +106,9 @@ RIGS: dict[str, Callable[[Skeleton], Bones]] = {
     "snake": lambda _: chain([f"Link{k}" for k in range(12)], None, (0.0, 0.0, 0.2)),
     "one arm": lambda person_: person(person_, "RightShoulder", "RightArm", "RightFore", "RightH"),
     "no head": lambda person_: person(person_, "Neck", "Head"),
+    "no legs": lambda person_: person(
+        person_, *(side + bone for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Foot"))
+    ),
     "3 joints": lambda _: chain(["a", "b", "c"], None, (0, 0, 0), (0, 0.5, 0)),
     "Chinese": lambda _: chain(["根", "脊椎", "头"], None, (0, 0.4, 0)),
     "blanks": lambda _: chain(["the root", "upper arm", "fore arm"], None, (0, 0.4, 0)),
@@ -181,7 +184,7 @@ def test_any_rig_can_be_trained_and_rendered(name, system, skeleton, tmp_path, c
             tmp_path, bones, system, name == "crab", ("bvh",), watch=2 * (name == "snake")
         )
     missing = unidentified(model.skeleton)
-    assert bool(missing) == (name != "no head")
+    assert bool(missing) == (name not in ("no head", "no legs"))
     assert caplog.text.count("If it has them, name them by hand") == bool(missing)
     assert caplog.text.count("upper body is smoothed") == bool(missing)
     if name == "one arm":

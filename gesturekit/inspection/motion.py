@@ -27,7 +27,7 @@ from gesturekit.motion.defects import (
     speed_limit,
 )
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import SIDES, find_legs, known_part_labels
+from gesturekit.motion.parts import SIDES, is_upper_body, known_part_labels
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.viewer.figure import Figure
@@ -78,7 +78,7 @@ def inspect_motion(
         "parts": labels,
         **_movement(motion, figure, labels),
         **_feet(motion, labels),
-        "legs": find_legs(skeleton) is not None if not unknown else None,
+        "upper_body_only": is_upper_body(skeleton),
     }
     problems = [
         *(str(warning.message) for warning in said),
@@ -196,7 +196,7 @@ def _rows(
         shares = ", ".join(f"{k} {100 * v:.0f} %" for k, v in facts["contact_share"].items())
         slow = format_speed(CONTACT_SPEED * body_scale(skeleton))
         rows.append(("feet", f"stand still (heel or toe below {slow}): {shares} of the frames"))
-    if facts["legs"] is False:
+    if facts["upper_body_only"]:
         rows.append(("legs", "no legs: upper body only; contacts and foot metrics are left out"))
     if info.get("renamed"):
         pairs = [f"{new} (was {old})" for new, old in info["renamed"].items()]
@@ -215,7 +215,7 @@ def _axes(facts: Mapping[str, Any]) -> str:
 
 def _measured(facts: Mapping[str, Any]) -> str:
     """Return what the height of the body means, in words."""
-    return "as a whole person, by its arms" if facts["legs"] is False else "from sole to crown"
+    return "as a whole person, by its arms" if facts["upper_body_only"] else "from sole to crown"
 
 
 def _counted(skeleton: Skeleton, labels: Mapping[str, str]) -> str:

@@ -10,9 +10,10 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.kinematics import forward_kinematics
-from gesturekit.motion.parts import body_joints
+from gesturekit.motion.parts import body_joints, find_legs, is_upper_body
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import IDENTITY
+from gesturekit.motion.selection.joint_selection import keep_joints
 from gesturekit.motion.skeleton import Skeleton
 
 MATCHED = 0.5
@@ -28,7 +29,8 @@ _SHORTEST = 0.01  # metres on the reference body; shorter bones differ by roundi
 def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion, list[str]]:
     """Return a generated motion on the rig of its recording.
 
-    A rig with joints of the same names (in any case, in any name space) and bones of the same
+    The legs of the recording are not compared with a motion that has none. A rig with joints of the
+    same names (in any case, in any name space) and bones of the same
     lengths is cut to the common joints. Any other is retargeted or, where its body parts cannot be
     identified, compared by name.
 
@@ -44,16 +46,21 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
     names = body_joints(rig)
     if len(names) < 2:
         raise MotionError("the recording has 1 body joint; a motion to be measured has at least 2")
+    legs = _legs(rig) if is_upper_body(motion.skeleton) else set()
+    names = tuple(name for name in names if name not in legs)
     own = {bare_name(name): name for name in reversed(motion.skeleton.names)}
     renamed = {own[bare_name(name)]: name for name in names if bare_name(name) in own}
     found = set(renamed.values())
     joints = tuple(name for name in names if name in found)
     by_name = len(joints) >= max(2, MATCHED * len(names))
     named = _renamed(motion, renamed) if by_name else motion
-    notes = []
+    notes = ["the generated rig has no legs"] if legs else []
     if not by_name or not _same_bones(named, recording, joints):
         try:
-            return names, retarget(motion, rig), [RETARGETED]
+            moved = retarget(motion, rig)
+            if legs:  # they would be measured as if they had been generated
+                moved = keep_joints(moved, [name for name in rig.names if name not in legs])
+            return names, moved, [RETARGETED, *notes]
         except MotionError as error:
             if not by_name:
                 missing = [name for name in names if name not in found]
@@ -68,6 +75,12 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
             f"{len(names) - len(joints)} of {len(names)} body joints are not in the generated rig"
         )
     return joints, named, notes
+
+
+def _legs(rig: Skeleton) -> set[str]:
+    """Return the names of all joints of both legs; none if there are no legs."""
+    hips = [rig.index(leg.hip) for leg in (find_legs(rig) or {}).values()]
+    return {rig.names[j] for hip in hips for j in (hip, *rig.descendants(hip))}
 
 
 def bare_name(name: str) -> str:

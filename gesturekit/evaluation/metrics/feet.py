@@ -13,7 +13,7 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import contact_labels, foot_positions
-from gesturekit.motion.parts import unidentified
+from gesturekit.motion.parts import is_upper_body
 
 NEAR = 0.025
 """H of Zhang et al. 2018: height above standing from which a foot point is in the air, metres on
@@ -84,8 +84,8 @@ def _feet(motion: Motion) -> np.ndarray:
     """Return the (T, F, 3) foot points; raise MotionError if there are none."""
     feet = foot_positions(motion)
     if not feet.shape[1]:
-        known = " two legs that can be identified" if unidentified(motion.skeleton) else " legs"
-        raise MotionError(f"the rig has no{known}")
+        legs = "legs" if is_upper_body(motion.skeleton) else "two legs that can be identified"
+        raise MotionError(f"the rig has no {legs}")
     return feet
 
 

@@ -175,6 +175,14 @@ def require_legs(skeleton: Skeleton) -> Mapping[str, Leg]:
     return legs
 
 
+def is_upper_body(skeleton: Skeleton) -> bool:
+    """Return whether all parts of a rig can be identified, and it has no legs."""
+    try:
+        return not find_parts(skeleton).legs
+    except MotionError:
+        return False
+
+
 def heading_joints(skeleton: Skeleton) -> tuple[str, str] | None:
     """Return the left and right joint whose line faces sideways: hips, or shoulders without legs.
 

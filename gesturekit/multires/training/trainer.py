@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from gesturekit.errors import ConfigError
-from gesturekit.motion.parts import find_legs, unidentified
+from gesturekit.motion.parts import find_legs, is_upper_body, unidentified
 from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second, plain_values
@@ -125,17 +125,17 @@ class Trainer:
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
         """Return the settings without losses on body parts that the rig lacks; log them."""
         skeleton = self.data.representation.skeleton
-        missing, legs = unidentified(skeleton), find_legs(skeleton)
-        if not missing and legs is not None:
-            return config
-        if not missing:
+        missing = unidentified(skeleton)
+        if is_upper_body(skeleton):
             if self.processes.is_first:
                 log.info(LEGLESS)
             return replace(config, losses=replace(config.losses, contact=0.0))
+        if not missing:
+            return config
         off, follows = {"arm_speed": 0.0, "arm_acceleration": 0.0}, []
         if config.uses_arm_speed:
             follows.append("no losses on the arms")
-        if legs is None:
+        if find_legs(skeleton) is None:
             off["contact"] = 0.0
             follows += ["no contact labels or loss", "recordings keep their heading"]
         if config.joints == "body":

@@ -1,0 +1,190 @@
+"""A corpus of upper bodies alone: prepared, trained, rendered, inspected and judged."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import gesturekit as gk
+from gesturekit.corpus import prepare
+from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.diffusion.training.trainer import train as train_diffusion
+from gesturekit.errors import EvaluationError, MotionError
+from gesturekit.evaluation import evaluate
+from gesturekit.evaluation.measuring.rigs import RETARGETED, matched
+from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.frechet.clip_features import geometric_features
+from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+from gesturekit.inspection import inspect
+from gesturekit.motion import Motion
+from gesturekit.motion.selection.joint_selection import keep_joints
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.recall.parts import motion_parts
+from gesturekit.multires.training.trainer import train as train_multires
+from gesturekit.rendering.batch import iter_render as render
+from gesturekit.rendering.render import Output
+from gesturekit.training.config import build
+from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
+from gesturekit.viewer.figure import Figure
+from gesturekit.viewer.human.body import Human
+
+SETTINGS = {
+    "threads": 1,
+    "device": "cpu",
+    "eval_every": 0,
+    "features": {"extractors": [{"kind": "prosody"}, {"kind": "effort", "seconds": 2.0}]},
+}
+MULTIRES = {
+    "system": "multires",
+    "network": {"levels": 4, "channels": [2, 2], "embedding": 8},
+    "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
+    "losses": {"arm_speed": 1.0, "detail": 1.0},
+    "training": {
+        "first_stage": 2,
+        "further_stages": 2,
+        "discriminator_steps": 1,
+        "batch": 2,
+        "window": 2.0,
+        "window_cache": 2,
+    },
+}
+DIFFUSION = {
+    "system": "diffusion",
+    "network": {
+        "blocks": 1,
+        "layers": 1,
+        "channels": 8,
+        "heads": 2,
+        "feedforward": 8,
+        "embedding": 8,
+        "dilations": [0],
+    },
+    "noise": {"steps": 4},
+    "training": {"updates": 2, "batch": 2, "window": 1.0},
+}
+
+
+def upper(motion: Motion) -> Motion:
+    """The motion without the joints of the legs; the end of the hips shows no leg either."""
+    legs = ("UpLeg", "Leg", "Foot")
+    return keep_joints(motion, [n for n in motion.skeleton.names if not n.endswith(legs)])
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory, gesture, write_speech) -> Path:
+    folder = tmp_path_factory.mktemp("upper") / "recordings"
+    for seed, stem in enumerate(("a", "b")):
+        write_speech(folder / f"{stem}.wav", 6.0)
+        upper(gesture(6.0, seed=seed)).save(folder / f"{stem}.bvh")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def corpus(recordings) -> Path:
+    report = prepare([recordings], recordings.parent / "corpus.jsonl", holdout=0.0)
+    (note,) = [str(p) for p in report.problems if "legs" in str(p)]
+    assert "the rig has no legs: foot contacts, foot locking and foot metrics are left out" in note
+    return recordings.parent / "corpus.jsonl"
+
+
+def test_multires_trains_recalls_and_renders_it(corpus, recordings, tmp_path, caplog):
+    config = build(
+        MultiresConfig,
+        {"corpus": str(corpus), "out": str(tmp_path / "run"), **SETTINGS, **MULTIRES},
+    )
+    with caplog.at_level(logging.INFO):
+        model = gk.load(train_multires(config))
+    assert caplog.text.count("The rig has no legs: no contact labels or loss") == 1
+    assert "cannot be identified" not in caplog.text
+    assert '"arm_speed"' in (tmp_path / "run" / "metrics.jsonl").read_text()
+    left, right, rest = motion_parts(model.representation, separate=True)
+    assert "LeftHand" in left.joints and "RightHand" in right.joints
+    assert rest.moving == ("Head",) and len(rest.calmed) > 0
+    (done,) = render(
+        model, [recordings / "a.wav"], tmp_path / "out", output=Output(("bvh", "html", "png"))
+    )
+    assert done.error is None
+    assert Motion.load(tmp_path / "out" / "a.bvh").skeleton.n_joints == 13
+
+
+def test_diffusion_trains_and_renders_it(corpus, recordings, tmp_path, caplog):
+    config = build(
+        DiffusionConfig,
+        {"corpus": str(corpus), "out": str(tmp_path / "run"), **SETTINGS, **DIFFUSION},
+    )
+    with caplog.at_level(logging.INFO):
+        made = gk.load(train_diffusion(config)).generate(recordings / "a.wav")
+    assert "cannot be identified" not in caplog.text
+    assert made.n_frames == 180 and np.isfinite(made.positions()).all()
+
+
+def test_its_arms_are_measured_and_its_feet_said_to_be_missing(recordings, gesture, tmp_path):
+    for seed, stem in enumerate(("a", "b")):
+        upper(gesture(6.0, seed=10 + seed)).save(tmp_path / f"{stem}.npz")
+    (model,) = evaluate({"m": tmp_path}, recordings, audio=recordings).models
+    measured = {"sync", "arm_speed", "wrist_speed", "hand_q50", "reach", "novelty"}
+    assert measured <= set(model.figures)
+    missing = {item.what: item.reason for item in model.excluded}
+    assert missing["Foot skate"] == missing["Floor penetration"] == "the rig has no legs"
+
+
+def test_legs_of_recordings_are_not_compared_with_it(gesture):
+    recording = gesture(2.0)
+    joints, same, notes = matched(upper(recording), recording)
+    legs = ("UpLeg", "Leg", "Foot")
+    expected = tuple(n for n in recording.skeleton.names if not n.endswith(legs))
+    assert joints == expected and notes == ["the generated rig has no legs"]
+    assert same.skeleton.names == expected
+    longer = replace(same, skeleton=same.skeleton.scaled(1.2))  # another body: retargeted
+    joints, other, notes = matched(longer, recording)
+    assert joints == expected and notes == [RETARGETED, "the generated rig has no legs"]
+    with pytest.raises(MotionError, match="the rig has no legs"):
+        foot_skate(other)
+
+
+def test_poses_are_turned_by_its_shoulders_and_geometric_features_say_what_they_lack(gesture):
+    motion = upper(gesture(4.0))
+    turn = Rotation.from_euler("y", 1.0)
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = (turn * Rotation.from_quat(rotations[:, 0])).as_quat()
+    turned = replace(motion, rotations=rotations)
+    windows = PoseWindows.fit([motion])
+    np.testing.assert_allclose(windows.frames(turned), windows.frames(motion), atol=1e-6)
+    with pytest.raises(EvaluationError, match="has no legs, which geometric features need"):
+        geometric_features(motion)
+
+
+def test_inspect_tells_it_as_information(recordings):
+    summary = inspect(recordings / "a.bvh")
+    assert summary.problems == ()
+    rows = dict(summary.rows)
+    assert rows["legs"].startswith("no legs: upper body only")
+    assert "as a whole person, by its arms" in rows["body"] and "hands" in rows
+    assert summary.facts["parts"]["LeftForeArm"] == "left elbow"
+
+
+def test_it_is_drawn_as_a_bust(gesture):
+    motion = gesture(1.0)
+    whole, bust = Figure.of(motion), Figure.of(upper(motion))
+    assert {limb.side for limb in bust.limbs} == {LEFT, MIDDLE, RIGHT} and bust.head is not None
+    radii = {limb.ends: limb.radii for limb in whole.limbs}
+    shared = [limb for limb in bust.limbs if max(limb.ends) < 13]
+    assert len(shared) == 12
+    for limb in shared:
+        assert limb.radii == pytest.approx(radii[limb.ends], rel=0.1)
+    assert bust.floor == pytest.approx(motion.translation[0, 1], abs=0.12)
+    assert bust.extent < bust.height == pytest.approx(whole.height, rel=0.1)
+    assert whole.extent == whole.height
+
+
+def test_a_human_body_stands_below_it(gesture):
+    worn, _ = Human.load().wear(upper(gesture(1.0)))
+    feet = [worn.skeleton.index(f"{side}Foot") for side in ("Left", "Right")]
+    heights = worn.positions()[:, [0, *feet], 1]
+    assert (heights[:, 0] - heights[:, 1:].mean(axis=1)).min() > 0.7
+    assert np.ptp(heights[:, 1:]) < 0.1
