@@ -74,9 +74,8 @@ def retarget(
     """
     source_parts = find_parts(motion.skeleton, parts)
     source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
-    source_feet = None
-    if source_parts.legs:
-        source_feet = FootMotion.measure(motion, source)
+    source_feet = FootMotion.measure(motion, source) if source_parts.legs else None
+    if source_feet is not None:
         source = source.levelled(motion, source_feet.standing)
     same = (skeleton.names, skeleton.parents) == (motion.skeleton.names, motion.skeleton.parents)
     if same:
@@ -95,16 +94,11 @@ def retarget(
     }
     world = _world_rotations(motion, source, target, same)
     if source_feet is None or not target.parts.legs:
-        floor = 0.0 if source_feet is None else source_feet.floor
-        rotations, root = _without_feet(motion, source, target, world, moving, carrier, floor)
+        rotations, root = _without_feet(motion, source, target, world, moving, carrier, source_feet)
     else:
-        targets = FootTargets(
-            target,
-            scale,
-            source_feet,
-            source_feet.heights(source, target, same, scale),
-            round(HIP_DROP_SECONDS * motion.fps),
-        )
+        heights = source_feet.heights(source, target, same, scale)
+        drop_frames = round(HIP_DROP_SECONDS * motion.fps)
+        targets = FootTargets(target, scale, source_feet, heights, drop_frames)
         rotations, root = _solved(motion, source, targets, world, moving, carrier, feet)
     made = _placed(motion, skeleton, rotations, moving, carrier, root)
     return replace(made, expressions=motion.expressions) if same else made
@@ -146,13 +140,13 @@ def _without_feet(
     world: np.ndarray,
     moving: dict[str, np.ndarray],
     carrier: int,
-    floor: float,
+    source_feet: FootMotion | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve the arms where one of the rigs has no legs; see `_solved`.
 
-    The path of the pelvis is scaled about the floor (its height in metres is `floor`) under its
-    first frame. The height of a source without legs says nothing about standing, so that a target
-    with legs stands on the floor.
+    The path of the pelvis is scaled about the floor under its first frame, which is at 0 without
+    feet (`source_feet`). The height of a source without legs says nothing about standing, so that a
+    target with legs stands on the floor.
     """
     skeleton, scale = target.skeleton, target.leg_length() / source.leg_length()
     rotations = _local_rotations(world, skeleton)
@@ -161,6 +155,7 @@ def _without_feet(
     own = motion.positions()
     rotations = place_hands(source, target, own, motion.global_rotations(), positions, rotations)
     pelvis = own[:, source.joints["pelvis"]]
+    floor = 0.0 if source_feet is None else source_feet.floor
     base = np.array([pelvis[0, 0], floor, pelvis[0, 2]])
     path = (pelvis - base) * scale + base
     body = positions[:, target.joints["pelvis"]]
@@ -168,7 +163,7 @@ def _without_feet(
         names = [joint for leg in target.parts.legs.values() for joint in (leg.ankle, leg.toe)]
         feet = [skeleton.index(name) for name in names if name is not None]
         stands = np.median(body[:, 1] - positions[:, feet, 1].min(axis=1))
-        path[:, 1] += floor + stands - np.median(path[:, 1])
+        path[:, 1] += stands - np.median(path[:, 1])
     return rotations, positions[:, carrier] + (path - body)
 
 
