@@ -239,3 +239,23 @@ def test_retargeting_from_and_to_an_upper_body(zeggs, mixamo):
     scale = leg_length(mixamo) / leg_length(zeggs.skeleton)
     hips = np.median(zeggs.positions()[:, 0, 1]) * scale
     assert np.median(on_bust.positions()[:, 0, 1]) == pytest.approx(hips, rel=0.05)
+
+
+def test_a_rig_of_ten_joints_as_in_corpora_of_talks():
+    bones: dict[str, tuple[str | None, tuple[float, float, float]]] = {
+        "spine": (None, (0, 0, 0)),
+        "neck": ("spine", (0, 0.45, 0)),
+        "nose": ("neck", (0, 0.1, 0.08)),
+        "head": ("nose", (0, 0.12, -0.04)),
+    }
+    for side, x in (("r", -1), ("l", 1)):
+        bones[f"{side}_shoulder"] = ("neck", (0.18 * x, -0.02, 0))
+        bones[f"{side}_elbow"] = (f"{side}_shoulder", (0.04 * x, -0.28, 0))
+        bones[f"{side}_wrist"] = (f"{side}_elbow", (0, -0.05, 0.24))
+    names = tuple(bones)
+    parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
+    rig = Skeleton(names, parents, np.array([offset for _, offset in bones.values()], float))
+    parts = find_parts(rig)
+    assert (parts.pelvis, parts.spine, parts.head, parts.legs) == ("spine", ("neck",), "head", {})
+    assert parts.arms["right"].wrist == "r_wrist"
+    assert 1.6 < body_height(rig) < 1.9
