@@ -12,7 +12,7 @@ import audio_features as af
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary, averaged
-from gesturekit.multires.recall.parts import motion_parts, movements
+from gesturekit.multires.recall.parts import hand_directions, motion_parts, movements
 from gesturekit.multires.recall.wanted import WantedMovement, slow_part
 from gesturekit.multires.training.data import TrainingData
 
@@ -26,10 +26,8 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         return None
     representation, sequences = data.representation, data.paired
     parts = motion_parts(representation, settings.parts == "arms")
-    moved = [
-        movements(parts, representation, fps, data.normaliser.inverse(sequence.motion[None])[0])
-        for sequence in sequences
-    ]
+    values = [data.normaliser.inverse(sequence.motion[None])[0] for sequence in sequences]
+    moved = [movements(parts, representation, fps, own) for own in values]
     # Speech is asked for the movement of the hands: that of both arms, or of the only part.
     asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
     every = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
@@ -43,14 +41,20 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
             own = np.concatenate(curves)
             for of_sequence, curve in zip(profiles, curves, strict=True):
                 of_sequence.append(_mapped(curve, own, goal))
+    directions = [np.zeros((0, sequence.n_frames)) for sequence in sequences]
+    if parts[0].is_arm:
+        directions = [hand_directions(parts[0], representation, fps, own) for own in values]
+        size = np.maximum(np.concatenate(directions, axis=1).std(axis=1, keepdims=True), 1e-3)
+        directions = [rows / size for rows in directions]
     recordings = []
-    for sequence, rows in zip(sequences, profiles, strict=True):
+    for sequence, rows, led in zip(sequences, profiles, directions, strict=True):
         n = af.level_lengths(sequence.n_frames, levels)[settings.level - 1]
         recordings.append(
             RecalledRecording(
                 resample(sequence.motion[None], n)[0].contiguous(),
                 resample(sequence.passive[None], n)[0].contiguous(),
                 torch.from_numpy(averaged(np.stack(rows), n)).float(),
+                torch.from_numpy(averaged(led, n)).float(),
                 sequence.speaker,
                 sequence.style,
             )
