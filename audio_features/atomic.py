@@ -21,9 +21,11 @@ def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> 
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(
-        prefix=f".{path.stem}-", suffix=path.suffix if suffix is None else suffix, dir=path.parent
-    )
+    suffix = path.suffix if suffix is None else suffix
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=suffix, dir=path.parent)
+    except OSError as error:  # which names the temporary file, and a user knows only the path
+        raise OSError(error.errno, f"cannot be written: {error.strerror}", str(path)) from None
     os.close(handle)
     temporary = Path(name)
     try:

@@ -28,6 +28,7 @@ SPEECH_LEVEL_DBFS = -23.0
 """Default active level of `Wave.at_level` (the target of EBU R128)."""
 
 _FULL_SCALE = 0.999  # 16-bit files clip at 32767/32768, resampled ones a little lower
+_UNLIMITED = 2.0  # with a higher peak, a floating-point file was not clipped at full scale
 _DC_OFFSET = 0.01
 _BLOCK = 1 << 20  # samples processed at a time, which bounds the memory for long files
 
@@ -271,6 +272,8 @@ class Wave:
     def _clipping(self) -> tuple[int, int]:
         """Count samples that are third in a run at full scale; return (count, first index)."""
         count, first = 0, 0
+        if np.abs(self.samples).max() > _UNLIMITED:
+            return count, first
         for at in range(0, len(self.samples) - 2, _BLOCK):
             full = np.abs(self.samples[at : at + _BLOCK + 2]) >= _FULL_SCALE
             flat = full[2:] & full[1:-1] & full[:-2]

@@ -282,12 +282,15 @@ def _is_model(folder: Path) -> bool:
 def _not_a_config(path: Path) -> str:
     """Return the end of a message about a file that is not a configuration."""
     if path.suffix.lower() == ".jsonl":
-        what = f"a manifest, not a configuration; give it as corpus={path} beside one"
+        what = f"a manifest, not a configuration; give it as corpus={path} beside one of"
     elif path.suffix.lower() in (".bvh", ".npz", ".wav"):
-        what = "a recording, not a configuration; run gesturekit prepare on its folder"
+        what = (
+            "a recording, not a configuration; run gesturekit prepare on its folder, then train "
+            "one of"
+        )
     else:
-        what = "not a configuration, which is a .yaml file"
-    return f"{what}: {', '.join(main_configs())}"
+        what = "not a configuration, which is a .yaml file such as"
+    return f"{what} {', '.join(main_configs())}"
 
 
 def _part(where: str) -> Any:

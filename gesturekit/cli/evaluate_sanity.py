@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
+
+_USED = ("sanity", "audio", "out", "json_out", "variant", "threshold", "seed", "workers")
+"""Options of `gesturekit evaluate` that --sanity takes."""
 
 
 def sanity(
@@ -22,13 +26,12 @@ def sanity(
         options: the other options of `gesturekit evaluate`.
 
     Raises:
-        UsageError: more is named than the recordings, or --body.
+        UsageError: more is named than the recordings, or an option that has no use here.
     """
     recordings, *surplus = filter(None, names)
-    if surplus or options["corpus"] is not None:
+    if surplus:
         raise click.UsageError("--sanity takes a folder of recordings alone, and --audio")
-    if options["body"] is not None:
-        raise click.UsageError("--sanity draws no bodies; leave out --body")
+    _refuse_unused(click.get_current_context())
     from gesturekit.evaluation import PatchOptions, write_report
     from gesturekit.evaluation.report.headline import headline_lines
     from gesturekit.evaluation.sanity.run import run_sanity
@@ -54,3 +57,18 @@ def sanity(
         write_report(found.evaluation, out, title=f"Known-bad motion made from {recordings}")
         click.echo(f"written  {out}")
     return 1 if found.left_out else 0
+
+
+def _refuse_unused(context: click.Context) -> None:
+    """Refuse options of `gesturekit evaluate` that would be ignored.
+
+    Raises:
+        UsageError: there is one.
+    """
+    for option in context.command.params:
+        given = context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
+        if given and isinstance(option, click.Option) and option.name not in _USED:
+            raise click.UsageError(
+                f"--sanity does not use {option.opts[-1]}; leave it out (--out and --json write "
+                "all results)"
+            )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 from pathlib import Path
 
 import click
@@ -88,14 +90,13 @@ def command(
         )
     # An address of all interfaces has many names; there the token protects.
     hosts = ("*",) if not is_local and not names else (*LOOPBACK, host, *names)
+    listening = _listening(host, port)
     app = create_app(load(model, weights=weights, device=device), bounds, token=token, hosts=hosts)
-    shown = f"[{host}]" if ":" in host else host
+    shown, port = f"[{host}]" if ":" in host else host, listening.getsockname()[1]
     click.echo(f"Serving {model} at http://{shown}:{port}/ (end with Ctrl-C)", err=True)
     connections = 4 * (bounds.workers + bounds.queue) + 32
-    uvicorn.run(
+    config = uvicorn.Config(
         app,
-        host=host,
-        port=port,
         log_level="warning",
         limit_concurrency=connections,
         timeout_keep_alive=5,
@@ -103,6 +104,25 @@ def command(
         server_header=False,
         proxy_headers=False,
     )
+    with contextlib.suppress(KeyboardInterrupt):
+        uvicorn.Server(config).run(sockets=[listening])
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens; port 0 takes a free one.
+
+    Raises:
+        ConfigError: the address is in use, or not of this machine.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        # The message of `create_server` repeats the address.
+        reason = (error.strerror or str(error)).partition(" (while")[0]
+        raise ConfigError(
+            f"--host {host} --port {port}: {reason}; another --port may be free"
+        ) from None
 
 
 def _token(file: Path | None) -> str | None:

@@ -285,7 +285,9 @@ def _labeller(style: str | None, pattern: str | None) -> Labeller:
     try:
         compiled = re.compile(pattern)
     except re.error as error:
-        raise CorpusError(f"style pattern {pattern} is no regular expression: {error}") from error
+        raise CorpusError(
+            f"style pattern {pattern} is not a regular expression: {error}"
+        ) from error
     if not {"style", "speaker"} & set(compiled.groupindex):
         raise CorpusError(
             f"style pattern {pattern} has no group named style or speaker; "

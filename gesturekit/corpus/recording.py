@@ -139,7 +139,7 @@ def _limited(recording: Recording, start: float, stop: float) -> tuple[float, fl
 
 
 def _too_short(recording: Recording, seconds: float) -> Problem:
-    length = f"{max(seconds, 0.0):.2f} s of use in it; {MIN_DURATION:g} s are needed"
+    length = f"{max(seconds, 0.0):.2f} s can be used; at least {MIN_DURATION:g} s are needed"
     return Problem("error", recording.file, f"too short: {length}")
 
 

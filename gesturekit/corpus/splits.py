@@ -98,7 +98,7 @@ class HoldOut:
             found = {name for name in ids if re.search(self.pattern, name)}
         except re.error as error:
             raise CorpusError(
-                f"hold-out pattern {self.pattern} is no regular expression: {error}"
+                f"hold-out pattern {self.pattern} is not a regular expression: {error}"
             ) from error
         if ids and not found:
             raise CorpusError(

@@ -17,6 +17,8 @@ from gesturekit.wording import counted
 _BLOCK = 1 << 20
 _FULL_SCALE = 0.999
 """Fraction of full scale from which a sample counts as clipped."""
+_UNLIMITED_DBFS = 6.0
+"""Peak above which a floating-point file was not clipped at full scale."""
 _CLIPPED_SHARE = 1e-5
 """Fraction of clipped samples above which clipping is reported as a problem."""
 _QUIET_DBFS = -45.0
@@ -157,10 +159,13 @@ def _problems(facts: dict[str, Any], refused: str | None) -> list[str]:
     found = [refused] if refused else []
     if refused is None and not facts["active_share"]:
         found.append("silence: no speech above -75 dBFS")
+        if facts["channels"] > 1 and max(facts["peak_dbfs"]) > _QUIET_DBFS:
+            found[-1] += " in the channels' mean, in which they cancel: use one, by --channel"
     elif refused is None and facts["active_level_dbfs"] < _QUIET_DBFS:
         found.append(f"quiet: speech is at {facts['active_level_dbfs']:.0f} dBFS")
     clipped = sum(facts["clipped"])
-    if clipped > _CLIPPED_SHARE * facts["frames"]:
+    loudest = max(facts["peak_dbfs"])
+    if clipped > _CLIPPED_SHARE * facts["frames"] and loudest <= _UNLIMITED_DBFS:
         found.append(f"clipped: {counted(clipped, 'sample')} at full scale")
     offset = max(map(abs, facts["mean"]))
     if offset > _OFFSET:

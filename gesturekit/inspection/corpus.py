@@ -61,9 +61,8 @@ def inspect_manifest(path: Path) -> Summary:
     rig, trouble = _rig(manifest)
     if rig:
         facts["rig"] = rig
-        rows.append(
-            ("rig", f"{counted(rig['joints'], 'joint')}, {rig['fps']:.6g} fps (of {rig['of']})")
-        )
+        joints = counted(rig["joints"], "joint")
+        rows.append(("rig", f"{joints}, {rig['fps']:.6g} fps (of recording {rig['of']})"))
     return Summary(
         kind="corpus",
         title=f"{path}: corpus, {amount(manifest.items)}, {span(facts['seconds'])}",

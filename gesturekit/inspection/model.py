@@ -51,6 +51,8 @@ def inspect_model(folder: Path) -> Summary:
         raise ModelError(f"{folder}: the model lacks {missing}") from None
     except (ConfigError, GestureKitError) as error:
         raise ModelError(f"{folder}: {error}") from None
+    except json.JSONDecodeError as error:
+        raise ModelError(f"{folder}: skeleton.json is damaged ({error})") from None
     except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise ModelError(f"{folder}: the model is damaged ({error!r})") from None
     if features is None:  # a model without speech input

@@ -183,7 +183,7 @@ def _rows(
         rows.insert(3, ("channels", _channels(motion)))
     if motion.n_frames > 1:
         hands = speed_of == "hand speed"
-        who = "both together, relative to the root" if hands else "mean of all joints"
+        who = "both together, relative to the pelvis" if hands else "mean of all joints"
         rows.append(
             (
                 "hands" if hands else "speed",

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from gesturekit.study.clips import Material, Segment, find_clips
 from gesturekit.study.config import INTRODUCTION, SILENT_INTRODUCTION, StudyConfig
 from gesturekit.study.lists import Comparison, make_lists, mismatches
 from gesturekit.viewer import player_data, player_shell
+from gesturekit.wording import counted
 
 CODES = (
     "LeftClearlyBetter",
@@ -122,6 +124,12 @@ def build_study(
             raise ConfigError("design mismatch: needs at least two segments, found 1")
         others = mismatches(material.segments, config.seed)
     lists = make_lists(config, material.segments)
+    if config.pairs is not None and (most := len(lists[0])) < config.pairs:
+        warnings.warn(
+            f"pairs: {config.pairs}, but a rater sees a segment once, and there are "
+            f"{counted(len(material.segments), 'segment')}: {counted(most, 'comparison')} a rater",
+            stacklevel=2,
+        )
     if material.videos and config.body != "mannequin":
         raise ConfigError(f"body: {config.body} is for motions; the clips are videos")
     clips = _Clips(config, material, others)

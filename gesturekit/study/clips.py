@@ -90,7 +90,7 @@ def find_clips(config: StudyConfig) -> Material:
 def _in_folder(system: str, folder: Path) -> dict[str, Path]:
     """Return {relative path without suffix: clip}; videos if there are any, else motions."""
     if not folder.is_dir():
-        raise ConfigError(f"systems: {system}: {folder} is no folder")
+        raise ConfigError(f"systems: {system}: {folder} is not a folder")
     files = [path for _, _, inside in visible_folders(folder, _ignore) for path in inside]
     found = [path for path in files if path.suffix.lower() in VIDEOS]
     if not found:

@@ -119,6 +119,8 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         # safetensors does not say which file it missed.
         missing = Path(error.filename or "model.safetensors").name
         raise ModelError(f"{folder}: the model lacks {missing}") from None
+    except json.JSONDecodeError as error:
+        raise ModelError(f"{folder}: skeleton.json is damaged ({error})") from None
     except (KeyError, TypeError, ValueError, RuntimeError, OSError, MemoryError) as error:
         # torch lists every tensor that does not fit, on a line of its own.
         reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")

@@ -73,8 +73,8 @@ class Figure:
         limbs: drawn between the points.
         head: None if no head could be identified.
         hands: indices into `points` of the wrists, or the ends of arms without; empty if unknown.
-        hand_speed: (T,) m/s, sum of both hands' speeds relative to the root, smoothed by a Gaussian
-            of SPEED_SMOOTHING; the mean over all joints if hands cannot be identified.
+        hand_speed: (T,) m/s, sum of both hands' speeds relative to the pelvis, smoothed by a
+            Gaussian of SPEED_SMOOTHING; the mean over all joints if hands cannot be identified.
         speed_of: label of `hand_speed`: "hand speed" or "mean speed of all joints".
         height: of the body, metres.
         floor: height of the ground, metres.
@@ -120,14 +120,15 @@ class Figure:
         points = _Points(motion)
         head = _head(points, parts, height) if parts and parts.head and not plain else None
         limbs = _limbs(points, None if plain else parts, height)
+        hands = _hands(points, parts)
         drawn = points.stacked()
         return cls(
             points=drawn,
             fps=motion.fps,
             limbs=limbs,
             head=head,
-            hands=_hands(points, parts),
-            hand_speed=_hand_speed(points, parts),
+            hands=hands,
+            hand_speed=_hand_speed(points, hands, parts),
             speed_of="hand speed" if parts else "mean speed of all joints",
             height=height,
             # A low quantile instead of the minimum: in most recordings feet dip below the ground.
@@ -266,17 +267,24 @@ def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Lim
 
 
 def _hands(points: _Points, parts: BodyParts | None) -> tuple[int, ...]:
-    arms = parts.arms.values() if parts else ()
-    return tuple(points.skeleton.index(arm.wrist or arm.elbow) for arm in arms)
+    """Return the indices of both hands' points; without wrists, those of the forearms' ends."""
+    found = []
+    for arm in parts.arms.values() if parts else ():
+        if arm.wrist is None and arm.elbow in points.skeleton.end_sites:
+            found.append(points.add(points.motion.end_positions()[arm.elbow][:, 0]))
+        else:
+            found.append(points.skeleton.index(arm.wrist or arm.elbow))
+    return tuple(found)
 
 
-def _hand_speed(points: _Points, parts: BodyParts | None) -> np.ndarray:
+def _hand_speed(points: _Points, hands: tuple[int, ...], parts: BodyParts | None) -> np.ndarray:
     motion = points.motion
     if motion.n_frames < 2:
         return np.zeros(motion.n_frames)
-    moving = points.joints - points.joints[:, :1]
-    if parts:
-        moving = moving[:, list(_hands(points, parts))]
+    if parts:  # the root may be a still joint above the hips
+        moving = points.stacked()[:, list(hands)] - points.at(parts.pelvis)[:, None]
+    else:
+        moving = points.joints - points.joints[:, :1]
     speed = np.linalg.norm(np.gradient(moving, axis=0), axis=-1) * motion.fps
     total = speed.sum(axis=1) if parts else speed.mean(axis=1)
     return gaussian_filter1d(total, SPEED_SMOOTHING * motion.fps, mode="nearest")

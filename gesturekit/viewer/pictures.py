@@ -195,11 +195,13 @@ def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None, seconds
         _label(axes, f"{name}, m/s{colour}, over the energy of speech (grey)")
     else:
         _label(axes, f"{name}, m/s")
-    for (label, figure), ink in zip(figures.items(), itertools.cycle(_SPEEDS)):
+    # Line styles tell figures of one colour apart.
+    inks = itertools.product(("-", "--", ":"), _SPEEDS)
+    for (label, figure), (line, ink) in zip(figures.items(), itertools.cycle(inks)):
         times = np.arange(len(figure.points)) / figure.fps
         if not wave:
             axes.fill_between(times, 0, figure.hand_speed, color=ink, alpha=0.15, linewidth=0)
-        axes.plot(times, figure.hand_speed, color=ink, linewidth=1.4, label=_plain(label))
+        axes.plot(times, figure.hand_speed, line, color=ink, linewidth=1.4, label=_plain(label))
     if len(figures) > 1:
         axes.legend(loc="upper right", fontsize=8, frameon=False, labelcolor=_SOFT, ncols=4)
     _style(axes, seconds)
@@ -227,11 +229,10 @@ def _figures(
     axes.figure.draw_without_rendering()
     box = axes.get_window_extent()
     wide = (seconds / box.width) * (box.height / (high - low))
-    for k in range(frames):
-        time = (k + 0.5) * seconds / frames
+    times = (np.arange(frames) + 0.5) * seconds / frames
+    times = times[times * figure.fps < n_frames]
+    for time in times if len(times) else [n_frames / figure.fps / 2]:
         frame = int(time * figure.fps)
-        if frame >= n_frames:
-            continue
         if stills is None:
             _figure(axes, figure, frame, time, wide)
             continue

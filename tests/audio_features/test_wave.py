@@ -169,6 +169,8 @@ def test_faults_of_a_recording_are_named(speech):
     assert len(clipped) == 1 and clipped[0].startswith("clipped: ")
     first = float(clipped[0].split("first at ")[1].split(" s")[0])
     assert first == pytest.approx(np.argmax(np.abs(loud) >= 1) / 16_000, abs=0.01)
+    floating = Wave(10 * speech.samples / np.abs(speech.samples).max(), 16_000)
+    assert floating.faults() == []  # beyond full scale, and so not clipped at it
 
 
 @pytest.mark.parametrize("rate", [8_000, 192_000])

@@ -93,7 +93,8 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["demo", "recordings", "--protocol", "lda"], "give --audio"),
         (["--sanity", "recordings", "ours"], "a folder of recordings alone"),
         (["--sanity", "empty"], "empty: no motion files"),
-        (["--sanity", "recordings", "--body", "human"], "draws no bodies; leave out --body"),
+        (["--sanity", "recordings", "--body", "human"], "does not use --body; leave it out"),
+        (["--sanity", "recordings", "--csv", "t.csv"], "does not use --csv; leave it out"),
     ],
 )
 def test_what_cannot_start_is_one_line_and_exit_2(

@@ -273,7 +273,7 @@ def test_a_mistyped_configuration_is_met_by_the_nearest(gesturekit, light, monke
     [
         (["--resume", "runs/none"], "runs/none: no such run"),
         (["c.jsonl"], "c.jsonl: a manifest, not a configuration; give it as corpus=c.jsonl"),
-        (["a.bvh"], "a.bvh: a recording, not a configuration; run gesturekit prepare"),
+        (["a.bvh"], "run gesturekit prepare on its folder, then train one of rec"),
         (["light.yaml"], "did you mean recipes/speech/light.yaml?"),
         (["folder"], "run gesturekit prepare on it"),
         (["recipes/speech/light.yaml", "corpus=folder"], "it is a folder; run gesturekit prepare"),

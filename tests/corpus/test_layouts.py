@@ -414,7 +414,7 @@ def test_hold_outs_by_name(tmp_path, write_pair):
         ({"hold_out_speakers": "carl"}, "no recording of speaker 'carl'; there: ann, bob"),
         ({"hold_out_speakers": "ann,bob"}, "all 4 recordings would be held out"),
         ({"hold_out_pattern": "x"}, "matches none of 4 recordings"),
-        ({"hold_out_pattern": "("}, "no regular expression"),
+        ({"hold_out_pattern": "("}, "not a regular expression"),
         ({"hold_out_pattern": "1", "hold_out_seconds": "1-2"}, "not both"),
     ):
         with pytest.raises(CorpusError, match=complaint):

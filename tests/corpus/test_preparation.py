@@ -236,7 +236,7 @@ def test_a_recording_with_too_little_of_use_is_left_out(tmp_path, write_pair):
     write_pair(tmp_path, "a", 2.0, t_pose=50)
     report = prepare(tmp_path)
     assert len(report.manifest) == 0
-    assert "too short: 0.33 s of use in it" in texts(report, "error")[0]
+    assert "too short: 0.33 s can be used; at least 0.5 s" in texts(report, "error")[0]
 
 
 def test_silence_is_kept_with_a_warning(tmp_path, write_pair, write_speech):
@@ -378,7 +378,7 @@ def test_labels_come_from_names(tmp_path, write_pair):
     [
         ({"holdout": 1.0}, "holdout is 1.0"),
         ({"tolerance": float("nan")}, "tolerance is nan"),
-        ({"style_pattern": "("}, "no regular expression"),
+        ({"style_pattern": "("}, "not a regular expression"),
         ({"style_pattern": "calm"}, "no group named style"),
         ({"unpaired": ["nowhere"]}, "no such folder"),
     ],

@@ -203,6 +203,12 @@ def test_a_rig_of_one_joint_cannot_be_measured(tmp_path):
     assert "missing" not in str(error.value)
 
 
+def test_recordings_of_one_frame_are_refused_with_the_reason(gesture, tmp_path):
+    gesture(4.0, 25.0).slice(0, 1).save(_made(tmp_path / "a.bvh"))
+    with pytest.raises(GestureKitError, match="no clip could be measured: .*one frame"):
+        evaluate(tmp_path, tmp_path)
+
+
 def test_oddities_of_a_clip_are_reported(folders, tmp_path):
     motion = Motion.load(folders / "samples" / "clip0_s1.npz")
     rotations = motion.rotations.copy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ from statsmodels.stats.multitest import multipletests
 from gesturekit.evaluation.contest.figures import figures_of, informative
 from gesturekit.evaluation.contest.paired import contests, distance
 from gesturekit.evaluation.definitions import DEFINITIONS, LIFE, MOVEMENT
-from gesturekit.evaluation.intervals import holm, interval_of
+from gesturekit.evaluation.intervals import holm, interval_of, whole_set
 from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.results import ClipResult, ModelResult
+from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
 
 KEYS = [
     key
@@ -135,3 +136,14 @@ def test_sync_is_informative_only_where_the_recordings_are_above_chance(own, exp
     assert informative(clips, "sync") is expected
     found = figures_of(clips, {"pooled": {"figures": {}}, "frechet": {"figures": {}}}, {}, 0)
     assert found["sync"].informative is expected
+
+
+@pytest.mark.parametrize(("own", "expected"), [(0.1, True), (0.0002, False)])
+def test_a_held_out_recording_that_was_trained_on_says_nothing_about_copying(own, expected):
+    clips = [clip("r0", 0, {}, {})]
+    figures = {
+        key: asdict(MetricResult(key, whole_set(value, 1), recording))
+        for key, value, recording in (("copying", 0.08, own), ("novelty", 0.08 / own, None))
+    }
+    found = figures_of(clips, {"pooled": {"figures": figures}, "frechet": {"figures": {}}}, {}, 0)
+    assert found["novelty"].informative is expected

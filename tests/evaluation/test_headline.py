@@ -67,6 +67,11 @@ def test_what_differs_is_named():
     assert states(clips(jerk=9.0), likeness=result("likeness", 0.3, 0.9))["likeness"][0] == "no"
 
 
+def test_what_is_not_measured_says_why():
+    state, words = states(clips())["novelty"]
+    assert state == "not measured" and "too short, or the rig's arms and legs" in words
+
+
 def test_copies_are_named():
     for value, state, words in (
         (0.1, "no", "Mostly copied"),
@@ -77,5 +82,8 @@ def test_copies_are_named():
         found = states(clips(), novelty=figure)["novelty"]
         assert found[0] == state and words in found[1] and "training motion" in found[1]
     low = result("copying_low", 0.1, 0.3)
+    figure = result("novelty", 442.0, 1.0, informative=False)
+    state, words = states(clips(), novelty=figure)["novelty"]
+    assert state == "not informative here" and "the same as the recordings" in words
     found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
     assert found["novelty"][0] == "partly" and "now and then" in found["novelty"][1]

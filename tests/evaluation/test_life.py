@@ -373,6 +373,7 @@ def result(key: str, value: float, recording: float, **levels: float) -> dict[st
         (result("sync", 0.6, 0.7, chance=0.1), "In time with the speech."),
         (result("sync", 0.4, 0.7, chance=0.1), "Loosely in time with the speech."),
         (result("sync", 0.2, 0.7, mismatched=0.1), "Not in time with the speech."),
+        (result("sync", 0.6, 0.7, chance=0.1, informative=False), ""),
         (result("sync", 0.2, 0.15, chance=0.1), "Speech that hardly moves the speaker's arms"),
         (result("reach", 0.45, 0.2), "Twice the speaker's reach."),
         (result("reach", 0.15, 0.2), "Three quarters of the speaker's reach."),

@@ -203,5 +203,6 @@ def test_a_rig_that_lacks_an_arm_shows_all_its_other_parts(gesture, tmp_path, pa
     assert list(told.values()) == ["pelvis", "spine", "neck", "head", "left ankle"]
     assert labels["RightForeArm"] == "right elbow" and "feet" in dict(summary.rows)
     (problem,) = summary.problems
-    assert problem.startswith("cannot identify the left arm: harmless") and len(problem) < 120
+    assert problem.startswith("cannot identify the left arm: specify them if the rig has them")
+    assert "metrics of arms and feet are left out" in problem and len(problem) < 180
     assert "speed" in dict(summary.rows)  # that of both hands is not known

@@ -17,7 +17,7 @@ import gesturekit.viewer
 from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError, FormatError, GestureKitError, ModelError
 from gesturekit.inspection import Summary, inspect
-from gesturekit.systems import model_folder
+from gesturekit.systems import load, model_folder
 
 
 def row(summary: Summary, label: str) -> str:
@@ -48,7 +48,8 @@ def test_sounds_with_something_wrong(tmp_path):
         ("loud", np.clip(30 * noise, -1, 1), "at full scale"),
         ("shifted", noise + 0.2, "DC offset of 0.2"),
         ("half", noise * [1, 0], "channel 2 is silent"),
-        ("zeros", 0 * noise, "silence"),
+        ("zeros", 0 * noise, "silence: no speech above -75 dBFS"),
+        ("opposite", noise[:, :1] * [1, -1], "in which they cancel"),
         ("quiet", 0.01 * noise, "quiet: speech is at -6"),
         ("nan", np.where(rng.random((16_000, 2)) < 0.001, np.nan, noise), "nan"),
     ):
@@ -57,6 +58,12 @@ def test_sounds_with_something_wrong(tmp_path):
         summary = inspect(path)
         assert any(says in problem for problem in summary.problems), (name, summary.problems)
         assert plain(summary)["channels"] == 2 and "\n".join(summary.lines())
+
+
+def test_a_floating_point_sound_beyond_full_scale_is_not_clipped(tmp_path):
+    loud = 3.0 * np.sin(np.arange(16_000) / 100)
+    soundfile.write(tmp_path / "a.wav", loud, 16_000, subtype="FLOAT")
+    assert not any("clipped" in problem for problem in inspect(tmp_path / "a.wav").problems)
 
 
 def test_a_truncated_sound_is_reported_with_its_remaining_length(write_speech, tmp_path):
@@ -100,10 +107,12 @@ def test_a_damaged_model_names_what_is_wrong(tmp_path):
     with pytest.raises(ModelError, match=r"lacks model\.safetensors"):
         inspect(copy)
     (copy / "model.safetensors").write_bytes(weights)
-    for text, says in (("{", "JSON|damaged"), ('{"skeleton": 3}', "mapping"), ("{}", "damaged")):
+    cut = r"skeleton\.json is damaged"
+    for text, says in (("{", cut), ('{"skeleton": 3}', "mapping"), ("{}", "damaged")):
         (copy / "skeleton.json").write_text(text)
-        with pytest.raises(ModelError, match=says):
-            inspect(copy)
+        for read in (inspect, load):
+            with pytest.raises(ModelError, match=says):
+                read(copy)
     (copy / "README.md").unlink()
 
 

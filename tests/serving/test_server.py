@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from sounds import wav
 
+from gesturekit.cli import main
 from gesturekit.systems import bundled_speech
 
 
@@ -141,3 +142,10 @@ def test_other_addresses_need_a_token():
         [*command, "--host", "0.0.0.0"], capture_output=True, text=True, env=environment
     )
     assert done.returncode == 2 and "give a token" in done.stderr
+
+
+def test_a_port_in_use_is_one_line_and_exit_2(capsys):
+    with socket.create_server(("127.0.0.1", 0)) as used, pytest.raises(SystemExit) as ended:
+        main(["serve", "--model", "demo", "--port", str(used.getsockname()[1])])
+    assert ended.value.code == 2
+    assert ": Address already in use; another --port may be free" in capsys.readouterr().err

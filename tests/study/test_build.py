@@ -161,6 +161,13 @@ def test_the_page_tells_no_system_by_the_names_of_its_clips(tmp_path):
     assert "connect-src &#x27;none&#x27;" in text or "connect-src 'none'" in text
 
 
+def test_more_pairs_than_segments_are_named(tmp_path):
+    names = [f"clip{k}.mp4" for k in range(3)]
+    config = video_study(tmp_path, {"ours": names, "baseline": names}, pairs=36)
+    with pytest.warns(UserWarning, match="pairs: 36, .*3 segments: 3 comparisons a rater"):
+        assert build_study(config, tmp_path / "out").trials == 3
+
+
 def test_mismatched_videos_keep_the_sound_of_the_segment(tmp_path):
     names = [f"clip{k}.mp4" for k in range(3)]
     config = video_study(tmp_path, {"ours": names}, design="mismatch")

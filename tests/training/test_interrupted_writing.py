@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from contextlib import ExitStack
 
 import pytest
@@ -32,3 +33,14 @@ def test_the_next_save_removes_what_a_kill_left(tmp_path, save):
         found = sorted(path.name for path in tmp_path.iterdir())
         unfinished.pop_all()
     assert found == [".mine-of_mine.txt", *whole]
+
+
+def test_a_path_that_cannot_be_written_is_named_as_the_user_wrote_it(tmp_path, monkeypatch):
+    def refuse(**_):
+        raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path / ".a-x1.jsonl"))
+
+    monkeypatch.setattr("tempfile.mkstemp", refuse)
+    refused = pytest.raises(PermissionError, match="cannot be written: ")
+    with refused as caught, atomic_write(tmp_path / "a.jsonl"):
+        pass
+    assert caught.value.filename == str(tmp_path / "a.jsonl")

@@ -76,6 +76,28 @@ def test_still_hands_have_no_speed_and_moving_hands_have_theirs() -> None:
     np.testing.assert_allclose(speed, 0.5, rtol=1e-3)
 
 
+def test_hand_speed_is_relative_to_the_hips_under_a_still_root(shared_data: Path) -> None:
+    motion = Motion.load(shared_data / "motion/bandai/dataset-1_bye_old_001.bvh")
+    assert list(motion.joint_translations) == ["Hips"]
+    still = Figure.of(motion).hand_speed
+    walk = np.outer(np.arange(motion.n_frames) / motion.fps, [1.0, 0.0, 0.0])
+    hips = motion.joint_translations["Hips"]
+    walking = replace(motion, joint_translations={"Hips": hips + walk})
+    np.testing.assert_allclose(Figure.of(walking).hand_speed, still, atol=1e-9)
+
+
+def test_hands_without_wrists_are_the_ends_of_the_forearms(shared_data: Path) -> None:
+    motion = Motion.load(shared_data / "motion/reactidle/003_genuine.bvh").slice(0, 200)
+    figure = Figure.of(motion)
+    ends = motion.end_positions()
+    for hand, forearm in zip(figure.hands, ("forearm.L", "forearm.R"), strict=True):
+        np.testing.assert_allclose(figure.points[:, hand], ends[forearm][:, 0], atol=1e-9)
+    elbows = [motion.skeleton.index(name) for name in ("forearm.L", "forearm.R")]
+    relative = motion.positions()[:, elbows] - motion.positions()[:, :1]
+    speed = np.linalg.norm(np.diff(relative, axis=0), axis=-1).sum(axis=1).mean() * motion.fps
+    assert figure.hand_speed.mean() > 1.1 * speed
+
+
 @pytest.mark.parametrize("front", [0.0, 1.2, -2.5])
 def test_a_quadruped_faces_where_its_head_is(quadruped: Skeleton, front: float) -> None:
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (5, quadruped.n_joints, 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
@@ -48,6 +49,23 @@ def test_each_figure_shows_its_own_moment(tmp_path: Path) -> None:
     contact_sheet(a_swing(1.2), tmp_path / "moving.png", frames=4)
     assert np.ptp(widths(tmp_path / "still.png", 4)) <= 2
     assert np.ptp(widths(tmp_path / "moving.png", 4)) > 20
+
+
+def test_a_motion_too_short_for_the_first_time_is_drawn_in_its_middle(tmp_path: Path) -> None:
+    short = {"long": a_swing(0.0), "short": a_swing(0.0).slice(0, 3)}
+    write_picture(short, tmp_path / "a.png")
+    image = matplotlib.image.imread(tmp_path / "a.png")[:, :, :3]
+    body = np.abs(image - matplotlib.colors.to_rgb(COLOURS[MIDDLE])).max(axis=2) < 0.02
+    assert body[len(body) // 2 : 3 * len(body) // 4].any()
+
+
+def test_more_motions_than_colours_have_speeds_of_their_own(tmp_path: Path) -> None:
+    figure = a_swing(1.0).slice(0, 30)
+    write_picture({f"take {k}": figure for k in range(8)}, tmp_path / "a.svg")
+    drawn = re.findall(
+        r'clip-path[^>]*style="(fill: none; [^"]*)"', (tmp_path / "a.svg").read_text()
+    )
+    assert len({style for style in drawn if "stroke-width: 1.4" in style}) == 8
 
 
 def test_a_rig_of_one_joint_is_as_tall_as_its_end(tmp_path: Path) -> None:

@@ -19,6 +19,9 @@ of speech to be informative."""
 SYNC_SECONDS = 0.4
 """Seconds of arm speed that count as one independent value: the standard deviation of sync over
 shifts of a short clip is too small."""
+SAME = 0.002
+"""Distance of recordings to training motion, metres, up to which they are training motion too: a
+ratio to it says nothing."""
 SATURATED = 0.99
 """CCA of one recording with another above which the metric cannot tell motions apart: clips with
 few frames and many joints."""
@@ -58,7 +61,11 @@ def figures_of(
                 found[key], recording=own.value, recording_interval=own, note=notes
             )
     if "novelty" in found and "copying" in found:
-        found["novelty"] = replace(found["novelty"], recording=1.0, note=found["copying"].note)
+        copying = found["copying"]
+        new = copying.recording is None or copying.recording > SAME
+        found["novelty"] = replace(
+            found["novelty"], recording=1.0, note=copying.note, informative=new
+        )
     for metric, keys in _OF_SPEECH.items():
         if metric in found and not informative(clips, metric):
             found |= {k: replace(found[k], informative=False) for k in keys if k in found}

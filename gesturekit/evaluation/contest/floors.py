@@ -55,6 +55,8 @@ def floors(
         features: the feature extractor of FGD, or None.
         seed: seed of intervals and subsamples.
     """
+    if not recordings:  # all are too short to be compared
+        return {}
     chosen = _chosen(recordings)
     note = OTHERS if len(recordings) > 1 else HALVES
     pairs = _pairs(chosen)

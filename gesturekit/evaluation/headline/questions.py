@@ -106,8 +106,8 @@ def _timing(figures: Figures) -> Answer:
         )
     if not figure.informative:
         text = (
-            "Not informative here: the recordings' own arms follow this speech no more than chance "
-            "does, so that no motion can be judged by it."
+            "Not informative here: the recordings' own sync is less than 3 standard errors above "
+            "chance. Their arms do not follow this speech, or there is too little of it."
         )
         return Answer(IN_TIME, "in_time", "not informative here", text)
     share = figure.interval.value / figure.recording
@@ -146,11 +146,18 @@ def _likeness(clips: Sequence[ClipResult], figures: Figures) -> Answer:
 def _novelty(figures: Figures) -> Answer:
     figure, low = figures.get("novelty"), figures.get("copying_low")
     if figure is None:
-        return Answer(NEW, "novelty", "not measured", "Not measured: the clips are too short.")
+        text = "Not measured: the clips are too short, or the rig's arms and legs are not known."
+        return Answer(NEW, "novelty", "not measured", text)
+    among = "training motion" if "training split" in figure.note else "the recordings"
+    if not figure.informative:
+        text = (
+            f"Not informative here: the recordings themselves are the same as {among}, or do not "
+            "move. Look for one recording in two splits."
+        )
+        return Answer(NEW, "novelty", "not informative here", text)
     now_and_then = low is not None and low.recording and (
         low.interval.value < NOW_AND_THEN * low.recording
     )  # fmt: skip
-    among = "training motion" if "training split" in figure.note else "the recordings"
     if figure.interval.value < COPIED:
         return Answer(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(figures)}.")
     if figure.interval.value < NEAR:

@@ -106,6 +106,8 @@ def _timing(figures: Mapping[str, MetricResult]) -> Iterator[str]:
     ours, own = sync.interval.value - chance, sync.recording - chance
     if own < LEAST_SYNC:
         yield "speech that hardly moves the speaker's arms either"
+    elif not sync.informative:
+        return
     elif ours >= IN_TIME * own:
         yield "in time with the speech"
     elif ours >= BY_CHANCE * own:

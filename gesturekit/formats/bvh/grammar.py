@@ -105,7 +105,7 @@ def _parse(path: Path, encoding: str, fps: float | None) -> ParsedBvh:
             raise FormatError(f"{path}: the file is empty; a BVH file begins with HIERARCHY")
         if first.upper() != "HIERARCHY":
             what = ascii(first[:20])
-            raise lines.error(f"the file begins with {what}; a BVH file begins with HIERARCHY")
+            raise lines.error(f"the first line is {what}; that of a BVH file is HIERARCHY")
         blocks, unit = _parse_hierarchy(lines)
         joints, renamed = _name_apart(_fold_ends(blocks))
         n_frames, frame_time, fps = _parse_timing(lines, fps)
@@ -131,14 +131,14 @@ def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
         inside = blocks[open_blocks[-1]] if open_blocks else None
         if keyword == "{":
             if opening == _NOTHING:
-                raise lines.error("a { that opens no joint")
+                raise lines.error("a { that does not follow ROOT, JOINT or End Site")
             open_blocks.append(opening)
             opening = _NOTHING
         elif opening != _NOTHING:
             raise lines.error(f"expected {{ after the name of a joint, found {statement[:40]!r}")
         elif keyword == "}":
             if not open_blocks:
-                raise lines.error("a } too many")
+                raise lines.error("a } without its {")
             open_blocks.pop()
         elif keyword == "MOTION":
             if open_blocks:
@@ -157,7 +157,7 @@ def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
         elif keyword in ("OFFSET", "CHANNELS"):
             raise lines.error(f"{keyword} outside any joint")
         else:
-            raise lines.error(f"{statement[:40]!r} is nothing that a BVH hierarchy holds")
+            raise lines.error(f"{statement[:40]!r} is not a statement of a BVH hierarchy")
     else:
         raise lines.error("the file stops before MOTION")
     if not blocks:
@@ -179,7 +179,7 @@ def _block(
             "export one skeleton a file"
         )
     if keyword != "ROOT" and parent < 0:
-        raise lines.error(f"{keyword} {rest[:40]!r} hangs on no joint")
+        raise lines.error(f"{keyword} {rest[:40]!r} has no parent joint")
     if len(blocks) >= _MOST_JOINTS:
         raise lines.error(f"over {_MOST_JOINTS} joints")
     if len(rest) > _LONGEST_NAME:
@@ -282,5 +282,5 @@ def _parse_timing(lines: Lines, fps: float | None) -> tuple[int, str, float]:
             missing = "Frames:" if n_frames is None else "Frame Time:"
             raise lines.error(f"expected {missing!r} after MOTION, found {line[:40]!r}")
     if n_frames == 0:
-        raise lines.error("the file holds no frame (Frames: 0)")
+        raise lines.error("the file has no frames (Frames: 0)")
     return n_frames, frame_time, fps

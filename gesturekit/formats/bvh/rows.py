@@ -31,7 +31,7 @@ class Lines:
         while line := self.stream.readline(LONGEST_LINE):
             self.number += 1
             if len(line) >= LONGEST_LINE:
-                raise self.error(f"a line of over {LONGEST_LINE} characters; this is no BVH file")
+                raise self.error(f"a line of over {LONGEST_LINE} characters; not a BVH file")
             if line := line.strip():
                 return line
         return ""
@@ -56,13 +56,14 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
         text, rest = text[:end], text[end:]
         if len(rest) >= LONGEST_LINE:
             lines.number += text.count("\n") + 1
-            raise lines.error(f"a line of over {LONGEST_LINE} characters; this is no BVH file")
+            raise lines.error(f"a line of over {LONGEST_LINE} characters; not a BVH file")
         values = _bulk(text, n_channels)
         if values is None:
             values = _line_by_line(text, lines, n_rows, n_frames, n_channels)
         if n_rows + len(values) > n_frames:
             raise lines.error(
-                f"more rows than the {n_frames} that `Frames:` declares",
+                f"more rows than the {n_frames} that `Frames:` declares; correct `Frames:`, or "
+                "delete the rows that do not belong to it",
                 lines.number + _line_of_row(text, n_frames - n_rows) + 1,
             )
         n_rows += len(values)
@@ -117,9 +118,10 @@ def _line_by_line(
             )
         for column, value in enumerate(row, start=1):
             if not abs(value) <= LARGEST:
+                hint = "" if value == value else "; fill the gap where the file was exported"
                 raise lines.error(
                     f"value {column} of frame {frame} is {value}; expected a finite number up to "
-                    f"{LARGEST:g}",
+                    f"{LARGEST:g}{hint}",
                     number,
                 )
         rows.append(row)
@@ -133,4 +135,4 @@ def _number(word: str, lines: Lines, line: int) -> float:
     except ValueError:
         pass
     hint = "; decimals need a point" if "," in word else ""
-    raise lines.error(f"{word[:40]!r} is no number{hint}", line)
+    raise lines.error(f"{word[:40]!r} is not a number{hint}", line)

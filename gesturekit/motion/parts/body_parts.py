@@ -209,8 +209,9 @@ def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
     found = PartFinder.partial(skeleton)
     if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
         reason = (
-            f"cannot identify the {found.missing_limbs()}: harmless if the rig has none; otherwise "
-            f"specify them, as in --part {found.missing[0]}=JOINT"
+            f"cannot identify the {found.missing_limbs()}: specify them if the rig has them, as in "
+            f"--part {found.missing[0]}=JOINT; without them, losses and metrics of arms and feet "
+            "are left out"
         )
     labels = _labels(found)
     is_body = set(labels.values()) - {"other", "root", "end", "twist"}

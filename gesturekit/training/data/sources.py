@@ -68,7 +68,8 @@ def n_recordings(sources: Iterable[Source]) -> int:
 
 def rates(sources: Iterable[Source], fps: float) -> str:
     """Return "at 30 fps, trained at 25 fps", or "at 25 fps" without resampling."""
-    own = Counter(f"{rate:.6g} fps" for _, rate in {(s.motion, s.fps) for s in sources})
+    each_file = sorted({(s.fps, s.motion) for s in sources})  # sets have no order of their own
+    own = Counter(f"{rate:.6g} fps" for rate, _ in each_file)
     trained = f"{fps:.6g} fps"
     if not own or set(own) == {trained}:
         return f"at {trained}"
