@@ -7,6 +7,7 @@ import re
 import shutil
 import socket
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,12 @@ from scipy.spatial.transform import Rotation
 from gesturekit.motion import Motion, Skeleton
 
 NEVER_SKIPPED_IN_CI = ("Chromium", "smplx", "ffmpeg")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Hide GPUs from all tests but those marked `cuda`, so that the others are alike everywhere."""
+    if "cuda" not in config.option.markexpr:
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
@@ -50,6 +57,26 @@ def _own_cache(tmp_path_factory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GESTUREKIT_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture(params=["simulated", pytest.param("cuda", marks=pytest.mark.cuda)])
+def gpu(request) -> Iterator[str]:
+    """A GPU, the device "cuda": "simulated" (see `SimulatedGPU`), so that every run of the tests
+    takes the GPU's way through the code, or "cuda", a real one.
+    """
+    import torch
+    from simulated_gpu import SimulatedGPU
+
+    is_real = request.param == "cuda"
+    if is_real and not torch.cuda.is_available():
+        pytest.skip("no GPU, or hidden: pytest -m cuda runs these tests alone, on a GPU")
+    with pytest.MonkeyPatch.context() as patch:
+        # What the first use of a GPU sets for good.
+        patch.setenv("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+        patch.setattr(torch.backends.cudnn, "allow_tf32", torch.backends.cudnn.allow_tf32)
+        with nullcontext() if is_real else SimulatedGPU():
+            yield request.param
+        torch.use_deterministic_algorithms(False)
 
 
 JOINTS = {
