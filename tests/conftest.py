@@ -24,7 +24,8 @@ NEVER_SKIPPED_IN_CI = ("Chromium", "smplx", "ffmpeg")
 
 def pytest_configure(config: pytest.Config) -> None:
     """Hide GPUs from all tests but those marked `cuda`, so that the others are alike everywhere."""
-    if "cuda" not in config.option.markexpr:
+    asked = config.option.markexpr
+    if "cuda" not in asked or "not cuda" in asked:
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 
@@ -59,7 +60,25 @@ def _own_cache(tmp_path_factory) -> Iterator[None]:
         yield
 
 
-@pytest.fixture(params=["simulated", pytest.param("cuda", marks=pytest.mark.cuda)])
+REAL_GPU = pytest.param("cuda", marks=pytest.mark.cuda)
+
+
+def skip_without_gpu(name: str) -> None:
+    """Skip a test on a real GPU where there is none."""
+    import torch
+
+    if name == "cuda" and not torch.cuda.is_available():
+        pytest.skip("no GPU: torch.cuda.is_available() is false")
+
+
+@pytest.fixture(params=["cpu", REAL_GPU])
+def device(request) -> str:
+    """The CPU, or a real GPU for tests that start processes of their own."""
+    skip_without_gpu(request.param)
+    return request.param
+
+
+@pytest.fixture(params=["simulated", REAL_GPU])
 def gpu(request) -> Iterator[str]:
     """A GPU, the device "cuda": "simulated" (see `SimulatedGPU`), so that every run of the tests
     takes the GPU's way through the code, or "cuda", a real one.
@@ -67,9 +86,8 @@ def gpu(request) -> Iterator[str]:
     import torch
     from simulated_gpu import SimulatedGPU
 
+    skip_without_gpu(request.param)
     is_real = request.param == "cuda"
-    if is_real and not torch.cuda.is_available():
-        pytest.skip("no GPU, or hidden: pytest -m cuda runs these tests alone, on a GPU")
     with pytest.MonkeyPatch.context() as patch:
         # What the first use of a GPU sets for good.
         patch.setenv("CUBLAS_WORKSPACE_CONFIG", ":4096:8")

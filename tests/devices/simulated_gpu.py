@@ -35,7 +35,7 @@ _MIXED = (
 )
 """Operations that take tensors of two devices."""
 _WHOLE = (torch.cat, torch.stack, torch.concatenate, torch.index_select, Tensor.index_select)
-"""Operations that take no number from the CPU beside a GPU's tensors."""
+"""Operations that refuse even a number on the CPU beside a GPU's tensors."""
 
 
 class SimulatedGPU(TorchFunctionMode):
@@ -126,8 +126,13 @@ class SimulatedGPU(TorchFunctionMode):
             args = args[:place] + args[place + 1 :]
             given = list(_tensors([args, kwargs]))
             here = [self.holds(tensor) for tensor in given]
-        least = 0 if func in _WHOLE else 1
-        stray = [t for t, is_here in zip(given, here) if not is_here and t.ndim >= least]
+        # Operations on elements take a number from the CPU; transformers passes an empty tensor.
+        is_strict = func in _WHOLE
+        stray = [
+            tensor
+            for tensor, is_here in zip(given, here)
+            if not is_here and (is_strict or (tensor.ndim and tensor.numel()))
+        ]
         if stray:
             raise RuntimeError(
                 "Expected all tensors to be on the same device, but found at least two devices, "
