@@ -15,6 +15,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.multiprocessing.reductions import StorageWeakRef
 from torch.overrides import TorchFunctionMode
 
 GPU, CPU = torch.device("cuda:0"), torch.device("cpu")
@@ -43,8 +44,8 @@ class SimulatedGPU(TorchFunctionMode):
 
     def __init__(self) -> None:
         super().__init__()
-        # Kept, so that no later storage has the same address.
-        self._storages: dict[int, torch.UntypedStorage] = {}
+        # A weak reference frees the memory, but no later storage has the same address.
+        self._storages: dict[int, StorageWeakRef] = {}
 
     def holds(self, tensor: Tensor) -> bool:
         """Return whether a tensor is on this GPU."""
@@ -53,7 +54,8 @@ class SimulatedGPU(TorchFunctionMode):
     def _put(self, made: Any) -> Any:
         for tensor in _tensors(made):
             storage = tensor.untyped_storage()
-            self._storages[storage._cdata] = storage
+            if storage._cdata not in self._storages:
+                self._storages[storage._cdata] = StorageWeakRef(storage)
         return made
 
     def __torch_function__(
