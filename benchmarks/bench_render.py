@@ -4,9 +4,9 @@ Also 10 s of speech by the first command after an installation, with empty cache
 bundled recording, repeated with varying loudness. "other" is the duration of the speech, so the
 ratio is the real-time factor.
 
-`--device cuda` renders many sounds of 10 s instead, with a diffusion model of the published size, in
-100 and in 12 steps; "other" is the duration of all sounds. The weights are those after one update:
-the cost does not depend on them.
+`--device cuda` renders many sounds of 10 s instead, with a diffusion model of the published size,
+in 100 and in 12 steps; "other" is the duration of all sounds. The weights are those after one
+update: the cost does not depend on them.
 """
 
 from __future__ import annotations

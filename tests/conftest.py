@@ -92,6 +92,7 @@ def gpu(request) -> Iterator[str]:
         # What the first use of a GPU sets for good.
         patch.setenv("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         patch.setattr(torch.backends.cudnn, "allow_tf32", torch.backends.cudnn.allow_tf32)
+        patch.setattr(torch.utils.deterministic, "fill_uninitialized_memory", True)
         with nullcontext() if is_real else SimulatedGPU():
             yield request.param
         torch.use_deterministic_algorithms(False)

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from datetime import timedelta
 
 import pytest
 import torch
@@ -88,7 +89,9 @@ def test_processes_share_gpus_if_there_are_too_few(
     monkeypatch.setattr(torch.cuda, "is_available", lambda: gpus > 0)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
     monkeypatch.setattr(torch.cuda, "set_device", lambda name: chosen.append(name))
-    monkeypatch.setattr(torch.distributed, "init_process_group", lambda name: begun.append(name))
+    monkeypatch.setattr(
+        torch.distributed, "init_process_group", lambda name, timeout: begun.append((name, timeout))
+    )
     monkeypatch.setattr(torch.distributed, "destroy_process_group", lambda: None)
     monkeypatch.setenv("WORLD_SIZE", "2")
     monkeypatch.setenv("LOCAL_WORLD_SIZE", "2")
@@ -98,6 +101,7 @@ def test_processes_share_gpus_if_there_are_too_few(
         monkeypatch.setenv("LOCAL_RANK", str(rank))
         with Processes.from_environment(device) as processes:
             assert processes.device(device) == places[rank]
-    assert begun == [backend] * 2
+    # Others wait while the first process reads hours of recordings.
+    assert [name for name, _ in begun] == [backend] * 2 and begun[1][1] >= timedelta(hours=12)
     assert chosen == (places if gpus and device in ("auto", "cuda") else [])
     assert ("2 processes share 1 GPU" in caplog.text) == (gpus == 1)

@@ -16,6 +16,7 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 
 import torch
 import torch.distributed as distributed
@@ -24,6 +25,10 @@ from torch import Tensor, nn
 from gesturekit.errors import ConfigError
 
 log = logging.getLogger(__name__)
+
+_LONGEST_WAIT = timedelta(days=1)
+"""Others wait while the first process reads the corpus, which may take hours; torch would give up
+after ten minutes. If the first process dies, torchrun ends the others at once."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +77,10 @@ class Processes:
             here, gpus = int(os.environ.get("LOCAL_WORLD_SIZE", count)), torch.cuda.device_count()
             backend = "nccl" if here <= gpus else "gloo"
             if here > gpus and processes.is_first:
-                log.warning("%d processes share %d GPU(s), which is slower than one each", here, gpus)
-        distributed.init_process_group(backend)
+                log.warning(
+                    "%d processes share %d GPU(s), which is slower than one each", here, gpus
+                )
+        distributed.init_process_group(backend, timeout=_LONGEST_WAIT)
         try:
             yield processes
         finally:
