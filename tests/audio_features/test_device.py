@@ -65,11 +65,3 @@ def test_word_embeddings(gpu, tmp_path, write_speech, write_text_encoder):
     write_text_encoder(tmp_path / "text")
     folder = tmp_path / "text"
     assert apart(lambda d: af.WordEmbeddings(folder, device=d), af.Wave.load(wav)) < 1e-5
-
-
-@pytest.mark.parametrize("kind", ["logmel", "mfcc"])
-def test_torchaudio(gpu, speech, kind):
-    pytest.importorskip("torchaudio", exc_type=ImportError)
-    spec = {"kind": kind, "backend": "torchaudio"}
-    wave = af.Wave(speech.samples, 22_050)  # resampled too
-    assert apart(lambda d: af.extractor_from_spec(spec, device=d), wave) < 1e-3
