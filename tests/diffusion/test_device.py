@@ -125,7 +125,7 @@ def test_bfloat16_on_a_gpu_is_that_of_the_cpu(gpu, models):
         models(device, dtype="bf16")["other"].generate(**FEW).positions()
         for device in ("cpu", "cuda")
     )
-    assert np.abs(here - there).max() < 0.05
+    assert np.abs(here - there).max() < 0.02
 
 
 @pytest.fixture
