@@ -9,9 +9,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+import audio_features as af
 import gesturekit as gk
 from gesturekit.cli import main
 from gesturekit.diffusion.network.denoiser import Denoiser
+from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.trainer import train
 from gesturekit.errors import ModelError
 from gesturekit.training.run.checkpoint import Checkpoints
@@ -66,6 +68,25 @@ def test_bfloat16_trains_nearly_the_same(gpu, run, monkeypatch):
         monkeypatch.setattr(torch, "autocast", lambda _, *args, **kw: real("cpu", *args, **kw))
     half = run("cuda", training={"precision": "bfloat16"})
     assert 0 < apart(half, run("cpu")) < 0.03
+
+
+def test_training_extracts_features_on_the_gpu(
+    gpu, make_config, write_wavlm, tmp_path, monkeypatch
+):
+    used, own = set(), af.WavLM.hidden_states
+
+    def hidden_states(self, samples):
+        used.add(self._device.type)
+        return own(self, samples)
+
+    monkeypatch.setattr(af.WavLM, "hidden_states", hidden_states)
+    write_wavlm(tmp_path / "wavlm", seed=12)  # features of other tests' weights are in the cache
+    encoder = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "wavlm")}
+    config = make_config(features=encoder, device="cuda")
+    train(config)
+    assert used == {"cuda"}
+    data = TrainingData.load(config.out / "data", config, "cuda")
+    assert data.conditions.conditioner.extractor.parts[0]._device.type == "cuda"
 
 
 @pytest.fixture

@@ -85,8 +85,8 @@ class _Trainer:
             run,
             processes,
             resume=resume,
-            read=lambda: load_training_data(config),
-            load=lambda folder: TrainingData.load(folder, config),
+            read=lambda: load_training_data(config, str(device)),
+            load=lambda folder: TrainingData.load(folder, config, str(device)),
         )
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(self.data, config)
