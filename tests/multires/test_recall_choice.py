@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from gesturekit.multires.recall.building import _weighted
 from gesturekit.multires.recall.library import (
     RecalledMotion,
     RecalledRecording,
@@ -80,6 +81,21 @@ def test_finer_levels_add_nothing_to_a_part_that_rests(speed, share):
     mean = (np.exp(-1.0) - 0.05 - 0.1) / 0.5  # the right hand moves at the mean log speed
     np.testing.assert_allclose(detail[1], mean, atol=1e-5)
     assert (detail[[3, 5]] == 1.0).all(), "legs and the root keep their detail"
+
+
+@pytest.mark.parametrize("r, spread", [(0.0, 0.0), (0.6, 0.75), (-0.8, 4 / 3), (1.0, 2.065)])
+def test_the_second_arm_follows_as_closely_as_the_recorded_one_did(r, spread):
+    """The spread of the first hand's directions is r / sqrt(1 - r^2), with an r of up to 0.9."""
+    rng = np.random.default_rng(0)
+    hand, other = rng.standard_normal((2, 400))
+    hand, other = hand - hand.mean(), other - other.mean()
+    other -= hand * (hand @ other) / (hand @ hand)
+    beside = r * hand / hand.std() + np.sqrt(1 - r**2) * other / other.std()
+    cut = [np.split(7 * np.stack([row, row]), [150], axis=1) for row in (hand, beside)]
+    first = np.concatenate(_weighted(*cut), axis=1)
+    np.testing.assert_allclose(first.std(axis=1), spread, atol=1e-3)
+    assert first.shape == (2, 400)
+    assert r == 0 or np.corrcoef(first[0], hand)[0, 1] > 0.999
 
 
 # Joining of pieces.

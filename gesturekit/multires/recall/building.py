@@ -13,10 +13,13 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary, averaged
 from gesturekit.multires.recall.parts import hand_directions, motion_parts, movements
-from gesturekit.multires.recall.wanted import WantedMovement, slow_part
+from gesturekit.multires.recall.wanted import WantedMovement, correlation, slow_part
 from gesturekit.multires.training.data import TrainingData
 
 log = logging.getLogger(__name__)
+
+_HIGHEST = 0.9
+"""Correlation of both hands above which the second arm follows no more closely."""
 
 
 def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary | None:
@@ -43,9 +46,11 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
                 of_sequence.append(_mapped(curve, own, goal))
     directions = [np.zeros((0, sequence.n_frames)) for sequence in sequences]
     if parts[0].is_arm:
-        directions = [hand_directions(parts[0], representation, fps, own) for own in values]
-        size = np.maximum(np.concatenate(directions, axis=1).std(axis=1, keepdims=True), 1e-3)
-        directions = [rows / size for rows in directions]
+        first, second = (
+            [hand_directions(part, representation, fps, own) for own in values]
+            for part in parts[:2]
+        )
+        directions = _weighted(first, second)
     recordings = []
     for sequence, rows, led in zip(sequences, profiles, directions, strict=True):
         n = af.level_lengths(sequence.n_frames, levels)[settings.level - 1]
@@ -88,6 +93,20 @@ def _with_slow(
 ) -> tuple[Sequence[np.ndarray], Sequence[np.ndarray]]:
     """Return movement curves (T_k,) and their slow parts."""
     return curves, [slow_part(curve, fps) for curve in curves]
+
+
+def _weighted(first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Scale the directions (2, T_k) of the first hand by how much they tell of the second one.
+
+    With a correlation r of both hands, a row has the standard deviation r / sqrt(1 - r^2): the
+    spread of what it predicts of the second hand, relative to what it does not.
+    """
+    both = np.stack([np.concatenate(first, axis=1), np.concatenate(second, axis=1)])
+    factors = []
+    for a, b in zip(*both, strict=True):
+        r = min(abs(correlation(a, b)), _HIGHEST)
+        factors.append(r / np.sqrt(1 - r**2) / max(a.std(), 1e-3))
+    return [rows * np.array(factors)[:, None] for rows in first]
 
 
 def _mapped(curve: np.ndarray, own: np.ndarray, goal: np.ndarray) -> np.ndarray:

@@ -33,8 +33,8 @@ class RecalledRecording:
         motion: (D, T_l) normalised motion vectors at the recalled level.
         passive: (X, T_l) of the library's `PassiveChannels`.
         profiles: (2 P, T_l) movement of each part and its slow part, in standard deviations.
-        directions: (2, T_l) how the first arm's hand moves, see `hand_directions`, in standard
-            deviations; (0, T_l) if the second arm does not follow it.
+        directions: (2, T_l) how the first arm's hand moves, see `hand_directions`, scaled by how
+            much it tells of the second one; (0, T_l) if the second arm does not follow it.
         speaker: its speaker; None if the corpus names none.
         style: number of its style; 0 without styles.
     """

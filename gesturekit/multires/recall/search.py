@@ -28,8 +28,8 @@ class ChoiceWeights:
     Attributes:
         movement: squared difference of wanted and recorded movement, in standard deviations.
         slow: the same for its slow part.
-        together: the same for the movement of the other hand, upwards and outwards: for the second
-            arm, of what it did in the recording and what it does now.
+        together: the same for the first hand's directions, in the choice of the second arm: what
+            it did beside a piece, and what it does now.
         continuity: mean squared difference of the normalised vectors over the cross-fade.
         used: how often the recorded frames were used shortly before.
         chance: scale of the Gumbel noise that makes seeds differ.
@@ -37,7 +37,7 @@ class ChoiceWeights:
 
     movement: float = 6.0
     slow: float = 1.0
-    together: float = 0.1
+    together: float = 0.5
     continuity: float = 3.0
     used: float = 0.25
     chance: float = 0.5
