@@ -83,9 +83,9 @@ def test_finer_levels_add_nothing_to_a_part_that_rests(speed, share):
     assert (detail[[3, 5]] == 1.0).all(), "legs and the root keep their detail"
 
 
-@pytest.mark.parametrize("r, spread", [(0.0, 0.0), (0.6, 0.75), (-0.8, 4 / 3), (1.0, 2.065)])
+@pytest.mark.parametrize("r, spread", [(0.0, 0.0), (0.6, 0.5625), (-0.8, 16 / 9), (1.0, 16 / 9)])
 def test_the_second_arm_follows_as_closely_as_the_recorded_one_did(r, spread):
-    """The spread of the first hand's directions is r / sqrt(1 - r^2), with an r of up to 0.9."""
+    """The spread of the first hand's directions is r^2 / (1 - r^2), with an r of up to 0.8."""
     rng = np.random.default_rng(0)
     hand, other = rng.standard_normal((2, 400))
     hand, other = hand - hand.mean(), other - other.mean()

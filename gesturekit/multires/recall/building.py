@@ -18,7 +18,7 @@ from gesturekit.multires.training.data import TrainingData
 
 log = logging.getLogger(__name__)
 
-_HIGHEST = 0.9
+_HIGHEST = 0.8
 """Correlation of both hands above which the second arm follows no more closely."""
 
 
@@ -98,14 +98,14 @@ def _with_slow(
 def _weighted(first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Scale the directions (2, T_k) of the first hand by how much they tell of the second one.
 
-    With a correlation r of both hands, a row has the standard deviation r / sqrt(1 - r^2): the
-    spread of what it predicts of the second hand, relative to what it does not.
+    With a correlation r of both hands, a row has the standard deviation r^2 / (1 - r^2): the
+    variance that it predicts of the second hand, relative to the variance that it does not.
     """
     both = np.stack([np.concatenate(first, axis=1), np.concatenate(second, axis=1)])
     factors = []
     for a, b in zip(*both, strict=True):
         r = min(abs(correlation(a, b)), _HIGHEST)
-        factors.append(r / np.sqrt(1 - r**2) / max(a.std(), 1e-3))
+        factors.append(r**2 / (1 - r**2) / max(a.std(), 1e-3))
     return [rows * np.array(factors)[:, None] for rows in first]
 
 

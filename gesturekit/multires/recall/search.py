@@ -37,7 +37,7 @@ class ChoiceWeights:
 
     movement: float = 6.0
     slow: float = 1.0
-    together: float = 0.5
+    together: float = 0.6
     continuity: float = 3.0
     used: float = 0.25
     chance: float = 0.5
