@@ -5,6 +5,9 @@ is a sum of 21 kernels at every pair of frames, attention is full, and convoluti
 released code took 0.65 to 0.72 s per step on 2 quiet cores. Further comparisons: few steps with
 many, bfloat16 with single precision, and 100 s with 10 s, each in its own process, whose peak
 memory is reported. Weights are random: the cost does not depend on them.
+
+`--device cuda` measures the same steps and clips on a GPU, clips of 60 s, updates of a training on
+batches of 80 windows of 5 s, and our attention beside compiled FlexAttention with the same bias.
 """
 
 from __future__ import annotations
@@ -20,19 +23,23 @@ from pathlib import Path
 
 import torch
 import torch.nn.functional as F
-from harness import arguments, compare, report, timed
-from torch import Tensor
+from harness import arguments, compare, gpu_peak, report, timed
+from torch import Tensor, nn
+from torch.nn.attention.flex_attention import create_block_mask, flex_attention
 
 from gesturekit.diffusion.composition.experts import clip_denoised
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.network.attention import Attention
+from gesturekit.diffusion.network.attention import Attention, PositionBias, attend, bands
 from gesturekit.diffusion.network.denoiser import Conformer, Denoiser, DilatedConv
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import sample
+from gesturekit.training.run.device import prepare_device
 from gesturekit.training.seeds import rng_for
 
 N_MOTION, N_CONDITION, CLIP = 70, 35, 300
 FEW = 12
+BATCH, WINDOW = 80, 150
+"""Windows and frames of the published training."""
 SCHEDULE = NoiseSchedule.of(NoiseConfig())
 CONFIG = NetworkConfig()
 ALLOCATOR = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": str(2**40)}
@@ -52,8 +59,10 @@ def network() -> Denoiser:
     return made
 
 
-def noise_at(k: int, n_frames: int = CLIP) -> Tensor:
-    return torch.randn(1, n_frames, N_MOTION, generator=rng_for("bench", k))
+def noise_on(device: torch.device | str = "cpu", n_frames: int = CLIP) -> Callable[[int], Tensor]:
+    """The noise of each step: drawn on the CPU, as in the product."""
+    shape = 1, n_frames, N_MOTION
+    return lambda k: torch.randn(shape, generator=rng_for("bench", k)).to(device)
 
 
 def condition(n_frames: int) -> Tensor:
@@ -65,20 +74,28 @@ class Plain:
 
     def __init__(self, net: Denoiser, told: Tensor) -> None:
         self.net, self.told = net, told
-        self.kernels = {
-            layer: kernel(layer) for layer in net.modules() if isinstance(layer, DilatedConv)
-        }
+        convs = [layer for layer in net.modules() if isinstance(layer, DilatedConv)]
+        with torch.no_grad():
+            self.kernels = {layer: kernel(layer) for layer in convs}
 
     @torch.no_grad()
     def __call__(self, noisy: Tensor, step: int) -> Tensor:
+        return self.forward(noisy, self.told, torch.tensor([step], device=noisy.device))
+
+    def train(self, noisy: Tensor, told: Tensor, steps: Tensor) -> Tensor:
+        """With gradients; the weights differ from call to call."""
+        self.kernels = {layer: kernel(layer) for layer in self.kernels}
+        return self.forward(noisy, told, steps)
+
+    def forward(self, noisy: Tensor, given: Tensor, step: Tensor) -> Tensor:
         net = self.net
         x = net.enter(noisy).relu()
-        steps = net._steps(torch.tensor([step]))
+        steps = net._steps(step)
         told = net.project_condition.weight.chunk(CONFIG.blocks)
         biases = net.project_condition.bias.chunk(CONFIG.blocks)
         total = torch.zeros_like(x)
         for i, (stack, split) in enumerate(zip(net.stacks, net.split, strict=True)):
-            y = stack.enter(x + steps[i][:, None] + F.linear(self.told, told[i], biases[i]))
+            y = stack.enter(x + steps[i][:, None] + F.linear(given, told[i], biases[i]))
             for layer in stack.layers:
                 y = self.conformer(layer, y)
             gate, signal = stack.leave(y).chunk(2, -1)
@@ -100,7 +117,7 @@ class Plain:
     def attention(self, layer: Attention, x: Tensor) -> Tensor:
         n_frames = x.shape[1]
         q, k, v = layer.read(x).unflatten(-1, (3, CONFIG.heads, -1)).permute(2, 0, 3, 1, 4)
-        frame = torch.arange(n_frames, dtype=x.dtype)
+        frame = torch.arange(n_frames, dtype=x.dtype, device=x.device)
         distance = frame[:, None] - frame
         bias = layer.bias
         a, o, s = (p.T[..., None, None] for p in (bias.amplitudes, bias.offsets, bias.widths))
@@ -113,7 +130,7 @@ class Plain:
 
 def kernel(layer: DilatedConv) -> Tensor:
     """(n_out, n_in, 3) of a convolution of three frames, as torch's own wants it."""
-    weight = layer.weight.detach()
+    weight = layer.weight
     if layer.gathers:
         return weight.unflatten(1, (3, -1)).permute(0, 2, 1).contiguous()
     return weight.unflatten(0, (3, -1)).permute(1, 2, 0).contiguous()
@@ -127,7 +144,10 @@ def peak_mib() -> float:
 
 def clip(n_frames: int, runs: int) -> None:
     """Measure a step in its own process: median seconds and peak MiB, as JSON."""
-    predict, noisy = network().for_condition(condition(n_frames), [50]), noise_at(0, n_frames)
+    predict, noisy = (
+        network().for_condition(condition(n_frames), [50]),
+        noise_on("cpu", n_frames)(0),
+    )
     predict(noisy, 50)
     times = timed(lambda: predict(noisy, 50), runs)
     print(json.dumps([statistics.median(times), peak_mib()]))
@@ -141,10 +161,12 @@ def measured_clip(n_frames: int, runs: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    options = arguments(__doc__.splitlines()[0])
-    net, told = network(), condition(CLIP)
+    options = arguments(__doc__.splitlines()[0], takes_device=True)
+    device = prepare_device(options.device)
+    net, told = network().to(device), condition(CLIP).to(device)
     ours, plain = net.for_condition(told, range(SCHEDULE.steps)), Plain(net, told)
     short = copy.deepcopy(net).to(torch.bfloat16).for_condition(told, range(SCHEDULE.steps))
+    noise_at = noise_on(device)
     noisy = noise_at(0)
     exact = ours(noisy, 50)
     apart = float((exact - plain(noisy, 50)).abs().max())
@@ -188,16 +210,142 @@ def main() -> None:
         figures["diffusion_few_steps_bf16"] = compare(
             lambda: made(short, "dpm", FEW), few, 3, "the same in bfloat16; other: single precision"
         )
-    runs = 1 if options.quick else 5
+    if device.type == "cpu":
+        figures["diffusion_long"] = long_clip(1 if options.quick else 5)
+    else:
+        figures |= clips(net, device, runs) | training(net, device, runs)
+        try:
+            figures |= attention(net, device, runs)
+        except RuntimeError as error:  # such as no C compiler, which is no reason to lose the rest
+            print(f"FlexAttention: not measured: {error}")
+    report(figures, options.json)
+
+
+def long_clip(runs: int) -> dict[str, float | str]:
+    """A step of 100 s beside one of 10 s."""
     (long, long_peak), (brief, brief_peak) = measured_clip(3000, runs), measured_clip(300, runs)
-    figures["diffusion_long"] = {
+    return {
         "ours": long,
         "other": brief,
         "ratio": long / brief,
         "note": f"one step of 3,000 frames, peak of the process {long_peak:.0f} MiB; other: of "
         f"300, {brief_peak:.0f} MiB; here the ratio is ours by other",
     }
-    report(figures, options.json)
+
+
+def clips(net: Denoiser, device: torch.device, runs: int) -> dict[str, dict[str, float | str]]:
+    """Clips of 10 and 60 s in many and few steps beside real time, noise from the CPU included."""
+    figures = {}
+    for dtype in (torch.float32, torch.bfloat16):
+        own = copy.deepcopy(net).to(dtype)
+        for seconds, steps in ((10, None), (10, FEW), (60, None), (60, FEW)):
+            n_frames = 30 * seconds
+            told, noise_at = condition(n_frames).to(device), noise_on(device, n_frames)
+
+            def made(told=told, noise_at=noise_at, steps=steps, own=own) -> Tensor:
+                predict = clip_denoised(own.for_condition(told, range(SCHEDULE.steps)), SCHEDULE)
+                solver = "dpm" if steps else "ancestral"
+                return sample(predict, noise_at, SCHEDULE, solver=solver, steps=steps)
+
+            made()
+            spent = statistics.median(timed(made, runs))
+            kind = "bfloat16" if dtype == torch.bfloat16 else "single precision"
+            figures[f"diffusion_{seconds}s_{steps or SCHEDULE.steps}_{kind.split()[0]}"] = {
+                "ours": spent,
+                "other": seconds,
+                "ratio": seconds / spent,
+                "note": f"{seconds} s in {steps or SCHEDULE.steps} steps, {kind}{gpu_peak(made)}; "
+                "other: real time",
+            }
+    return figures
+
+
+class Training:
+    """Updates of the published training on one random batch."""
+
+    def __init__(self, net: Denoiser, device: torch.device, *, half: bool, plain: bool) -> None:
+        self.net, self.half, self.device = copy.deepcopy(net).train(), half, device
+        self.predict = self.net
+        torch.manual_seed(0)
+        self.noisy, self.target = torch.randn(2, BATCH, WINDOW, N_MOTION, device=device)
+        self.told = torch.randn(BATCH, WINDOW, N_CONDITION, device=device)
+        self.steps = torch.randint(SCHEDULE.steps, (BATCH,), device=device)
+        self.optimiser = torch.optim.Adam(self.net.parameters())
+        if plain:
+            self.predict = Plain(self.net, self.told).train
+
+    def update(self) -> None:
+        self.optimiser.zero_grad(set_to_none=True)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half):
+            predicted = self.predict(self.noisy, self.told, self.steps)
+        (predicted.float() - self.target).square().mean().backward()
+        nn.utils.clip_grad_norm_(self.net.parameters(), 25.0)
+        self.optimiser.step()
+
+
+def training(net: Denoiser, device: torch.device, runs: int) -> dict[str, dict[str, float | str]]:
+    """Updates of ours, in both precisions, and of the plain version, which has no dropout."""
+    figures = {}
+    kinds = {"": ("plain version", False, True), "_bf16": ("single precision", True, False)}
+    for name, (other, half, plain) in kinds.items():
+        own = Training(net, device, half=half, plain=False)
+        peak = gpu_peak(own.update)
+        beside = Training(net, device, half=False, plain=plain)
+        figures[f"diffusion_training{name}"] = row = compare(own.update, beside.update, runs, "")
+        row["note"] = (
+            f"an update of {BATCH} windows of {WINDOW} frames, {1 / row['ours']:.2f} a second{peak}"
+            f"; other: {other}{gpu_peak(beside.update)} (both in memory)"
+        )
+    return figures
+
+
+def flex(bias: PositionBias, n_frames: int, *, compiled: bool) -> Callable[..., Tensor]:
+    """FlexAttention with this position bias, and no pairs of frames beyond a head's reach."""
+    table = bias.table(n_frames - 1)
+    reaches = torch.tensor(bias.reaches, device=table.device)
+
+    def score(value: Tensor, batch: Tensor, head: Tensor, query: Tensor, key: Tensor) -> Tensor:
+        return value + table[head, query - key + n_frames - 1]
+
+    def sees(batch: Tensor, head: Tensor, query: Tensor, key: Tensor) -> Tensor:
+        return (query - key).abs() <= reaches[head]
+
+    heads = len(bias.reaches)
+    mask = create_block_mask(sees, None, heads, n_frames, n_frames, device=table.device.type)
+    attention = torch.compile(flex_attention) if compiled else flex_attention
+    return lambda q, k, v: attention(q, k, v, score_mod=score, block_mask=mask)
+
+
+def attention(net: Denoiser, device: torch.device, runs: int) -> dict[str, dict[str, float | str]]:
+    """Attention of one layer: sampling of one clip, and forward and backward of a batch."""
+    figures, bias = {}, net.stacks[0].layers[0].attention.bias
+    for n_frames, batch, trains in ((300, 1, False), (1800, 1, False), (WINDOW, BATCH, True)):
+        with torch.no_grad():
+            own, other = bands(bias, n_frames), flex(bias, n_frames, compiled=device.type != "cpu")
+        shape = 3, batch, CONFIG.heads, n_frames, CONFIG.channels // CONFIG.heads
+        qkv = torch.randn(shape, device=device).requires_grad_(trains)
+
+        def ours(qkv=qkv, own=own) -> Tensor:
+            return attend(*qkv, own, 0.0)
+
+        def theirs(qkv=qkv, other=other) -> Tensor:
+            return other(*qkv)
+
+        def work(made: Callable[[], Tensor], qkv=qkv, trains=trains) -> Callable[[], object]:
+            return lambda: torch.autograd.grad(made().sum(), qkv) if trains else made()
+
+        with torch.set_grad_enabled(trains):
+            apart = float((ours() - theirs()).detach().abs().max())
+            assert apart < 1e-2, f"not the same attention: {apart} apart"
+            what = "forward and backward without the bias" if trains else "forward"
+            figures[f"diffusion_attention_{n_frames}x{batch}"] = compare(
+                work(ours),
+                work(theirs),
+                5 * runs,
+                f"{batch} x {n_frames} frames, {what}{gpu_peak(work(ours))}; other: compiled "
+                f"FlexAttention, {apart:.0e} apart{gpu_peak(work(theirs))}",
+            )
+    return figures
 
 
 def once(

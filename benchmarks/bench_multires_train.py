@@ -13,18 +13,23 @@ The two sides alternate every few iterations, so that caches are in the state of
 `GANIMATOR` holds the seconds per iteration of the released code on 2 cores for each of its groups,
 the minimum of two runs. The dense side is also timed at those lengths, which shows whether the
 comparison is fair on this machine. The ratio is taken at our own lengths, equal on both sides.
+
+With `--device cuda` both sides run on the GPU, ours deterministic and in full float32, the other as
+torch does by default; a further figure compares ours with the numba engine on the CPU.
 """
 
 from __future__ import annotations
 
 import statistics
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from harness import arguments, compare, report, timed
+from harness import arguments, compare, gpu_peak, report, timed
 from torch import Tensor, nn
 
 import audio_features as af
@@ -38,6 +43,7 @@ from gesturekit.multires.network.skeleton_conv import SLOPE, block_neighbours
 from gesturekit.multires.training.kinematics import VectorKinematics
 from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.config import load_config, to_dict
+from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.processes import Processes
 
@@ -87,6 +93,7 @@ class Masked:
 
     def __init__(self, trainer: Trainer, lengths: tuple[int, ...], first: int) -> None:
         torch.manual_seed(0)
+        self.device = device = next(trainer.network.parameters()).device
         self.lengths, self.levels = lengths, range(first, min(first + 2, LEVELS))
         self.blocks = trainer.data.representation.block_sizes
         near = block_neighbours(trainer.data.representation, 2)
@@ -95,25 +102,25 @@ class Masked:
         self.generators, self.critics = [], []
         for _ in range(self.levels.stop):
             convs = [MaskedConv(*size) for size in (*hidden, [near, HIDDEN[-1], BLOCK])]
-            self.generators.append(nn.ModuleList(convs))
+            self.generators.append(nn.ModuleList(convs).to(device))
             score = nn.Conv1d(HIDDEN[-1] * len(near), 1, KERNEL, padding=2, padding_mode="reflect")
             critic = [MaskedConv(*size) for size in hidden]
             steps = [part for conv in critic for part in (conv, nn.LeakyReLU(SLOPE))]
-            self.critics.append(nn.Sequential(*steps, score))
+            self.critics.append(nn.Sequential(*steps, score).to(device))
         self.optimisers = {
             side: [torch.optim.Adam(net.parameters(), lr=1e-4) for net in nets]
             for side, nets in (("g", self.generators), ("d", self.critics))
         }
-        self.kinematics = VectorKinematics(trainer.data.representation, FPS)
+        self.kinematics = VectorKinematics(trainer.data.representation, FPS).to(device)
         # Six channels for every block: a contact and the root leave some of them unused.
         width = BLOCK * len(self.blocks)
         places = [BLOCK * i + k for i, size in enumerate(self.blocks) for k in range(size)]
-        self.places = torch.tensor(places)
-        motion = trainer.data.paired[0].motion
-        whole = torch.zeros(1, width, motion.shape[-1])
+        self.places = torch.tensor(places, device=device)
+        motion = trainer.data.paired[0].motion.to(device)
+        whole = torch.zeros(1, width, motion.shape[-1], device=device)
         whole[0, self.places] = motion
         self.reals = [F.interpolate(whole, size=n, mode="linear") for n in lengths]
-        self.z_star = torch.randn(1, width, lengths[0])
+        self.z_star = torch.randn(1, width, lengths[0], device=device)
         self.pools: dict[int, list[Tensor]] = {i: [] for i in self.levels}
 
     def generate(self, noises: list[Tensor]) -> list[Tensor]:
@@ -130,7 +137,7 @@ class Masked:
 
     def random(self) -> list[Tensor]:
         lengths = self.lengths[: self.levels.stop]
-        return self.generate([torch.randn(1, 1, n) * 0.1 for n in lengths])
+        return self.generate([torch.randn(1, 1, n, device=self.device) * 0.1 for n in lengths])
 
     def pooled(self, level: int, fake: Tensor) -> Tensor:
         pool = self.pools[level]
@@ -150,7 +157,7 @@ class Masked:
             self.optimisers["d"][i].zero_grad()
             (-0.5 * critic(real).mean()).backward()
             (0.5 * critic(self.pooled(i, fake)).mean()).backward()
-            mix = torch.rand(1, 1, 1)
+            mix = torch.rand(1, 1, 1, device=self.device)
             between = (mix * real + (1 - mix) * fake).requires_grad_(True)
             score = critic(between)
             (gradient,) = torch.autograd.grad(
@@ -174,7 +181,8 @@ class Masked:
         self.step(sums)
 
     def reconstruction_step(self) -> None:
-        still = [torch.zeros(1, 1, n) for n in self.lengths[1 : self.levels.stop]]
+        lengths = self.lengths[1 : self.levels.stop]
+        still = [torch.zeros(1, 1, n, device=self.device) for n in lengths]
         made = self.generate([self.z_star, *still])
         self.step([50 * F.l1_loss(made[i], self.reals[i]) for i in self.levels])
 
@@ -187,10 +195,22 @@ class Masked:
             self.optimisers["g"][i].step()
 
     def iterate(self) -> None:
-        for _ in range(5):
-            self.discriminator_step()
-        self.generator_step()
-        self.reconstruction_step()
+        with torch_defaults():
+            for _ in range(5):
+                self.discriminator_step()
+            self.generator_step()
+            self.reconstruction_step()
+
+
+@contextmanager
+def torch_defaults() -> Iterator[None]:
+    """Turn off what `prepare_device` sets: deterministic algorithms, and full float32."""
+    ours = torch.are_deterministic_algorithms_enabled(), torch.backends.cudnn.allow_tf32
+    torch.use_deterministic_algorithms(False)
+    torch.backends.cudnn.allow_tf32 = True
+    yield
+    torch.use_deterministic_algorithms(ours[0], warn_only=True)
+    torch.backends.cudnn.allow_tf32 = ours[1]
 
 
 class Ours:
@@ -205,17 +225,22 @@ class Ours:
         self.iteration += 1
 
 
+def trainer_on(folder: Path, manifest: Path, device: str) -> Trainer:
+    settings = [f"corpus={manifest}", f"out={folder / device}", f"fps={FPS}", "joints=all"]
+    config = load_config(RECIPE, MultiresConfig, settings)
+    run = Run(config.out, to_dict(config), resume=False)
+    return Trainer(config, run, prepare_device(device), Processes(), resume=False)
+
+
 def main() -> None:
-    options = arguments(__doc__.splitlines()[0])
+    options = arguments(__doc__.splitlines()[0], takes_device=True)
     torch.set_num_threads(2)
     runs = 3 if options.quick else 8
     figures = {}
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        settings = [f"corpus={clip(folder)}", f"out={folder / 'run'}", f"fps={FPS}", "joints=all"]
-        config = load_config(RECIPE, MultiresConfig, settings)
-        run = Run(config.out, to_dict(config), resume=False)
-        trainer = Trainer(config, run, torch.device("cpu"), Processes(), resume=False)
+        folder, manifest = Path(name), clip(Path(name))
+        trainer = trainer_on(folder, manifest, options.device)
+        on_cpu = None if options.device == "cpu" else trainer_on(folder, manifest, "cpu")
         own = tuple(af.level_lengths(FRAMES, LEVELS))
         for first, known in GANIMATOR.items():
             ours = Ours(trainer, first)
@@ -230,6 +255,15 @@ def main() -> None:
                 f"GANimator's lengths takes {seconds:.2f} s, GANimator {known:.2f}",
                 turn=TURN,
             )
+            if on_cpu is not None:
+                figures[f"train_levels_{first + 1}_cpu"] = compare(
+                    ours.iterate,
+                    Ours(on_cpu, first).iterate,
+                    runs,
+                    f"an iteration of {levels} on the GPU{gpu_peak(ours.iterate)}; other: on the "
+                    "CPU, two threads, by the numba engine",
+                    turn=TURN,
+                )
     report(figures, options.json)
 
 

@@ -3,6 +3,10 @@
 Also 10 s of speech by the first command after an installation, with empty caches. The speech is the
 bundled recording, repeated with varying loudness. "other" is the duration of the speech, so the
 ratio is the real-time factor.
+
+`--device cuda` renders many sounds of 10 s instead, with a diffusion model of the published size,
+in 100 and in 12 steps; "other" is the duration of all sounds. The weights are those after one
+update: the cost does not depend on them.
 """
 
 from __future__ import annotations
@@ -16,17 +20,23 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from harness import arguments, report, timed
+from harness import arguments, gpu_peak, report, timed
 
 import audio_features as af
 import gesturekit as gk
+from gesturekit.corpus import prepare
 from gesturekit.systems import bundled_speech
 
 SECONDS = 60.0
+CLIP, FEW = 10.0, 12
+RECIPE = Path(__file__).resolve().parents[1] / "recipes/diffusion_speech/config.yaml"
 
 
 def main() -> None:
-    options = arguments(__doc__.splitlines()[0])
+    options = arguments(__doc__.splitlines()[0], takes_device=True)
+    if options.device != "cpu":
+        report(many(options.device, 8 if options.quick else 64), options.json)
+        return
     runs = 3 if options.quick else 10
     spoken = af.Wave.load(bundled_speech())
     wanted = round(SECONDS * spoken.sample_rate)
@@ -75,6 +85,67 @@ def main() -> None:
         },
     }
     report(figures, options.json)
+
+
+def many(device: str, count: int) -> dict[str, dict[str, float | str]]:
+    """Seconds to render many sounds, by one process and by two."""
+    figures = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        model = gk.load(_trained(folder, device), device=device)
+        sounds = _sounds(folder / "sounds", count)
+        for steps in (None, FEW):
+            for workers in (1, 2):
+                out = folder / f"{steps}_{workers}"
+
+                def work(out=out, steps=steps, workers=workers) -> None:
+                    made = gk.render(
+                        model, sounds, out, steps=steps, workers=workers, existing="replace"
+                    )
+                    assert all(outcome.error is None for outcome in made)
+
+                model.generate(sounds[0], steps=steps)
+                (spent,) = timed(work, 1)
+                same = all(
+                    path.read_bytes() == (folder / f"{steps}_1" / path.name).read_bytes()
+                    for path in out.glob("*.bvh")
+                )
+                figures[f"render_many_{steps or 100}_{workers}"] = {
+                    "ours": spent,
+                    "other": count * CLIP,
+                    "ratio": count * CLIP / spent,
+                    "note": f"{count} sounds of {CLIP:g} s, {steps or 100} steps, {workers} "
+                    f"process(es){', same bytes as one' * same * (workers > 1)}"
+                    f"{gpu_peak(lambda s=steps: model.generate(sounds[0], steps=s))}; "
+                    "other: real time",
+                }
+    return figures
+
+
+def _trained(folder: Path, device: str) -> Path:
+    """A diffusion model of the published size, after one update."""
+    (take,) = _sounds(folder / "takes", 1)
+    gk.load("demo").generate(take).save(take.with_suffix(".bvh"))
+    prepare([folder / "takes"], folder / "corpus.jsonl", holdout=0.0)
+    return gk.train(
+        RECIPE,
+        corpus=str(folder / "corpus.jsonl"),
+        out=str(folder / "run"),
+        device=device,
+        styles=None,
+        training={"updates": 1, "batch": 1},
+    )
+
+
+def _sounds(folder: Path, count: int) -> list[Path]:
+    """Sounds of 10 s of the bundled recording, each of another loudness."""
+    spoken = af.Wave.load(bundled_speech())
+    samples = np.resize(spoken.samples, round(CLIP * spoken.sample_rate))
+    folder.mkdir()
+    paths = [folder / f"{k:03}.wav" for k in range(count)]
+    for k, path in enumerate(paths):
+        soundfile.write(path, samples * (0.5 + 0.5 * k / count), spoken.sample_rate)
+    return paths
 
 
 if __name__ == "__main__":

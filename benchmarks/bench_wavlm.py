@@ -6,6 +6,10 @@ two kinds of random weights: as initialised, with attention spread over the whol
 ones with sharp attention to near frames.
 
 Threads are torch's. Peak memory is of whole child processes, including imports and weights.
+
+`--device cuda` measures Base+ and Large on a GPU instead, both sides in the same precision, without
+TF32: clips of 10 s, and ten minutes, which ours cuts into chunks with context and transformers gets
+in pieces of 30 s. Transformers gets clips and pieces one by one, and in batches of one length.
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import transformers
-from harness import arguments, report
+from harness import arguments, gpu_peak, report, timed
 from transformers.utils import logging
 
 import audio_features as af
@@ -48,9 +52,12 @@ print(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1
 
 
 def main() -> None:
-    options = arguments(__doc__.splitlines()[0])
+    options = arguments(__doc__.splitlines()[0], takes_device=True)
     logging.disable_progress_bar()
     torch.manual_seed(0)
+    if options.device != "cpu":
+        report(on_gpu(options.device, quick=options.quick), options.json)
+        return
     torch.set_num_threads(min(2, torch.get_num_threads()))
     flags = CPU.read_text() if CPU.is_file() else ""
     has = "has" if "avx512_bf16" in flags or "amx_bf16" in flags else "is not known to have"
@@ -127,6 +134,90 @@ def interleaved(
             work(samples)
             spent[name].append(time.perf_counter() - start)
     return {name: statistics.median(seconds) for name, seconds in spent.items()}, values
+
+
+SIZES = {
+    "base": {},
+    "large": {
+        "hidden_size": 1024,
+        "num_hidden_layers": 24,
+        "num_attention_heads": 16,
+        "intermediate_size": 4096,
+        "feat_extract_norm": "layer",
+        "do_stable_layer_norm": True,
+    },
+}
+BATCH = 8
+
+
+def on_gpu(device: str, *, quick: bool) -> dict[str, dict]:
+    """Seconds of both on a GPU, with hours of sound in an hour."""
+    figures, runs = {}, 3 if quick else 7
+    clips = [10.0] * (2 * BATCH if quick else 8 * BATCH)
+    for size, config in SIZES.items():
+        torch.manual_seed(0)
+        model = transformers.WavLMModel(transformers.WavLMConfig(**config)).eval()
+        with tempfile.TemporaryDirectory() as folder:
+            model.save_pretrained(folder)
+            for dtype, kind in (("fp32", torch.float32), ("bf16", torch.bfloat16)):
+                wavlm = af.WavLM(folder, dtype=dtype, device=device)
+                theirs = model.to(device, kind)
+                for what, lengths, pieces in (
+                    (f"{len(clips)} clips of 10 s", clips, clips),
+                    ("10 minutes", [600.0], [30.0] * 20),
+                ):
+                    sound = speech(sum(lengths))
+                    own, other = (cut(sound, parts) for parts in (lengths, pieces))
+                    works = {
+                        "ours": lambda own=own, w=wavlm: [w.hidden_states(part) for part in own],
+                        "single": lambda other=other, m=theirs: batched(m, other, 1),
+                        "batched": lambda other=other, m=theirs: batched(m, other, BATCH),
+                    }
+                    figures |= _beside(works, f"wavlm_{size}_{dtype}", what, len(sound), runs)
+            del wavlm, theirs, works
+    return figures
+
+
+def _beside(
+    works: dict[str, Callable[[], list[np.ndarray]]], name: str, what: str, n: int, runs: int
+) -> dict[str, dict]:
+    """Compare ours with both ways of transformers, in turn."""
+    values = {way: np.concatenate(work()) for way, work in works.items()}
+    is_same = len(values["ours"]) == len(values["single"])
+    apart = f", relative L2 {distance(values['ours'], values['single']):.1e}" if is_same else ""
+    spent: dict[str, list[float]] = {way: [] for way in works}
+    for _ in range(runs):
+        for way, work in works.items():
+            spent[way] += timed(work, 1)
+    median = {way: statistics.median(times) for way, times in spent.items()}
+    hours = {way: n / 16_000 / seconds for way, seconds in median.items()}
+    return {
+        f"{name}_{what.replace(' ', '_')}_{way}": {
+            "ours": median["ours"],
+            "other": median[way],
+            "ratio": median[way] / median["ours"],
+            "note": f"{what}: {hours['ours']:.0f} hours an hour{gpu_peak(works['ours'])}; other: "
+            f"transformers, {'batches of ' + str(BATCH) if way == 'batched' else 'one by one'}, "
+            f"{hours[way]:.0f} hours an hour{gpu_peak(works[way])}{apart}",
+        }
+        for way in ("single", "batched")
+    }
+
+
+def cut(sound: np.ndarray, seconds: list[float]) -> list[np.ndarray]:
+    """Cut a sound into parts of these lengths."""
+    return np.split(sound, np.cumsum([round(s * 16_000) for s in seconds])[:-1])
+
+
+def batched(model, sounds: list[np.ndarray], size: int) -> list[np.ndarray]:
+    """Forward sounds of one length, some at a time."""
+    weight, values = next(model.parameters()), []
+    with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
+        for at in range(0, len(sounds), size):
+            inputs = torch.from_numpy(np.stack(sounds[at : at + size]))
+            states = model(inputs.to(weight.device, weight.dtype)).last_hidden_state
+            values += [*states.float().cpu().numpy()]
+    return values
 
 
 def distance(values: np.ndarray, truth: np.ndarray) -> float:

@@ -1,30 +1,55 @@
-"""Shared parts of all benchmarks: the two flags, medians of interleaved runs, and the JSON."""
+"""Shared parts of all benchmarks: the flags, medians of interleaved runs, and the JSON."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 
-def arguments(description: str) -> argparse.Namespace:
+def arguments(description: str, *, takes_device: bool = False) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="under 60 s on 2 cores")
     parser.add_argument("--json", type=Path, help="write the figures here as well")
+    if takes_device:
+        parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1 ...")
     return parser.parse_args()
+
+
+def wait_for_gpu() -> None:
+    """Wait for what a GPU has been given to do: calls return before it is done."""
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_initialized():
+        torch.cuda.synchronize()
 
 
 def timed(work: Callable[[], object], runs: int) -> list[float]:
     """Seconds of each of some runs with nothing between them."""
     times = []
     for _ in range(runs):
+        wait_for_gpu()
         start = time.perf_counter()
         work()
+        wait_for_gpu()
         times.append(time.perf_counter() - start)
     return times
+
+
+def gpu_peak(work: Callable[[], object]) -> str:
+    """ ", N MiB of GPU memory" at the peak of some work, that of weights included; "" on a CPU."""
+    import torch
+
+    if not torch.cuda.is_initialized():
+        return ""
+    wait_for_gpu()
+    torch.cuda.reset_peak_memory_stats()
+    work()
+    wait_for_gpu()
+    return f", {torch.cuda.max_memory_allocated() / 2**20:.0f} MiB of GPU memory"
 
 
 def compare(

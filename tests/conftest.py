@@ -7,6 +7,7 @@ import re
 import shutil
 import socket
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,13 @@ from scipy.spatial.transform import Rotation
 from gesturekit.motion import Motion, Skeleton
 
 NEVER_SKIPPED_IN_CI = ("Chromium", "smplx", "ffmpeg")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Hide GPUs from all tests but those marked `cuda`, so that the others are alike everywhere."""
+    asked = config.option.markexpr
+    if "cuda" not in asked or "not cuda" in asked:
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
@@ -50,6 +58,44 @@ def _own_cache(tmp_path_factory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GESTUREKIT_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+REAL_GPU = pytest.param("cuda", marks=pytest.mark.cuda)
+
+
+def skip_without_gpu(name: str) -> None:
+    """Skip a test on a real GPU where there is none."""
+    import torch
+
+    if name == "cuda" and not torch.cuda.is_available():
+        pytest.skip("no GPU: torch.cuda.is_available() is false")
+
+
+@pytest.fixture(params=["cpu", REAL_GPU])
+def device(request) -> str:
+    """The CPU, or a real GPU for tests that start processes of their own."""
+    skip_without_gpu(request.param)
+    return request.param
+
+
+@pytest.fixture(params=["simulated", REAL_GPU])
+def gpu(request) -> Iterator[str]:
+    """A GPU, the device "cuda": "simulated" (see `SimulatedGPU`), so that every run of the tests
+    takes the GPU's way through the code, or "cuda", a real one.
+    """
+    import torch
+    from simulated_gpu import SimulatedGPU
+
+    skip_without_gpu(request.param)
+    is_real = request.param == "cuda"
+    with pytest.MonkeyPatch.context() as patch:
+        # What the first use of a GPU sets for good.
+        patch.setenv("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+        patch.setattr(torch.backends.cudnn, "allow_tf32", torch.backends.cudnn.allow_tf32)
+        patch.setattr(torch.utils.deterministic, "fill_uninitialized_memory", True)
+        with nullcontext() if is_real else SimulatedGPU():
+            yield request.param
+        torch.use_deterministic_algorithms(False)
 
 
 JOINTS = {

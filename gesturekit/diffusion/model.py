@@ -28,7 +28,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
-from gesturekit.training.model_folder import load_model, save_model
+from gesturekit.training.model_folder import ModelParts, load_model, save_model
 from gesturekit.training.run.device import prepare_device, warn_of_slow_bfloat16
 from gesturekit.training.seeds import checked_seed, rng_for
 
@@ -203,7 +203,8 @@ class DiffusionModel(TrainedModel):
                 that support it; predictions then differ by about 1 %.
 
         Raises:
-            ModelError: a part is missing, damaged, or of a newer format; an unknown dtype.
+            ModelError: a part is missing, damaged, or of a newer format; an unknown dtype; a GPU's
+                memory ran out.
             WeightsError: weights are needed, or are not those of training.
             ConfigError: there is no such device.
         """
@@ -212,11 +213,13 @@ class DiffusionModel(TrainedModel):
         place = prepare_device(device)
         if dtype == "bf16":
             warn_of_slow_bfloat16(place)
-        model = load_model(
-            folder, cls.kind, lambda parts: cls(**model_arguments(parts, weights, str(place)))
-        )
-        model.network.to(place, _DTYPES[dtype])
-        return model
+
+        def assemble(parts: ModelParts) -> DiffusionModel:
+            model = cls(**model_arguments(parts, weights, str(place)))
+            model.network.to(place, _DTYPES[dtype])
+            return model
+
+        return load_model(folder, cls.kind, assemble)
 
 
 def _counted(predict: Predict, progress: Progress) -> Predict:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
@@ -19,6 +20,7 @@ from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion.parts import unidentified
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.renamed_keys import with_new_keys
+from gesturekit.training.run.device import memory_ran_out
 from gesturekit.wording import counted
 
 FORMAT = 1
@@ -88,7 +90,7 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         assemble: build the model from its parts.
 
     Raises:
-        ModelError: a part is missing, damaged, or of a newer format.
+        ModelError: a part is missing, damaged, or of a newer format, or a GPU's memory ran out.
         WeightsError: WavLM weights are missing, or differ from those of training.
     """
     folder = Path(folder)
@@ -121,6 +123,10 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         raise ModelError(f"{folder}: the model lacks {missing}") from None
     except json.JSONDecodeError as error:
         raise ModelError(f"{folder}: skeleton.json is damaged ({error})") from None
+    except torch.cuda.OutOfMemoryError as error:
+        raise ModelError(
+            f"{folder}: {memory_ran_out(error)}; free it, or load the model with device cpu"
+        ) from error
     except (KeyError, TypeError, ValueError, RuntimeError, OSError, MemoryError) as error:
         # torch lists every tensor that does not fit, on a line of its own.
         reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")

@@ -78,7 +78,7 @@ class RunConfig:
     threads: int | None = None
     """CPU threads; null leaves the choice to torch."""
     device: str = "auto"
-    """auto, cpu, or cuda."""
+    """cpu, cuda, cuda:1 ..., or auto, which takes a GPU if there is one."""
     notes: dict[str, Any] = field(default_factory=dict)
     """Free text for the model's README: data, licence."""
 

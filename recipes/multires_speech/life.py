@@ -137,6 +137,12 @@ def seeds_apart(block: Block) -> float:
     return float(np.mean([np.linalg.norm(a - b, axis=-1).mean() for a, b in pairs]))
 
 
+def hands_together(motion: gk.Motion) -> float:
+    """Return the correlation of the vertical velocities of both hands."""
+    heights = gaussian_filter1d(hand_paths(motion)[..., 1], 0.08 * FPS, axis=0)
+    return float(np.corrcoef(np.gradient(heights, axis=0).T)[0, 1])
+
+
 def print_rows(rows: dict[str, list[float]]) -> None:
     for name, values in rows.items():
         mean = f" | mean {np.mean(values):.2f}" if len(values) > 1 else ""
@@ -192,6 +198,8 @@ def main() -> None:
     alike = [likeness(block, recordings) for block in blocks]
     print_rows({name: [row[name] for row in alike] for name in alike[0]})
     print_rows({"seeds apart": [seeds_apart(block) for block in blocks]})
+    print_rows({"together": [np.mean([hands_together(m) for m in b.made]) for b in blocks]})
+    print_rows({"recorded": [hands_together(b.recording) for b in blocks]})
     skates = [[foot_skate(m) for m in (block.recording, *block.made[:4])] for block in blocks]
     print_rows({"foot skate": [np.mean(s[1:]) / max(s[0], 1e-9) for s in skates]})
     if options.strangers:

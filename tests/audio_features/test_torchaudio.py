@@ -69,6 +69,16 @@ def test_resampling_agrees_where_both_filters_pass(torchaudio, rate):
     assert np.abs(ours - theirs)[3:-3, below_3_khz].max() < 0.1  # dB
 
 
+@pytest.mark.parametrize("kind", [af.LogMel, af.MFCC])
+def test_a_gpu_gives_the_values_of_the_cpu(torchaudio, gpu, kind):
+    wave = sound(4.0, 22_050)  # resampled too
+    there, here = (
+        kind(20, backend="torchaudio", device=device).extract(wave).values
+        for device in ("cuda", "cpu")
+    )
+    assert np.abs(there - here).max() < 1e-2
+
+
 def test_a_stack_of_both_backends_gives_each_its_own(torchaudio, speech):
     both = af.Stack([af.LogMel(backend="torchaudio"), af.Prosody()])
     assert af.extractor_from_spec(both.spec).spec == both.spec

@@ -91,10 +91,10 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(make_config, tmp_path):
         train(cut)
 
 
-def test_two_processes_train_the_model_of_one(make_config, tmp_path):
-    options = {"network": {"dropout": 0.0}, "training": {"batch": 5}}
+def test_two_processes_train_the_model_of_one(make_config, tmp_path, device):
+    options = {"network": {"dropout": 0.0}, "training": {"batch": 5}, "device": device}
     one = weights(train(make_config(out=str(tmp_path / "one"), **options)))
-    config = make_config(device="cpu", **options)
+    config = make_config(**options)
     file = tmp_path / "config.yaml"
     file.write_text(yaml.safe_dump(to_dict(config)))
     launch = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2"]

@@ -19,8 +19,8 @@ from gesturekit.training.run.processes import Processes
 STEPS = {"first_stage": 2, "further_stages": 2, "discriminator_steps": 2}
 
 
-def test_two_processes_train_what_one_does(make_config, tmp_path):
-    config = make_config(training=STEPS, out=str(tmp_path / "two"))
+def test_two_processes_train_what_one_does(make_config, tmp_path, device):
+    config = make_config(training=STEPS, out=str(tmp_path / "two"), device=device)
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(to_dict(config)))
     launch = ["torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
     run = subprocess.run(
@@ -34,7 +34,7 @@ def test_two_processes_train_what_one_does(make_config, tmp_path):
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
     )
     assert run.returncode == 0, run.stderr
-    train(make_config(training=STEPS, out=str(tmp_path / "one")))
+    train(make_config(training=STEPS, out=str(tmp_path / "one"), device=device))
     two, one = (load_file(tmp_path / n / "model" / "model.safetensors") for n in ("two", "one"))
     assert one.keys() == two.keys()
     for name, weight in one.items():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import soundfile
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
 import audio_features as af
 import gesturekit as gk
@@ -23,7 +23,8 @@ from gesturekit.multires.config import MultiresConfig, RecallConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.building import build_library
-from gesturekit.multires.recall.parts import movements
+from gesturekit.multires.recall.parts import hand_directions, movements
+from gesturekit.multires.recall.search import ChoiceWeights
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
 from gesturekit.multires.training.window_cache import WindowCache
@@ -270,9 +271,53 @@ def test_movement_is_that_of_the_hands_beside_the_body(data, config):
             np.testing.assert_allclose(movement[5:-5], np.log(0.05), atol=0.05)
 
 
+@pytest.mark.parametrize("rising", [True, False])
+def test_directions_are_upwards_and_away_from_the_body(data, config, rising):
+    """The left arm turns sideways, between hanging and horizontal, wherever she faces."""
+    representation, standing = data.representation, recording(1.0, 0)
+    turns = np.zeros((standing.n_frames, 55, 3))
+    angles = np.linspace(-1.5, 0.0, 30)
+    turns[:, standing.skeleton.index("left_shoulder"), 2] = angles if rising else angles[::-1]
+    hand, part = standing.skeleton.index("left_wrist"), build_library(data, config).parts[0]
+    found = []
+    for heading in (0.0, 1.0):
+        turns[:, 0] = [0.0, heading, 0.0]
+        motion = replace(standing, rotations=quaternion_from_rotation_vector(turns))
+        values = torch.from_numpy(representation.encode(motion).T.copy()).float()
+        found.append(hand_directions(part, representation, motion.fps, values)[:, 5:-5])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-3)
+    x, y, z = (motion.positions()[:, hand] - motion.positions()[:, 0]).T
+    for of_hand, place in zip(found[0], (y, np.hypot(x, z)), strict=True):
+        speed = np.gradient(place, 1 / 30)[5:-5]
+        assert ((speed > 0) == rising).all()
+        expected = np.log1p(np.abs(speed) / 0.1)
+        np.testing.assert_allclose(of_hand, expected if rising else -expected, atol=0.03)
+
+
+def test_the_second_arm_does_what_it_did_beside_such_movement_of_the_first(
+    data, config, model, speech
+):
+    library = build_library(data, config)
+    features = model.conditions.conditioner(speech).T
+    differences = []
+    for together in (0.0, 5.0):
+        changed = replace(library, weights=ChoiceWeights(together=together))
+        apart = []
+        for seed in range(6):
+            made = changed.recall(features, lambda _, s=seed: torch.Generator().manual_seed(s))
+            left, right, _ = (
+                pieces.blend([own.directions for own in library.recordings], made.lengths, 100)
+                for pieces in made.pieces
+            )
+            apart.append(float((left - right).square().mean()))
+        differences.append(np.mean(apart))
+    assert differences[1] < 0.7 * differences[0], differences
+
+
 def test_profiles_of_all_parts_have_one_distribution(data, config):
     """Movement that speech asks of the hands can then be asked of every part of the body."""
-    profiles = torch.cat([own.profiles for own in build_library(data, config).recordings], dim=1)
+    recordings = build_library(data, config).recordings
+    profiles = torch.cat([own.profiles for own in recordings], dim=1)
     assert profiles.shape[0] == 6
     np.testing.assert_allclose(profiles[::2].mean(dim=1), 0.0, atol=0.1)
     np.testing.assert_allclose(profiles[::2].std(dim=1), 1.0, atol=0.2)
@@ -297,6 +342,20 @@ def test_saved_and_loaded_it_gives_the_same_motion(model, folder, speech, tmp_pa
     np.testing.assert_array_equal(one.rotations, first.rotations)
     assert np.abs(one.rotations - two.rotations).max() > 1e-3
     assert np.abs(model.generate(speech, seed=3).rotations - first.rotations).max() > 1e-3
+
+
+def test_a_model_of_an_earlier_version_chooses_each_arm_alone(model, speech, tmp_path):
+    """Its folder has no directions of hands."""
+    model.save(tmp_path / "old")
+    weights = load_file(tmp_path / "old" / "model.safetensors")
+    older = {name: value for name, value in weights.items() if "directions" not in name}
+    assert len(older) == len(weights) - 2
+    save_file(older, tmp_path / "old" / "model.safetensors")
+    changed = copy.copy(model)
+    changed.library = replace(model.library, weights=ChoiceWeights(together=0.0))
+    old = gk.load(tmp_path / "old").generate(speech, seed=2)
+    np.testing.assert_array_equal(old.rotations, changed.generate(speech, seed=2).rotations)
+    assert (old.rotations != model.generate(speech, seed=2).rotations).any()
 
 
 def test_recall_can_be_turned_off(model, plain, speech):
@@ -334,7 +393,7 @@ def test_more_liveliness_asks_for_more_movement(model, speech):
 
         def choose(self, wanted, *rest):
             searched.append(wanted)
-            return model.library.searches[0].choose(wanted, *rest)
+            return model.library.searches[0].choose(wanted[:, :2], *rest)
 
     library = replace(model.library)
     library.__dict__["searches"] = (Spy(), Spy(), Spy())
@@ -344,7 +403,7 @@ def test_more_liveliness_asks_for_more_movement(model, speech):
         library.recall(features, lambda _: torch.Generator().manual_seed(0), liveliness=amount)
         motions = model.generate(speech, liveliness=amount, samples=5, foot_lock=False)
         speeds.append(np.mean([hand_speed(motion) for motion in motions]))
-    calm, usual, lively = searched[::3]
+    calm, usual, lively = searched[::3]  # of the first arm
     assert (calm < usual).all() and (usual < lively).all()
     assert speeds[0] < 0.95 * speeds[1] and speeds[1] < speeds[2], speeds
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from gesturekit.multires.recall.building import _weighted
 from gesturekit.multires.recall.library import (
     RecalledMotion,
     RecalledRecording,
@@ -68,7 +69,8 @@ def test_finer_levels_add_nothing_to_a_part_that_rests(speed, share):
     profiles[0] = profiles[4] = (
         np.log(speed + 0.05) + 1.0
     ) / 2.0  # of the log speed: sd 2, mean -1
-    recording = RecalledRecording(torch.zeros(6, 12), torch.zeros(0, 12), profiles)
+    empty = torch.zeros(0, 12)
+    recording = RecalledRecording(torch.zeros(6, 12), empty, profiles, empty)
     library = RecallLibrary(
         2, 4, 25.0, 1.0, 0.2, parts, (recording,), np.array([2.0, 1.0]), -1.0, None
     )
@@ -79,6 +81,21 @@ def test_finer_levels_add_nothing_to_a_part_that_rests(speed, share):
     mean = (np.exp(-1.0) - 0.05 - 0.1) / 0.5  # the right hand moves at the mean log speed
     np.testing.assert_allclose(detail[1], mean, atol=1e-5)
     assert (detail[[3, 5]] == 1.0).all(), "legs and the root keep their detail"
+
+
+@pytest.mark.parametrize("r, spread", [(0.0, 0.0), (0.6, 0.5625), (-0.8, 16 / 9), (1.0, 16 / 9)])
+def test_the_second_arm_follows_as_closely_as_the_recorded_one_did(r, spread):
+    """The spread of the first hand's directions is r^2 / (1 - r^2), with an r of up to 0.8."""
+    rng = np.random.default_rng(0)
+    hand, other = rng.standard_normal((2, 400))
+    hand, other = hand - hand.mean(), other - other.mean()
+    other -= hand * (hand @ other) / (hand @ hand)
+    beside = r * hand / hand.std() + np.sqrt(1 - r**2) * other / other.std()
+    cut = [np.split(7 * np.stack([row, row]), [150], axis=1) for row in (hand, beside)]
+    first = np.concatenate(_weighted(*cut), axis=1)
+    np.testing.assert_allclose(first.std(axis=1), spread, atol=1e-3)
+    assert first.shape == (2, 400)
+    assert r == 0 or np.corrcoef(first[0], hand)[0, 1] > 0.999
 
 
 # Joining of pieces.
@@ -141,6 +158,18 @@ def test_the_nearer_of_two_movements_is_chosen():
     found = PieceSearch([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
     for wanted, recording in ((0.3, 0), (0.6, 0), (0.9, 1), (3.0, 1)):
         assert placed(found.choose(np.full((10, 2), wanted), rng())) == [(recording, 0)]
+
+
+def test_the_piece_with_the_same_movement_of_the_other_hand_is_chosen():
+    """Columns: movement and its slow part, then the other hand upwards and outwards."""
+    curves = [np.tile([0.0, 0.0, up, out], (10, 1)) for up in (-1, 1) for out in (-1, 1)]
+    found = PieceSearch([np.zeros((10, 1))] * 4, curves, 10, 2, ONLY_MOVEMENT)
+    for recording, curve in enumerate(curves):
+        assert placed(found.choose(curve, rng())) == [(recording, 0)]
+    # Movement counts more: twice the other hand's difference does not outweigh it.
+    curves = [np.tile([level, level, -level, -level], (10, 1)) for level in (-1.0, 1.0)]
+    found = PieceSearch([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
+    assert placed(found.choose(np.tile([1.0, 1.0, 1.0, 1.0], (10, 1)), rng())) == [(1, 0)]
 
 
 def test_unknown_movement_is_not_asked_for():

@@ -125,7 +125,7 @@ def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypat
     read = {"_discriminator_steps": [], "_random_step": [], "_reconstruction_step": []}
     step = []
 
-    def marked(config):
+    def marked(config, device):
         data = load_training_data(config)
         for sequence in data.paired:
             sequence.speech.fill_(1.0)

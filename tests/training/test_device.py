@@ -1,11 +1,29 @@
-"""Warnings about the device that networks compute on."""
+"""The device that networks compute on: its settings, and what is said about it."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from gesturekit.training.run.device import warn_of_slow_bfloat16
+from gesturekit.errors import ConfigError
+from gesturekit.training.run.device import prepare_device, warn_of_slow_bfloat16
+
+
+def test_a_gpu_computes_deterministically_and_in_full_precision(gpu):
+    assert prepare_device("cuda").type == "cuda"
+    assert torch.are_deterministic_algorithms_enabled()
+    assert not torch.backends.cudnn.allow_tf32 and not torch.backends.cuda.matmul.allow_tf32
+
+
+@pytest.mark.parametrize("name", ["auto", "cuda"])
+def test_a_gpu_that_cannot_be_used_is_reported(monkeypatch, name):
+    def fail(*size, device):
+        raise RuntimeError("no kernel image is available\nCompile with ...")
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch, "zeros", fail)
+    with pytest.raises(ConfigError, match=r"device: 'cuda' cannot .* \(no kernel .* available\)$"):
+        prepare_device(name)
 
 
 @pytest.mark.parametrize(

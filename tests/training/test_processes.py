@@ -6,8 +6,10 @@ import json
 import os
 import subprocess
 import sys
+from datetime import timedelta
 
 import pytest
+import torch
 
 from gesturekit.errors import ConfigError
 from gesturekit.training.run.processes import Processes
@@ -69,3 +71,37 @@ def test_an_incomplete_environment_is_reported(monkeypatch):
     monkeypatch.setenv("RANK", "0")
     with pytest.raises(ConfigError, match="torchrun"), Processes.from_environment():
         pass
+
+
+@pytest.mark.parametrize(
+    ("gpus", "device", "backend", "places"),
+    [
+        (0, "auto", "gloo", ["auto", "auto"]),
+        (1, "auto", "gloo", ["cuda:0", "cuda:0"]),  # NCCL refuses two processes on one GPU
+        (2, "cuda", "nccl", ["cuda:0", "cuda:1"]),
+        (2, "cuda:1", "gloo", ["cuda:1", "cuda:1"]),
+        (2, "cpu", "gloo", ["cpu", "cpu"]),
+    ],
+)
+def test_processes_share_gpus_if_there_are_too_few(
+    monkeypatch, caplog, gpus, device, backend, places
+):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpus > 0)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
+    monkeypatch.setattr(torch.cuda, "set_device", lambda name: chosen.append(name))
+    monkeypatch.setattr(
+        torch.distributed, "init_process_group", lambda name, timeout: begun.append((name, timeout))
+    )
+    monkeypatch.setattr(torch.distributed, "destroy_process_group", lambda: None)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "2")
+    begun, chosen = [], []
+    for rank in range(2):
+        monkeypatch.setenv("RANK", str(rank))
+        monkeypatch.setenv("LOCAL_RANK", str(rank))
+        with Processes.from_environment(device) as processes:
+            assert processes.device(device) == places[rank]
+    # Others wait while the first process reads hours of recordings.
+    assert [name for name, _ in begun] == [backend] * 2 and begun[1][1] >= timedelta(hours=12)
+    assert chosen == (places if gpus and device in ("auto", "cuda") else [])
+    assert ("2 processes share 1 GPU" in caplog.text) == (gpus == 1)

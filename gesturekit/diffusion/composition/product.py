@@ -216,6 +216,10 @@ def _check_compatible(first: TrainedModel, other: TrainedModel, who: str) -> Non
     kind = getattr(other, "kind", type(other).__name__)
     if kind != first.kind:
         raise ModelError(f"{who}: a {kind} model; only diffusion models can be multiplied")
+    if other.device != first.device:
+        raise ModelError(
+            f"{who}: is on {other.device}, this model on {first.device}; load both on one device"
+        )
     if other.fps != first.fps:
         raise ModelError(f"{who}: moves at {other.fps:g} fps, this model at {first.fps:g}")
     theirs, own = other.representation, first.representation

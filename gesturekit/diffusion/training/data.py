@@ -116,8 +116,8 @@ class TrainingData:
         save_data(folder, tensors, about)
 
     @classmethod
-    def load(cls, folder: Path, config: DiffusionConfig) -> TrainingData:
-        """Read what `save` wrote.
+    def load(cls, folder: Path, config: DiffusionConfig, device: str = "cpu") -> TrainingData:
+        """Read what `save` wrote; encoders compute on the device.
 
         Raises:
             ConfigError: the folder's data is missing or damaged.
@@ -144,7 +144,7 @@ class TrainingData:
                     Skeleton.from_json(about["skeleton"]), about["motion"]
                 ),
                 conditions=Conditions.from_values(
-                    about["conditions"], tensors, config.fps, weights
+                    about["conditions"], tensors, config.fps, weights, device
                 ),
                 standardiser=Standardiser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers=read_speakers(about),

@@ -50,8 +50,8 @@ class _Take:
     is_paired: bool = True
 
 
-def load_training_data(config: DiffusionConfig) -> TrainingData:
-    """Read the corpus of a run, extract features, and standardise.
+def load_training_data(config: DiffusionConfig, device: str = "cpu") -> TrainingData:
+    """Read the corpus of a run, extract features on a device, and standardise.
 
     Raises:
         CorpusError: no training item with what the run needs, rigs that differ, or a file that
@@ -61,7 +61,7 @@ def load_training_data(config: DiffusionConfig) -> TrainingData:
         ModelError: such a model cannot be read.
     """
     # First, so that wrong settings fail before anything is read.
-    extractor = None if config.features is None else config.features.extractor()
+    extractor = None if config.features is None else config.features.extractor(device)
     start = _start(config)
     like = _like(config) if start is None else start
     corpus = read_corpus(config, paired=extractor is not None)

@@ -85,8 +85,8 @@ class _Trainer:
             run,
             processes,
             resume=resume,
-            read=lambda: load_training_data(config),
-            load=lambda folder: TrainingData.load(folder, config),
+            read=lambda: load_training_data(config, str(device)),
+            load=lambda folder: TrainingData.load(folder, config, str(device)),
         )
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(self.data, config)
@@ -164,10 +164,10 @@ class _Trainer:
 
     def seconds_needed(self) -> float:
         """Estimate the duration of training from a few updates, which change the network."""
-        self._update(0)  # warm-up
+        float(self._update(0))  # warm-up; reading the loss waits for the GPU
         began = time.monotonic()
         for update in (1, 2, 3):
-            self._update(update)
+            float(self._update(update))
         return self.config.training.updates * (time.monotonic() - began) / 3
 
     def run(self) -> Path:

@@ -12,11 +12,14 @@ import audio_features as af
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary, averaged
-from gesturekit.multires.recall.parts import motion_parts, movements
-from gesturekit.multires.recall.wanted import WantedMovement, slow_part
+from gesturekit.multires.recall.parts import hand_directions, motion_parts, movements
+from gesturekit.multires.recall.wanted import WantedMovement, correlation, slow_part
 from gesturekit.multires.training.data import TrainingData
 
 log = logging.getLogger(__name__)
+
+_HIGHEST = 0.8
+"""Correlation of both hands above which the second arm follows no more closely."""
 
 
 def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary | None:
@@ -26,10 +29,8 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         return None
     representation, sequences = data.representation, data.paired
     parts = motion_parts(representation, settings.parts == "arms")
-    moved = [
-        movements(parts, representation, fps, data.normaliser.inverse(sequence.motion[None])[0])
-        for sequence in sequences
-    ]
+    values = [data.normaliser.inverse(sequence.motion[None])[0] for sequence in sequences]
+    moved = [movements(parts, representation, fps, own) for own in values]
     # Speech is asked for the movement of the hands: that of both arms, or of the only part.
     asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
     every = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
@@ -43,14 +44,22 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
             own = np.concatenate(curves)
             for of_sequence, curve in zip(profiles, curves, strict=True):
                 of_sequence.append(_mapped(curve, own, goal))
+    directions = [np.zeros((0, sequence.n_frames)) for sequence in sequences]
+    if parts[0].is_arm:
+        first, second = (
+            [hand_directions(part, representation, fps, own) for own in values]
+            for part in parts[:2]
+        )
+        directions = _weighted(first, second)
     recordings = []
-    for sequence, rows in zip(sequences, profiles, strict=True):
+    for sequence, rows, led in zip(sequences, profiles, directions, strict=True):
         n = af.level_lengths(sequence.n_frames, levels)[settings.level - 1]
         recordings.append(
             RecalledRecording(
                 resample(sequence.motion[None], n)[0].contiguous(),
                 resample(sequence.passive[None], n)[0].contiguous(),
                 torch.from_numpy(averaged(np.stack(rows), n)).float(),
+                torch.from_numpy(averaged(led, n)).float(),
                 sequence.speaker,
                 sequence.style,
             )
@@ -84,6 +93,20 @@ def _with_slow(
 ) -> tuple[Sequence[np.ndarray], Sequence[np.ndarray]]:
     """Return movement curves (T_k,) and their slow parts."""
     return curves, [slow_part(curve, fps) for curve in curves]
+
+
+def _weighted(first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Scale the directions (2, T_k) of the first hand by how much they tell of the second one.
+
+    With a correlation r of both hands, a row has the standard deviation r^2 / (1 - r^2): the
+    variance that it predicts of the second hand, relative to the variance that it does not.
+    """
+    both = np.stack([np.concatenate(first, axis=1), np.concatenate(second, axis=1)])
+    factors = []
+    for a, b in zip(*both, strict=True):
+        r = min(abs(correlation(a, b)), _HIGHEST)
+        factors.append(r**2 / (1 - r**2) / max(a.std(), 1e-3))
+    return [rows * np.array(factors)[:, None] for rows in first]
 
 
 def _mapped(curve: np.ndarray, own: np.ndarray, goal: np.ndarray) -> np.ndarray:

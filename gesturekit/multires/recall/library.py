@@ -33,6 +33,8 @@ class RecalledRecording:
         motion: (D, T_l) normalised motion vectors at the recalled level.
         passive: (X, T_l) of the library's `PassiveChannels`.
         profiles: (2 P, T_l) movement of each part and its slow part, in standard deviations.
+        directions: (2, T_l) how the first arm's hand moves, see `hand_directions`, scaled by how
+            much it tells of the second one; (0, T_l) if the second arm does not follow it.
         speaker: its speaker; None if the corpus names none.
         style: number of its style; 0 without styles.
     """
@@ -40,6 +42,7 @@ class RecalledRecording:
     motion: Tensor
     passive: Tensor
     profiles: Tensor
+    directions: Tensor
     speaker: str | None = None
     style: int = 0
 
@@ -133,7 +136,7 @@ class RecallLibrary:
         return tuple(
             PieceSearch(
                 [recording.motion[part.columns].T.numpy() for recording in self.recordings],
-                [recording.profiles[2 * i : 2 * i + 2].T.numpy() for recording in self.recordings],
+                [self._profile(recording, i).T.numpy() for recording in self.recordings],
                 max(2, round(part.length * self.piece * self.level_fps)),
                 max(1, round(part.length * self.overlap * self.level_fps)),
                 # Longer pieces meet less often, so that each border counts for more.
@@ -141,6 +144,14 @@ class RecallLibrary:
             )
             for i, part in enumerate(self.parts)
         )
+
+    def _profile(self, recording: RecalledRecording, i: int) -> Tensor:
+        """Return what counts in the choice of a part's pieces: its movement and its slow part.
+
+        For the second arm, what the other hand did at the same time counts as well.
+        """
+        own = recording.profiles[2 * i : 2 * i + 2]
+        return torch.cat([own, recording.directions]) if i == 1 else own
 
     def recall(
         self,
@@ -168,10 +179,14 @@ class RecallLibrary:
         elif liveliness != 1.0:
             profile[:, 1] = math.log(liveliness) / self.spread[1]
         allowed = self._allowed(n_frames, speaker, styles)
-        pieces = [
-            search.choose(profile, rng_of(part.name), allowed)
-            for part, search in zip(self.parts, self.searches, strict=True)
-        ]
+        pieces: list[Pieces] = []
+        for i, (part, search) in enumerate(zip(self.parts, self.searches, strict=True)):
+            wanted = profile
+            if i == 1:
+                directions = [recording.directions for recording in self.recordings]
+                beside = pieces[0].blend(directions, self.lengths, n_frames)
+                wanted = np.concatenate([profile, beside.T.numpy()], axis=1)
+            pieces.append(search.choose(wanted, rng_of(part.name), allowed))
         return RecalledMotion(self.parts, tuple(pieces), self.lengths)
 
     def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:
@@ -214,4 +229,5 @@ def averaged(curves: np.ndarray, n_frames: int) -> np.ndarray:
     total = np.concatenate([np.zeros((len(curves), 1)), np.cumsum(curves, axis=1)], axis=1)
     edges = np.linspace(0, curves.shape[1], n_frames + 1)
     at = np.arange(curves.shape[1] + 1)
-    return np.stack([np.diff(np.interp(edges, at, row)) for row in total]) / np.diff(edges)
+    rows = np.array([np.interp(edges, at, row) for row in total]).reshape(len(curves), len(edges))
+    return np.diff(rows) / np.diff(edges)

@@ -19,7 +19,7 @@ from gesturekit.wording import counted
 
 _VALUES = ("level", "piece", "overlap", "mean")
 _LARGEST = 1e4  # of `_VALUES`: levels, seconds and log m/s
-_CURVES = ("motion", "passive", "profiles")
+_CURVES = ("motion", "passive", "profiles", "directions")
 _REGRESSION = ("mean", "weights", "offset", "predicted", "recorded", "r")
 _DISTRIBUTION = ("predicted", "recorded", "voices")
 
@@ -84,7 +84,7 @@ def load_library(
         return None
     tensors, fps = parts.tensors, float(config["fps"])
     recordings = tuple(
-        RecalledRecording(*(tensors[f"recall.{i}.{name}"] for name in _CURVES), speaker, int(style))
+        RecalledRecording(*_curves(tensors, i), speaker, int(style))
         for i, (speaker, style) in enumerate(values["recordings"])
     )
     wanted = None
@@ -129,6 +129,7 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
     passive = library.passive
     n_passive = 6 * len(passive.joints) + passive.expressions
     sizes = {"motion": n_features, "passive": n_passive, "profiles": 2 * len(library.parts)}
+    sizes["directions"] = min(2, len(library.recordings[0].directions))
     for i, recording in enumerate(library.recordings):
         for name, size in sizes.items():
             found, wanted = tuple(getattr(recording, name).shape), (size, library.lengths[i])
@@ -141,6 +142,13 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
             library.wanted(np.zeros((speech_size, 2), np.float32))
         except (IndexError, ValueError) as error:
             raise ValueError(f"recall: no {speech_size} speech features fit ({error})") from None
+
+
+def _curves(tensors: Mapping[str, Tensor], i: int) -> list[Tensor]:
+    """Return the curves of a recording. Models of earlier versions have no directions."""
+    names = [f"recall.{i}.{name}" for name in _CURVES]
+    curves = [tensors[name] for name in names[:-1]]
+    return [*curves, tensors.get(names[-1], curves[0][:0])]
 
 
 def _regression(tensors: Mapping[str, Tensor], part: str) -> Regression:

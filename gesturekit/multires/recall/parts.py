@@ -19,6 +19,8 @@ from gesturekit.multires.training.kinematics import VectorKinematics
 SPEED_FLOOR = 0.05
 """Added to speeds before the logarithm, m/s on the reference body."""
 _SMOOTHING_SECONDS = 0.1
+_DIRECTION_SECONDS, _DIRECTION_SPEED = 0.067, 0.1
+"""Smoothing of `hand_directions`, and the speed in m/s above which they are compressed."""
 _ARM_DETAIL, _TRUNK_DETAIL = 0.35, 1.0
 """`MotionPart.full_detail` of an arm and of the trunk. Profiles give the trunk's movement as the
 hand speed of the same quantile."""
@@ -132,15 +134,45 @@ def movements(
         fps: frames per second.
         values: (D, T) motion vectors in their own units.
     """
-    kinematics = VectorKinematics(representation, fps, arms=False)
-    with torch.no_grad():
-        places = kinematics.places(values[None])[0].double().numpy()
-    places = places - places[:1]
-    if places.shape[-1] > 1:
-        velocity = gaussian_filter1d(np.gradient(places, 1 / fps, axis=-1), 1.0, axis=-1)
-    else:
-        velocity = np.zeros_like(places)
+    velocity = _velocities(_places(representation, fps, values), fps, 1.0)
     speed = np.log(np.linalg.norm(velocity, axis=1) + SPEED_FLOOR)
     smooth = gaussian_filter1d(speed, _SMOOTHING_SECONDS * fps, axis=-1, mode="nearest")
     joints = representation.joints
     return [smooth[[joints.index(name) for name in part.moving]].mean(axis=0) for part in parts]
+
+
+def hand_directions(
+    part: MotionPart,
+    representation: MultiresRepresentation,
+    fps: float,
+    values: Tensor,
+) -> np.ndarray:
+    """Return how the hand of an arm moves upwards and away from the body, (2, T).
+
+    Velocities are relative to the root, and compressed as the logarithm of speeds is, with their
+    sign. Neither depends on where the body faces.
+
+    Args:
+        part: the arm.
+        representation: of the motion vectors.
+        fps: frames per second.
+        values: (D, T) motion vectors in their own units.
+    """
+    x, y, z = _places(representation, fps, values)[representation.joints.index(part.moving[0])]
+    velocity = _velocities(np.stack([y, np.hypot(x, z)]), fps, _DIRECTION_SECONDS * fps)
+    return np.sign(velocity) * np.log1p(np.abs(velocity) / _DIRECTION_SPEED)
+
+
+def _places(representation: MultiresRepresentation, fps: float, values: Tensor) -> np.ndarray:
+    """Return the positions (K, 3, T) of all modelled joints, relative to the root."""
+    kinematics = VectorKinematics(representation, fps, arms=False)
+    with torch.no_grad():
+        places = kinematics.places(values[None])[0].double().numpy()
+    return places - places[:1]
+
+
+def _velocities(places: np.ndarray, fps: float, sigma: float) -> np.ndarray:
+    """Return the velocities (..., T) of positions (..., T), smoothed by `sigma` frames."""
+    if places.shape[-1] < 2:
+        return np.zeros_like(places)
+    return gaussian_filter1d(np.gradient(places, 1 / fps, axis=-1), sigma, axis=-1)

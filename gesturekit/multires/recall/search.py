@@ -28,6 +28,8 @@ class ChoiceWeights:
     Attributes:
         movement: squared difference of wanted and recorded movement, in standard deviations.
         slow: the same for its slow part.
+        together: the same for the first hand's directions, in the choice of the second arm: what
+            it did beside a piece, and what it does now.
         continuity: mean squared difference of the normalised vectors over the cross-fade.
         used: how often the recorded frames were used shortly before.
         chance: scale of the Gumbel noise that makes seeds differ.
@@ -35,6 +37,7 @@ class ChoiceWeights:
 
     movement: float = 6.0
     slow: float = 1.0
+    together: float = 0.6
     continuity: float = 3.0
     used: float = 0.25
     chance: float = 0.5
@@ -45,7 +48,8 @@ class PieceSearch:
 
     Args:
         vectors: (T_k, C) normalised motion of each recording at the recalled level.
-        profiles: (T_k, 2) movement of each recording and its slow part, in standard deviations.
+        profiles: (T_k, 2) movement of each recording and its slow part, in standard deviations; or
+            (T_k, 4), followed by the movement of the other hand.
         piece: frames of a piece; no more than the longest recording has.
         overlap: frames of the cross-fade.
         weights: of the choice.
@@ -69,7 +73,8 @@ class PieceSearch:
         first = np.cumsum([0, *map(len, vectors)])
         self.frame = first[self.recording] + self.start
         self.vectors = np.concatenate(vectors).astype(np.float32)
-        self.scale = np.sqrt(np.array([weights.movement, weights.slow]) / self.piece)
+        counts = [weights.movement, weights.slow, weights.together, weights.together]
+        self.scale = np.sqrt(np.array(counts[: profiles[0].shape[1]]) / self.piece)
         self.profiles = np.concatenate(
             [
                 self._windows(profile)
@@ -83,7 +88,7 @@ class PieceSearch:
         self.n_bins = int(self.bins.max()) + 1
 
     def _windows(self, profile: np.ndarray) -> np.ndarray:
-        """Return the weighted profile (N, 2 * piece) of every window of (T, 2)."""
+        """Return the weighted profile (N, C * piece) of every window of (T, C)."""
         scaled = (profile * self.scale).astype(np.float32)
         windows = np.lib.stride_tricks.sliding_window_view(scaled, self.piece, axis=0)
         return windows.reshape(len(windows), -1)
@@ -97,7 +102,7 @@ class PieceSearch:
         """Return the pieces for a wanted profile.
 
         Args:
-            wanted: (T, 2) movement and its slow part, in standard deviations; NaN: anything fits.
+            wanted: (T, 2) or (T, 4) as `profiles`; NaN: anything fits.
             rng: random numbers.
             allowed: (T, K) bool, the recordings that may be used in each frame; None for all.
         """

@@ -83,7 +83,7 @@ class Regression:
         mean, offset = x.mean(axis=0), y.mean()
         left_out = [_predictions_of(x, y, *fold) for fold in _folds(list(map(len, curves)), gap)]
         predictions = np.concatenate(left_out, axis=0) + offset
-        scores = [_correlation(row, y) for row in predictions.T]
+        scores = [correlation(row, y) for row in predictions.T]
         best = int(np.argmax(scores))
         weights = _ridge(x - mean, y - offset)[:, best]
         return cls(
@@ -149,7 +149,8 @@ def _folds(lengths: Sequence[int], gap: int) -> list[tuple[slice, slice]]:
     return folds
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Return Pearson's r of two curves (T,); 0 if one of them is constant."""
     a, b = a - a.mean(), b - b.mean()
     size = np.sqrt((a @ a) * (b @ b))
     return float(a @ b / size) if size > 1e-12 else 0.0

@@ -228,8 +228,8 @@ class TrainingData:
         save_data(folder, tensors, about)
 
     @classmethod
-    def load(cls, folder: Path, config: MultiresConfig) -> TrainingData:
-        """Read what `save` wrote.
+    def load(cls, folder: Path, config: MultiresConfig, device: str = "cpu") -> TrainingData:
+        """Read what `save` wrote; encoders compute on the device.
 
         Raises:
             ConfigError: the folder's data is missing or damaged.
@@ -262,7 +262,7 @@ class TrainingData:
                 conditioner=None
                 if config.features is None
                 else load_conditioner(
-                    about["features"], tensors, config.fps, config.features.encoder_places
+                    about["features"], tensors, config.fps, config.features.encoder_places, device
                 ),
                 styles=tuple(about["styles"]),
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),

@@ -37,8 +37,8 @@ from gesturekit.training.data.recordings import (
 from gesturekit.training.data.sources import Source
 
 
-def load_training_data(config: MultiresConfig) -> TrainingData:
-    """Read the corpus of a run, extract features, and normalise.
+def load_training_data(config: MultiresConfig, device: str = "cpu") -> TrainingData:
+    """Read the corpus of a run, extract features on a device, and normalise.
 
     Raises:
         ConfigError: settings that the recordings do not allow, or a model in `start_from` with
@@ -48,7 +48,7 @@ def load_training_data(config: MultiresConfig) -> TrainingData:
             cannot be read.
     """
     # Wrong extractor settings are reported before any file is read.
-    extractor = None if config.features is None else config.features.extractor()
+    extractor = None if config.features is None else config.features.extractor(device)
     start = load_start(config, extractor)
     manifest = Manifest.load(config.corpus)
     items = training_items(manifest, config.corpus, with_audio=config.features is not None)

@@ -244,15 +244,14 @@ class Stage:
                 made = self._generate(windows.take(chosen[:, self._share].flatten()))
             split = (level.chunk(count) for level in self._within(made, n_frames))
             fakes[n_frames] = iter(zip(windows.styles[chosen], *split, strict=True))
-        gap = 0.0
         for n_frames in lengths:
             styles, *fake = next(fakes[n_frames])
             gap = self._discriminator_step(n_frames, fake, styles, rng)
-        return gap
+        return float(gap)  # which waits for a GPU
 
     def _discriminator_step(
         self, n_frames: int, fakes: Sequence[Tensor], styles: Tensor, rng: torch.Generator
-    ) -> float:
+    ) -> Tensor:
         """Make one discriminator step on windows of `n_frames` at the full rate.
 
         `fakes` (B, D, T_i) of each level are this process's share; `styles` (B, L) are of the whole
@@ -273,7 +272,7 @@ class Stage:
                 conditions,
             )
         self._update("discriminator")
-        return float(gaps.mean())
+        return gaps.mean()
 
     def _random_step(self, n_frames: int, rng: torch.Generator) -> dict[str, float]:
         """Make a generator step on motions from random noise and unpaired speech."""

@@ -89,8 +89,8 @@ class Trainer:
             run,
             processes,
             resume=resume,
-            read=lambda: load_training_data(config),
-            load=lambda folder: TrainingData.load(folder, config),
+            read=lambda: load_training_data(config, str(device)),
+            load=lambda folder: TrainingData.load(folder, config, str(device)),
         )
         self.config = config = self._adapted(config)
         if self.data.unpaired_is_paired and processes.is_first:

@@ -57,8 +57,8 @@ class FeatureConfig:
                 places[spec["kind"]] = Path(folder)
         return places
 
-    def extractor(self) -> Any:
-        """Make the extractor.
+    def extractor(self, device: str = "cpu") -> Any:
+        """Make the extractor, whose encoders compute on a device.
 
         Raises:
             FeatureError: an unknown extractor or setting.
@@ -72,7 +72,7 @@ class FeatureConfig:
                 "one encoder of each kind: leave one, which may have a list of layers"
             )
         parts = {"kind": "stack", "parts": list(self.extractors)}
-        return af.extractor_from_spec(parts, weights=self.weights)
+        return af.extractor_from_spec(parts, weights=self.weights, device=device)
 
 
 def extract_features(

@@ -3,20 +3,32 @@
 Every process builds the same networks from the same seeds and draws the same random numbers. It
 computes its share of each batch. Gradients are averaged before each optimiser step, so that the
 result equals that of one process up to the rounding of sums. Only the first process writes.
+
+Each process has a GPU of its own, or processes share GPUs if a machine has fewer: useful to try a
+configuration, but slower than one process. NCCL refuses two processes on one GPU, so gloo then
+averages the gradients, through the CPU.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 
 import torch
 import torch.distributed as distributed
 from torch import Tensor, nn
 
 from gesturekit.errors import ConfigError
+
+log = logging.getLogger(__name__)
+
+_LONGEST_WAIT = timedelta(days=1)
+"""Others wait while the first process reads the corpus, which may take hours; torch would give up
+after ten minutes. If the first process dies, torchrun ends the others at once."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +51,8 @@ class Processes:
         """Join the processes that torchrun started; leave them at the end.
 
         Args:
-            device: training device; the backend is NCCL on a GPU, else gloo.
+            device: training device. The backend is NCCL if each process has a GPU of its own, else
+                gloo.
 
         Raises:
             ConfigError: torchrun's variables are incomplete or not numbers.
@@ -58,10 +71,16 @@ class Processes:
         if count == 1:
             yield processes
             return
-        on_gpu = device != "cpu" and torch.cuda.is_available()
-        if on_gpu:
-            torch.cuda.set_device(local)
-        distributed.init_process_group("nccl" if on_gpu else "gloo")
+        backend = "gloo"
+        if device in ("auto", "cuda") and torch.cuda.is_available():
+            torch.cuda.set_device(processes.device(device))
+            here, gpus = int(os.environ.get("LOCAL_WORLD_SIZE", count)), torch.cuda.device_count()
+            backend = "nccl" if here <= gpus else "gloo"
+            if here > gpus and processes.is_first:
+                log.warning(
+                    "%d processes share %d GPU(s), which is slower than one each", here, gpus
+                )
+        distributed.init_process_group(backend, timeout=_LONGEST_WAIT)
         try:
             yield processes
         finally:
@@ -78,8 +97,9 @@ class Processes:
 
     def device(self, name: str) -> str:
         """Return the device name, with the index of this process's GPU where it applies."""
-        alone = self.count == 1 or not torch.cuda.is_available()
-        return name if alone or name not in ("auto", "cuda") else f"cuda:{self.local_rank}"
+        if self.count == 1 or name not in ("auto", "cuda") or not torch.cuda.is_available():
+            return name
+        return f"cuda:{self.local_rank % torch.cuda.device_count()}"
 
     def average_gradients(
         self, parameters: Iterable[nn.Parameter], weight: float | None = None

@@ -13,10 +13,10 @@ from typing import Any
 import torch
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, ModelError
 from gesturekit.progress import Progress
 from gesturekit.training.config import to_dict
-from gesturekit.training.run.device import prepare_device
+from gesturekit.training.run.device import memory_ran_out, prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run_config import RunConfig
@@ -40,6 +40,7 @@ def session(
 
     Raises:
         ConfigError: `config.out` holds a run already (or none to resume), or no such device.
+        ModelError: a GPU's memory ran out.
     """
     with (
         Processes.from_environment(config.device) as processes,
@@ -55,6 +56,11 @@ def session(
             if processes.is_first and folder is None and run.has_begun:
                 log.warning("Stopped. Go on with: %s", resume_command(run.folder, processes))
             raise
+        except torch.cuda.OutOfMemoryError as error:
+            raise ModelError(
+                f"device {device}: {memory_ran_out(error)}; set a smaller training.batch or "
+                "training.window, or device=cpu"
+            ) from error
         finally:
             run.close()
 

@@ -1,0 +1,67 @@
+"""Encoders on a GPU give the CPU's values."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import audio_features as af
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+CHUNKS = {"full_context": 0.0, "chunk": 2.0, "context": 0.5}
+
+
+@pytest.fixture
+def long_speech(speech) -> af.Wave:
+    """16 s: more chunks of two seconds than a GPU takes at once."""
+    return af.Wave(np.tile(speech.samples, 4), speech.sample_rate)
+
+
+def apart(make, wave: af.Wave) -> float:
+    """Return the relative difference of the values that an extractor has on both devices."""
+    there, here = (make(device).extract(wave).values for device in ("cuda", "cpu"))
+    assert there.shape == here.shape
+    return float(np.linalg.norm(there - here) / np.linalg.norm(here))
+
+
+@pytest.mark.parametrize(
+    ("settings", "largest"),
+    [
+        ({}, 1e-5),
+        ({"layer": [0, 2]}, 1e-5),
+        (CHUNKS, 1e-5),
+        ({"preset": "dsg"}, 1e-5),
+        ({"implementation": "transformers"}, 1e-5),
+        ({"dtype": "bf16"}, 2e-2),
+        ({"dtype": "bf16", **CHUNKS}, 2e-2),
+    ],
+    ids=str,
+)
+def test_wavlm(gpu, wavlm_folder, long_speech, settings, largest):
+    assert apart(lambda d: af.WavLM(wavlm_folder, device=d, **settings), long_speech) < largest
+
+
+def test_wavlm_in_blocks_of_scores(gpu, wavlm_folder, speech, monkeypatch):
+    # As a sound of minutes: a few queries of one or two heads at a time.
+    for scores in (2_000, 300_000):
+        monkeypatch.setattr("audio_features.wavlm.encoder._GPU_SCORES", scores)
+        assert apart(lambda d: af.WavLM(wavlm_folder, device=d), speech) < 1e-5
+
+
+@pytest.mark.parametrize(
+    "name", ["hubert", "wav2vec2", "data2vec-audio", "wavlm", "wav2vec2-bert", "whisper"]
+)
+def test_encoders_of_hugging_face(gpu, tmp_path, write_encoder, speech, name):
+    write_encoder(tmp_path / "encoder", name)
+    make = {"full_context": 0.0, "chunk": 2.0, "context": 0.5}
+    assert apart(lambda d: af.HuggingFace(tmp_path / "encoder", device=d, **make), speech) < 1e-5
+
+
+def test_word_embeddings(gpu, tmp_path, write_speech, write_text_encoder):
+    wav = write_speech(tmp_path / "talk.wav", 2.0)
+    (tmp_path / "talk.ctm").write_text("x 1 0.2 0.3 Hands\nx 1 1.0 0.5 so\n")
+    write_text_encoder(tmp_path / "text")
+    folder = tmp_path / "text"
+    assert apart(lambda d: af.WordEmbeddings(folder, device=d), af.Wave.load(wav)) < 1e-5

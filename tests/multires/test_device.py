@@ -1,0 +1,106 @@
+"""Training on a GPU: every kind of run gives the CPU's weights, and the same ones again."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+import audio_features as af
+from gesturekit.errors import ModelError
+from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.trainer import train
+from gesturekit.training.run.checkpoint import Checkpoints
+
+SHORT = {"first_stage": 2, "further_stages": 2, "renew_every": 2}
+STYLES = {"features": None, "styles": {}, "network": {"modulate": "all"}}
+RUNS = {
+    "speech": {
+        "recall": {"level": 2, "piece": 1.0, "overlap": 0.3},
+        "losses": {"arm_acceleration": 1.0, "coarse": 1.0},
+        "training": {"margins": True},
+    },
+    "styles": {
+        **STYLES,
+        "losses": {"detail": 1.0, "rec_input": "real", "penalty_on": "frame"},
+        "training": {"window": None},
+        "z_star_shuffle": 2,
+    },
+}
+
+
+@pytest.fixture
+def run(make_config, motions, tmp_path):
+    """run(kind, device, resume=False): the folder of a short training of a kind of `RUNS`."""
+    styled = str(motions(old=[3.0], angry=[4.0]))
+
+    def make(kind: str, device: str, *, resume: bool = False, **changes):
+        own = {"out": str(tmp_path / device), "backend": "torch", **RUNS[kind], **changes}
+        own["training"] = {**SHORT, **own["training"]}
+        own |= {"corpus": styled} if "styles" in own else {}
+        return train(make_config(device=device, **own), resume=resume)
+
+    return make
+
+
+def apart(one: Path, other: Path) -> list[float]:
+    """Return the relative differences of each tensor of two models, and of all together last."""
+    first, second = (load_file(folder / "model.safetensors") for folder in (one, other))
+    assert first.keys() == second.keys()
+    pairs = [(first[name].double().flatten(), second[name].flatten()) for name in first]
+    pairs.append(tuple(map(torch.cat, zip(*pairs, strict=True))))
+    return [float((a - b).norm() / (b.norm() + 1e-6)) for a, b in pairs]
+
+
+@pytest.mark.parametrize("kind", RUNS)
+def test_a_gpu_trains_what_the_cpu_does_and_the_same_again_after_a_kill(gpu, run, kind, tmp_path):
+    again = {"out": str(tmp_path / "again"), "checkpoint_every": 3}
+    whole = run(kind, "cuda", eval_every=2)
+    # Adam makes whole steps of what rounding leaves of a gradient that is nearly zero.
+    assert max(apart(whole, run(kind, "cpu"))) < 5e-3
+    run(kind, "cuda", **again)
+    checkpoints = Checkpoints(tmp_path / "again" / "checkpoints")
+    checkpoints.path(checkpoints.steps()[-1]).unlink()
+    assert max(apart(run(kind, "cuda", **again, resume=True), whole)) == 0
+
+
+def test_bfloat16_is_near_single_precision(gpu, run, monkeypatch):
+    # torch refuses autocast for a GPU that it does not see.
+    if gpu == "simulated":
+        real = torch.autocast
+        monkeypatch.setattr(torch, "autocast", lambda _, *args, **kw: real("cpu", *args, **kw))
+    half = apart(run("speech", "cuda", precision="bfloat16"), run("speech", "cpu"))
+    assert 0 < half[-1] < 0.03
+
+
+def test_training_extracts_features_on_the_gpu(
+    gpu, make_config, write_wavlm, tmp_path, monkeypatch
+):
+    used, own = set(), af.WavLM.hidden_states
+
+    def hidden_states(self, samples):
+        used.add(self._device.type)
+        return own(self, samples)
+
+    monkeypatch.setattr(af.WavLM, "hidden_states", hidden_states)
+    write_wavlm(tmp_path / "wavlm", seed=11)  # features of other tests' weights are in the cache
+    encoder = {"extractors": [{"kind": "wavlm"}], "weights": str(tmp_path / "wavlm")}
+    config = make_config(features=encoder, device="cuda")
+    train(config)
+    assert used == {"cuda"}
+    data = TrainingData.load(config.out / "data", config, "cuda")
+    assert data.conditioner.extractor.parts[0]._device.type == "cuda"
+
+
+def test_the_numba_engine_is_not_for_a_gpu(gpu, make_config, caplog):
+    caplog.set_level(logging.INFO)
+    config = make_config(device="cuda", training=SHORT)
+    train(config)
+    assert (
+        "Backend: torch (slower than numba, but it needs float32 weights on the CPU" in caplog.text
+    )
+    with pytest.raises(ModelError, match="backend: numba cannot be used: .*CPU.*on cuda:0"):
+        train(make_config(device="cuda", backend="numba", out=f"{config.out}-numba"))
