@@ -94,19 +94,7 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         WeightsError: WavLM weights are missing, or differ from those of training.
     """
     folder = Path(folder)
-    try:
-        path = folder / "config.yaml"
-        config = with_new_keys(read_yaml(path), str(path))
-    except ConfigError as error:
-        raise ModelError(f"not a model folder: {error}") from None
-    found = config.get("format")
-    if found != FORMAT:
-        raise ModelError(
-            f"{folder / 'config.yaml'}: format {found!r}; this gesturekit reads format "
-            f"{FORMAT}. A newer format needs a newer gesturekit"
-        )
-    if config.get("kind") != kind:
-        raise ModelError(f"{folder / 'config.yaml'}: kind {config.get('kind')!r}, not {kind}")
+    config = _read_config(folder, kind)
     try:
         fps = float(config["fps"])
         if not 0 < fps < math.inf:
@@ -143,6 +131,28 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
             locked,
         )
     return model
+
+
+def _read_config(folder: Path, kind: str) -> dict[str, Any]:
+    """Read the settings of a model of this kind.
+
+    Raises:
+        ModelError: there are none, or those of another kind or format.
+    """
+    path = folder / "config.yaml"
+    try:
+        config = with_new_keys(read_yaml(path), str(path))
+    except ConfigError as error:
+        raise ModelError(f"not a model folder: {error}") from None
+    found = config.get("format")
+    if found != FORMAT:
+        raise ModelError(
+            f"{path}: format {found!r}; this gesturekit reads format {FORMAT}. A newer format "
+            "needs a newer gesturekit"
+        )
+    if config.get("kind") != kind:
+        raise ModelError(f"{path}: kind {config.get('kind')!r}, not {kind}")
+    return config
 
 
 def rates(fps: float, recorded_fps: float) -> str:

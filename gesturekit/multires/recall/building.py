@@ -46,11 +46,11 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
                 of_sequence.append(_mapped(curve, own, goal))
     directions = [np.zeros((0, sequence.n_frames)) for sequence in sequences]
     if parts[0].is_arm:
-        first, second = (
+        of_arms = [
             [hand_directions(part, representation, fps, own) for own in values]
             for part in parts[:2]
-        )
-        directions = _weighted(first, second)
+        ]
+        directions = _weighted(*of_arms)
     recordings = []
     for sequence, rows, led in zip(sequences, profiles, directions, strict=True):
         n = af.level_lengths(sequence.n_frames, levels)[settings.level - 1]
@@ -64,15 +64,6 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
                 sequence.style,
             )
         )
-    wanted = None
-    if data.conditioner is not None:
-        speeches = [sequence.speech.numpy() for sequence in sequences]
-        effort = data.conditioner.effort
-        smaller = (data.conditioner.acoustic, data.conditioner.prosody)
-        wanted = WantedMovement.fit(speeches, every, fps, effort, smaller)
-        if not wanted.predicts:
-            log.info("Speech does not predict hand movement: recorded pieces do not depend on it.")
-            wanted = None
     return RecallLibrary(
         settings.level,
         levels,
@@ -83,9 +74,24 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         tuple(recordings),
         spread,
         mean,
-        wanted,
+        _wanted(data, every, fps),
         data.passive,
     )
+
+
+def _wanted(
+    data: TrainingData, movement: Sequence[np.ndarray], fps: float
+) -> WantedMovement | None:
+    """Return the prediction of movement from speech; None if there is no speech or it fails."""
+    if data.conditioner is None:
+        return None
+    speeches = [sequence.speech.numpy() for sequence in data.paired]
+    smaller = (data.conditioner.acoustic, data.conditioner.prosody)
+    wanted = WantedMovement.fit(speeches, movement, fps, data.conditioner.effort, smaller)
+    if wanted.predicts:
+        return wanted
+    log.info("Speech does not predict hand movement: recorded pieces do not depend on it.")
+    return None
 
 
 def _with_slow(
