@@ -93,9 +93,27 @@ def gpu(request) -> Iterator[str]:
         patch.setenv("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         patch.setattr(torch.backends.cudnn, "allow_tf32", torch.backends.cudnn.allow_tf32)
         patch.setattr(torch.utils.deterministic, "fill_uninitialized_memory", True)
+        if not is_real:  # torch refuses autocast for a GPU that it does not see
+            real = torch.autocast
+            patch.setattr(torch, "autocast", lambda _, *args, **kw: real("cpu", *args, **kw))
         with nullcontext() if is_real else SimulatedGPU():
             yield request.param
         torch.use_deterministic_algorithms(False)
+
+
+@pytest.fixture
+def wavlm_devices(monkeypatch) -> set[str]:
+    """The kinds of devices on which WavLM has computed in this test."""
+    import audio_features as af
+
+    used, own = set(), af.WavLM.hidden_states
+
+    def hidden_states(self, samples):
+        used.add(self._device.type)
+        return own(self, samples)
+
+    monkeypatch.setattr(af.WavLM, "hidden_states", hidden_states)
+    return used
 
 
 JOINTS = {
