@@ -28,6 +28,8 @@ READING: dict[str, type | tuple[type, ...]] = {
 }
 """Options for reading an item's motion file, by name, with their types."""
 
+_MISSING_SECONDS = 0.1
+"""Sound that may be missing at the end of an item: decoders differ in what they trim."""
 _LONGEST_NAME = 230  # bytes; file systems take 255, of which suffixes are a part
 
 
@@ -113,7 +115,7 @@ class Item:
         """Read the item's interval of its sound file, muted outside `audible`.
 
         Raises:
-            CorpusError: the item is motion alone.
+            CorpusError: the item is motion alone, or reaches past the end of its file.
             audio_features.AudioError: the file cannot be read.
         """
         if self.audio is None:
@@ -123,6 +125,11 @@ class Item:
         wave = Wave.load(
             self.audio, start=self.audio_start, duration=self.duration, channel=self.channel
         )
+        if wave.duration < self.duration - _MISSING_SECONDS:
+            raise CorpusError(
+                f"item {self.id!r} is {self.duration:.2f} s from {self.audio_start:.2f} s on of "
+                f"{self.audio}, which has {wave.duration:.2f} s of them; prepare the corpus again"
+            )
         if "words" in self.conditions:
             wave = replace(wave, words=self.conditions["words"])
         return muted(wave, self.audible) if self.audible else wave

@@ -91,6 +91,16 @@ def test_a_small_difference_in_length_is_trimmed_to_the_shorter(tmp_path, write_
     assert "trimmed to the shorter" in texts(report, "warning")[0] and report.is_complete
 
 
+def test_a_file_that_was_shortened_after_prepare_is_named(tmp_path, write_pair, write_speech):
+    write_pair(tmp_path, "a", 4.0)
+    (item,) = prepare(tmp_path, holdout=0.0).manifest
+    write_speech(tmp_path / "a.wav", 3.95)  # as another decoder may read it
+    assert item.load_wave().duration == pytest.approx(3.95, abs=1e-3)
+    write_speech(tmp_path / "a.wav", 3.0)
+    with pytest.raises(CorpusError, match=r"'a' is 4.00 s .*a\.wav, which has 3.00 s.*prepare"):
+        item.load_wave()
+
+
 def test_a_larger_difference_in_length_names_the_tolerance_that_lets_it_through(
     tmp_path, write_pair, write_speech
 ):

@@ -147,6 +147,12 @@ def test_rigs_that_differ_are_refused_by_name(two_performers, gesture, tmp_path,
         path.write_bytes(kept)
 
 
+@pytest.mark.parametrize("fps, warned", [(45.0, False), (60.0, True)])
+def test_a_frame_rate_far_above_the_recordings_is_a_warning(make_config, caplog, fps, warned):
+    load_training_data(make_config(fps=fps))
+    assert ("60 is far above the recordings' 30" in caplog.text) == warned
+
+
 def test_parts_named_by_hand_reach_the_model(make_config, tmp_path, gesture, write_speech):
     """A rig that neither names nor shape tell (no toes) trains once its parts are named."""
     motion = gesture(3.0)

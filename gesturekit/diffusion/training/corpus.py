@@ -66,7 +66,7 @@ def read_corpus(config: DiffusionConfig, *, paired: bool) -> Corpus:
     if config.styles is not None:
         styles, _ = item_styles(items, config.corpus)
         _check_handed(config, styles)
-    recorded = load_motions(items, config.corpus, None, config.parts)
+    recorded = load_motions(items, config.corpus, config.fps, config.parts)
     unpaired = _unpaired(config, manifest, recorded[0])
     phased, motions = _phases(items, recorded, config.fps)
     events = [item.load_events() if config.events else () for item in phased]

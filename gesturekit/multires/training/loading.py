@@ -54,7 +54,7 @@ def load_training_data(config: MultiresConfig, device: str = "cpu") -> TrainingD
     items = training_items(manifest, config.corpus, with_audio=config.features is not None)
     styles, style_of = _styles(config, items, start)
     parts = config.parts if start is None else {**start.skeleton.parts, **config.parts}
-    recorded = load_motions(items, config.corpus, None, parts)
+    recorded = load_motions(items, config.corpus, config.fps, parts)
     motions = [motion.resample(config.fps) for motion in recorded]
     representation = _representation(config, motions, start)
     vectors = _encode(config, items, motions, representation)

@@ -18,6 +18,9 @@ from gesturekit.motion.skeleton import Skeleton
 
 log = logging.getLogger(__name__)
 
+_FAR_ABOVE = 1.5
+"""Frame rate of the training, as a multiple of the recordings' highest, above which to warn."""
+
 
 def training_items(manifest: Manifest, corpus: Path, *, with_audio: bool) -> tuple[Item, ...]:
     """Return items of split train: pairs if speech is an input, else all with motion.
@@ -60,14 +63,14 @@ def item_styles(items: Sequence[Item], corpus: Path) -> tuple[tuple[str, ...], l
 
 
 def load_motions(
-    items: Sequence[Item], corpus: Path, fps: float | None, parts: Mapping[str, str]
+    items: Sequence[Item], corpus: Path, fps: float, parts: Mapping[str, str]
 ) -> list[Motion]:
-    """Return the motion of each item; `info["recorded_fps"]` is the file's frame rate.
+    """Return the motion of each item at its file's frame rate, `info["recorded_fps"]`.
 
     Args:
         items: with motion.
         corpus: the manifest, for messages.
-        fps: frames per second; None keeps each file's rate.
+        fps: frame rate of the training; one that is far above all files' gets a warning.
         parts: joints of body parts, see `Skeleton.parts`.
 
     Raises:
@@ -80,7 +83,7 @@ def load_motions(
         try:
             motion = item.load_motion(parts)
             motion.info["recorded_fps"] = motion.fps
-            motions.append(motion if fps is None else motion.resample(fps))
+            motions.append(motion)
         except MotionError as error:
             raise ConfigError(f"parts: item {item.id}: {error}") from None
         different = first_difference(motions[-1].skeleton, motions[0].skeleton)
@@ -91,6 +94,14 @@ def load_motions(
             find_parts(motions[0].skeleton)
         except MotionError as error:
             log.warning("parts: %s", error)
+    highest = max(motion.fps for motion in motions)
+    if fps > _FAR_ABOVE * highest:
+        log.warning(
+            "fps: %g is far above the recordings' %g: training takes more time and memory, and "
+            "the motion gains no detail",
+            fps,
+            highest,
+        )
     return motions
 
 
