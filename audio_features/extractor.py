@@ -202,7 +202,7 @@ def _place_of(kind: str, weights: WeightPlaces | None) -> str | os.PathLike[str]
     for name in weights:
         if name not in _ENCODERS:
             raise WeightsError(
-                f"weights {name}={os.fspath(weights[name])}: {name!r} is no encoder; expected "
+                f"weights {name}={os.fspath(weights[name])}: {name!r} is not an encoder; expected "
                 f"{', '.join(_ENCODERS)}"
             )
     return weights.get(kind)

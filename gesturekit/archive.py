@@ -120,7 +120,7 @@ def open_archive(path: str | os.PathLike[str]) -> Iterator[Archive]:
     """Open an npz file for reading.
 
     Raises:
-        FormatError: missing, no npz, or with a list of members that is no list of arrays.
+        FormatError: missing, no npz, or with a list of members that is not a list of arrays.
     """
     path = Path(path)
     try:
@@ -157,7 +157,7 @@ def _check_directory(path: Path) -> None:
         tail = file.read()
     at = tail.rfind(b"PK\5\6")
     if at < 0 or len(tail) - at < _END.size:
-        raise FormatError(f"{path}: not a readable npz file: it is no zip archive, or cut short")
+        raise FormatError(f"{path}: not a readable npz file: it is not a zip archive, or cut short")
     (directory,) = _END.unpack_from(tail, at)
     if tail[max(0, at - 20) : at].startswith(b"PK\6\7"):
         raise FormatError(f"{path}: an archive of more than 4 GiB; cut the recording into pieces")

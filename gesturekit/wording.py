@@ -18,7 +18,7 @@ def listed(names: Sequence[str], most: int = 6) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text with `?` for control characters and for bytes of names that are no text."""
+    """Return a text with `?` for control characters and for bytes of names that are not text."""
     return "".join(sign if sign.isprintable() else "?" for sign in text)
 
 

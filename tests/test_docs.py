@@ -67,7 +67,7 @@ def command_of(verb: str) -> click.Command:
 
 
 def script(name: str) -> ModuleType:
-    """Return a module of docs/, which is no package."""
+    """Return a module of docs/, which is not a package."""
     spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

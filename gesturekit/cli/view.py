@@ -100,7 +100,7 @@ def _writer(out: Path | None, of_videos: Mapping[str, Any]) -> Callable[..., Non
     """Return the function that writes a file of this name, by default a page.
 
     Raises:
-        ConfigError: an unknown format, or `of_videos` has options and the file is no video.
+        ConfigError: an unknown format, or `of_videos` has options and the file is not a video.
     """
     from gesturekit.errors import ConfigError
     from gesturekit.viewer import write_html, write_picture, write_video

@@ -156,12 +156,12 @@ class SpeechConditioner:
 
     @property
     def acoustic(self) -> tuple[int, ...]:
-        """Columns that are no components."""
+        """Columns that are not components."""
         return tuple(range(len(self._names)))
 
     @property
     def _names(self) -> tuple[str, ...]:
-        """Names of the columns that are no components."""
+        """Names of the columns that are not components."""
         names = np.array(self.extractor.names)
         if self.components is not None:
             names = names[~wide_columns(self.extractor, self.components.shape[1])]

@@ -109,7 +109,7 @@ class Conditions:
                 continue
             wanted = (n_frames, columns.stop - columns.start)
             if values.shape != wanted and values.size:
-                why = "the model knows no such part" if not wanted[1] else f"expected {wanted}"
+                why = "the model has no such part" if not wanted[1] else f"expected {wanted}"
                 raise ModelError(f"condition: {name} of shape {values.shape}; {why}")
             if values.size:
                 condition[:, columns] = values

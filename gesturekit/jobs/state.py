@@ -43,7 +43,7 @@ def read_lines(path: Path) -> Iterator[bytes]:
     `MAX_LINE` are left out.
 
     Raises:
-        FormatError: the file cannot be opened, or is no regular file.
+        FormatError: the file cannot be opened, or is not a regular file.
     """
     if path.exists() and not path.is_file():
         raise FormatError(f"{path}: not a regular file")

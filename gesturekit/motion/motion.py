@@ -264,7 +264,7 @@ class Motion:
         """
         last = self.n_frames / self.fps if stop is None else stop
         if not (math.isfinite(start) and math.isfinite(last)):
-            raise MotionError(f"seconds {start} to {stop} are no range")
+            raise MotionError(f"seconds {start} to {stop} are not a range")
         frames = [math.floor(seconds * self.fps + 0.5) for seconds in (start, last)]
         if not 0 <= frames[0] < frames[1] <= self.n_frames:
             raise MotionError(

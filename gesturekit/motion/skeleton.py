@@ -71,7 +71,7 @@ class Skeleton:
         ends, known = {}, set(names)
         for name, sites in self.end_sites.items():
             if name not in known:
-                raise MotionError(f"end site on {name!r}, which is no joint of the skeleton")
+                raise MotionError(f"end site on {name!r}, which is not a joint of the skeleton")
             ends[name] = tuple(np.array(site, dtype=np.float64) for site in sites)
             if any(
                 site.shape != (3,) or not (np.abs(site) <= FARTHEST).all() for site in ends[name]
@@ -94,7 +94,7 @@ class Skeleton:
 
     @property
     def n_joints(self) -> int:
-        """Number of joints J (end sites are no joints)."""
+        """Number of joints J (end sites are not joints)."""
         return len(self.names)
 
     @cached_property
@@ -224,7 +224,7 @@ def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
     seen: set[str] = set()
     for name in names:
         if not name.strip() or not name.isprintable():
-            raise MotionError(f"{name!r} is no joint name")
+            raise MotionError(f"{name!r} is not a joint name")
         if name in seen:
             raise MotionError(f"two joints are called {name!r}; names must be unique")
         seen.add(name)

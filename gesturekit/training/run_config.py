@@ -98,6 +98,6 @@ class RunConfig:
             if part not in KNOWN_PARTS:
                 raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
             if not isinstance(joint, str):
-                raise ConfigError(f"parts.{part}: {joint!r} is no joint name")
+                raise ConfigError(f"parts.{part}: {joint!r} is not a joint name")
         if self.threads is not None:
             check_positive(threads=self.threads)

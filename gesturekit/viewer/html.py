@@ -109,7 +109,7 @@ def player_data(
     `colours` are those of figures by label, such as "#3f7fae"; the player's own for all others. A
     human body has clothes of its figure's colour.
 
-    Raises AudioError where `audio` is no sound, FormatError where `body_model` is none.
+    Raises AudioError where `audio` is not sound, FormatError where `body_model` is none.
     """
     motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
     if not motions:

@@ -63,7 +63,7 @@ def write_picture(
             `gesturekit.viewer.worn`.
 
     Raises:
-        AudioError: `audio` is no sound.
+        AudioError: `audio` is not sound.
         FormatError: an unknown body.
         MotionError: no motion.
     """

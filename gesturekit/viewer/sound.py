@@ -64,7 +64,7 @@ class Sound:
         is encoded: without loss (FLAC) while that stays under the limit, else as mono MP3.
         MP3 from here starts on the sample: its header tells players what to skip.
 
-        Raises AudioError where the file is no sound.
+        Raises AudioError where the file is not sound.
         """
         if not isinstance(audio, Wave):
             path = Path(audio)

@@ -81,7 +81,7 @@ def test_what_does_not_fit_is_one_clear_error(conditions):
         conditions.encode(3, FPS, events=[Event(0.0, "kik")])
     with pytest.raises(ModelError, match=r"speech of shape \(3, 5\); expected \(3, 4\)"):
         conditions.encode(3, FPS, speech=np.zeros((3, 5)))
-    with pytest.raises(ModelError, match=r"styles of shape .* the model knows no such part"):
+    with pytest.raises(ModelError, match=r"styles of shape .* the model has no such part"):
         Conditions().encode(3, FPS, style=np.ones((3, 1)))
     with pytest.raises(ModelError, match=r"path of shape .* expected \(3, 3\)"):
         conditions.encode(3, FPS, path=RootPath(np.zeros((4, 2)), np.zeros(4), FPS))

@@ -106,7 +106,7 @@ def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(make
     assert np.abs(one).max() > 1e-3
     assert np.allclose(one * [-1, 1, -1], other, atol=1e-6)
     assert np.array_equal(data.recordings[0].condition, data.recordings[2].condition)
-    with pytest.raises(ConfigError, match="styles.handed: 'right' is no style"):
+    with pytest.raises(ConfigError, match="styles.handed: 'right' is not a style"):
         load_training_data(make_config(corpus=styled, styles={"handed": ["right"]}))
 
 

@@ -178,7 +178,7 @@ def test_events_happen_when_they_are_asked_for(untrained, clicks, tmp_path):
     }.items():
         with pytest.raises(ModelError, match=told):
             fighter.generate(**asked, events=events)
-    with pytest.raises(ModelError, match="knows no events"):
+    with pytest.raises(ModelError, match="has no events"):
         untrained().generate(seconds=1.0, events="kick@1.0")
 
 
@@ -330,7 +330,7 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
     ]:
         with pytest.raises(ModelError, match=told):
             model.generate(**QUICK | asked)
-    with pytest.raises(ModelError, match="knows no styles"):
+    with pytest.raises(ModelError, match="has no styles"):
         plain.generate(**QUICK, style="old")
     with pytest.raises(ModelError, match="no conditions to guide on"):
         plain.generate(**QUICK, guidance=1.5)

@@ -20,7 +20,7 @@ D = 6
 
 
 class Gaussian:
-    """Poses with a mean and variances of 0.01 to 2 along directions that are no axis."""
+    """Poses with a mean and variances of 0.01 to 2 along directions beside the axes."""
 
     def __init__(self, schedule: NoiseSchedule) -> None:
         rng = rng_for("gaussian")

@@ -223,7 +223,7 @@ OK = np.random.default_rng(5).normal(size=(40, 3))
         (lambda: coverage(OK[:, :2], OK), "generated has 2 numbers a frame, reference 3"),
         (lambda: coverage(OK[0], OK), r"generated has shape \(3,\)"),
         (lambda: coverage(OK[:0], OK), r"generated has shape \(0, 3\)"),
-        (lambda: coverage(OK, [["a", "b", "c"]]), "reference is no array of numbers"),
+        (lambda: coverage(OK, [["a", "b", "c"]]), "reference is not an array of numbers"),
         (lambda: coverage(OK, NAN), "reference holds nan in frame 7"),
         (lambda: coverage(OK, OK[:30]), "window is 30 frames; reference needs at least 31"),
         (lambda: coverage(OK[:1], OK), "one has 1"),

@@ -51,7 +51,7 @@ def test_beat_consistency_by_hand(pulsing):
     # σ = 0.3 s: onsets at 0.5 and 1.8 s are 0 and σ away: (1 + e^-0.5) / 2 = 0.80327.
     found = beat_consistency(pulsing(), np.array([0.5, 1.8]))
     assert found.score == pytest.approx(0.80327, abs=2e-3)
-    # Standing still at its slowest it is at rest there, which is no beat.
+    # Standing still at its slowest it is at rest there, which is not a beat.
     assert beat_consistency(pulsing(depth=1.0), np.array([0.5])).note == "the motion has no beats"
     # Against a mean speed of 6 m/s, 0.5 m/s is rest too.
     many = np.full(12, 6.0)

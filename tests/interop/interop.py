@@ -50,7 +50,7 @@ def motions() -> Iterator[tuple[str, Motion]]:
 
 
 def odd_motion() -> Motion:
-    """Every rotation order, joints that move, a frame rate that is no whole number."""
+    """Every rotation order, joints that move, a frame rate that is not a whole number."""
     rng = np.random.default_rng(0)
     n = 40
     skeleton = Skeleton(

@@ -195,7 +195,7 @@ def test_pickled_notes_are_left_alone_and_pickled_arrays_refused(saved):
                 "J_regressor_indices": np.ones(2),
                 "J_regressor_indptr": np.array(1),
             },
-            "J_regressor is no sparse matrix",
+            "J_regressor is not a sparse matrix",
         ),
     ],
 )

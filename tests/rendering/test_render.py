@@ -426,7 +426,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next(model, sounds, tmp_path, 
     ("control", "says"),
     [
         ({"levels": 40}, "levels=40: the model has levels 1"),
-        ({"style": "angry"}, "knows no style"),
+        ({"style": "angry"}, "has no style"),
         ({"seed": 1.5}, "whole number"),
         ({"samples": 0}, "at least 1"),
     ],

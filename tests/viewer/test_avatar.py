@@ -150,7 +150,7 @@ BAD = {
         "without compression",
     ),
     "no mesh": (changed("meshes", 0, "primitives", value=[]), "no mesh"),
-    "no list": (changed("nodes", value={}), "nodes is no list"),
+    "no list": (changed("nodes", value={}), "nodes is not a list"),
 }
 
 

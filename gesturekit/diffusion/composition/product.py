@@ -119,7 +119,7 @@ class ModelProduct:
         experts = [(*expert, None, None)[:3] for expert in controls.experts]
         models = (first, *(model for model, _, _ in experts))
         if style is not None and not any(model.styles for model in models):
-            raise ModelError(f"style={style!r}: this model knows no styles")
+            raise ModelError(f"style={style!r}: this model has no styles")
         styles = (
             own if own is not None else style if _knows(model, style) else None
             for model, _, own in experts

@@ -118,7 +118,7 @@ def check_events(events: str | Path, models: Sequence[Conditions]) -> None:
         FormatError: a table that cannot be read.
     """
     if not any(model.events for model in models):
-        raise ModelError(f"events={str(events)!r}: this model knows no events")
+        raise ModelError(f"events={str(events)!r}: this model has no events")
     if wants_beats(events):
         events = re.sub(r"@beats\b", "@0", events)
     known = tuple(dict.fromkeys(name for model in models for name in model.events))

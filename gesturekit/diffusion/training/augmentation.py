@@ -100,8 +100,8 @@ def mirror_condition(
     for name, other in zip(event_names, others, strict=True):
         if other not in event_names:
             raise ConfigError(
-                f"event {name!r}: mirrored it would be {other!r}, which is no event of the corpus; "
-                "rename it, or train without mirror"
+                f"event {name!r}: mirrored it would be {other!r}, which is not an event of the "
+                "corpus; rename it, or train without mirror"
             )
     if others:
         order = [events.start + list(event_names).index(other) for other in others]

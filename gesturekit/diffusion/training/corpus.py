@@ -92,7 +92,7 @@ def _check_handed(config: DiffusionConfig, styles: Sequence[str]) -> None:
     for name in config.styles.handed if config.styles is not None else ():
         if name not in styles:
             raise ConfigError(
-                f"styles.handed: {name!r} is no style of {config.corpus}, which has "
+                f"styles.handed: {name!r} is not a style of {config.corpus}, which has "
                 f"{', '.join(styles)}"
             )
 

@@ -167,7 +167,7 @@ def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield (line number, {column: text}) of the lines of a file."""
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise EvaluationError(f"{path}: larger than 200 MB, which is no table of answers")
+            raise EvaluationError(f"{path}: larger than 200 MB, which is not a table of answers")
         with path.open(encoding="utf-8-sig", newline="") as lines:
             first = lines.readline()
             lines.seek(0)

@@ -28,7 +28,7 @@ SEED = 0
 """Seed of the bootstrap: reports of the same figures have the same bold."""
 
 UNTESTED = ("hellinger",)
-"""Metrics of a whole set, which are no mean of their clips' values."""
+"""Metrics of a whole set, which are not a mean of their clips' values."""
 
 AT_LEAST = ("coverage", "cca", "cca_global", "within_reach", "forward")
 AT_MOST = (

@@ -297,7 +297,7 @@ def _frames(values: np.ndarray, what: str) -> np.ndarray:
     try:
         frames = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise EvaluationError(f"{what} is no array of numbers: {error}") from None
+        raise EvaluationError(f"{what} is not an array of numbers: {error}") from None
     if frames.ndim != 2 or not frames.size:
         raise EvaluationError(f"{what} has shape {frames.shape}; expected (frames, numbers)")
     if not np.isfinite(frames).all():

@@ -148,7 +148,7 @@ def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
     """Return the people in one frame: id to the values (N,) of each key."""
     try:
         if file.stat().st_size > _MAX_BYTES:
-            raise FormatError(f"{file}: larger than {_MAX_BYTES >> 20} MiB; that is no frame")
+            raise FormatError(f"{file}: larger than {_MAX_BYTES >> 20} MiB; that is not a frame")
         content = json.loads(file.read_bytes())
     except FormatError:
         raise
@@ -164,7 +164,7 @@ def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
     people = {}
     for place, entry in enumerate(content):
         if not isinstance(entry, dict):
-            raise FormatError(f"{file}: entry {place} is no person")
+            raise FormatError(f"{file}: entry {place} is not a person")
         name = entry.get("id", entry.get("personID"))
         if not isinstance(name, int):
             raise FormatError(f"{file}: entry {place} has id {name!r}; expected a whole number")
@@ -196,7 +196,7 @@ def _numbers(
     try:
         values = np.array(entry[key], dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise FormatError(f"{file}: {key!r} of person {person} is no table of numbers") from None
+        raise FormatError(f"{file}: {key!r} of person {person} is not a table of numbers") from None
     if count is not None and len(values) != count:
         raise FormatError(
             f"{file}: {key!r} of person {person} has {len(values)} numbers; expected {count}"

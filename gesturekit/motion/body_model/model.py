@@ -283,7 +283,7 @@ def _parents(archive: Archive, n_joints: int, fail: Fail) -> tuple[int, ...]:
     # The root's parent is -1, or what 2^32 wraps it to.
     parents = (-1, *(int(parent) for parent in table[1:]))
     if not all(0 <= parent < j for j, parent in enumerate(parents) if j):
-        raise fail("kintree_table is no tree with parents before children")
+        raise fail("kintree_table is not a tree with parents before children")
     return parents
 
 
@@ -303,7 +303,7 @@ def _regressor(archive: Archive, n_joints: int, n_vertices: int, fail: Fail) -> 
             sparse = kind((data, indices, starts), shape=shape)
             sparse.check_format(full_check=True)
         except (TypeError, ValueError) as error:
-            raise fail(f"J_regressor is no sparse matrix of shape {shape} ({error})") from None
+            raise fail(f"J_regressor is not a sparse matrix of shape {shape} ({error})") from None
         dense = sparse.toarray()
     if dense.shape != shape:
         raise fail(f"J_regressor has shape {dense.shape}, not {shape}")

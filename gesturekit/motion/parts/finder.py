@@ -176,9 +176,10 @@ class PartFinder:
     def _possible_legs(self) -> list[int]:
         """Return the first joints of chains that are long enough for legs, on a rig with arms.
 
-        Rest poses differ, so that length counts, not direction. A thigh without a knee is no chain.
-        Chains on the joints below the chest count from `_STUB` of an arm on. On the chest itself,
-        where neck and head are too and a spine may lead downwards, longer ones than an arm count.
+        Rest poses differ, so that length counts, not direction. A thigh without a knee does
+        not count. Chains on the joints below the chest count from `_STUB` of an arm on; on the
+        chest itself, where neck and head are too and a spine may lead downwards, if they are longer
+        than an arm.
         """
         skeleton, limbs = self.skeleton, self.limbs
         chest = self._meeting(limbs["left_shoulder"], limbs["right_shoulder"])

@@ -156,7 +156,7 @@ def check_controls(
     else:
         for name in ("style", "level_style"):
             if (value := getattr(controls, name)) is not None:
-                raise ModelError(f"{name}={value!r}: this multires model knows no {name}")
+                raise ModelError(f"{name}={value!r}: this multires model has no {name}")
     speaker = controls.speaker
     if speaker is not None and speaker not in speakers:
         known = ", ".join(sorted(speakers)) or "its corpus named none"

@@ -89,7 +89,7 @@ class Glb:
         except (ValueError, RecursionError) as error:
             raise self.error(f"its JSON part cannot be read: {str(error)[:200]}") from None
         if not isinstance(found, dict):
-            raise self.error("its JSON part is no object")
+            raise self.error("its JSON part is not an object")
         start, data = 20 + n_json, b""
         if len(content) >= start + 8:
             n_data, kind = struct.unpack_from("<2I", content, start)
@@ -102,14 +102,14 @@ class Glb:
     def _list(self, parent: dict[str, Any], key: str) -> list[Any]:
         found = parent.get(key, [])
         if not isinstance(found, list) or len(found) > _MAX_ITEMS:
-            raise self.error(f"{key} is no list of at most {_MAX_ITEMS}")
+            raise self.error(f"{key} is not a list of at most {_MAX_ITEMS}")
         return found
 
     def items(self, key: str, parent: dict[str, Any] | None = None) -> list[dict[str, Any]]:
         """Return a list of objects of the file, or of one of its objects."""
         found = self._list(self.json if parent is None else parent, key)
         if not all(isinstance(item, dict) for item in found):
-            raise self.error(f"{key} holds something that is no object")
+            raise self.error(f"{key} holds something that is not an object")
         return found
 
     def item(self, key: str, index: object) -> dict[str, Any]:
@@ -121,7 +121,7 @@ class Glb:
         """Return the object at a key of another; an empty one if there is none."""
         found = parent.get(key, {})
         if not isinstance(found, dict):
-            raise self.error(f"{key} is no object")
+            raise self.error(f"{key} is not an object")
         return found
 
     def whole(self, value: object, below: int, what: str) -> int:

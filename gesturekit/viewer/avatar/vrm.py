@@ -198,7 +198,7 @@ class _Part:
         else:
             corners = np.arange(len(places))
         if corners.dtype.kind not in "iu" or len(corners) > 3 * _MAX_FACES:
-            raise glb.error("indices are no whole numbers, or too many")
+            raise glb.error("indices are not whole numbers, or too many")
         corners = corners[: len(corners) // 3 * 3].astype(np.int64)
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(places):
             raise glb.error(f"indices are beyond the {len(places)} vertices of their mesh")

@@ -65,7 +65,7 @@ def write_video(
     Raises:
         FormatError: imageio-ffmpeg (the extra `video`) is not installed, or `size` or
             `body_model` cannot be used.
-        AudioError: `audio` is no sound.
+        AudioError: `audio` is not sound.
         MotionError: no motion, or an invalid rate.
         OutputError: ffmpeg failed.
     """
