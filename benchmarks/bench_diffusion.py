@@ -65,37 +65,37 @@ def noise_on(device: torch.device | str = "cpu", n_frames: int = CLIP) -> Callab
     return lambda k: torch.randn(shape, generator=rng_for("bench", k)).to(device)
 
 
-def condition(n_frames: int) -> Tensor:
+def random_condition(n_frames: int) -> Tensor:
     return torch.randn(1, n_frames, N_CONDITION, generator=rng_for("condition"))
 
 
 class Plain:
     """The same function in the released code's way, from the same weights."""
 
-    def __init__(self, net: Denoiser, told: Tensor) -> None:
-        self.net, self.told = net, told
+    def __init__(self, net: Denoiser, condition: Tensor) -> None:
+        self.net, self.condition = net, condition
         convs = [layer for layer in net.modules() if isinstance(layer, DilatedConv)]
         with torch.no_grad():
             self.kernels = {layer: kernel(layer) for layer in convs}
 
     @torch.no_grad()
     def __call__(self, noisy: Tensor, step: int) -> Tensor:
-        return self.forward(noisy, self.told, torch.tensor([step], device=noisy.device))
+        return self.forward(noisy, self.condition, torch.tensor([step], device=noisy.device))
 
-    def train(self, noisy: Tensor, told: Tensor, steps: Tensor) -> Tensor:
-        """With gradients; the weights differ from call to call."""
+    def train(self, noisy: Tensor, condition: Tensor, steps: Tensor) -> Tensor:
+        """Predict with gradients, and with weights that differ from call to call."""
         self.kernels = {layer: kernel(layer) for layer in self.kernels}
-        return self.forward(noisy, told, steps)
+        return self.forward(noisy, condition, steps)
 
     def forward(self, noisy: Tensor, given: Tensor, step: Tensor) -> Tensor:
         net = self.net
         x = net.enter(noisy).relu()
         steps = net._steps(step)
-        told = net.project_condition.weight.chunk(CONFIG.blocks)
+        projections = net.project_condition.weight.chunk(CONFIG.blocks)
         biases = net.project_condition.bias.chunk(CONFIG.blocks)
         total = torch.zeros_like(x)
         for i, (stack, split) in enumerate(zip(net.stacks, net.split, strict=True)):
-            y = stack.enter(x + steps[i][:, None] + F.linear(given, told[i], biases[i]))
+            y = stack.enter(x + steps[i][:, None] + F.linear(given, projections[i], biases[i]))
             for layer in stack.layers:
                 y = self.conformer(layer, y)
             gate, signal = stack.leave(y).chunk(2, -1)
@@ -145,7 +145,7 @@ def peak_mib() -> float:
 def clip(n_frames: int, runs: int) -> None:
     """Measure a step in its own process: median seconds and peak MiB, as JSON."""
     predict, noisy = (
-        network().for_condition(condition(n_frames), [50]),
+        network().for_condition(random_condition(n_frames), [50]),
         noise_on("cpu", n_frames)(0),
     )
     predict(noisy, 50)
@@ -163,9 +163,9 @@ def measured_clip(n_frames: int, runs: int) -> tuple[float, float]:
 def main() -> None:
     options = arguments(__doc__.splitlines()[0], takes_device=True)
     device = prepare_device(options.device)
-    net, told = network().to(device), condition(CLIP).to(device)
-    ours, plain = net.for_condition(told, range(SCHEDULE.steps)), Plain(net, told)
-    short = copy.deepcopy(net).to(torch.bfloat16).for_condition(told, range(SCHEDULE.steps))
+    net, condition = network().to(device), random_condition(CLIP).to(device)
+    ours, plain = net.for_condition(condition, range(SCHEDULE.steps)), Plain(net, condition)
+    short = copy.deepcopy(net).to(torch.bfloat16).for_condition(condition, range(SCHEDULE.steps))
     noise_at = noise_on(device)
     noisy = noise_at(0)
     exact = ours(noisy, 50)
@@ -240,10 +240,12 @@ def clips(net: Denoiser, device: torch.device, runs: int) -> dict[str, dict[str,
         own = copy.deepcopy(net).to(dtype)
         for seconds, steps in ((10, None), (10, FEW), (60, None), (60, FEW)):
             n_frames = 30 * seconds
-            told, noise_at = condition(n_frames).to(device), noise_on(device, n_frames)
+            condition, noise_at = random_condition(n_frames).to(device), noise_on(device, n_frames)
 
-            def made(told=told, noise_at=noise_at, steps=steps, own=own) -> Tensor:
-                predict = clip_denoised(own.for_condition(told, range(SCHEDULE.steps)), SCHEDULE)
+            def made(condition=condition, noise_at=noise_at, steps=steps, own=own) -> Tensor:
+                predict = clip_denoised(
+                    own.for_condition(condition, range(SCHEDULE.steps)), SCHEDULE
+                )
                 solver = "dpm" if steps else "ancestral"
                 return sample(predict, noise_at, SCHEDULE, solver=solver, steps=steps)
 
@@ -268,16 +270,16 @@ class Training:
         self.predict = self.net
         torch.manual_seed(0)
         self.noisy, self.target = torch.randn(2, BATCH, WINDOW, N_MOTION, device=device)
-        self.told = torch.randn(BATCH, WINDOW, N_CONDITION, device=device)
+        self.condition = torch.randn(BATCH, WINDOW, N_CONDITION, device=device)
         self.steps = torch.randint(SCHEDULE.steps, (BATCH,), device=device)
         self.optimiser = torch.optim.Adam(self.net.parameters())
         if plain:
-            self.predict = Plain(self.net, self.told).train
+            self.predict = Plain(self.net, self.condition).train
 
     def update(self) -> None:
         self.optimiser.zero_grad(set_to_none=True)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half):
-            predicted = self.predict(self.noisy, self.told, self.steps)
+            predicted = self.predict(self.noisy, self.condition, self.steps)
         (predicted.float() - self.target).square().mean().backward()
         nn.utils.clip_grad_norm_(self.net.parameters(), 25.0)
         self.optimiser.step()
