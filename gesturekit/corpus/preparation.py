@@ -26,7 +26,7 @@ from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
 from gesturekit.formats.conversion import refuse_unused_read_options
 from gesturekit.formats.sources import MOTION_SUFFIXES, OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
-from gesturekit.motion.parts import find_parts, is_upper_body
+from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, listed
 
 MAX_SIZE_RATIO = 1.5
@@ -350,13 +350,13 @@ def _missing_parts(recordings: list[Recording]) -> list[Problem]:
     if first is None:
         return []
     try:
-        find_parts(first.skeleton)
+        parts = find_parts(first.skeleton)
     except MotionError as error:
         what = "training leaves out what needs these parts"
         if any(one.audio and one.motion for one in recordings):
             what += "; multires by speech needs them, or network.modulate=all"
         return [Problem("note", first.motion, f"{error}. Without them {what}")]
-    if is_upper_body(first.skeleton):
+    if not parts.legs:
         text = "the rig has no legs: foot contacts, foot locking and foot metrics are left out"
         return [Problem("note", first.motion, text)]
     return []

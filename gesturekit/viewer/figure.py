@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.body_size import body_height
-from gesturekit.motion.parts import BodyParts, find_parts, is_upper_body
+from gesturekit.motion.parts import BodyParts, find_parts
 from gesturekit.motion.parts.end_sites import real_end_sites
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.viewer import anatomy
@@ -125,7 +125,7 @@ class Figure:
         head = _head(points, parts, height) if parts and parts.head and not plain else None
         limbs = _limbs(points, None if plain else parts, height)
         hands = _hands(points, parts)
-        drawn, is_bust = points.stacked(), is_upper_body(motion.skeleton)
+        drawn, is_bust = points.stacked(), parts is not None and not parts.legs
         return cls(
             points=drawn,
             fps=motion.fps,

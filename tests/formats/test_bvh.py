@@ -346,13 +346,13 @@ def test_joints_in_any_order_are_written_as_a_tree(tmp_path):
 def test_another_kind_of_file_is_called_by_its_name(tmp_path, start, kind):
     path = tmp_path / "a.bvh"
     path.write_bytes(start * 20)
-    with pytest.raises(FormatError, match=f"a.bvh:1: the file looks like {kind} file") as told:
+    with pytest.raises(FormatError, match=f"a.bvh:1: the file looks like {kind} file") as raised:
         read_bvh(path)
-    assert str(told.value).isprintable()
+    assert str(raised.value).isprintable()
     path.write_bytes(bytes(range(128, 160)) * 9)
-    with pytest.raises(FormatError, match="the first line is") as told:
+    with pytest.raises(FormatError, match="the first line is") as raised:
         read_bvh(path)
-    assert str(told.value).isprintable()
+    assert str(raised.value).isprintable()
 
 
 @pytest.mark.parametrize("text", ["", " \n\n\t\n", "\ufeff"])

@@ -23,7 +23,7 @@ from gesturekit.multires.config import MultiresConfig, RecallConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.building import build_library
-from gesturekit.multires.recall.parts import hand_directions, movements
+from gesturekit.multires.recall.parts import hand_directions, joint_places, movements
 from gesturekit.multires.recall.search import ChoiceWeights
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.trainer import train
@@ -267,7 +267,8 @@ def test_movement_is_that_of_the_hands_beside_the_body(data, config):
     parts = build_library(data, config).parts
     for motion in (still, walking):
         values = torch.from_numpy(representation.encode(motion).T.copy()).float()
-        for movement in movements(parts, representation, config.fps, values):
+        places = joint_places(representation, config.fps, values)
+        for movement in movements(parts, representation.joints, config.fps, places):
             np.testing.assert_allclose(movement[5:-5], np.log(0.05), atol=0.05)
 
 
@@ -284,7 +285,8 @@ def test_directions_are_upwards_and_away_from_the_body(data, config, rising):
         turns[:, 0] = [0.0, heading, 0.0]
         motion = replace(standing, rotations=quaternion_from_rotation_vector(turns))
         values = torch.from_numpy(representation.encode(motion).T.copy()).float()
-        found.append(hand_directions(part, representation, motion.fps, values)[:, 5:-5])
+        places = joint_places(representation, motion.fps, values)
+        found.append(hand_directions(part, representation.joints, motion.fps, places)[:, 5:-5])
     np.testing.assert_allclose(found[0], found[1], atol=1e-3)
     x, y, z = (motion.positions()[:, hand] - motion.positions()[:, 0]).T
     for of_hand, place in zip(found[0], (y, np.hypot(x, z)), strict=True):

@@ -10,7 +10,7 @@ from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.kinematics import forward_kinematics
-from gesturekit.motion.parts import body_joints, find_legs, is_upper_body
+from gesturekit.motion.parts import body_joints, find_legs, is_upper_body, leg_joints
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import IDENTITY
 from gesturekit.motion.selection.joint_selection import keep_joints
@@ -46,7 +46,7 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
     names = body_joints(rig)
     if len(names) < 2:
         raise MotionError("the recording has 1 body joint; a motion to be measured has at least 2")
-    legs = _legs(rig) if is_upper_body(motion.skeleton) else set()
+    legs = leg_joints(rig, find_legs(rig) or {}) if is_upper_body(motion.skeleton) else set()
     names = tuple(name for name in names if name not in legs)
     own = {bare_name(name): name for name in reversed(motion.skeleton.names)}
     renamed = {own[bare_name(name)]: name for name in names if bare_name(name) in own}
@@ -75,12 +75,6 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
             f"{len(names) - len(joints)} of {len(names)} body joints are not in the generated rig"
         )
     return joints, named, notes
-
-
-def _legs(rig: Skeleton) -> set[str]:
-    """Return the names of all joints of both legs; none if there are no legs."""
-    hips = [rig.index(leg.hip) for leg in (find_legs(rig) or {}).values()]
-    return {rig.names[j] for hip in hips for j in (hip, *rig.descendants(hip))}
 
 
 def bare_name(name: str) -> str:

@@ -163,6 +163,12 @@ def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
     return {side: Leg(**{part: names[f"{side}_{part}"] for part in LEG}) for side in SIDES}
 
 
+def leg_joints(skeleton: Skeleton, legs: Mapping[str, Leg]) -> set[str]:
+    """Return the names of all joints of these legs, from the hips down; none without legs."""
+    hips = [skeleton.index(leg.hip) for leg in legs.values()]
+    return {skeleton.names[j] for hip in hips for j in (hip, *skeleton.descendants(hip))}
+
+
 def require_legs(skeleton: Skeleton) -> Mapping[str, Leg]:
     """Return `find_legs`, for what cannot be done without legs.
 

@@ -12,7 +12,12 @@ import audio_features as af
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary, averaged
-from gesturekit.multires.recall.parts import hand_directions, motion_parts, movements
+from gesturekit.multires.recall.parts import (
+    hand_directions,
+    joint_places,
+    motion_parts,
+    movements,
+)
 from gesturekit.multires.recall.wanted import WantedMovement, correlation, slow_part
 from gesturekit.multires.training.data import TrainingData
 
@@ -29,8 +34,12 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         return None
     representation, sequences = data.representation, data.paired
     parts = motion_parts(representation, settings.parts == "arms")
-    values = [data.normaliser.inverse(sequence.motion[None])[0] for sequence in sequences]
-    moved = [movements(parts, representation, fps, own) for own in values]
+    joints = representation.joints
+    places = [
+        joint_places(representation, fps, data.normaliser.inverse(sequence.motion[None])[0])
+        for sequence in sequences
+    ]
+    moved = [movements(parts, joints, fps, own) for own in places]
     # Speech is asked for the movement of the hands: that of both arms, or of the only part.
     asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
     every = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
@@ -47,8 +56,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     directions = [np.zeros((0, sequence.n_frames)) for sequence in sequences]
     if parts[0].is_arm:
         of_arms = [
-            [hand_directions(part, representation, fps, own) for own in values]
-            for part in parts[:2]
+            [hand_directions(part, joints, fps, own) for own in places] for part in parts[:2]
         ]
         directions = _weighted(*of_arms)
     recordings = []

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts import SIDES, Arm, find_parts
+from gesturekit.motion.parts import SIDES, Arm, find_parts, leg_joints
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.training.kinematics import VectorKinematics
@@ -79,8 +79,7 @@ def motion_parts(representation: MultiresRepresentation, separate: bool) -> tupl
     taken = {name for arm in arms for name in arm.joints}
     others = tuple(name for name in skeleton.names if name not in taken)
     columns = np.setdiff1d(every, np.concatenate([arm.columns for arm in arms]))
-    hips = [skeleton.index(leg.hip) for leg in body.legs.values()]
-    legs = {skeleton.names[j] for hip in hips for j in (hip, *skeleton.descendants(hip))}
+    legs = leg_joints(skeleton, body.legs)
     trunk = _columns(representation, [name for name in others if name not in legs])
     moving = (body.head,) if body.head in representation.joints else hands
     rest = MotionPart("rest", columns, others, moving, trunk, _TRUNK_DETAIL, _REST_LENGTH)
@@ -120,32 +119,39 @@ def _limb(skeleton: Skeleton, arms: Mapping[str, Arm], side: str) -> tuple[str, 
     return tuple(skeleton.names[j] for j in (top, *skeleton.descendants(top)))
 
 
+def joint_places(representation: MultiresRepresentation, fps: float, values: Tensor) -> np.ndarray:
+    """Return the positions (K, 3, T) of all modelled joints, relative to the root.
+
+    Args:
+        representation: of the motion vectors.
+        fps: frames per second.
+        values: (D, T) motion vectors in their own units.
+    """
+    kinematics = VectorKinematics(representation, fps, arms=False)
+    with torch.no_grad():
+        places = kinematics.places(values[None])[0].double().numpy()
+    return places - places[:1]
+
+
 def movements(
-    parts: Sequence[MotionPart],
-    representation: MultiresRepresentation,
-    fps: float,
-    values: Tensor,
+    parts: Sequence[MotionPart], joints: Sequence[str], fps: float, places: np.ndarray
 ) -> list[np.ndarray]:
     """Return each part's movement (T,): the smoothed log speed of its hands, relative to the root.
 
     Args:
         parts: of the rig.
-        representation: of the motion vectors.
+        joints: names of the K modelled joints.
         fps: frames per second.
-        values: (D, T) motion vectors in their own units.
+        places: (K, 3, T), see `joint_places`.
     """
-    velocity = _velocities(_places(representation, fps, values), fps, 1.0)
+    velocity = _velocities(places, fps, 1.0)
     speed = np.log(np.linalg.norm(velocity, axis=1) + SPEED_FLOOR)
     smooth = gaussian_filter1d(speed, _SMOOTHING_SECONDS * fps, axis=-1, mode="nearest")
-    joints = representation.joints
     return [smooth[[joints.index(name) for name in part.moving]].mean(axis=0) for part in parts]
 
 
 def hand_directions(
-    part: MotionPart,
-    representation: MultiresRepresentation,
-    fps: float,
-    values: Tensor,
+    part: MotionPart, joints: Sequence[str], fps: float, places: np.ndarray
 ) -> np.ndarray:
     """Return how the hand of an arm moves upwards and away from the body, (2, T).
 
@@ -154,21 +160,13 @@ def hand_directions(
 
     Args:
         part: the arm.
-        representation: of the motion vectors.
+        joints: names of the K modelled joints.
         fps: frames per second.
-        values: (D, T) motion vectors in their own units.
+        places: (K, 3, T), see `joint_places`.
     """
-    x, y, z = _places(representation, fps, values)[representation.joints.index(part.moving[0])]
+    x, y, z = places[joints.index(part.moving[0])]
     velocity = _velocities(np.stack([y, np.hypot(x, z)]), fps, _DIRECTION_SECONDS * fps)
     return np.sign(velocity) * np.log1p(np.abs(velocity) / _DIRECTION_SPEED)
-
-
-def _places(representation: MultiresRepresentation, fps: float, values: Tensor) -> np.ndarray:
-    """Return the positions (K, 3, T) of all modelled joints, relative to the root."""
-    kinematics = VectorKinematics(representation, fps, arms=False)
-    with torch.no_grad():
-        places = kinematics.places(values[None])[0].double().numpy()
-    return places - places[:1]
 
 
 def _velocities(places: np.ndarray, fps: float, sigma: float) -> np.ndarray:
