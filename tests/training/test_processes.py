@@ -105,3 +105,17 @@ def test_processes_share_gpus_if_there_are_too_few(
     assert [name for name, _ in begun] == [backend] * 2 and begun[1][1] >= timedelta(hours=12)
     assert chosen == (places if gpus and device in ("auto", "cuda") else [])
     assert ("2 processes share 1 GPU" in caplog.text) == (gpus == 1)
+
+
+@pytest.mark.parametrize(
+    "name, value", [("RANK", None), ("WORLD_SIZE", "two"), ("LOCAL_WORLD_SIZE", "two")]
+)
+def test_a_wrong_variable_of_torchrun_is_named(monkeypatch, name, value):
+    for other in ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE"):
+        monkeypatch.setenv(other, "1")
+    if value is None:
+        monkeypatch.delenv(name)
+    else:
+        monkeypatch.setenv(name, value)
+    with pytest.raises(ConfigError, match=value or name), Processes.from_environment("cpu"):
+        pass

@@ -63,9 +63,11 @@ class Processes:
         names = ("RANK", "WORLD_SIZE", "LOCAL_RANK")
         try:
             rank, count, local = (int(os.environ[name]) for name in names)
+            here = int(os.environ.get("LOCAL_WORLD_SIZE", count))
         except (KeyError, ValueError) as error:
             raise ConfigError(
-                f"environment: {', '.join(names)} must all be numbers ({error}); torchrun sets them"
+                f"environment: {', '.join(names)} and LOCAL_WORLD_SIZE, if it is set, must be "
+                f"numbers ({error}); torchrun sets them"
             ) from None
         processes = cls(rank, count, local)
         if count == 1:
@@ -74,7 +76,7 @@ class Processes:
         backend = "gloo"
         if device in ("auto", "cuda") and torch.cuda.is_available():
             torch.cuda.set_device(processes.device(device))
-            here, gpus = int(os.environ.get("LOCAL_WORLD_SIZE", count)), torch.cuda.device_count()
+            gpus = torch.cuda.device_count()
             backend = "nccl" if here <= gpus else "gloo"
             if here > gpus and processes.is_first:
                 log.warning(
