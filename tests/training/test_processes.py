@@ -107,15 +107,25 @@ def test_processes_share_gpus_if_there_are_too_few(
     assert ("2 processes share 1 GPU" in caplog.text) == (gpus == 1)
 
 
-@pytest.mark.parametrize(
-    "name, value", [("RANK", None), ("WORLD_SIZE", "two"), ("LOCAL_WORLD_SIZE", "two")]
-)
-def test_a_wrong_variable_of_torchrun_is_named(monkeypatch, name, value):
-    for other in ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE"):
+TORCHRUN = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
+
+
+@pytest.mark.parametrize("name", ["WORLD_SIZE", "LOCAL_WORLD_SIZE"])
+def test_a_variable_of_torchrun_that_is_no_number_is_refused_with_its_value(monkeypatch, name):
+    for other in TORCHRUN:
         monkeypatch.setenv(other, "1")
-    if value is None:
-        monkeypatch.delenv(name)
-    else:
-        monkeypatch.setenv(name, value)
-    with pytest.raises(ConfigError, match=value or name), Processes.from_environment("cpu"):
+    monkeypatch.setenv(name, "two")
+    with (
+        pytest.raises(ConfigError, match="LOCAL_WORLD_SIZE.*'two'"),
+        Processes.from_environment("cpu"),
+    ):
+        pass
+
+
+def test_a_missing_variable_of_torchrun_is_named(monkeypatch):
+    for other in TORCHRUN:
+        monkeypatch.setenv(other, "1")
+    monkeypatch.delenv("RANK")
+    # All names are listed; the missing one stands in quotes.
+    with pytest.raises(ConfigError, match="'RANK'"), Processes.from_environment("cpu"):
         pass
