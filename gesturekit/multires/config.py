@@ -18,6 +18,8 @@ BackendName = Literal["auto", "torch", "numba"]
 _MARGIN_COARSE = 2
 """Frames of the first level that are generated before and after a motion. Fixed, because a trained
 model must be sampled with the margin that it was measured with."""
+STRETCHES = (0.05, 0.5)
+"""Least and greatest `RecallConfig.stretch`, other than 0."""
 
 
 @dataclass(frozen=True)
@@ -223,6 +225,9 @@ class RecallConfig:
     """Length of the cross-fade between two pieces, seconds."""
     parts: Literal["arms", "body"] = "arms"
     """Choose pieces for each arm and for the rest of the body separately, or for the whole body."""
+    stretch: float = 0.0
+    """Share by which the pieces of an arm are played faster or slower, so that they move when the
+    speech asks for it; from 0.05 to 0.5, or 0 to play them as recorded."""
     own_movement: float = 0.9
     """Share of the recalled pieces' own arm movement in the targets of `losses.arm_speed` and
     `losses.arm_acceleration`; the rest is what the speech predicts."""
@@ -233,6 +238,10 @@ class RecallConfig:
             raise ConfigError(f"level: {self.level} must be even: levels train in pairs")
         if self.overlap >= self.piece:
             raise ConfigError(f"overlap: {self.overlap} must be below piece ({self.piece})")
+        if self.stretch and not STRETCHES[0] <= self.stretch <= STRETCHES[1]:
+            raise ConfigError(
+                f"stretch: {self.stretch} must be 0 or from {STRETCHES[0]} to {STRETCHES[1]}"
+            )
         if not 0 <= self.own_movement <= 1:
             raise ConfigError(f"own_movement: {self.own_movement} must be from 0 to 1")
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import soundfile
 import torch
+import yaml
 from safetensors.torch import load_file, save_file
 
 import audio_features as af
@@ -23,6 +24,7 @@ from gesturekit.multires.config import MultiresConfig, RecallConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.building import build_library
+from gesturekit.multires.recall.library import averaged
 from gesturekit.multires.recall.parts import hand_directions, joint_places, movements
 from gesturekit.multires.recall.search import ChoiceWeights
 from gesturekit.multires.training.loading import load_training_data
@@ -392,6 +394,7 @@ def test_more_liveliness_asks_for_more_movement(model, speech):
 
     class Spy:
         piece = model.library.searches[0].piece
+        hop = model.library.searches[0].hop
 
         def choose(self, wanted, *rest):
             searched.append(wanted)
@@ -547,6 +550,88 @@ def test_the_command_line_has_the_controls(folder, speech, tmp_path, capsys):
     assert "--liveliness" in text and "--recall / --no-recall" in text
 
 
+# Times other than recorded.
+
+
+def recalled(model, speech, stretch: float, seed: int = 0):
+    library = replace(model.library, stretch=stretch)
+    features = model.conditions.conditioner(speech).T
+    return library, library.recall(features, lambda _: torch.Generator().manual_seed(seed))
+
+
+def test_arms_move_more_closely_when_the_speech_asks_for_it(model, speech):
+    """The movement of both arms comes nearer to what is asked; other parts stay as recorded."""
+    asked = model.library.wanted(model.conditions.conditioner(speech).T)[0]
+    apart = {}
+    for stretch in (0.0, 0.25):
+        found = []
+        for seed in range(4):
+            library, motion = recalled(model, speech, stretch, seed)
+            n = motion.pieces[0].n_frames
+            level = averaged(asked[None], n)[0]
+            goal = (level - library.mean) / library.spread[0]
+            for i, pieces in enumerate(motion.pieces[:2]):
+                profiles = [own.profiles[2 * i : 2 * i + 1] for own in library.recordings]
+                own = pieces.blend(profiles, motion.lengths, n)[0].numpy()
+                found.append(np.square(own - goal).mean())
+            stretched = [pieces.offsets is not None for pieces in motion.pieces]
+            assert stretched == [bool(stretch)] * 2 + [False]
+        apart[stretch] = np.mean(found)
+    assert apart[0.25] < 0.85 * apart[0.0], apart
+
+
+def test_without_speech_nothing_is_stretched(model):
+    library = replace(model.library, stretch=0.25, wanted=None)
+    made = library.recall(np.zeros((0, 90)), lambda _: torch.Generator().manual_seed(0))
+    assert [pieces.offsets for pieces in made.pieces] == [None] * 3
+
+
+def test_borders_lie_elsewhere_with_every_seed(model, speech):
+    """Else the pieces that fit would be much the same in all of them."""
+    seeds = range(100)
+    firsts = np.array(
+        [[p.first for p in recalled(model, speech, 0.0, seed)[1].pieces] for seed in seeds]
+    )
+    for first, search in zip(firsts.T, model.library.searches, strict=True):
+        assert first.min() == 0 and first.max() == search.hop - 1
+    again = [pieces.first for pieces in recalled(model, speech, 0.0, 7)[1].pieces]
+    assert again == firsts[7].tolist()
+
+
+def test_the_setting_travels_with_the_model(model, speech, tmp_path):
+    own = model.generate(speech, seed=1)
+    other = copy.copy(model)
+    other.library = replace(model.library, stretch=0.25)
+    made = other.generate(speech, seed=1)
+    assert np.abs(made.rotations - own.rotations).max() > 1e-3
+    other.save(tmp_path / "model")
+    loaded = gk.load(tmp_path / "model")
+    assert loaded.library.stretch == 0.25
+    np.testing.assert_array_equal(loaded.generate(speech, seed=1).rotations, made.rotations)
+
+
+def changed_folder(model, folder, change) -> None:
+    """Save the model with changed values of recall, as `change` of them leaves them."""
+    model.save(folder)
+    path = folder / "config.yaml"
+    values = yaml.safe_load(path.read_text())
+    change(values["recall"])
+    path.write_text(yaml.safe_dump(values))
+
+
+@pytest.mark.parametrize("value", [-0.1, 0.01, 0.9, float("nan"), "much"])
+def test_a_bad_value_in_a_model_folder_is_one_error(model, tmp_path, value):
+    changed_folder(model, tmp_path / "model", lambda values: values.update(stretch=value))
+    with pytest.raises(ModelError, match="stretch"):
+        gk.load(tmp_path / "model")
+
+
+def test_a_model_of_an_earlier_version_plays_pieces_as_recorded(model, speech, tmp_path):
+    changed_folder(model, tmp_path / "model", lambda values: values.pop("stretch"))
+    older = gk.load(tmp_path / "model").generate(speech, seed=1)
+    np.testing.assert_array_equal(older.rotations, model.generate(speech, seed=1).rotations)
+
+
 # Retrieval, models without speech, models without recall.
 
 
@@ -609,6 +694,10 @@ def test_the_network_does_not_hear_effort_where_it_is_for_recall(model):
         ({"overlap": 0}, "overlap: 0.* must be above 0"),
         ({"piece": float("nan")}, "piece: nan must be above 0"),
         ({"own_movement": 1.1}, "recall.own_movement: 1.1 must be from 0 to 1"),
+        ({"stretch": 0.6}, "recall.stretch: 0.6 must be 0 or from 0.05 to 0.5"),
+        ({"stretch": 0.04}, "recall.stretch: 0.04 must be 0 or"),
+        ({"stretch": -0.25}, "recall.stretch: -0.25 must be 0 or"),
+        ({"stretch": float("nan")}, "recall.stretch: nan must be 0 or"),
         ({"parts": "legs"}, "parts"),
         ({"pieces": 2}, "recall.pieces"),
     ],
@@ -653,19 +742,22 @@ def test_windows_start_from_recalled_and_from_recorded_motion(data, config):
     every = torch.cat([own.motion[left] for own in library.recordings], dim=1)
     for window in above.coarser:
         apart = (window[left].T[:, None] - every.T).abs().amax(dim=2).amin(dim=1)
-        assert (apart < 1e-5).float().mean() > 0.6
+        assert (apart < 1e-5).float().mean() > 0.5  # a fade takes 4 of 10 frames
     # What is recalled at finer levels is the same motion.
     finest = resample(above.recalled[-1], lengths[LEVEL - 1])
     assert float((finest - above.coarser).abs().mean()) < 0.1
 
-    # A library without chance recalls what the window's own speech asks for.
-    chance = replace(library.weights, chance=0.0)
-    cache.library = replace(library, weights=chance)
+    # A library without chance recalls what the window's own speech asks for. Arms' pieces begin in
+    # every frame, so that chance does not decide where they do either.
+    cache.library = replace(library, weights=replace(library.weights, chance=0.0), piece=0.36)
+    assert [search.hop for search in cache.library.searches[:2]] == [1, 1]
+    arms = np.concatenate([part.columns for part in library.parts[:2]])
     made = windows(LEVEL, "random")
     motions = [own.motion for own in library.recordings]
     for speech, coarser in zip(made.speech[-1], made.coarser, strict=True):
         choice = cache.library.recall(speech.numpy(), lambda _: torch.Generator())
-        torch.testing.assert_close(coarser, choice.vectors(motions, lengths[LEVEL - 1]))
+        own = choice.vectors(motions, lengths[LEVEL - 1])
+        torch.testing.assert_close(coarser[arms], own[arms])
 
     paired = windows(LEVEL, "paired")
     assert paired.recalled is None

@@ -84,6 +84,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         mean,
         _wanted(data, every, fps),
         data.passive,
+        stretch=settings.stretch,
     )
 
 

@@ -17,6 +17,7 @@ from gesturekit.multires.recall.parts import SPEED_FLOOR, MotionPart
 from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.recall.pieces import Pieces
 from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
+from gesturekit.multires.recall.timing import time_offsets
 from gesturekit.multires.recall.wanted import WantedMovement
 
 _REST = 0.1
@@ -105,6 +106,8 @@ class RecallLibrary:
         wanted: prediction of movement from speech; None for a model without speech input.
         passive: joints and face channels that are recalled but not modelled.
         weights: of the choice.
+        stretch: share by which the pieces of an arm are played faster or slower, so that they move
+            when the speech asks for it; 0 plays them as recorded.
     """
 
     level: int
@@ -119,6 +122,7 @@ class RecallLibrary:
     wanted: WantedMovement | None
     passive: PassiveChannels = PassiveChannels()
     weights: ChoiceWeights = ChoiceWeights()
+    stretch: float = 0.0
 
     @cached_property
     def lengths(self) -> tuple[int, ...]:
@@ -186,8 +190,17 @@ class RecallLibrary:
                 directions = [recording.directions for recording in self.recordings]
                 beside = pieces[0].blend(directions, self.lengths, n_frames)
                 wanted = np.concatenate([profile, beside.T.numpy()], axis=1)
-            pieces.append(search.choose(wanted, rng_of(part.name), allowed))
+            chosen = _from_any_frame(search, wanted, rng_of(part.name), allowed)
+            if self.stretch and part.is_arm and self.wanted is not None:
+                chosen = self._stretched(chosen, i, profile[:, 0])
+            pieces.append(chosen)
         return RecalledMotion(self.parts, tuple(pieces), self.lengths)
+
+    def _stretched(self, pieces: Pieces, i: int, asked: np.ndarray) -> Pieces:
+        """Play a part's pieces faster and slower, so that their movement meets `asked` (T_l,)."""
+        movement = [recording.profiles[2 * i : 2 * i + 1] for recording in self.recordings]
+        own = pieces.blend(movement, self.lengths, pieces.n_frames)[0].double().numpy()
+        return replace(pieces, offsets=time_offsets(own, asked, self.level_fps, self.stretch))
 
     def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:
         """Return how much detail finer levels may add to each column, (D, n_frames), 0 to 1.
@@ -222,6 +235,23 @@ class RecallLibrary:
         # A style without a recording as long as a piece is recalled from all.
         allowed[~(allowed & long_enough).any(axis=1)] = True
         return None if allowed.all() else allowed
+
+
+def _from_any_frame(
+    search: PieceSearch,
+    wanted: np.ndarray,
+    rng: torch.Generator,
+    allowed: np.ndarray | None,
+) -> Pieces:
+    """Choose pieces for (T, C), the first of which may have begun before the motion does.
+
+    Borders then lie elsewhere with every seed: which pieces fit depends on it.
+    """
+    first = int(torch.randint(search.hop, (), generator=rng))
+    earlier = ((first, 0), (0, 0))
+    if allowed is not None:
+        allowed = np.pad(allowed, earlier, mode="edge")
+    return search.choose(np.pad(wanted, earlier, mode="edge"), rng, allowed).beginning_at(first)
 
 
 def averaged(curves: np.ndarray, n_frames: int) -> np.ndarray:

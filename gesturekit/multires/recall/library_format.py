@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gesturekit.multires.config import STRETCHES
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
 from gesturekit.multires.recall.parts import motion_parts
@@ -17,7 +18,7 @@ from gesturekit.multires.recall.wanted import Regression, WantedMovement
 from gesturekit.training.model_folder import ModelParts
 from gesturekit.wording import counted
 
-_VALUES = ("level", "piece", "overlap", "mean")
+_VALUES = ("level", "piece", "overlap", "mean", "stretch")
 _LARGEST = 1e4  # of `_VALUES`: levels, seconds and log m/s
 _CURVES = ("motion", "passive", "profiles", "directions")
 _REGRESSION = ("mean", "weights", "offset", "predicted", "recorded", "r")
@@ -82,6 +83,8 @@ def load_library(
     # Models of earlier versions have a number here: the length of z* patches.
     if not isinstance(values, dict):
         return None
+    # Models of earlier versions play pieces as recorded.
+    values = {"stretch": 0.0, **values}
     tensors, fps = parts.tensors, float(config["fps"])
     recordings = tuple(
         RecalledRecording(*_curves(tensors, i), speaker, int(style))
@@ -98,11 +101,7 @@ def load_library(
             _regression(tensors, "slow"),
             *(tensors[f"recall.{name}"].numpy() for name in _DISTRIBUTION),
         )
-    for name in _VALUES:
-        if not abs(values[name]) <= _LARGEST:
-            raise ValueError(f"recall: {name} is {values[name]}")
-    if not 1 <= values["level"] <= levels:
-        raise ValueError(f"recall: level {values['level']} of {levels}")
+    _check_values(values, levels)
     for name in values["passive"]["joints"]:
         representation.skeleton.index(name)
     library = RecallLibrary(
@@ -119,9 +118,21 @@ def load_library(
         passive=PassiveChannels(
             tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
         ),
+        stretch=float(values["stretch"]),
     )
     _check_shapes(library, representation.n_features, speech_size)
     return library
+
+
+def _check_values(values: Mapping[str, Any], levels: int) -> None:
+    """Raise ValueError for values out of range."""
+    for name in _VALUES:
+        if not isinstance(values[name], int | float) or not abs(values[name]) <= _LARGEST:
+            raise ValueError(f"recall: {name} is {values[name]}")
+    if not 1 <= values["level"] <= levels:
+        raise ValueError(f"recall: level {values['level']} of {levels}")
+    if values["stretch"] and not STRETCHES[0] <= values["stretch"] <= STRETCHES[1]:
+        raise ValueError(f"recall: stretch is {values['stretch']}")
 
 
 def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> None:

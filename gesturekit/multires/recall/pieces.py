@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -21,7 +21,10 @@ class Pieces:
         starts: (N,) first frame of each piece in its recording.
         hop: frames from the start of one piece to the start of the next.
         overlap: frames of the cross-fade between two pieces.
-        n_frames: length of the motion, at most `N * hop + overlap`.
+        n_frames: length of the motion, at most `N * hop + overlap - first`.
+        first: frame of the first piece with which the motion begins.
+        offsets: (n_frames,) each frame shows the pieces at its time plus this; None if they are
+            played as recorded.
     """
 
     recordings: np.ndarray
@@ -29,10 +32,16 @@ class Pieces:
     hop: int
     overlap: int
     n_frames: int
+    first: int = 0
+    offsets: np.ndarray | None = None
+
+    def beginning_at(self, first: int) -> Pieces:
+        """Return the same motion without its first `first` frames, which may be up to a piece."""
+        return replace(self, first=first, n_frames=self.n_frames - first)
 
     def borders(self) -> np.ndarray:
-        """Return (N - 1,) frames, fractional, in the middle of each cross-fade."""
-        return np.arange(1, len(self.starts)) * self.hop + self.overlap / 2
+        """Return (N - 1,) frames, fractional, in the middle of each cross-fade, as recorded."""
+        return np.arange(1, len(self.starts)) * self.hop + self.overlap / 2 - self.first
 
     def blend(
         self,
@@ -51,6 +60,9 @@ class Pieces:
         """
         # Every rate divides the duration into equal frames (`af.level_lengths`).
         time = (np.arange(n_frames)[part] + 0.5) * (self.n_frames / n_frames) - 0.5
+        if self.offsets is not None:
+            time += np.interp(time, np.arange(self.n_frames), self.offsets)
+        time += self.first
         piece = np.clip(np.floor(time / self.hop).astype(int), 0, len(self.starts) - 1)
         into = time - piece * self.hop
         weight = np.ones(len(time))
@@ -76,8 +88,22 @@ class Pieces:
             curve = curves[k]
             at = self.starts[piece[here]] + into[here] + 0.5
             at = np.clip(at * (curve.shape[-1] / lengths[k]) - 0.5, 0, curve.shape[-1] - 1)
-            low = np.minimum(at.astype(int), max(0, curve.shape[-1] - 2))
-            high = np.minimum(low + 1, curve.shape[-1] - 1)
-            part = torch.from_numpy(at - low).to(result.dtype)
-            result[:, here] = (1 - part) * curve[:, low] + part * curve[:, high]
+            result[:, here] = self._interpolated(curve, at)
         return result
+
+    def _interpolated(self, curve: Tensor, at: np.ndarray) -> Tensor:
+        """Return the curve (C, T) at fractional frames (M,), from 0 to T - 1, as (C, M)."""
+        last = curve.shape[-1] - 1
+        low = np.minimum(at.astype(int), max(0, last - 1))
+        part = torch.from_numpy(at - low).to(curve.dtype)
+        if self.offsets is None:
+            return (1 - part) * curve[:, low] + part * curve[:, np.minimum(low + 1, last)]
+        # Catmull-Rom splines: lines between frames would take the top off fast gestures.
+        weights = (
+            part * ((2 - part) * part - 1),
+            (3 * part - 5) * part**2 + 2,
+            part * ((4 - 3 * part) * part + 1),
+            (part - 1) * part**2,
+        )
+        around = [np.clip(low + i, 0, last) for i in (-1, 0, 1, 2)]
+        return sum(w * curve[:, i] for w, i in zip(weights, around, strict=True)) / 2
