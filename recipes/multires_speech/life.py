@@ -117,13 +117,12 @@ def listening(block: Block) -> dict[str, float]:
 
 
 def likeness(block: Block, everything: list[gk.Motion]) -> dict[str, float]:
-    """Return 1-NN (beside the recording's own) and copying; means over up to four seeds."""
+    """Return 1-NN (beside the recording's own), the mean over seeds, and copying of all seeds."""
     recorded = motion_windows(everything)
     own = two_sample_accuracy(motion_windows(block.recording), motion_windows(block.training))
-    few = block.made[:4]
-    copies = copying(few, block.recording, block.training)
+    copies = copying(block.made, block.recording, block.training)
     return {
-        "1-NN": np.mean([two_sample_accuracy(motion_windows(m), recorded) for m in few]),
+        "1-NN": np.mean([two_sample_accuracy(motion_windows(m), recorded) for m in block.made]),
         "own 1-NN": own,
         "copy median": copies.median_ratio,
         "copy 5 %": copies.low_ratio,
@@ -171,7 +170,7 @@ def main() -> None:
         print(f"{name:12s} {np.mean([p[name] for p in pooled]) / whole[name]:6.2f}")
     calm = calm_and_lively(recordings, [block.made for block in blocks])
     print(f"calm and lively: r {calm.r:.2f}, slope {calm.slope:.2f}")
-    made = np.mean([[jerks(m) for m in block.made[:4]] for block in blocks], axis=(0, 1))
+    made = np.mean([[jerks(m) for m in block.made] for block in blocks], axis=(0, 1))
     for name, ratio in zip(
         ("hands", "elbows", "head"), made / np.mean([jerks(r) for r in recordings], 0), strict=True
     ):
@@ -200,7 +199,7 @@ def main() -> None:
     print_rows({"seeds apart": [seeds_apart(block) for block in blocks]})
     print_rows({"together": [np.mean([hands_together(m) for m in b.made]) for b in blocks]})
     print_rows({"recorded": [hands_together(b.recording) for b in blocks]})
-    skates = [[foot_skate(m) for m in (block.recording, *block.made[:4])] for block in blocks]
+    skates = [[foot_skate(m) for m in (block.recording, *block.made)] for block in blocks]
     print_rows({"foot skate": [np.mean(s[1:]) / max(s[0], 1e-9) for s in skates]})
     if options.strangers:
         rows = []

@@ -396,9 +396,9 @@ def test_more_liveliness_asks_for_more_movement(model, speech):
         piece = model.library.searches[0].piece
         hop = model.library.searches[0].hop
 
-        def choose(self, wanted, *rest):
+        def choose(self, rng, wanted, *rest):
             searched.append(wanted)
-            return model.library.searches[0].choose(wanted[:, :2], *rest)
+            return model.library.searches[0].choose(rng, wanted[:, :2], *rest)
 
     library = replace(model.library)
     library.__dict__["searches"] = (Spy(), Spy(), Spy())
@@ -578,6 +578,23 @@ def test_arms_move_more_closely_when_the_speech_asks_for_it(model, speech):
             assert stretched == [bool(stretch)] * 2 + [False]
         apart[stretch] = np.mean(found)
     assert apart[0.25] < 0.85 * apart[0.0], apart
+
+
+def test_the_rest_of_the_body_is_not_from_the_moment_of_both_arms(model, speech):
+    """One recording, played as it is in both arms, would be a copy with its own body."""
+    library = replace(model.library, recordings=model.library.recordings[:1])
+    still = replace(library, weights=ChoiceWeights(together=20.0, chance=0.0, copied=0.0))
+    same = {}
+    for copied in (0.0, 12.0):
+        changed = replace(still, weights=replace(still.weights, copied=copied))
+        features = model.conditions.conditioner(speech).T
+        found = []
+        for seed in range(6):
+            made = changed.recall(features, lambda _, s=seed: torch.Generator().manual_seed(s))
+            left, right, rest = (p.recorded_frames(changed.lengths) for p in made.pieces)
+            found.append(((abs(left - rest) < 2) & (abs(right - rest) < 2)).mean())
+        same[copied] = np.mean(found)
+    assert same[12.0] < 0.02 and same[0.0] > 0.05, same
 
 
 def test_without_speech_nothing_is_stretched(model):

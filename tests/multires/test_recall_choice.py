@@ -141,23 +141,23 @@ def test_the_piece_with_the_wanted_profile_is_found():
     found = search([60, 60, 60])
     for recording, start in ((0, 0), (1, 23), (2, 50)):
         wanted = profile_of(recording)[start : start + 10]
-        assert placed(found.choose(wanted, rng())) == [(recording, start)]
-    pieces = found.choose(profile_of(1)[7 : 7 + 42], rng())
+        assert placed(found.choose(rng(), wanted)) == [(recording, start)]
+    pieces = found.choose(rng(), profile_of(1)[7 : 7 + 42])
     assert placed(pieces) == [(1, 7 + 8 * n) for n in range(5)]
 
 
 def test_movement_counts_more_than_its_slow_part():
     wanted = np.stack([profile_of(0)[:10, 0], profile_of(1)[:10, 1]], axis=1)
-    assert placed(search([10, 10]).choose(wanted, rng())) == [(0, 0)]
+    assert placed(search([10, 10]).choose(rng(), wanted)) == [(0, 0)]
     slow = ChoiceWeights(movement=0.0, continuity=0.0, used=0.0, chance=0.0)
-    assert placed(search([10, 10], slow).choose(wanted, rng())) == [(1, 0)]
+    assert placed(search([10, 10], slow).choose(rng(), wanted)) == [(1, 0)]
 
 
 def test_the_nearer_of_two_movements_is_chosen():
     curves = [np.full((10, 2), level) for level in (0.55, 1.0)]
     found = PieceSearch([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
     for wanted, recording in ((0.3, 0), (0.6, 0), (0.9, 1), (3.0, 1)):
-        assert placed(found.choose(np.full((10, 2), wanted), rng())) == [(recording, 0)]
+        assert placed(found.choose(rng(), np.full((10, 2), wanted))) == [(recording, 0)]
 
 
 def test_the_piece_with_the_same_movement_of_the_other_hand_is_chosen():
@@ -165,32 +165,32 @@ def test_the_piece_with_the_same_movement_of_the_other_hand_is_chosen():
     curves = [np.tile([0.0, 0.0, up, out], (10, 1)) for up in (-1, 1) for out in (-1, 1)]
     found = PieceSearch([np.zeros((10, 1))] * 4, curves, 10, 2, ONLY_MOVEMENT)
     for recording, curve in enumerate(curves):
-        assert placed(found.choose(curve, rng())) == [(recording, 0)]
+        assert placed(found.choose(rng(), curve)) == [(recording, 0)]
     # Movement counts more: twice the other hand's difference does not outweigh it.
     curves = [np.tile([level, level, -level, -level], (10, 1)) for level in (-1.0, 1.0)]
     found = PieceSearch([np.zeros((10, 1))] * 2, curves, 10, 2, ONLY_MOVEMENT)
-    assert placed(found.choose(np.tile([1.0, 1.0, 1.0, 1.0], (10, 1)), rng())) == [(1, 0)]
+    assert placed(found.choose(rng(), np.tile([1.0, 1.0, 1.0, 1.0], (10, 1)))) == [(1, 0)]
 
 
 def test_unknown_movement_is_not_asked_for():
     wanted = profile_of(1)[:10].copy()
     wanted[:, 0] = ANYTHING
-    assert placed(search([60, 60]).choose(wanted, rng())) == [(1, 0)]
+    assert placed(search([60, 60]).choose(rng(), wanted)) == [(1, 0)]
 
 
 def test_continuity_prefers_what_came_next_in_the_recording():
     wanted = np.full((26, 2), ANYTHING)
     weights = ChoiceWeights(used=0.0, chance=0.0)
-    (k, start), *after = placed(search([30, 30], weights).choose(wanted, rng()))
+    (k, start), *after = placed(search([30, 30], weights).choose(rng(), wanted))
     assert after == [(k, start + 8), (k, start + 16)]
-    apart = placed(search([30, 30]).choose(wanted, rng()))
+    apart = placed(search([30, 30]).choose(rng(), wanted))
     assert apart[1] != (apart[0][0], apart[0][1] + 8), "nothing else would have done this"
 
 
 def test_what_came_next_is_a_candidate_among_hours():
     """It is one even where thousands of pieces come nearer to what is wanted."""
     found = search([4000], ChoiceWeights(movement=0.01, continuity=9.0, used=0.0, chance=0.0))
-    (_, start), *after = placed(found.choose(noise(42, 2, seed=1), rng()))
+    (_, start), *after = placed(found.choose(rng(), noise(42, 2, seed=1)))
     assert after == [(0, start + 8 * n) for n in range(1, 5)]
 
 
@@ -198,10 +198,10 @@ def test_only_allowed_recordings_are_used():
     wanted, found = noise(50, 2, seed=5), search([60] * 4, ChoiceWeights())
     allowed = np.zeros((50, 4), bool)
     allowed[:26, 3] = allowed[26:, 1] = True
-    used = found.choose(wanted, rng(), allowed).recordings
+    used = found.choose(rng(), wanted, allowed).recordings
     # A piece counts where its middle is: pieces of 10 frames begin every 8.
     assert used.tolist() == [3, 3, 3, 1, 1, 1]
-    assert len(set(found.choose(wanted, rng()).recordings)) > 1
+    assert len(set(found.choose(rng(), wanted).recordings)) > 1
 
 
 def test_recordings_that_were_used_are_avoided():
@@ -210,18 +210,42 @@ def test_recordings_that_were_used_are_avoided():
 
     def starts(used: float) -> np.ndarray:
         weights = ChoiceWeights(used=used, chance=0.0)
-        return PieceSearch(*still, 10, 2, weights).choose(wanted, rng()).starts
+        return PieceSearch(*still, 10, 2, weights).choose(rng(), wanted).starts
 
     assert len(set(starts(0.0))) < 4
     # 4 pieces of 10 frames in the 40 that there are: each part once.
     assert len(set(starts(0.25) // 10)) == 4
 
 
+def test_parts_are_not_joined_to_a_copy_of_the_recording():
+    """What all others show at that time is avoided, and nothing else."""
+    weights = ChoiceWeights(movement=1.0, continuity=0.0, used=0.0, chance=0.0)
+    found, wanted = search([60, 60], weights), profile_of(1)[20:30]
+    shown = np.arange(80.0, 90.0)[:, None]
+    best = [(1, 20)]
+
+    def chosen(*others: np.ndarray) -> list[tuple[int, int]]:
+        return placed(found.choose(rng(), wanted, None, np.concatenate(others, axis=1)))
+
+    (copy,), (near,) = chosen(shown), chosen(shown + 1)
+    for number, start in (copy, near):
+        assert number == 0 or abs(start - 20) > 1
+    # A moment is the same if it is at most an eighth of a piece away: 1.25 frames here.
+    assert chosen(shown + 3) == best and chosen(shown - 30) == best
+    # The others show different moments: there is no copy.
+    assert chosen(shown, shown - 30) == best
+    assert chosen(shown, shown + 1) != best
+    # It counts by the share of the piece: one frame of ten does not outweigh what is wanted.
+    few = np.where(np.arange(10)[:, None] < 1, shown, 0.0)
+    assert chosen(few) == best
+
+
 @pytest.mark.parametrize("lengths", [[4], [1], [1, 1, 3], [12, 4, 60]])
 @pytest.mark.parametrize("n_frames", [1, 2, 9, 11, 40])
 def test_short_recordings_and_short_speech(lengths, n_frames):
     found = search(lengths, ChoiceWeights())
-    pieces = found.choose(noise(n_frames, 2), rng())
+    others = np.linspace(-3, 99, 2 * n_frames).reshape(n_frames, 2)
+    pieces = found.choose(rng(), noise(n_frames, 2), None, others)
     curves = [torch.full((1, n), float(k)) for k, n in enumerate(lengths)]
     made = pieces.blend(curves, lengths, n_frames)
     assert made.shape == (1, n_frames) and torch.isfinite(made).all()
@@ -236,7 +260,7 @@ def test_an_hour_of_speech_takes_seconds_and_little_memory():
     wanted = noise(16000, 2)
     tracemalloc.start()
     began = time.process_time()
-    pieces = found.choose(wanted, rng())
+    pieces = found.choose(rng(), wanted)
     seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(pieces.starts) == 2286
@@ -245,10 +269,10 @@ def test_an_hour_of_speech_takes_seconds_and_little_memory():
 
 def test_a_seed_gives_the_same_pieces_and_another_seed_others():
     found, wanted = search([300, 300], ChoiceWeights()), noise(100, 2, seed=3)
-    first = placed(found.choose(wanted, rng(1)))
-    assert placed(found.choose(wanted, rng(1))) == first
-    assert placed(found.choose(wanted, rng(2))) != first
-    assert placed(found.choose(noise(100, 2, seed=4), rng(1))) != first
+    first = placed(found.choose(rng(1), wanted))
+    assert placed(found.choose(rng(1), wanted)) == first
+    assert placed(found.choose(rng(2), wanted)) != first
+    assert placed(found.choose(rng(1), noise(100, 2, seed=4))) != first
 
 
 # What speech asks for.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,6 +115,13 @@ def test_a_motion_may_begin_within_its_first_piece():
     made, every = (pieces.blend(curves, (12, 12), pieces.n_frames) for pieces in (rest, whole))
     torch.testing.assert_close(made, every[:, 2:])
     assert whole.borders().tolist() == [4.0] and rest.borders().tolist() == [2.0]
+
+
+def test_recorded_frames_are_counted_through_all_recordings():
+    whole = Pieces(np.array([1, 0]), np.array([2, 4]), hop=3, overlap=2, n_frames=8)
+    assert whole.recorded_frames((12, 12)).tolist() == [14, 15, 16, 4, 5, 6, 7, 8]
+    later = replace(whole.beginning_at(2), offsets=np.full(6, 0.5))
+    assert later.recorded_frames((12, 12)).tolist() == [16.5, 4.5, 5.5, 6.5, 7.5, 8.5]
 
 
 @pytest.mark.parametrize("offset", [-9.0, 9.0])

@@ -190,7 +190,10 @@ class RecallLibrary:
                 directions = [recording.directions for recording in self.recordings]
                 beside = pieces[0].blend(directions, self.lengths, n_frames)
                 wanted = np.concatenate([profile, beside.T.numpy()], axis=1)
-            chosen = _from_any_frame(search, wanted, rng_of(part.name), allowed)
+            others = None
+            if pieces and not part.is_arm:
+                others = np.stack([arm.recorded_frames(self.lengths) for arm in pieces], axis=1)
+            chosen = _from_any_frame(search, rng_of(part.name), wanted, allowed, others)
             if self.stretch and part.is_arm and self.wanted is not None:
                 chosen = self._stretched(chosen, i, profile[:, 0])
             pieces.append(chosen)
@@ -237,21 +240,16 @@ class RecallLibrary:
         return None if allowed.all() else allowed
 
 
-def _from_any_frame(
-    search: PieceSearch,
-    wanted: np.ndarray,
-    rng: torch.Generator,
-    allowed: np.ndarray | None,
-) -> Pieces:
-    """Choose pieces for (T, C), the first of which may have begun before the motion does.
+def _from_any_frame(search: PieceSearch, rng: torch.Generator, *rows: np.ndarray | None) -> Pieces:
+    """Choose pieces for `rows` (T, ...) of `PieceSearch.choose`, from within the first one on.
 
-    Borders then lie elsewhere with every seed: which pieces fit depends on it.
+    Where the first piece begins is drawn: borders lie elsewhere with every seed, and which pieces
+    fit depends on them.
     """
     first = int(torch.randint(search.hop, (), generator=rng))
     earlier = ((first, 0), (0, 0))
-    if allowed is not None:
-        allowed = np.pad(allowed, earlier, mode="edge")
-    return search.choose(np.pad(wanted, earlier, mode="edge"), rng, allowed).beginning_at(first)
+    wider = [None if row is None else np.pad(row, earlier, mode="edge") for row in rows]
+    return search.choose(rng, *wider).beginning_at(first)
 
 
 def averaged(curves: np.ndarray, n_frames: int) -> np.ndarray:

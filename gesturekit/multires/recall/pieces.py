@@ -58,14 +58,8 @@ class Pieces:
             n_frames: frames of the whole motion, at any frame rate.
             part: frames of the result.
         """
-        # Every rate divides the duration into equal frames (`af.level_lengths`).
-        time = (np.arange(n_frames)[part] + 0.5) * (self.n_frames / n_frames) - 0.5
-        if self.offsets is not None:
-            time += np.interp(time, np.arange(self.n_frames), self.offsets)
-        time += self.first
-        piece = np.clip(np.floor(time / self.hop).astype(int), 0, len(self.starts) - 1)
-        into = time - piece * self.hop
-        weight = np.ones(len(time))
+        piece, into = self._shown(n_frames, part)
+        weight = np.ones(len(into))
         if self.overlap:
             fading = piece > 0
             weight[fading] = np.clip((into[fading] + 0.5) / self.overlap, 0.0, 1.0)
@@ -76,6 +70,24 @@ class Pieces:
             share = torch.from_numpy(weight[fading]).to(result.dtype)
             result[:, fading] = share * result[:, fading] + (1 - share) * before
         return result
+
+    def recorded_frames(self, lengths: Sequence[int]) -> np.ndarray:
+        """Return (n_frames,) the frame that each shows, counted through all recordings.
+
+        In a cross-fade it is that of the later piece.
+        """
+        piece, into = self._shown(self.n_frames, slice(None))
+        return np.cumsum([0, *lengths])[self.recordings[piece]] + self.starts[piece] + into
+
+    def _shown(self, n_frames: int, part: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Return the piece of each frame, and how far into it the frame is, both (M,)."""
+        # Every rate divides the duration into equal frames (`af.level_lengths`).
+        time = (np.arange(n_frames)[part] + 0.5) * (self.n_frames / n_frames) - 0.5
+        if self.offsets is not None:
+            time += np.interp(time, np.arange(self.n_frames), self.offsets)
+        time += self.first
+        piece = np.clip(np.floor(time / self.hop).astype(int), 0, len(self.starts) - 1)
+        return piece, time - piece * self.hop
 
     def _sampled(
         self, curves: Sequence[Tensor], lengths: Sequence[int], piece: np.ndarray, into: np.ndarray

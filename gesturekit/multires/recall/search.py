@@ -32,6 +32,7 @@ class ChoiceWeights:
             it did beside a piece, and what it does now.
         continuity: mean squared difference of the normalised vectors over the cross-fade.
         used: how often the recorded frames were used shortly before.
+        copied: share of a piece in which all other parts show the same moment of a recording.
         chance: scale of the Gumbel noise that makes seeds differ.
     """
 
@@ -40,6 +41,7 @@ class ChoiceWeights:
     together: float = 0.6
     continuity: float = 3.0
     used: float = 0.25
+    copied: float = 12.0
     chance: float = 0.5
 
 
@@ -95,16 +97,19 @@ class PieceSearch:
 
     def choose(
         self,
-        wanted: np.ndarray,
         rng: torch.Generator,
+        wanted: np.ndarray,
         allowed: np.ndarray | None = None,
+        others: np.ndarray | None = None,
     ) -> Pieces:
         """Return the pieces for a wanted profile.
 
         Args:
-            wanted: (T, 2) or (T, 4) as `profiles`; NaN: anything fits.
             rng: random numbers.
+            wanted: (T, 2) or (T, 4) as `profiles`; NaN: anything fits.
             allowed: (T, K) bool, the recordings that may be used in each frame; None for all.
+            others: (T, P) `Pieces.recorded_frames` of the other parts, which are not to be joined
+                to a copy of the recording; None if there are none.
         """
         n_frames = len(wanted)
         count = max(1, -(-(n_frames - self.overlap) // self.hop))
@@ -126,6 +131,8 @@ class PieceSearch:
                 + _SHRINKAGE * (known[part] @ self.squares.T)
             )
             for n, distance in enumerate(distances, first):
+                if others is not None:
+                    distance = distance + self.weights.copied * self._copied(others[n * self.hop :])
                 if allowed is not None:
                     distance = np.where(allowed[middle[n]][self.recording], distance, np.inf)
                 states[n], before[n], cost, used = self._step(
@@ -137,6 +144,23 @@ class PieceSearch:
             chosen[n] = states[n, best]
             best = before[n, best]
         return Pieces(self.recording[chosen], self.start[chosen], self.hop, self.overlap, n_frames)
+
+    def _copied(self, others: np.ndarray) -> np.ndarray:
+        """Return, for each start (S,), in which share of a piece it shows what all others show.
+
+        The same moment is one at most an eighth of a piece away. `others` (T, P) begin with the
+        piece; where they end, nothing is copied.
+        """
+        # The start with which each frame of the piece would show what each other part does.
+        starts = others[: self.piece] - np.arange(len(others))[: self.piece, None]
+        margin = self.piece / 8
+        first = np.ceil(starts.max(axis=1) - margin).astype(int)
+        after = np.floor(starts.min(axis=1) + margin).astype(int) + 1
+        same = first < after
+        counts = np.zeros(len(self.vectors) + 1)
+        for edges, step in ((first, 1), (after, -1)):
+            np.add.at(counts, np.clip(edges[same], 0, len(self.vectors)), step)
+        return np.cumsum(counts)[self.frame] / self.piece
 
     def _step(
         self, distance: np.ndarray, last: np.ndarray | None, cost: np.ndarray, used: np.ndarray
