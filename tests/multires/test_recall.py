@@ -597,6 +597,23 @@ def test_the_rest_of_the_body_is_not_from_the_moment_of_both_arms(model, speech)
     assert same[12.0] < 0.02 and same[0.0] > 0.05, same
 
 
+def test_stretched_the_second_hand_keeps_with_the_first(model, speech):
+    """What it did beside such movement of the first hand counts as it does in the choice."""
+    together = ChoiceWeights(together=20.0, chance=0.0)
+    library, plain = recalled(model, speech, 0.0)
+    library = replace(library, stretch=0.25, weights=together)
+    directions = [own.directions for own in library.recordings]
+    left, right, _ = plain.pieces
+    goal = left.blend(directions, plain.lengths, left.n_frames).numpy()
+    wanted = np.concatenate([np.zeros((2, left.n_frames)), goal])
+
+    def apart(pieces) -> float:
+        own = pieces.blend(directions, plain.lengths, left.n_frames).numpy()
+        return float(np.square(own - goal).mean())
+
+    assert apart(library._stretched(right, 1, wanted)) < 0.8 * apart(right)
+
+
 def test_without_speech_nothing_is_stretched(model):
     library = replace(model.library, stretch=0.25, wanted=None)
     made = library.recall(np.zeros((0, 90)), lambda _: torch.Generator().manual_seed(0))

@@ -31,7 +31,7 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("late", [-6, -3, 0, 2, 4])
 def test_a_gesture_comes_when_it_is_asked_for_within_two_fifths_of_a_second(late):
     """The bump of frame 30 is asked for `late` frames later; at 10 fps, 4 frames are the most."""
-    offsets = time_offsets(bump(30), bump(30 + late), FPS, 0.25)
+    offsets = time_offsets(bump(30)[None], bump(30 + late)[None], FPS, 0.25)
     middle = 30 + np.clip(late, -4, 4)
     shown = np.interp(np.arange(60) + offsets, np.arange(60), bump(30))
     assert shown[middle - 1 : middle + 2].min() > 2.5
@@ -41,20 +41,21 @@ def test_a_gesture_comes_when_it_is_asked_for_within_two_fifths_of_a_second(late
 
 @pytest.mark.parametrize("stretch", [0.1, 0.25, 0.5])
 def test_no_tempo_but_the_three_is_played(stretch):
-    offsets = time_offsets(noise(200), noise(200, seed=1), FPS, stretch)
+    offsets = time_offsets(noise(1, 200), noise(1, 200, seed=1), FPS, stretch)
     tempos = np.unique(np.round(np.diff(offsets), 9))
     np.testing.assert_allclose(tempos, [-stretch, 0.0, stretch], atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_of_all_paths_the_one_with_the_lowest_cost_is_found(seed):
-    """7 frames, offsets of up to 1 frame in halves; every path is tried."""
-    own, asked = 3 * noise(2, 7, seed=seed)
+    """Two curves of 7 frames, offsets of up to 1 frame in halves; every path is tried."""
+    own, asked = 2 * noise(2, 2, 7, seed=seed)
     costs = {}
     for path in itertools.product(range(-2, 3), repeat=7):
         tempos = np.diff(path)
         if np.abs(tempos).max() <= 1:
-            shown = np.interp(np.arange(7) + np.array(path) / 2, np.arange(7), own)
+            times = np.arange(7) + np.array(path) / 2
+            shown = np.stack([np.interp(times, np.arange(7), curve) for curve in own])
             costs[path] = ((shown - asked) ** 2).sum() + 0.1 * (np.diff(tempos) ** 2).sum()
     best = np.array(min(costs, key=costs.get)) / 2
     np.testing.assert_allclose(time_offsets(own, asked, 2.5, 0.5), best, atol=1e-9)
@@ -62,13 +63,13 @@ def test_of_all_paths_the_one_with_the_lowest_cost_is_found(seed):
 
 @pytest.mark.parametrize("n_frames", [1, 2, 3])
 def test_short_motions(n_frames):
-    offsets = time_offsets(noise(n_frames), noise(n_frames, seed=1), FPS, 0.25)
+    offsets = time_offsets(noise(2, n_frames), noise(2, n_frames, seed=1), FPS, 0.25)
     assert offsets.shape == (n_frames,) and np.isfinite(offsets).all()
 
 
 def test_an_hour_takes_seconds_and_little_memory():
     n = 50_000  # at 14 frames per second
-    own, asked = noise(2, n)
+    own, asked = noise(2, 3, n)
     tracemalloc.start()
     began = time.process_time()
     offsets = time_offsets(own, asked, 14.0, 0.25)

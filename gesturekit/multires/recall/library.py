@@ -195,15 +195,21 @@ class RecallLibrary:
                 others = np.stack([arm.recorded_frames(self.lengths) for arm in pieces], axis=1)
             chosen = _from_any_frame(search, rng_of(part.name), wanted, allowed, others)
             if self.stretch and part.is_arm and self.wanted is not None:
-                chosen = self._stretched(chosen, i, profile[:, 0])
+                chosen = self._stretched(chosen, i, wanted.T)
             pieces.append(chosen)
         return RecalledMotion(self.parts, tuple(pieces), self.lengths)
 
-    def _stretched(self, pieces: Pieces, i: int, asked: np.ndarray) -> Pieces:
-        """Play a part's pieces faster and slower, so that their movement meets `asked` (T_l,)."""
-        movement = [recording.profiles[2 * i : 2 * i + 1] for recording in self.recordings]
-        own = pieces.blend(movement, self.lengths, pieces.n_frames)[0].double().numpy()
-        return replace(pieces, offsets=time_offsets(own, asked, self.level_fps, self.stretch))
+    def _stretched(self, pieces: Pieces, i: int, wanted: np.ndarray) -> Pieces:
+        """Play an arm's pieces faster and slower, so that they meet the profile `wanted` (C, T_l).
+
+        What counts is what they were chosen for, but for the slow part, which hardly changes.
+        """
+        curves = [self._profile(recording, i) for recording in self.recordings]
+        own = pieces.blend(curves, self.lengths, pieces.n_frames).double().numpy()
+        counts = np.full((len(own), 1), self.weights.together / self.weights.movement)
+        counts[:2, 0] = 1.0, 0.0
+        own, wanted = np.sqrt(counts) * own, np.sqrt(counts) * wanted
+        return replace(pieces, offsets=time_offsets(own, wanted, self.level_fps, self.stretch))
 
     def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:
         """Return how much detail finer levels may add to each column, (D, n_frames), 0 to 1.

@@ -24,15 +24,16 @@ def time_offsets(own: np.ndarray, asked: np.ndarray, fps: float, stretch: float)
     not faster.
 
     Args:
-        own: (T,) movement of the pieces, in standard deviations.
-        asked: (T,) movement that the speech asks for.
+        own: (C, T) profile of the pieces: their movement, in standard deviations, and whatever
+            else is to come at the right time.
+        asked: (C, T) profile that is asked for.
         fps: frames per second of both.
         stretch: share by which pieces may be played faster or slower, above 0.
 
     Returns:
         (T,) frames: frame t shows the pieces at t plus this offset.
     """
-    n_frames, furthest = len(own), int(_FURTHEST_SECONDS * fps / stretch)
+    n_frames, furthest = own.shape[1], int(_FURTHEST_SECONDS * fps / stretch)
     offsets = stretch * np.arange(-furthest, furthest + 1)
     steps = np.subtract.outer(_TEMPOS, _TEMPOS)
     changes = _CHANGE_OF_TEMPO * np.square(steps)[:, :, None]
@@ -55,11 +56,14 @@ def time_offsets(own: np.ndarray, asked: np.ndarray, fps: float, stretch: float)
 
 def _differences(own: np.ndarray, asked: np.ndarray, offsets: np.ndarray) -> Iterator[np.ndarray]:
     """Yield, for each frame, the squared differences (O,) at all offsets."""
-    frames = np.arange(len(own))
-    for start in range(0, len(own), _FRAMES_AT_ONCE):
+    frames = np.arange(own.shape[1])
+    for start in range(0, len(frames), _FRAMES_AT_ONCE):
         part = slice(start, start + _FRAMES_AT_ONCE)
-        shown = np.interp(frames[part, None] + offsets, frames, own)
-        yield from np.square(shown - asked[part, None])
+        times = frames[part, None] + offsets
+        rows = zip(own, asked, strict=True)
+        yield from sum(
+            np.square(np.interp(times, frames, curve) - goal[part, None]) for curve, goal in rows
+        )
 
 
 def _moved(rows: np.ndarray, outside: float) -> np.ndarray:
