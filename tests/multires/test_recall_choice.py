@@ -238,6 +238,12 @@ def test_parts_are_not_joined_to_a_copy_of_the_recording():
     # It counts by the share of the piece: one frame of ten does not outweigh what is wanted.
     few = np.where(np.arange(10)[:, None] < 1, shown, 0.0)
     assert chosen(few) == best
+    # In every piece of a longer motion.
+    wanted = profile_of(1)[7:49]
+    pieces = found.choose(rng(), wanted, None, np.arange(67.0, 109.0)[:, None])
+    assert len(pieces.starts) == 5
+    for n, (number, start) in enumerate(placed(pieces)):
+        assert number == 0 or abs(start - (7 + 8 * n)) > 1
 
 
 @pytest.mark.parametrize("lengths", [[4], [1], [1, 1, 3], [12, 4, 60]])
