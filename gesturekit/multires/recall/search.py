@@ -151,8 +151,9 @@ class PieceSearch:
         The same moment is one at most an eighth of a piece away. `others` (T, P) begin with the
         piece; where they end, nothing is copied.
         """
+        others = others[: self.piece]
         # The start with which each frame of the piece would show what each other part does.
-        starts = others[: self.piece] - np.arange(len(others))[: self.piece, None]
+        starts = others - np.arange(len(others))[:, None]
         margin = self.piece / 8
         first = np.ceil(starts.max(axis=1) - margin).astype(int)
         after = np.floor(starts.min(axis=1) + margin).astype(int) + 1
