@@ -598,7 +598,7 @@ def test_the_rest_of_the_body_is_not_from_the_moment_of_both_arms(model, speech)
 
 
 def test_stretched_the_second_hand_keeps_with_the_first(model, speech):
-    """What it did beside such movement of the first hand counts as it does in the choice."""
+    """Recorded movement of the first hand comes nearer to its movement now, as in the choice."""
     together = ChoiceWeights(together=20.0, chance=0.0)
     library, plain = recalled(model, speech, 0.0)
     library = replace(library, stretch=0.25, weights=together)

@@ -218,7 +218,7 @@ def test_recordings_that_were_used_are_avoided():
 
 
 def test_parts_are_not_joined_to_a_copy_of_the_recording():
-    """What all others show at that time is avoided, and nothing else."""
+    """The moment that all others show is avoided, and nothing else."""
     weights = ChoiceWeights(movement=1.0, continuity=0.0, used=0.0, chance=0.0)
     found, wanted = search([60, 60], weights), profile_of(1)[20:30]
     shown = np.arange(80.0, 90.0)[:, None]
