@@ -100,22 +100,22 @@ class Pieces:
             curve = curves[k]
             at = self.starts[piece[here]] + into[here] + 0.5
             at = np.clip(at * (curve.shape[-1] / lengths[k]) - 0.5, 0, curve.shape[-1] - 1)
-            result[:, here] = self._interpolated(curve, at)
+            result[:, here] = _interpolated(curve, at)
         return result
 
-    def _interpolated(self, curve: Tensor, at: np.ndarray) -> Tensor:
-        """Return the curve (C, T) at fractional frames (M,), from 0 to T - 1, as (C, M)."""
-        last = curve.shape[-1] - 1
-        low = np.minimum(at.astype(int), max(0, last - 1))
-        part = torch.from_numpy(at - low).to(curve.dtype)
-        if self.offsets is None:
-            return (1 - part) * curve[:, low] + part * curve[:, np.minimum(low + 1, last)]
-        # Catmull-Rom splines: lines between frames would take the top off fast gestures.
-        weights = (
-            part * ((2 - part) * part - 1),
-            (3 * part - 5) * part**2 + 2,
-            part * ((4 - 3 * part) * part + 1),
-            (part - 1) * part**2,
-        )
-        around = [np.clip(low + i, 0, last) for i in (-1, 0, 1, 2)]
-        return sum(w * curve[:, i] for w, i in zip(weights, around, strict=True)) / 2
+
+def _interpolated(curve: Tensor, at: np.ndarray) -> Tensor:
+    """Return the curve (C, T) at fractional frames (M,), from 0 to T - 1, as (C, M).
+
+    By Catmull-Rom splines: lines between frames would take the top off fast gestures.
+    """
+    low, last = at.astype(int), curve.shape[-1] - 1
+    part = torch.from_numpy(at - low).to(curve.dtype)
+    weights = (
+        part * ((2 - part) * part - 1),
+        (3 * part - 5) * part**2 + 2,
+        part * ((4 - 3 * part) * part + 1),
+        (part - 1) * part**2,
+    )
+    around = [np.clip(low + i, 0, last) for i in (-1, 0, 1, 2)]
+    return sum(w * curve[:, i] for w, i in zip(weights, around, strict=True)) / 2
