@@ -18,8 +18,6 @@ BackendName = Literal["auto", "torch", "numba"]
 _MARGIN_COARSE = 2
 """Frames of the first level that are generated before and after a motion. Fixed, because a trained
 model must be sampled with the margin that it was measured with."""
-STRETCHES = (0.05, 0.5)
-"""Least and greatest `RecallConfig.stretch`, other than 0."""
 
 
 @dataclass(frozen=True)
@@ -209,6 +207,12 @@ class StyleConfig:
             raise ConfigError(f"mixing: {self.mixing} must be between 0 and 1")
 
 
+def check_stretch(stretch: float) -> None:
+    """Raise ConfigError for a `RecallConfig.stretch` out of range."""
+    if stretch and not 0.05 <= stretch <= 0.5:
+        raise ConfigError(f"stretch: {stretch} must be 0 or from 0.05 to 0.5")
+
+
 @dataclass(frozen=True)
 class RecallConfig:
     """Recall by speech: pieces of the training recordings, chosen by the speech, replace a level.
@@ -238,10 +242,7 @@ class RecallConfig:
             raise ConfigError(f"level: {self.level} must be even: levels train in pairs")
         if self.overlap >= self.piece:
             raise ConfigError(f"overlap: {self.overlap} must be below piece ({self.piece})")
-        if self.stretch and not STRETCHES[0] <= self.stretch <= STRETCHES[1]:
-            raise ConfigError(
-                f"stretch: {self.stretch} must be 0 or from {STRETCHES[0]} to {STRETCHES[1]}"
-            )
+        check_stretch(self.stretch)
         if not 0 <= self.own_movement <= 1:
             raise ConfigError(f"own_movement: {self.own_movement} must be from 0 to 1")
 

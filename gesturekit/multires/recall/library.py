@@ -204,11 +204,11 @@ class RecallLibrary:
 
         What counts is what they were chosen for, but for the slow part, which hardly changes.
         """
-        curves = [self._profile(recording, i) for recording in self.recordings]
+        counting = np.delete(np.arange(len(wanted)), 1)
+        curves = [self._profile(recording, i)[counting] for recording in self.recordings]
         own = pieces.blend(curves, self.lengths, pieces.n_frames).double().numpy()
-        counts = np.full((len(own), 1), self.weights.together / self.weights.movement)
-        counts[:2, 0] = 1.0, 0.0
-        own, wanted = np.sqrt(counts) * own, np.sqrt(counts) * wanted
+        scale = self.searches[i].scale[counting, None] / self.searches[i].scale[0]
+        own, wanted = scale * own, scale * wanted[counting]
         return replace(pieces, offsets=time_offsets(own, wanted, self.level_fps, self.stretch))
 
     def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.multires.config import STRETCHES
+from gesturekit.multires.config import check_stretch
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary
 from gesturekit.multires.recall.parts import motion_parts
@@ -131,8 +131,7 @@ def _check_values(values: Mapping[str, Any], levels: int) -> None:
             raise ValueError(f"recall: {name} is {values[name]}")
     if not 1 <= values["level"] <= levels:
         raise ValueError(f"recall: level {values['level']} of {levels}")
-    if values["stretch"] and not STRETCHES[0] <= values["stretch"] <= STRETCHES[1]:
-        raise ValueError(f"recall: stretch is {values['stretch']}")
+    check_stretch(values["stretch"])
 
 
 def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> None:
