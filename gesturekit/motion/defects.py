@@ -63,13 +63,28 @@ class Pops:
 
 def find_jumps(motion: Motion) -> Jumps | None:
     """Return the frames reached faster than `MAX_SPEED` in world space, or None."""
-    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=-1) * motion.fps
-    limit = MAX_SPEED * body_scale(motion.skeleton)
-    frames = np.flatnonzero(steps.max(axis=1) > limit) + 1 if len(steps) else ()
+    steps, limit = _steps(motion)
+    frames = np.flatnonzero((steps > limit).any(axis=1)) + 1
     if len(frames) == 0:
         return None
     joint = int(np.unravel_index(steps.argmax(), steps.shape)[1])
     return Jumps(tuple(map(int, frames)), motion.skeleton.names[joint], float(steps.max()), limit)
+
+
+def defective_joints(motion: Motion) -> np.ndarray:
+    """Return (T, J) bool, the frames in which each joint jumps or pops."""
+    found = np.zeros((motion.n_frames, motion.skeleton.n_joints), bool)
+    steps, limit = _steps(motion)
+    found[1:] |= steps > limit
+    if motion.n_frames > 2:
+        found[1:-1] |= _popping(motion)[0]
+    return found
+
+
+def _steps(motion: Motion) -> tuple[np.ndarray, float]:
+    """Return the speed (T - 1, J) of each joint since the frame before, and the limit, in m/s."""
+    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=-1) * motion.fps
+    return steps, MAX_SPEED * body_scale(motion.skeleton)
 
 
 def speed_limit(limit: float) -> str:
@@ -95,16 +110,7 @@ def find_pops(motion: Motion, jumps: Jumps | None = None) -> Pops | None:
     """
     if motion.n_frames < 3:
         return None
-    q, frame = motion.rotations, 1 / motion.fps
-    off = rotation_angles(slerp(q[:-2], q[2:], np.array(0.5)), q[1:-1])
-    limit = max(POP_ANGLE, POP_ACCELERATION / 2 * frame**2)
-    popping = (off > limit) & (off > rotation_angles(q[:-2], q[2:]))
-    pull = POP_GRAVITIES * body_scale(motion.skeleton)
-    names = {motion.skeleton.names[0]: motion.translation, **motion.joint_translations}
-    for name, places in names.items():
-        away = np.linalg.norm(places[1:-1] - (places[:-2] + places[2:]) / 2, axis=-1)
-        through = np.linalg.norm(places[2:] - places[:-2], axis=-1)
-        popping[:, motion.skeleton.index(name)] |= (away > pull / 2 * frame**2) & (away > through)
+    popping, off, limit = _popping(motion)
     if jumps is not None:
         beside = np.array([frame + near for frame in jumps.frames for near in (-1, 0)]) - 1
         popping[beside[(beside >= 0) & (beside < len(popping))]] = False
@@ -115,6 +121,25 @@ def find_pops(motion: Motion, jumps: Jumps | None = None) -> Pops | None:
     joint = int(np.unravel_index(largest.argmax(), largest.shape)[1])
     angle = float(largest.max()) if largest.max() > limit else 0.0
     return Pops(tuple(map(int, frames)), motion.skeleton.names[joint], angle)
+
+
+def _popping(motion: Motion) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return where joints pop between the first and the last frame, (T - 2, J) bool.
+
+    Also the angles (T - 2, J) between a rotation and the mean of its neighbours, and the least
+    angle of a pop, in radians.
+    """
+    q, frame = motion.rotations, 1 / motion.fps
+    off = rotation_angles(slerp(q[:-2], q[2:], np.array(0.5)), q[1:-1])
+    limit = max(POP_ANGLE, POP_ACCELERATION / 2 * frame**2)
+    popping = (off > limit) & (off > rotation_angles(q[:-2], q[2:]))
+    pull = POP_GRAVITIES * body_scale(motion.skeleton)
+    names = {motion.skeleton.names[0]: motion.translation, **motion.joint_translations}
+    for name, places in names.items():
+        away = np.linalg.norm(places[1:-1] - (places[:-2] + places[2:]) / 2, axis=-1)
+        through = np.linalg.norm(places[2:] - places[:-2], axis=-1)
+        popping[:, motion.skeleton.index(name)] |= (away > pull / 2 * frame**2) & (away > through)
+    return popping, off, limit
 
 
 def jitter_share(motion: Motion) -> float:

@@ -226,7 +226,7 @@ class RecallConfig:
     piece: float = 2.0
     """Length of a piece, seconds."""
     overlap: float = 0.4
-    """Length of the cross-fade between two pieces, seconds."""
+    """Length of the cross-fade between two pieces, seconds; at most half of a piece."""
     parts: Literal["arms", "body"] = "arms"
     """Choose pieces for each arm and for the rest of the body separately, or for the whole body."""
     stretch: float = 0.0
@@ -240,8 +240,10 @@ class RecallConfig:
         check_positive(level=self.level, piece=self.piece, overlap=self.overlap)
         if self.level % 2:
             raise ConfigError(f"level: {self.level} must be even: levels train in pairs")
-        if self.overlap >= self.piece:
-            raise ConfigError(f"overlap: {self.overlap} must be below piece ({self.piece})")
+        if self.overlap > self.piece / 2:
+            raise ConfigError(
+                f"overlap: {self.overlap} must be at most half of piece ({self.piece})"
+            )
         check_stretch(self.stretch)
         if not 0 <= self.own_movement <= 1:
             raise ConfigError(f"own_movement: {self.own_movement} must be from 0 to 1")

@@ -32,7 +32,8 @@ class MultiresControls(Controls):
     keyframes: str | Path | Motion | None = None
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep
     its slow movement. If it was edited from a motion made with levels and the same seed, unedited
-    frames stay as they were generated. A motion on another rig is retargeted."""
+    frames stay as they were generated. A motion on another rig is retargeted. The result has the
+    model's own frame rate, unless fps is given."""
     keyframe_level: int = 1
     """The level that keyframes or like replaces, counted from 1 (coarsest)."""
     keep: Mapping[float, str | Path | Motion] | None = None

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from gesturekit.motion import Motion
-from gesturekit.motion.defects import find_jumps, find_pops, frozen_runs, jitter_share
+from gesturekit.motion.defects import (
+    defective_joints,
+    find_jumps,
+    find_pops,
+    frozen_runs,
+    jitter_share,
+)
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 
 
@@ -40,6 +46,22 @@ def test_a_joint_that_is_off_for_one_frame(moving_person, fps):
     places[30, 0] += 0.2
     pops = find_pops(replace(motion, translation=places))
     assert pops.frames == (30,) and (pops.joint, pops.angle) == ("Hips", 0.0)
+
+
+def test_defects_are_those_of_the_joints_that_jump_or_pop(moving_person):
+    names = moving_person.skeleton.names
+    assert not defective_joints(moving_person).any()
+    assert defective_joints(moving_person.slice(0, 1)).shape == (1, len(names))
+    off = np.zeros(60)
+    off[[20, 41]] = [0.5, -0.6]
+    found = defective_joints(turned(moving_person, "LeftForeArm", off))
+    frames, joints = np.nonzero(found)
+    assert (frames.tolist(), [names[j] for j in joints]) == ([20, 41], ["LeftForeArm"] * 2)
+    # The hands are carried away by the trunk; the legs stay.
+    step = np.where(np.arange(60) < 30, 0.0, 1.5)
+    found = defective_joints(turned(moving_person, "Spine", step))
+    assert np.flatnonzero(found.any(axis=1)).tolist() == [30]
+    assert found[30, names.index("LeftHand")] and not found[30, names.index("LeftLeg")]
 
 
 def test_what_people_can_do_is_no_pop(moving_person):

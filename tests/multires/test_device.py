@@ -49,7 +49,7 @@ def apart(one: Path, other: Path) -> list[float]:
     """Return the relative differences of each tensor of two models, and of all together last."""
     first, second = (load_file(folder / "model.safetensors") for folder in (one, other))
     assert first.keys() == second.keys()
-    pairs = [(first[name].double().flatten(), second[name].flatten()) for name in first]
+    pairs = [tuple(own[name].double().flatten() for own in (first, second)) for name in first]
     pairs.append(tuple(map(torch.cat, zip(*pairs, strict=True))))
     return [float((a - b).norm() / (b.norm() + 1e-6)) for a, b in pairs]
 

@@ -204,6 +204,16 @@ def test_keyframes_that_do_not_fit_are_said(make_config, motions, tmp_path, gest
     assert "the rig (19 joints) is not the model's (19 joints): retargeted" in said(other)[1]
 
 
+def test_a_motion_to_redo_that_is_too_short_is_told(make_config, motions, caplog):
+    config = make_config(corpus=str(motions(none=[4.0])), **SINGLE)
+    model = gk.load(train(config))
+    clip = model.generate(seconds=2.0)
+    for seconds, told in ((None, False), (1.0, False), (2.4, False), (4.0, True)):
+        caplog.clear()
+        model.generate(like=clip, seconds=seconds)
+        assert ("2 s of motion for 4 s: the last pose is held to the end" in caplog.text) == told
+
+
 def test_noise_enters_at_as_many_levels_as_wanted(make_config, motions):
     config = make_config(corpus=str(motions(none=[4.0])), noise_levels=2, **SINGLE)
     model = gk.load(train(config))

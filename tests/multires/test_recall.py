@@ -236,6 +236,27 @@ def test_speech_seed_and_speaker_choose_the_pieces(model, speech):
     assert chosen(model, speech, speaker="Cy") == first, "a speaker without recordings"
 
 
+def test_a_speaker_with_short_recordings_only_shares_the_rest_of_the_body(model, speech):
+    """Bo has pieces as long as those of the arms: the rest is chosen among Ann's."""
+    ann, bo = model.library.recordings
+    kept = round(1.5 * model.library.level_fps)
+    rows = ("motion", "passive", "profiles", "directions")
+    short = replace(bo, **{name: getattr(bo, name)[:, :kept] for name in rows})
+    shared = replace(model.library, recordings=(ann, short))
+    features = model.conditions.conditioner(speech).T
+
+    def pieces(seed: int) -> list[list[tuple[int, int]]]:
+        made = shared.recall(
+            features, lambda _: torch.Generator().manual_seed(seed), speaker="Bo"
+        ).pieces
+        return [[*zip(p.recordings.tolist(), p.starts.tolist(), strict=True)] for p in made]
+
+    made = [pieces(seed) for seed in range(4)]
+    arms = [place for left, right, _ in made for place in left + right]
+    assert {recording for recording, _ in arms} == {1}
+    assert len({tuple(rest) for _, _, rest in made}) > 1, "seeds differ"
+
+
 def test_styles_are_recalled_from_their_recordings(model, speech):
     ann, bo = model.library.recordings
     styled = replace(model.library, recordings=(ann, replace(bo, style=1)))
@@ -248,8 +269,10 @@ def test_styles_are_recalled_from_their_recordings(model, speech):
         assert (np.diff(pieces.recordings) >= 0).all()
         assert set(pieces.recordings) == {0, 1}
 
-    def chosen_for(styles: np.ndarray | None) -> list[tuple[int, int]]:
-        choice = styled.recall(features, lambda _: torch.Generator().manual_seed(0), styles=styles)
+    def chosen_for(styles: np.ndarray | None, **options) -> list[tuple[int, int]]:
+        choice = styled.recall(
+            features, lambda _: torch.Generator().manual_seed(0), styles=styles, **options
+        )
         return [
             piece
             for pieces in choice.pieces
@@ -259,6 +282,8 @@ def test_styles_are_recalled_from_their_recordings(model, speech):
     unknown = chosen_for(np.full(n_level, 7))
     assert {recording for recording, _ in unknown} == {0, 1}
     assert unknown == chosen_for(None), "a style that nobody has is any style"
+    theirs = chosen_for(np.zeros(n_level, int), speaker="Bo")
+    assert {recording for recording, _ in theirs} == {0}, "nobody else's style where Bo has none"
 
 
 def test_movement_is_that_of_the_hands_beside_the_body(data, config):
@@ -641,7 +666,39 @@ def test_the_setting_travels_with_the_model(model, speech, tmp_path):
     other.save(tmp_path / "model")
     loaded = gk.load(tmp_path / "model")
     assert loaded.library.stretch == 0.25
+    assert "arms up to 25 % faster or slower" in (tmp_path / "model/README.md").read_text("utf-8")
+    model.save(tmp_path / "own")
+    assert "faster" not in (tmp_path / "own/README.md").read_text("utf-8")
     np.testing.assert_array_equal(loaded.generate(speech, seed=1).rotations, made.rotations)
+
+
+def test_defects_of_the_recordings_travel_with_the_model(model, speech, tmp_path):
+    own = model.generate(speech, seed=1)
+    assert all(
+        part.defective.shape == (3, part.motion.shape[-1]) for part in model.library.recordings
+    )
+    assert not any(part.defective.any() for part in model.library.recordings)
+    other = copy.copy(model)
+    flags = [part.defective.clone() for part in model.library.recordings]
+    flags[0][:, 20:] = flags[1][:, 30:] = True
+    recordings = zip(model.library.recordings, flags, strict=True)
+    other.library = replace(
+        model.library, recordings=tuple(replace(part, defective=f) for part, f in recordings)
+    )
+    made = other.generate(speech, seed=1)
+    assert np.abs(made.rotations - own.rotations).max() > 1e-2
+    other.save(tmp_path / "model")
+    again = gk.load(tmp_path / "model").generate(speech, seed=1)
+    np.testing.assert_array_equal(again.rotations, made.rotations)
+    # A model of an earlier version recalls everything.
+    path = tmp_path / "model" / "model.safetensors"
+    tensors = {k: v for k, v in load_file(path).items() if not k.endswith("defective")}
+    save_file(tensors, path)
+    older = gk.load(tmp_path / "model").generate(speech, seed=1)
+    np.testing.assert_array_equal(older.rotations, own.rotations)
+    save_file({**tensors, "recall.0.defective": flags[0][:1]}, path)
+    with pytest.raises(ModelError, match=r"recall.0.defective"):
+        gk.load(tmp_path / "model")
 
 
 def changed_folder(model, folder, change) -> None:
@@ -723,8 +780,7 @@ def test_the_network_does_not_hear_effort_where_it_is_for_recall(model):
         ({"level": 3}, "recall.level: 3 must be even"),
         ({"level": 0}, "level: 0 must be above 0"),
         ({"level": 6}, "recall.level: 6 is above network.levels 4"),
-        ({"piece": 0.3}, r"recall.overlap: 0.3 must be below piece \(0.3\)"),
-        ({"overlap": 1.5}, r"recall.overlap: 1.5 must be below piece \(1.0\)"),
+        ({"piece": 0.5}, r"recall.overlap: 0.3 must be at most half of piece \(0.5\)"),
         ({"overlap": 0}, "overlap: 0.* must be above 0"),
         ({"piece": float("nan")}, "piece: nan must be above 0"),
         ({"own_movement": 1.1}, "recall.own_movement: 1.1 must be from 0 to 1"),
@@ -783,7 +839,7 @@ def test_windows_start_from_recalled_and_from_recorded_motion(data, config):
 
     # A library without chance recalls what the window's own speech asks for. Arms' pieces begin in
     # every frame, so that chance does not decide where they do either.
-    cache.library = replace(library, weights=replace(library.weights, chance=0.0), piece=0.36)
+    cache.library = replace(library, weights=replace(library.weights, chance=0.0), piece=0.15)
     assert [search.hop for search in cache.library.searches[:2]] == [1, 1]
     arms = np.concatenate([part.columns for part in library.parts[:2]])
     made = windows(LEVEL, "random")

@@ -112,6 +112,15 @@ def test_pieces_are_the_recordings_frames_and_fade_linearly_at_the_border():
     assert JOINED.borders().tolist() == [4.0]
 
 
+def test_no_cross_fade_is_cut_short_by_the_next():
+    """Pieces of short recordings, of 0 and of 1 all the time, are joined without jumps."""
+    found = search([6, 6], piece=10, overlap=4)
+    order = np.array([0, 1, 0, 1])
+    pieces = Pieces(order, np.zeros(4, int), found.hop, found.overlap, 4 * found.hop)
+    made = pieces.blend([torch.zeros(1, 6), torch.ones(1, 6)], (6, 6), pieces.n_frames)[0]
+    assert made.diff().abs().max() <= 1 / found.overlap + 1e-6
+
+
 @pytest.mark.parametrize("recorded_rate", [1.0, 2.5, 0.5])
 @pytest.mark.parametrize("rate", [1.0, 4 / 3, 3.0, 0.5])
 def test_times_stay_true_at_any_rate(recorded_rate, rate):

@@ -13,6 +13,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecalledRecording, RecallLibrary, averaged
 from gesturekit.multires.recall.parts import (
+    defects_of_parts,
     hand_directions,
     joint_places,
     motion_parts,
@@ -35,10 +36,9 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     representation, sequences = data.representation, data.paired
     parts = motion_parts(representation, settings.parts == "arms")
     joints = representation.joints
-    places = [
-        joint_places(representation, fps, data.normaliser.inverse(sequence.motion[None])[0])
-        for sequence in sequences
-    ]
+    values = [data.normaliser.inverse(sequence.motion[None])[0] for sequence in sequences]
+    places = [joint_places(representation, fps, own) for own in values]
+    defects = [defects_of_parts(parts, representation, fps, own) for own in values]
     moved = [movements(parts, joints, fps, own) for own in places]
     # Speech is asked for the movement of the hands: that of both arms, or of the only part.
     asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
@@ -60,7 +60,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
         ]
         directions = _weighted(*of_arms)
     recordings = []
-    for sequence, rows, led in zip(sequences, profiles, directions, strict=True):
+    for sequence, rows, led, faulty in zip(sequences, profiles, directions, defects, strict=True):
         n = af.level_lengths(sequence.n_frames, levels)[settings.level - 1]
         recordings.append(
             RecalledRecording(
@@ -70,6 +70,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
                 torch.from_numpy(averaged(led, n)).float(),
                 sequence.speaker,
                 sequence.style,
+                torch.from_numpy(_any_near(faulty, n)),
             )
         )
     return RecallLibrary(
@@ -122,6 +123,16 @@ def _weighted(first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> list
         r = min(abs(correlation(a, b)), _HIGHEST)
         factors.append(r**2 / (1 - r**2) / max(a.std(), 1e-3))
     return [rows * np.array(factors)[:, None] for rows in first]
+
+
+def _any_near(flags: np.ndarray, n_frames: int) -> np.ndarray:
+    """Resample flags (P, T) to (P, n_frames): both frames around a flagged one are flagged."""
+    result = np.zeros((len(flags), n_frames), bool)
+    part, frame = np.nonzero(flags)
+    place = (frame + 0.5) * n_frames / flags.shape[1] - 0.5
+    for near in (np.floor(place), np.ceil(place)):
+        result[part, np.clip(near, 0, n_frames - 1).astype(int)] = True
+    return result
 
 
 def _mapped(curve: np.ndarray, own: np.ndarray, goal: np.ndarray) -> np.ndarray:

@@ -38,6 +38,7 @@ class RecalledRecording:
             much it tells of the second one; (0, T_l) if the second arm does not follow it.
         speaker: its speaker; None if the corpus names none.
         style: number of its style; 0 without styles.
+        defective: (P, T_l) bool, the frames in which each part jumps or pops; None in older models.
     """
 
     motion: Tensor
@@ -46,6 +47,7 @@ class RecalledRecording:
     directions: Tensor
     speaker: str | None = None
     style: int = 0
+    defective: Tensor | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +147,15 @@ class RecallLibrary:
                 max(1, round(part.length * self.overlap * self.level_fps)),
                 # Longer pieces meet less often, so that each border counts for more.
                 replace(self.weights, continuity=part.length * self.weights.continuity),
+                None if self._are_older else [r.defective[i].numpy() for r in self.recordings],
             )
             for i, part in enumerate(self.parts)
         )
+
+    @property
+    def _are_older(self) -> bool:
+        """Return whether the model was trained before defects were stored."""
+        return self.recordings[0].defective is None
 
     def _profile(self, recording: RecalledRecording, i: int) -> Tensor:
         """Return what counts in the choice of a part's pieces: its movement and its slow part.
@@ -182,9 +190,9 @@ class RecallLibrary:
             profile = averaged((asked - self.mean) / self.spread[:, None], n_frames).T
         elif liveliness != 1.0:
             profile[:, 1] = math.log(liveliness) / self.spread[1]
-        allowed = self._allowed(n_frames, speaker, styles)
         pieces: list[Pieces] = []
         for i, (part, search) in enumerate(zip(self.parts, self.searches, strict=True)):
+            allowed = self._allowed(search.piece, n_frames, speaker, styles)
             wanted = profile
             if i == 1:
                 directions = [recording.directions for recording in self.recordings]
@@ -229,20 +237,25 @@ class RecallLibrary:
         return shares
 
     def _allowed(
-        self, n_frames: int, speaker: str | None, styles: np.ndarray | None
+        self, piece: int, n_frames: int, speaker: str | None, styles: np.ndarray | None
     ) -> np.ndarray | None:
-        """Return (T, K) the recordings allowed in each frame; None for all."""
-        long_enough = np.array(self.lengths) >= self.searches[0].piece
+        """Return (T, K) the recordings allowed for a piece at each frame; None for all.
+
+        A style without a recording as long as a piece is any style, and then a speaker without
+        one in that style is any speaker.
+        """
+        long_enough = np.array(self.lengths) >= piece
         allowed = np.ones((n_frames, len(self.recordings)), bool)
+        wanted = []
         if styles is not None:
             own = np.array([recording.style for recording in self.recordings])
-            allowed &= own == np.asarray(styles)[:, None]
+            wanted.append(own == np.asarray(styles)[:, None])
         if speaker is not None:
-            theirs = np.array([recording.speaker == speaker for recording in self.recordings])
-            if (theirs & long_enough).any():
-                allowed &= theirs
-        # A style without a recording as long as a piece is recalled from all.
-        allowed[~(allowed & long_enough).any(axis=1)] = True
+            wanted.append(np.array([recording.speaker == speaker for recording in self.recordings]))
+        for recordings in wanted:
+            narrower = allowed & recordings
+            some = (narrower & long_enough).any(axis=1)
+            allowed[some] = narrower[some]
         return None if allowed.all() else allowed
 
 

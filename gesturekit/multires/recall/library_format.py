@@ -38,12 +38,16 @@ def library_values(library: RecallLibrary) -> dict[str, Any]:
 
 
 def library_row(library: RecallLibrary) -> str:
-    """Return "2 recordings at level 4 (4.4 fps), 0.2 MB in model.safetensors"."""
+    """Return "2 recordings at level 4 (4.4 fps), 0.2 MB of model.safetensors".
+
+    Stretching is added: "..., arms up to 25 % faster or slower".
+    """
     tensors = library_tensors(library).values()
     size = sum(tensor.numel() * tensor.element_size() for tensor in tensors) / 1e6
     count = counted(len(library.recordings), "recording")
     rate = f"level {library.level} ({library.level_fps:.2g} fps)"
-    return f"{count} at {rate}, {size:.1f} MB of model.safetensors"
+    faster = f", arms up to {100 * library.stretch:.3g} % faster or slower"
+    return f"{count} at {rate}, {size:.1f} MB of model.safetensors" + faster * (library.stretch > 0)
 
 
 def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
@@ -52,6 +56,8 @@ def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
     for i, recording in enumerate(library.recordings):
         for name in _CURVES:
             tensors[f"recall.{i}.{name}"] = getattr(recording, name).contiguous()
+        if recording.defective is not None:
+            tensors[f"recall.{i}.defective"] = recording.defective
     wanted = library.wanted
     if wanted is None:
         return tensors
@@ -87,7 +93,9 @@ def load_library(
     values = {"stretch": 0.0, **values}
     tensors, fps = parts.tensors, float(config["fps"])
     recordings = tuple(
-        RecalledRecording(*_curves(tensors, i), speaker, int(style))
+        RecalledRecording(
+            *_curves(tensors, i), speaker, int(style), tensors.get(f"recall.{i}.defective")
+        )
         for i, (speaker, style) in enumerate(values["recordings"])
     )
     wanted = None
@@ -145,6 +153,11 @@ def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> 
             found, wanted = tuple(getattr(recording, name).shape), (size, library.lengths[i])
             if found != wanted or not library.lengths[i]:
                 raise ValueError(f"recall.{i}.{name} has the shape {found}, not {wanted}")
+        found, wanted = recording.defective, (len(library.parts), library.lengths[i])
+        if found is not None and (found.dtype != torch.bool or tuple(found.shape) != wanted):
+            raise ValueError(f"recall.{i}.defective is {found.dtype} of {tuple(found.shape)}")
+    if len({recording.defective is None for recording in library.recordings}) > 1:
+        raise ValueError("recall: some recordings lack defective")
     if library.spread.shape != (2,):
         raise ValueError(f"recall.spread has the shape {library.spread.shape}, not (2,)")
     if library.wanted is not None:

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.defects import defective_joints
 from gesturekit.motion.parts import SIDES, Arm, find_parts, leg_joints
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -167,6 +168,23 @@ def hand_directions(
     x, y, z = places[joints.index(part.moving[0])]
     velocity = _velocities(np.stack([y, np.hypot(x, z)]), fps, _DIRECTION_SECONDS * fps)
     return np.sign(velocity) * np.log1p(np.abs(velocity) / _DIRECTION_SPEED)
+
+
+def defects_of_parts(
+    parts: Sequence[MotionPart], representation: MultiresRepresentation, fps: float, values: Tensor
+) -> np.ndarray:
+    """Return (P, T) bool, the frames in which a joint of each part jumps or pops.
+
+    Args:
+        parts: of the rig.
+        representation: of the motion vectors.
+        fps: frames per second.
+        values: (D, T) motion vectors in their own units.
+    """
+    motion = representation.decode(values.T.double().numpy(), fps)
+    joints, names = defective_joints(motion), motion.skeleton.names
+    own = [[names.index(name) for name in part.joints] for part in parts]
+    return np.stack([joints[:, indices].any(axis=1) for indices in own])
 
 
 def _velocities(places: np.ndarray, fps: float, sigma: float) -> np.ndarray:

@@ -33,6 +33,8 @@ class ChoiceWeights:
         continuity: mean squared difference of the normalised vectors over the cross-fade.
         used: how often the recorded frames were used shortly before.
         copied: share of a piece in which all other parts show the same moment of a recording.
+        defective: 1 for a piece with defects of the capture. Where all pieces have some, they are
+            recalled all the same.
         chance: scale of the Gumbel noise that makes seeds differ.
     """
 
@@ -42,6 +44,7 @@ class ChoiceWeights:
     continuity: float = 3.0
     used: float = 0.25
     copied: float = 12.0
+    defective: float = 30.0
     chance: float = 0.5
 
 
@@ -53,8 +56,10 @@ class PieceSearch:
         profiles: (T_k, 2) movement of each recording and its slow part, in standard deviations; or
             (T_k, 4), followed by the movement of the other hand.
         piece: frames of a piece; no more than the longest recording has.
-        overlap: frames of the cross-fade.
+        overlap: frames of the cross-fade; at most half a piece, so that each ends before the next.
         weights: of the choice.
+        defective: (T_k,) bool, the frames of each recording in which the part jumps or pops; None
+            if they are not known.
     """
 
     def __init__(
@@ -64,9 +69,10 @@ class PieceSearch:
         piece: int,
         overlap: int,
         weights: ChoiceWeights,
+        defective: Sequence[np.ndarray] | None = None,
     ) -> None:
         self.piece = max(1, min(piece, max(map(len, vectors))))
-        self.overlap = max(0, min(overlap, self.piece - 1))
+        self.overlap = max(0, min(overlap, self.piece // 2))
         self.hop = self.piece - self.overlap
         self.weights = weights
         usable = [max(0, len(vector) - self.piece + 1) for vector in vectors]
@@ -85,6 +91,11 @@ class PieceSearch:
             ]
         )
         self.squares = np.square(self.profiles)
+        self.defects = np.zeros(len(self.start), np.float32)
+        if defective is not None:
+            counts = np.cumsum([0, *np.concatenate(defective)])
+            has_some = counts[self.frame + self.piece] > counts[self.frame]
+            self.defects = weights.defective * has_some.astype(np.float32)
         # Frames of the recordings in bins of a piece's length, in which uses are counted.
         self.bins = np.stack([self.frame, self.frame + self.piece - 1]) // self.piece
         self.n_bins = int(self.bins.max()) + 1
@@ -129,6 +140,7 @@ class PieceSearch:
                 np.square(asked[part]).sum(axis=1)[:, None]
                 - 2 * asked[part] @ self.profiles.T
                 + _SHRINKAGE * (known[part] @ self.squares.T)
+                + self.defects
             )
             for n, distance in enumerate(distances, first):
                 if others is not None:

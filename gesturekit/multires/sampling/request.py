@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from pathlib import Path
 from types import NoneType
@@ -27,6 +29,11 @@ from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.styles import requested_styles
 from gesturekit.training.seeds import rng_for
+
+log = logging.getLogger(__name__)
+
+_HELD_SECONDS = 0.5
+"""A motion to redo may be this much shorter than its sound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +94,9 @@ class Request:
             clips = InbetweenClips(controls.keep, representation, fps)
         if controls.path is not None:
             path = as_root_path(controls.path, representation.scale)
-
-        def fitted(n_frames: int | None) -> Motion:
-            level = controls.keyframe_level - 1
-            return fit_keyframes(representation, start, fps, n_levels, level, n_frames)
-
+        fitted = partial(
+            fit_keyframes, representation, start, fps, n_levels, controls.keyframe_level - 1
+        )
         length_given = speech is not None or seconds is not None
         if not length_given:
             start = start if controls.keyframes is None else fitted(None)
@@ -102,6 +107,8 @@ class Request:
         n_frames = len(features)
         if controls.keyframes is not None and length_given:
             start = fitted(n_frames)
+        if controls.like is not None:
+            _warn_of_held_pose(start, n_frames / fps)
         if clips is not None:
             clips.check_end(n_frames)
         # A coarse level is edited frame by frame, so it gets no frames around it.
@@ -123,6 +130,15 @@ class Request:
     def n_frames(self) -> int:
         """T, without margins."""
         return self.lengths[-1] - 2 * self.margin
+
+
+def _warn_of_held_pose(like: Motion, seconds: float) -> None:
+    if like.duration < seconds - _HELD_SECONDS:
+        log.warning(
+            "like: %.4g s of motion for %.4g s: the last pose is held to the end",
+            like.duration,
+            seconds,
+        )
 
 
 def check_controls(
