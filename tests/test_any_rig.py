@@ -52,8 +52,14 @@ TINY = {
             "embedding": 8,
             "dilations": [0],
         },
-        "noise": {"steps": 4},
-        "training": {"updates": 2, "batch": 2, "window": 1.0},
+        "noise": {"steps": 4, "predict": "clean"},
+        "training": {
+            "updates": 2,
+            "batch": 2,
+            "window": 1.0,
+            "changes": 0.3,
+            "foot_sliding": 0.5,
+        },
     },
 }
 SYSTEMS = {
@@ -288,11 +294,12 @@ def losses(run: Path) -> list[dict[str, float]]:
 
 
 EVERY_LOSS = {"losses": {"detail": 1.0, "coarse": 1.0}}
+PREDICTED_NOISE = {"noise": {"steps": 4}, "training": {"updates": 2, "batch": 2, "window": 1.0}}
 WAYS = {
     "multires": ("multires", EVERY_LOSS),
     "multires by style": ("multires", {"styles": {}, **EVERY_LOSS}),
     "diffusion": ("diffusion", {}),
-    "diffusion on a path": ("diffusion", {"path": True}),
+    "diffusion on a path": ("diffusion", {"path": True, **PREDICTED_NOISE}),
 }
 
 

@@ -64,8 +64,8 @@ DIFFUSION = {
         "embedding": 8,
         "dilations": [0],
     },
-    "noise": {"steps": 4},
-    "training": {"updates": 2, "batch": 2, "window": 1.0},
+    "noise": {"steps": 4, "predict": "clean"},
+    "training": {"updates": 2, "batch": 2, "window": 1.0, "foot_sliding": 0.5},
 }
 
 

@@ -133,6 +133,10 @@ class TrainingConfig:
     """Weight of the squared error of frame-to-frame changes, in units of their standard deviation
     in the recordings. It reduces jitter of networks that predict clean motion; the paper has no
     such loss."""
+    foot_sliding: float = 0.0
+    """Weight of the speed of feet that stand in the recording, in units of 0.1 m/s, after Tevet et
+    al. 2023, for networks that predict clean motion; the paper has no such loss. Rigs without legs
+    are trained without it."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of matrix products in training; weights and sums stay float32."""
 
@@ -149,7 +153,7 @@ class TrainingConfig:
             dropout_style=self.dropout_style,
             decay=self.decay,
         )
-        for name in ("warm_up", "clip", "changes"):
+        for name in ("warm_up", "clip", "changes", "foot_sliding"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"{name}: {getattr(self, name)!r} must be at least 0")
         if not 0 <= self.ema < 1:
@@ -230,10 +234,16 @@ class DiffusionConfig(RunConfig):
         super().__post_init__()
         if self.moves_like is not None and self.start_from is not None:
             raise ConfigError("moves_like: start_from implies it; leave out one of them")
-        if self.training.changes and self.noise.predict != "clean":
+        for name in ("changes", "foot_sliding"):
+            if (weight := getattr(self.training, name)) and self.noise.predict != "clean":
+                raise ConfigError(
+                    f"training.{name}: {weight} is for networks that predict the clean motion; "
+                    f"noise.predict is {self.noise.predict}"
+                )
+        if self.training.foot_sliding and self.path:
             raise ConfigError(
-                f"training.changes: {self.training.changes} is for networks that predict the clean "
-                f"motion; noise.predict is {self.noise.predict}"
+                f"training.foot_sliding: {self.training.foot_sliding} is for models that move the "
+                "root themselves; with path: true, set it to 0"
             )
 
     @property

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from gesturekit.motion.contacts import CONTACT_SPEED
+
+SLIDING = 0.1
+"""m/s on the reference body, the unit of `foot_sliding`."""
+
 
 def denoising_error(predicted: Tensor, target: Tensor) -> Tensor:
     """Return the squared error of the network's prediction, eq. 4 of Alexanderson et al. 2023.
@@ -30,3 +35,21 @@ def change_error(predicted: Tensor, target: Tensor, spread: Tensor) -> Tensor:
         (B,), the mean over changes and features of each clip.
     """
     return ((predicted - target).diff(dim=1) / spread).square().mean(dim=(1, 2))
+
+
+def foot_sliding(predicted: Tensor, recorded: Tensor) -> Tensor:
+    """Return how fast feet slide that stand in the recording; not in the paper.
+
+    The foot contact loss of Tevet et al. 2023 (MDM), with bounded gradients: a speed s, in units of
+    `SLIDING`, counts as 2 (sqrt(1 + s^2) - 1), which is s^2 below the unit and 2 s far above it.
+
+    Args:
+        predicted: (B, T, F, 3) velocity of F foot points, m/s on the reference body.
+        recorded: (B, T, F, 3), of the recorded motion. Below `CONTACT_SPEED`, a point stands.
+
+    Returns:
+        (B,), the mean over frames and points of each clip; 0 for a point that does not stand.
+    """
+    stands = recorded.norm(dim=-1) < CONTACT_SPEED
+    squared = (predicted / SLIDING).square().sum(dim=-1)
+    return (stands * 2 * ((1 + squared).sqrt() - 1)).mean(dim=(1, 2))

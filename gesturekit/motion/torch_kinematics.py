@@ -29,6 +29,23 @@ def sixd_to_matrix(x: Tensor) -> Tensor:
     return entries.movedim(0, -1).unflatten(-1, (3, 3))
 
 
+def rotation_vector_to_matrix(x: Tensor) -> Tensor:
+    """Convert rotation vectors (..., 3), radians, to matrices (..., 3, 3) by Rodrigues' formula.
+
+    The angle is taken as sqrt(x.x + 1e-12), so that the gradient is finite at zero.
+    """
+    angle = (x.square().sum(dim=-1) + 1e-12).sqrt()
+    # sin(a) / a and (1 - cos(a)) / a^2; torch.sinc(t) is sin(pi t) / (pi t).
+    first = torch.sinc(angle / torch.pi)[..., None, None]
+    second = 0.5 * torch.sinc(angle / (2 * torch.pi)).square()[..., None, None]
+    vx, vy, vz = x.unbind(-1)
+    zero = torch.zeros_like(vx)
+    entries = torch.stack([zero, -vz, vy, vz, zero, -vx, -vy, vx, zero], dim=-1)
+    cross = entries.unflatten(-1, (3, 3))
+    one = torch.eye(3, dtype=x.dtype, device=x.device)
+    return one + first * cross + second * (cross @ cross)
+
+
 class ForwardKinematics(nn.Module):
     """World positions of a rig's joints from local rotation matrices.
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gesturekit.diffusion.config import NoiseConfig
-from gesturekit.diffusion.losses import change_error, denoising_error
+from gesturekit.diffusion.losses import change_error, denoising_error, foot_sliding
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.trainer import _Trainer
@@ -163,6 +163,19 @@ def test_the_weight_of_the_change_error_counts(trainer_of):
     apart = float(weighed._loss(batch)) - float(plain._loss(batch))
     error = change_error(torch.zeros_like(batch.clean), batch.clean, weighed.changes)
     assert apart == pytest.approx(0.5 * float(error.mean()), rel=1e-4)
+
+
+def test_the_weight_of_foot_sliding_counts(trainer_of):
+    clean = {"noise": {"predict": "clean"}}
+    plain, weighted = trainer_of(**clean), trainer_of(**clean, training={"foot_sliding": 0.5})
+    batch = plain.batches.draw(0, slice(0, 2))
+    made = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0))
+    for trainer in (plain, weighted):
+        trainer.network.forward = lambda noisy, condition, step: made
+    apart = float(weighted._loss(batch)) - float(plain._loss(batch))
+    slides = foot_sliding(weighted.foot_velocity(made), weighted.foot_velocity(batch.clean))
+    assert apart == pytest.approx(0.5 * float(slides.mean()), rel=1e-3)
+    assert slides.min() > 0.1
 
 
 def test_steps_and_noise_are_drawn_anew_for_every_row_and_update(trainer_of):

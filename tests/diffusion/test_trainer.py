@@ -163,7 +163,7 @@ def test_what_is_no_number_stops_the_run_and_the_last_good_checkpoint_stays(
         {"features": None, "path": True},
         {"training": {"precision": "bfloat16"}},
         {"training": {"min_snr": 5.0}, "noise": {"predict": "velocity"}},
-        {"training": {"changes": 0.3}, "noise": {"predict": "clean"}},
+        {"training": {"changes": 0.3, "foot_sliding": 0.3}, "noise": {"predict": "clean"}},
         {"network": {"architecture": "diffwave", "dilations": [1, 2]}},
         {"joints": "all"},
     ],
@@ -175,6 +175,13 @@ def test_variants_train(make_config, changes):
     assert all(0 < line["loss"] < 3 for line in logged(config))
 
 
-def test_changes_are_compared_where_there_is_a_clean_motion(make_config):
-    with pytest.raises(ConfigError, match=r"training.changes: 0.3 .*; noise.predict is noise"):
-        make_config(training={"changes": 0.3})
+@pytest.mark.parametrize("name", ["changes", "foot_sliding"])
+def test_losses_on_motion_need_a_network_that_predicts_it(make_config, name):
+    with pytest.raises(ConfigError, match=rf"training.{name}: 0.3 .*; noise.predict is noise"):
+        make_config(training={name: 0.3})
+
+
+def test_foot_sliding_is_that_of_a_root_that_the_model_moves(make_config):
+    training, noise = {"foot_sliding": 0.3}, {"predict": "clean"}
+    with pytest.raises(ConfigError, match=r"training.foot_sliding: 0.3 .*; with path: true"):
+        make_config(training=training, noise=noise, path=True)

@@ -37,7 +37,8 @@ def values(representation, walker):
 
 def test_feet_and_joints_are_where_the_motion_core_says(representation, walker, values):
     kinematics = VectorKinematics(representation, walker.fps)
-    joints, feet = kinematics.places(values).permute(0, 3, 1, 2), kinematics._foot_places(values)
+    joints = kinematics.places(values).permute(0, 3, 1, 2)
+    feet = kinematics._positions(kinematics.feet, values)
     index = [walker.skeleton.index(name) for name in representation.joints]
     root = walker.translation[:, None] * [1, 0, 1]
     scale = representation.scale

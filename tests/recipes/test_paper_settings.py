@@ -69,6 +69,7 @@ ZEROEGGS = {
     "training.dropout_style": (0.0, "4.1: a twin without style instead"),
     "training.min_snr": (None, "code: plain MSE"),
     "training.changes": (0.0, "eq. 4"),
+    "training.foot_sliding": (0.0, "eq. 4"),
     "training.precision": ("float32", "code"),
     "augmentation.mirror": (True, "A.1"),
     "augmentation.stretch": (0.1, "A.1"),

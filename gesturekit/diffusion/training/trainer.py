@@ -13,16 +13,18 @@ import torch
 from torch import Tensor, nn
 
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
-from gesturekit.diffusion.losses import change_error, denoising_error
+from gesturekit.diffusion.losses import change_error, denoising_error, foot_sliding
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.training.batches import Batch, Batches
 from gesturekit.diffusion.training.data import TrainingData
+from gesturekit.diffusion.training.foot_velocity import FootVelocity
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.monitor import STEPS, Monitor
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.parts import unidentified
+from gesturekit.motion.selection.point_kinematics import foot_kinematics
 from gesturekit.training.data.sources import described, save_sources
 from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
@@ -91,6 +93,7 @@ class _Trainer:
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(self.data, config)
         self.changes = self.data.changes().to(device) if config.training.changes else None
+        self.foot_velocity = self._foot_velocity()
         self.held_out = HeldOut(
             config,
             run,
@@ -110,12 +113,25 @@ class _Trainer:
         watched = config.eval_every and processes.is_first
         self.monitor = Monitor(self.data, config) if watched else None
 
+    def _foot_velocity(self) -> FootVelocity | None:
+        """Return the input of the loss on foot sliding; None without that loss or without legs."""
+        if not self.config.training.foot_sliding:
+            return None
+        representation = self.data.representation
+        feet = foot_kinematics(representation)
+        if feet is None:
+            return None
+        standardiser, fps = self.data.standardiser, self.config.fps
+        return FootVelocity(representation, standardiser, feet, fps).to(self.device)
+
     def _log_missing_parts(self) -> None:
         """Log in one line the features that training lacks if body parts cannot be identified."""
         skeleton = self.data.representation.skeleton
         follows = []
         if self.config.augmentation.mirror and not can_be_mirrored(skeleton):
             follows.append("no mirrored recordings")
+        if self.config.training.foot_sliding and self.foot_velocity is None:
+            follows.append("no loss on foot sliding")
         if self.config.joints == "body":
             follows.append("all joints are modelled")
         missing = unidentified(skeleton)
@@ -226,6 +242,9 @@ class _Trainer:
         errors = denoising_error(predicted, target)
         if weight := self.config.training.changes:
             errors = errors + weight * change_error(predicted, target, self.changes)
+        if self.foot_velocity is not None:
+            velocities = self.foot_velocity(predicted), self.foot_velocity(target)
+            errors = errors + self.config.training.foot_sliding * foot_sliding(*velocities)
         weights = self.schedule.loss_weight(batch.step, self.config.training.min_snr)
         return (weights * errors).mean()
 

@@ -87,7 +87,7 @@ class SkeletonConv1d(nn.Module):
     def dense_weight(self) -> Tensor:
         """Return the dense kernel (channels out, channels in, kernel)."""
         dense = self.weight.new_zeros(math.prod(self.shape))
-        return dense.index_put((self.positions,), self.weight).view(self.shape)
+        return dense.scatter_(0, self.positions, self.weight).view(self.shape)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (B, channels out, T) of x (B, channels in, T)."""

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import arm_joints
-from gesturekit.motion.rotations import matrix_from_quaternion
-from gesturekit.motion.torch_kinematics import ForwardKinematics, sixd_to_matrix
+from gesturekit.motion.selection.point_kinematics import PointKinematics, foot_kinematics
+from gesturekit.motion.torch_kinematics import sixd_to_matrix
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import reflect
 
@@ -22,75 +19,6 @@ speed itself. Fixed: targets and losses must use the same."""
 CAPTURE_SECONDS = 0.03
 """Standard deviation of the Gaussian that removes capture noise from recorded rotations before
 acceleration is computed. Fixed, as it depends on motion capture only."""
-
-
-class _Places(nn.Module):
-    """Positions of joints, or of points fixed to them, by forward kinematics."""
-
-    fixed: Tensor
-    rows: Tensor
-    turned: Tensor
-
-    def __init__(
-        self,
-        representation: MultiresRepresentation,
-        joints: Sequence[int],
-        points: np.ndarray | None = None,
-    ) -> None:
-        """Prepare the kinematic chain.
-
-        Args:
-            representation: of the motion vectors.
-            joints: indices in the skeleton, at least one.
-            points: (F, 3) offsets from these joints, metres; None for the joints themselves.
-        """
-        super().__init__()
-        skeleton = representation.skeleton
-        modelled = [skeleton.index(name) for name in representation.joints]
-        # Only joints on the way from the root to the requested ones.
-        needed = {modelled[0]}
-        for joint in joints:
-            while joint not in needed and joint >= 0:
-                needed.add(joint)
-                joint = skeleton.parents[joint]
-        order = sorted(needed, key=lambda j: (j != modelled[0], j))
-        place = {joint: i for i, joint in enumerate(order)}
-        still = representation.fixed_translations
-        offsets = [still.get(skeleton.names[j], skeleton.offsets[j]) for j in order]
-        # All lengths are those of the reference body, as in motion vectors.
-        offsets = [offset / representation.scale for offset in offsets]
-        parents = [-1, *(place[skeleton.parents[j]] for j in order[1:])]
-        at = [place[joint] for joint in joints]
-        self.wanted: list[int] | slice = slice(None) if at == list(range(len(order))) else at
-        if points is not None:
-            parents = [*parents, *at]
-            offsets += [point / representation.scale for point in points]
-            self.wanted = slice(len(order), None)
-        self.chain = ForwardKinematics(parents, np.array(offsets))
-        turning = [order[i] for i in self.chain.inner.tolist()]
-        held = [joint for joint in turning if joint not in modelled]
-        matrices = matrix_from_quaternion(representation.fixed_rotations[held])
-        self.register_buffer("fixed", torch.from_numpy(matrices).float(), persistent=False)
-        # Index of each joint's rotation: modelled joints first, fixed ones after them.
-        turned = [joint for joint in turning if joint in modelled]
-        rows = [[*turned, *held].index(joint) for joint in turning]
-        self.register_buffer("rows", torch.tensor(rows, dtype=torch.long), persistent=False)
-        turned = torch.tensor([modelled.index(joint) for joint in turned], dtype=torch.long)
-        self.register_buffer("turned", turned, persistent=False)
-
-    def forward(self, sixd: Tensor, height: Tensor) -> Tensor:
-        """Return positions (B, T, n, 3), metres, with the root above the origin.
-
-        Args:
-            sixd: (B, K, 6, T) rotations of the modelled joints.
-            height: (B, T) of the root.
-        """
-        rotations = sixd_to_matrix(sixd.index_select(1, self.turned).permute(0, 3, 1, 2))
-        if len(self.fixed):
-            fixed = self.fixed.expand(*rotations.shape[:2], -1, -1, -1)
-            rotations = torch.cat([rotations, fixed], dim=2).index_select(2, self.rows)
-        root = torch.stack([torch.zeros_like(height), height, torch.zeros_like(height)], dim=-1)
-        return self.chain.from_inner(rotations, root)[:, :, self.wanted]
 
 
 class VectorKinematics(nn.Module):
@@ -109,22 +37,16 @@ class VectorKinematics(nn.Module):
         self.fps = fps
         self.layout = representation.layout
         modelled = [skeleton.index(name) for name in representation.joints]
-        points = representation.foot_points
-        self.joints = _Places(representation, modelled)
-        self.feet = None
-        if points:
-            self.feet = _Places(
-                representation,
-                [skeleton.index(point.joint) for point in points],
-                np.array([point.offset for point in points]),
-            )
+        self.joints = PointKinematics(representation, modelled)
+        self.feet = foot_kinematics(representation)
         self.arms: list[int] = []
         if not arms:
             return
         missing = [name for name in arm_joints(skeleton) if name not in representation.joints]
         if missing:
             raise ConfigError(
-                f"joints: {', '.join(missing)} are missing; the arms must be modelled"
+                f"joints: {', '.join(missing)} are missing; the losses on arms need them: add "
+                "them, or set losses.arm_speed=0 losses.arm_acceleration=0"
             )
         self.arms = [representation.joints.index(name) for name in arm_joints(skeleton)]
 
@@ -132,15 +54,15 @@ class VectorKinematics(nn.Module):
         """Return the 6D rotations (B, K, 6, T) of the modelled joints."""
         return values[:, self.layout.rotations].unflatten(1, (-1, 6))
 
-    def _foot_places(self, values: Tensor) -> Tensor:
-        """Return the foot points (B, T, F, 3), metres, with the root above the origin."""
-        return self.feet(self._sixd(values), values[:, self.layout.root_height])
+    def _positions(self, points: PointKinematics, values: Tensor) -> Tensor:
+        """Return positions (B, T, n, 3), metres, with the root above the origin."""
+        sixd = self._sixd(values).index_select(1, points.turned)
+        rotations = sixd_to_matrix(sixd.permute(0, 3, 1, 2))
+        return points(rotations, values[:, self.layout.root_height])
 
     def places(self, values: Tensor) -> Tensor:
         """Return joint positions (B, K, 3, T), metres, with the root above the origin."""
-        return self.joints(self._sixd(values), values[:, self.layout.root_height]).permute(
-            0, 2, 3, 1
-        )
+        return self._positions(self.joints, values).permute(0, 2, 3, 1)
 
     def _root_displacement(self, values: Tensor) -> Tensor:
         """Return the root's horizontal displacement (B, T, 3) since the previous frame, metres."""
@@ -149,7 +71,7 @@ class VectorKinematics(nn.Module):
 
     def foot_velocity(self, values: Tensor, stride: float) -> Tensor:
         """Return (B, T - 1, F, 3) the velocity of the foot points, m/s, over the floor included."""
-        feet = self._foot_places(values)
+        feet = self._positions(self.feet, values)
         drift = self._root_displacement(values)
         return ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
 

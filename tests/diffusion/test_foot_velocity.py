@@ -1,0 +1,87 @@
+"""Loss on the sliding of feet, against the motion core and numbers worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from gesturekit.diffusion.losses import foot_sliding
+from gesturekit.diffusion.motion_vector import DeltaRepresentation
+from gesturekit.diffusion.standardiser import Standardiser
+from gesturekit.diffusion.training.foot_velocity import FootVelocity
+from gesturekit.motion.contacts import foot_positions
+from gesturekit.motion.selection.point_kinematics import foot_kinematics
+from gesturekit.motion.torch_kinematics import rotation_vector_to_matrix
+
+
+@pytest.fixture(scope="module")
+def walker(gesture):
+    """A gesture that also walks a circle: 0.5 m/s, half a turn in 4 s."""
+    motion = gesture(4.0, fps=25.0)
+    turn = np.pi / 4 * motion.times
+    motion.translation[:, 0] += 0.5 * np.sin(turn)
+    motion.translation[:, 2] += 0.5 * (1 - np.cos(turn))
+    about = Rotation.from_euler("y", turn[:, None])
+    motion.rotations[:, 0] = (about * Rotation.from_quat(motion.rotations[:, 0])).as_quat()
+    return motion
+
+
+def velocity_of(representation, fps):
+    """Return the module and a standardiser whose mean and scale are not those of a unit."""
+    columns = torch.arange(representation.n_features)
+    standardiser = Standardiser(0.01 * (columns % 3), 0.5 + 0.1 * (columns % 5))
+    return standardiser, FootVelocity(
+        representation, standardiser, foot_kinematics(representation), fps
+    )
+
+
+def test_feet_are_as_fast_as_the_motion_core_says(walker):
+    representation = DeltaRepresentation.fit([walker])
+    standardiser, velocity = velocity_of(representation, walker.fps)
+    values = torch.from_numpy(representation.encode(walker)).float()
+    made = velocity(standardiser.forward(values)[None])[0].numpy() * representation.scale
+    real = np.diff(foot_positions(walker), axis=0) * walker.fps
+    np.testing.assert_allclose(
+        np.linalg.norm(made, axis=-1), np.linalg.norm(real, axis=-1), atol=2e-4
+    )
+    np.testing.assert_allclose(made[..., 1], real[..., 1], atol=2e-4)
+    assert np.linalg.norm(real, axis=-1).min() > 0.1  # they slide all the time
+
+
+def test_a_still_body_that_is_moved_slides_as_fast_as_it_is_moved(walker):
+    representation = DeltaRepresentation.fit([walker])
+    standardiser, velocity = velocity_of(representation, 25.0)
+    values = torch.zeros(1, 3, representation.n_features)
+    turn, forward, lateral = range(*representation.root_columns.indices(values.shape[-1]))
+    values[..., forward], values[..., lateral] = 0.02, -0.01
+    made = velocity(standardiser.forward(values))
+    # 2 cm and 1 cm a frame at 25 frames a second, to the left, up and forward.
+    assert made.reshape(-1, 3).numpy() == pytest.approx(
+        np.tile([-0.25, 0.0, 0.5], (made.shape[1] * made.shape[2], 1)), abs=1e-4
+    )
+
+
+def test_feet_that_stand_must_not_slide():
+    recorded = torch.zeros(3, 1, 2, 3)
+    # The second of two feet steps: it may be as fast as it likes.
+    recorded[:, 0, 1, 2] = 1.0
+    predicted = torch.full_like(recorded, 5.0)
+    # The first one slides by 1 cm/s; by 0.8 and 1.5 m/s in two directions, 1.7 m/s; not at all.
+    predicted[0, 0, 0] = torch.tensor([0.0, 0.01, 0.0])
+    predicted[1, 0, 0] = torch.tensor([0.8, 0.0, 1.5])
+    predicted[2, 0, 0] = 0.0
+    # s = 0.1: s^2 / 2 = 0.005; s = 17: sqrt(290) - 1 = 16.03.
+    expected = pytest.approx([0.005, 16.03, 0.0], rel=5e-3)
+    assert foot_sliding(predicted, recorded).tolist() == expected
+
+
+def test_rotation_vectors_are_scipys_and_have_a_gradient_at_rest():
+    vectors = np.random.default_rng(0).normal(0, 1.5, (50, 3))
+    made = rotation_vector_to_matrix(torch.from_numpy(vectors)).numpy()
+    np.testing.assert_allclose(made, Rotation.from_rotvec(vectors).as_matrix(), atol=1e-9)
+    still = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    gradient = torch.autograd.functional.jacobian(rotation_vector_to_matrix, still)
+    # Turning about x by a small angle a adds -a to entry (1, 2) and a to (2, 1).
+    np.testing.assert_allclose(gradient[..., 0], [[0, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-9)
