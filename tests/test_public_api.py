@@ -20,6 +20,10 @@ def sound(tmp_path, write_speech):
     return write_speech(tmp_path / "in" / "x.wav", 1.0)
 
 
+def test_a_model_describes_itself_in_a_line(demo):
+    assert repr(demo) == f"MultiresModel({str(demo.folder)!r}: 30 fps, 22 of 22 joints modelled)"
+
+
 def test_render_takes_one_source_as_text_and_renders_at_once(demo, sound, tmp_path):
     outcomes = gk.render(demo, str(sound), str(tmp_path / "out"))
     assert [outcome.files for outcome in outcomes] == [(tmp_path / "out" / "x.bvh",)]

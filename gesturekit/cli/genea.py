@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import weights_option, workers_option
+from gesturekit.cli.options import existing_option, weights_option, workers_option
 
 
 @click.command(
@@ -39,6 +39,7 @@ from gesturekit.cli.options import weights_option, workers_option
 @click.option("--seed", default=0, show_default=True, help="Random seed.")
 @weights_option
 @workers_option
+@existing_option("refuse")
 def command(
     action: str,
     folder: Path,

@@ -227,14 +227,14 @@ def command(
     open_model = partial(load, **{name: options.pop(name) for name in names})
     loaded = open_model(model)
     execution, is_dry = pop_execution(options), options.pop("dry_run")
-    is_whole = options["levels"] is None
+    is_rate_chosen = options["levels"] is not None or options["fps"] is not None
     renderer = _renderer(loaded, out, seconds, options, open_model)
     inputs = sound_inputs("render", [*sources, *items], out, seconds, renderer.channel)
     batch = Batch(renderer, inputs, execution)
     if is_dry:
         print_preview(batch)
         return
-    rate = loaded.fps if is_whole else None
+    rate = None if is_rate_chosen else loaded.fps
     add, stopped = partial(summary.add, rate=rate), lambda: f"{summary}; the same command continues"
     if not show(batch.run(), len(batch.tasks), "Rendering", add, stopped):
         summary.counts["failed"] += 1

@@ -21,7 +21,7 @@ MAX_FRAMES = 9000
 frames take about 35 MB, one hour 4 GB; the time per frame does not depend on the length."""
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False, repr=False, kw_only=True)
 class TrainedModel(BaseModel):
     """Everything that a model folder holds; `DiffusionModel` adds generation.
 

@@ -207,6 +207,8 @@ def _rows(
 def _axes(facts: Mapping[str, Any]) -> str:
     """Describe the axes of the file, and the heading of the body after reading."""
     words = describe_axes(facts, " (guessed)")
+    if (facts.get("up", "y"), facts.get("forward", "z")) != ("y", "z"):
+        words.append("read as Y up, Z forward")
     turn = round(facts["facing_degrees"])
     side = ("+Z", "+X", "-Z", "-X")[round(turn / 90) % 4]
     words.append(f"the body faces {side} ({turn}° about Y) on average")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gesturekit.formats.signatures import A_JSON_FILE, REPORT_IN_WORDS, is_report, kind_by_content
 from gesturekit.formats.sources import unreadable_media
+from gesturekit.training.config import read_yaml
 
 _READ_HERE = ("BVH", "wav", "flac", "ogg", "npz")
 _GLANCE = 4096  # bytes
@@ -26,6 +27,7 @@ def what_it_is(path: Path) -> str | None:
 
     Raises:
         OSError: it cannot be read.
+        ConfigError: a configuration that is no YAML.
     """
     if reason := unreadable_media(path):
         return reason
@@ -68,5 +70,7 @@ def _part_of(path: Path) -> str | None:
     if name == "trained_on.json":
         return "the list of recordings that a model was trained on; it belongs into its folder"
     if path.suffix in (".yaml", ".yml"):
+        if "systems" in read_yaml(path):
+            return f"a user study; gesturekit study build {path} makes its page"
         return f"a configuration; gesturekit train {path} trains with it"
     return None

@@ -20,6 +20,7 @@ from gesturekit.inspection.others import what_it_is
 from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
+from gesturekit.training.recipes import is_copy
 
 _JSON = {".json": "motion", ".jsonl": "corpus"}
 _KNOWN = (
@@ -122,6 +123,8 @@ def kind_of(path: str | Path) -> str:
 
 def _recognised(path: Path) -> str:
     """Describe a path of kind "other"."""
+    if path.is_dir() and is_copy(path):
+        return f"a recipe; gesturekit train {path} trains it"
     if path.is_dir():
         return "a feature model of fit-features; give it to evaluate"
     if path.suffix.lower() == ".npz":
@@ -131,7 +134,9 @@ def _recognised(path: Path) -> str:
 
 def _kind_of_folder(folder: Path) -> str:
     if (folder / "config.yaml").is_file():
-        return "model" if "kind" in read_yaml(folder / "config.yaml") else "run"
+        if "kind" in read_yaml(folder / "config.yaml"):
+            return "model"
+        return "other" if is_copy(folder) else "run"
     if is_sequence(folder):
         return "motion"
     if (folder / "feature_model.json").is_file():

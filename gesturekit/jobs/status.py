@@ -99,15 +99,24 @@ class Status:
     def reasons(self) -> list[tuple[str, int, str]]:
         """Return (reason, number of items, id of the first), the most frequent first.
 
-        Names and numbers are left out of a reason, so that equal reasons count together.
+        Names are left out of a reason, and numbers in which its items differ, so that equal reasons
+        count together.
         """
         counts: Counter[str] = Counter()
-        first: dict[str, str] = {}
+        first: dict[str, tuple[str, str]] = {}
+        numbers: dict[str, list[str]] = {}
         for item in self.failed:
-            reason = _general(item)
+            text = _without_name(item)
+            reason, own = _DIGITS.sub("N", text), [found[0] for found in _DIGITS.finditer(text)]
             counts[reason] += 1
-            first.setdefault(reason, item.id)
-        return [(reason, count, first[reason]) for reason, count in counts.most_common()]
+            first.setdefault(reason, (text, item.id))
+            shared = zip(numbers.setdefault(reason, own), own, strict=True)
+            numbers[reason] = [one if one == other else "N" for one, other in shared]
+        found = []
+        for reason, count in counts.most_common():
+            (text, name), shown = first[reason], iter(numbers[reason])
+            found.append((_DIGITS.sub(lambda _, shown=shown: next(shown), text), count, name))
+        return found
 
 
 def status_of(out: Path) -> Status:
@@ -249,8 +258,8 @@ def _lines_at_end(path: Path, size: int) -> list[bytes]:
         return file.read().split(b"\n")[:-1]
 
 
-def _general(item: FailedItem) -> str:
-    """Return the reason of a failure without the name of the item and without numbers."""
+def _without_name(item: FailedItem) -> str:
+    """Return the reason of a failure without the name of the item."""
     text, name = item.error, item.id.rpartition("/")[2]
     # Most begin with the path of the input, which ends with the name and a suffix.
     _, found, after = text.partition(name)
@@ -258,4 +267,4 @@ def _general(item: FailedItem) -> str:
         text = after.partition(": ")[2]
     is_path = (f"{name}.", f"/{name}")
     words = ("..." if any(part in word for part in is_path) else word for word in text.split())
-    return _DIGITS.sub("N", " ".join(words)) or item.error
+    return " ".join(words) or item.error

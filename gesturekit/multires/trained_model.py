@@ -62,7 +62,7 @@ class TrainedNoise:
         return NoiseSource(self.sigma.mean(dim=0), self.noise_levels, patches)
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False, repr=False, kw_only=True)
 class TrainedModel(BaseModel):
     """Everything that a model folder holds; `MultiresModel` adds generation.
 

@@ -107,10 +107,12 @@ def _histogram(title: str, values: list[float]) -> Iterator[str]:
             f'<rect x="{10 * index}" y="{100 - height:.1f}" width="9" height="{height:.1f}" '
             f'fill="#5d97bf"><title>{count}</title></rect>'
         )
-    q10, q50, q90 = np.quantile(positive, [0.1, 0.5, 0.9])
+    values = [low, high, *np.quantile(positive, [0.1, 0.5, 0.9])]
+    # Two digits, without the powers of ten that `.2g` writes from 100 on.
+    low, high, q10, q50, q90 = (f"{float(f'{value:.2g}'):,g}" for value in values)
     yield (
-        f"</svg>\n<p>{low:.2g} to {high:.2g} (logarithmic); 10 % below {q10:.2g}, "
-        f"half below {q50:.2g}, 90 % below {q90:.2g}</p>"
+        f"</svg>\n<p>{low} to {high} (logarithmic); 10 % below {q10}, "
+        f"half below {q50}, 90 % below {q90}</p>"
     )
 
 

@@ -259,7 +259,7 @@ def _listed(paths: Sequence[Path]) -> Iterator[str]:
         reasons.setdefault(unreadable_media(path) or "", []).append(path)
     for reason, those in reasons.items():
         more = f" and {len(those) - _SHOWN} more" if len(those) > _SHOWN else ""
-        yield f"{', '.join(map(str, those[:_SHOWN]))}{more}: not rendered: {reason}"
+        yield f"{', '.join(map(str, those[:_SHOWN]))}{more}: left out: {reason}"
 
 
 def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:

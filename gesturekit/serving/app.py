@@ -16,6 +16,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse
+from starlette.exceptions import HTTPException as AnyHTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from audio_features.errors import AudioFeaturesError
@@ -92,7 +93,7 @@ def create_app(
         lifespan=lifespan,
     )
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))
-    app.add_exception_handler(HTTPException, _as_json)
+    app.add_exception_handler(AnyHTTPException, _as_json)
     app.add_exception_handler(RequestValidationError, _as_json)
 
     service = _Service(worker, Rate(limits.per_minute), figures, limits, token)
@@ -213,5 +214,5 @@ async def _as_json(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, RequestValidationError):
         said = (f"{wrong['loc'][-1]}: {wrong['msg']}" for wrong in error.errors()[:5])
         return JSONResponse({"error": printable("; ".join(said)[:1000])}, 422)
-    assert isinstance(error, HTTPException)
+    assert isinstance(error, AnyHTTPException)
     return JSONResponse({"error": printable(str(error.detail))}, error.status_code, error.headers)

@@ -34,8 +34,12 @@ async def receive(request: Request, file: Path, limits: Limits) -> None:
     """Write the body of a request to a file.
 
     Raises:
-        HTTPException: it is too large, too slow, or empty.
+        HTTPException: it is a form, too large, too slow, or empty.
     """
+    if request.headers.get("content-type", "").startswith("multipart/"):
+        raise HTTPException(
+            422, "send the sound itself as the body, not a form: curl --data-binary @speech.wav"
+        )
     too_large = HTTPException(413, f"the sound is larger than {limits.megabytes:g} MB")
     declared = request.headers.get("content-length", "0")
     if not declared.isascii() or not declared.isdecimal() or int(declared[:20]) > limits.n_bytes:

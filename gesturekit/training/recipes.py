@@ -107,7 +107,7 @@ def named_config(path: Path) -> Path | None:
     Files, and folders with a config.yaml, take precedence over recipes that come with gesturekit;
     a folder of data named `zeggs` does not.
     """
-    if _is_copy(path):
+    if is_copy(path):
         return path / "config.yaml"
     if path.is_file() or (path / "config.yaml").is_file():
         return None
@@ -153,7 +153,7 @@ def main_configs() -> list[str]:
     return [name for name in _config_names() if Path(name).name == "config.yaml"]
 
 
-def _is_copy(folder: Path) -> bool:
+def is_copy(folder: Path) -> bool:
     """Return whether a folder holds a recipe: a config.yaml that is neither a run nor a model."""
     others = ("versions.json", "model.safetensors", "checkpoints")
     has_config = (folder / "config.yaml").is_file() and (folder / "README.md").is_file()

@@ -13,7 +13,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.model_folder import ModelParts, rates, reduction
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False, repr=False, kw_only=True)
 class BaseModel:
     """Fields of every trained model; each system adds its networks and its generation.
 
@@ -40,6 +40,10 @@ class BaseModel:
     def __post_init__(self) -> None:
         if self.recorded_fps is None:
             self.recorded_fps = self.fps
+
+    def __repr__(self) -> str:
+        folder = "" if self.folder is None else f"{str(self.folder)!r}: "
+        return f"{type(self).__name__}({folder}{self.motion_row()})"
 
     @property
     def skeleton(self) -> Skeleton:

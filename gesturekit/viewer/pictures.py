@@ -203,7 +203,9 @@ def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None, seconds
             axes.fill_between(times, 0, figure.hand_speed, color=ink, alpha=0.15, linewidth=0)
         axes.plot(times, figure.hand_speed, line, color=ink, linewidth=1.4, label=_plain(label))
     if len(figures) > 1:
-        axes.legend(loc="upper right", fontsize=8, frameon=False, labelcolor=_SOFT, ncols=4)
+        # Beside the title: within the axes it would lie over the curves.
+        style = {"fontsize": 8, "frameon": False, "labelcolor": _SOFT, "ncols": 4}
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, **style)
     _style(axes, seconds)
     axes.set_ylim(0, top)
 

@@ -6,7 +6,9 @@ import errno
 import json
 import re
 
+import numpy as np
 import pytest
+import soundfile
 
 from gesturekit import Motion
 from gesturekit.jobs.journal import Entry, Journal
@@ -45,6 +47,15 @@ def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_
     assert gesturekit("jobs", out, "--page", page).status == 0
     text = page.read_text()
     assert text.count("<img") == 6 and "cannot be read as sound" in text
+
+
+def test_numbers_stand_in_a_reason_where_all_its_items_have_them(gesturekit, model, tmp_path):
+    for name, samples in (("a", 100), ("b", 200)):
+        (tmp_path / "in").mkdir(exist_ok=True)
+        soundfile.write(tmp_path / "in" / f"{name}.wav", np.zeros(samples), 16000)
+    gesturekit("render", tmp_path / "in", "--model", model, "--out", tmp_path / "out")
+    shown = gesturekit("jobs", tmp_path / "out").out
+    assert "2x N samples at 16000 Hz are N ms: give at least 25 ms (first: a)" in shown
 
 
 def test_a_dry_run_writes_nothing(gesturekit, model, sounds, tmp_path):
@@ -87,6 +98,11 @@ def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path)
         shown = gesturekit("jobs", tmp_path, *arguments)
         assert shown.status == 0 and "\x1b" not in shown.out and "a?[2J?" in shown.out
     assert "in hand when a run was killed: b?" in shown.out
+
+
+def test_large_numbers_of_the_page_are_written_out():
+    text = "".join(summary._histogram("Speed", [6.25, *[128.0] * 9, 14_400.0]))
+    assert "<p>6.2 to 14,000 (logarithmic); 10 % below 130, half below 130" in text
 
 
 def test_a_full_disk_ends_a_run_with_its_counts(gesturekit, model, sounds, tmp_path, monkeypatch):

@@ -473,6 +473,8 @@ def test_another_rate_than_the_models_is_said_once(gesturekit, model, wav, tmp_p
     assert gesturekit(*made).err.splitlines().count(rate) == 1
     done = gesturekit(*made, "--fps", 25, "--existing", "replace")
     assert "Written at" not in done.err
+    asked = gesturekit(*made[:-1], tmp_path / "asked", "--fps", 60)
+    assert "Written at" not in asked.err, "who gave --fps needs no hint to it"
     assert frames_in(tmp_path / "out" / "speech.bvh") == 38
 
 

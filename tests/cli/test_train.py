@@ -57,7 +57,7 @@ def error_line(done) -> str:
         ("system=foo", "'foo' is not one of multires, diffusion"),
         ("device=abacus", "device: 'abacus'"),
         ("joints=[Hips, Neckk]", "did you mean Neck"),
-        ("joints=[Hips, Spine, Head]", "the arms must be modelled"),
+        ("joints=[Hips, Spine, Head]", "or set losses.arm_speed=0 losses.arm_acceleration=0"),
         ("network.modulate=[Tail]", "no joint 'Tail'"),
         ("features.extractors=[{kind: mell}]", "'mell' is none of logmel, mfcc, prosody"),
         ("features.extractors=[]", "at least one extractor"),

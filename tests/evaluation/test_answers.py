@@ -47,6 +47,20 @@ def test_tables_saved_by_a_spreadsheet_are_read(tmp_path):
     assert len(read_answers([path]).kept) == 5
     path.write_text(",".join(GENEA_COLUMNS).replace(",", ";") + "\nu;c;a;b;model_b;True;{};\n")
     assert [answer.score for answer in read_answers([path]).kept] == [-2]
+    path.write_text("\t".join(GENEA_COLUMNS) + "\nu\tc, d\ta\tb\tmodel_a\tTrue\t{}\t\n")
+    assert [(a.clip, a.score) for a in read_answers([path]).kept] == [("c, d", 2)]
+
+
+def test_a_rater_who_took_part_twice_is_named(tmp_path):
+    head = HEAD.replace("\n", ",study,finished\n")
+    for day, winner in enumerate(("model_a", "tie", "tie")):
+        line = f"p{day // 2},c,x,y,{winner},False,{{}},,study,2026-01-0{day}T10:00:00Z\n"
+        write(tmp_path / f"{day}.csv", head + line + line.replace(",c,", ",d,"))
+    found = read_answers([tmp_path])
+    assert len(found.kept) == 6
+    assert found.notes == (
+        "1 rater took part more than once: p0; if these are two people, rename one",
+    )
 
 
 def ours(path: Path, user: str, failed: int, winner: str = "model_a") -> Path:

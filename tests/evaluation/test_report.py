@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import html
 import json
 import re
@@ -14,6 +15,7 @@ import pytest
 
 import gesturekit.viewer.html as player
 from gesturekit.evaluation import evaluate, write_report
+from gesturekit.evaluation.report import plots
 from gesturekit.evaluation.report.tables import number
 from gesturekit.viewer.human.body import is_baked
 
@@ -85,6 +87,20 @@ def test_chance_stands_with_the_model_it_was_taken_of(page, evaluation):
         assert f"chance {number(model.figures['bc'].chance)}" in text
     shown = [number(model.figures["bc"].chance) for model in evaluation.models]
     assert text.count("chance ") >= len(shown) * 3  # sync, BAS and BC of each model
+
+
+def test_a_body_that_hardly_moves_does_not_stretch_the_plot_of_ratios(evaluation, monkeypatch):
+    still = copy.deepcopy(evaluation)
+    for key, found in still.models[1].figures.items():
+        tiny = 1e-13 * found.interval.value
+        interval = replace(found.interval, value=tiny, low=tiny, high=tiny)
+        still.models[1].figures[key] = replace(found, interval=interval)
+    drawn = []
+    monkeypatch.setattr(plots, "svg_text", lambda figure, *colours: drawn.append(figure) or "")
+    plots.all_plots(still)
+    panels = [axes for figure in drawn for axes in figure.axes]
+    (axes,) = [axes for axes in panels if "generated / recorded" in axes.get_xlabel()]
+    assert axes.get_xlim()[0] >= 0.005, "the axis has room for the other models"
 
 
 def test_it_needs_nothing_from_outside(page):

@@ -37,6 +37,12 @@ def test_a_gesture(gesture, tmp_path):
     assert 1.2 < facts["height"] < 2.2 and facts["contact_share"].keys() == {"left", "right"}
 
 
+def test_the_heading_of_a_file_that_is_turned_is_told_in_the_axes_it_is_read_in(gesture, tmp_path):
+    gesture(1.0).save(tmp_path / "take.bvh")
+    axes = row(inspect(tmp_path / "take.bvh", read={"up": "z"}), "axes")
+    assert "Z up" in axes and ", read as Y up, Z forward, the body faces " in axes
+
+
 def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
     motion = gesture(4.0)
     rotations = motion.rotations.copy()

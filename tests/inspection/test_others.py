@@ -233,6 +233,10 @@ def test_every_kind_of_file_around_is_named_for_what_it_is(gesture, tmp_path):
     (tmp_path / "kick.events.csv").write_text("time,name\n1.0,kick\n")
     (tmp_path / "walk.path.csv").write_text("time,x,z\n0,0,0\n")
     (tmp_path / "light.yaml").write_text("system: multires\n")
+    (tmp_path / "raters.yaml").write_text("systems:\n  ours: clips\n")
+    (tmp_path / "my_recipe").mkdir()
+    (tmp_path / "my_recipe" / "config.yaml").write_text("system: multires\n")
+    (tmp_path / "my_recipe" / "README.md").write_text("Mine\n")
     (tmp_path / "feature_model.json").write_text("{}")
     for name in ("talk.m4a", "take.fbx", "film.mp4"):
         (tmp_path / name).write_bytes(b"\0\1\2\3")
@@ -264,6 +268,8 @@ def test_every_kind_of_file_around_is_named_for_what_it_is(gesture, tmp_path):
         ("kick.events.csv", "a table of events"),
         ("walk.path.csv", "a path of the root"),
         ("light.yaml", "gesturekit train .*light.yaml"),
+        ("raters.yaml", "a user study; gesturekit study build .*raters.yaml makes its page$"),
+        ("my_recipe", "a recipe; gesturekit train .*my_recipe trains it$"),
         ("feature_model.json", "part of a feature model"),
         ("talk.m4a", "m4a is not read; make a wav of it: ffmpeg -i x.m4a x.wav$"),
         ("take.fbx", "fbx is not read; export it as bvh"),

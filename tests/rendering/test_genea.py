@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,15 @@ def test_the_command_makes_what_is_missing_and_says_what_is_wrong(beat2, tmp_pat
     assert run("export", "--model", "demo") == 0
     assert (tmp_path / "1_wayne_0_86_87.npz").stat().st_mtime_ns == kept
     assert run("check") == 0
+    again = ("export", "--model", "demo", "--seed", "1")
+    assert run(*again) == 2 and "--existing replace" in capsys.readouterr().err
+    assert run(*again, "--existing", "replace") == 0
+    assert (tmp_path / "1_wayne_0_86_87.npz").stat().st_mtime_ns > kept
+
+
+def test_the_sounds_alone_are_enough(beat2, tmp_path):
+    shutil.copytree(beat2, tmp_path / "sounds", ignore=shutil.ignore_patterns("smplx*"))
+    assert sounds_of(tmp_path / "sounds").keys() == sounds_of(beat2).keys()
 
 
 def test_other_corpora_are_refused(beat2, tmp_path):

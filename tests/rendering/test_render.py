@@ -245,7 +245,7 @@ def test_folders_are_searched_to_the_bottom_and_keep_their_shape(
         (out / name,) for name in ("a.bvh", "b.bvh", "c.bvh", "day 1/a.bvh")
     ]
     (said,) = [record.getMessage() for record in caplog.records]
-    assert "call.m4a: not rendered" in said and "ffmpeg" in said
+    assert "call.m4a: left out" in said and "ffmpeg" in said
 
 
 def test_a_link_in_the_output_folder_leads_nowhere(model, sounds, tmp_path, write_speech):

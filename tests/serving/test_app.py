@@ -91,6 +91,14 @@ def test_what_cannot_be_used_is_refused_with_a_reason(client, query, body, statu
     assert list(folder_of(one).iterdir()) == []
 
 
+def test_every_error_is_json_with_its_reason(client):
+    one = client()
+    form = one.post("/motion", files={"file": wav()})
+    assert form.status_code == 422 and "not a form" in form.json()["error"]
+    for answer, status in ((one.get("/nothing"), 404), (one.get("/motion"), 405)):
+        assert answer.status_code == status and answer.json()["error"]
+
+
 def test_a_body_without_length_is_cut_off_at_the_limit(client):
     def blocks():
         for _ in range(100):

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from urllib.parse import quote
 
 import matplotlib.image
 import numpy as np
@@ -102,10 +103,10 @@ def downloaded(folder: Path, name: str) -> Path:
 
 def test_twelve_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser, capsys):
     browser, files = open_browser(), []
-    for user, pairs, choose in (("p1", 12, attentive), ("p2", 3, lambda *_: "TheyAreEqual")):
+    for user, pairs, choose in (("p1", 12, attentive), ("Zoë_語", 3, lambda *_: "TheyAreEqual")):
         config = StudyConfig("Study", videos, consent="I *agree*.", pairs=pairs)
         page = build_study(config, tmp_path / "my study").page
-        start(browser, page, f"PROLIFIC_PID={user}&STUDY_ID=st&SESSION_ID=se&list=3")
+        start(browser, page, f"PROLIFIC_PID={quote(user)}&STUDY_ID=st&SESSION_ID=se&list=3")
         assert rate(browser, choose) == pairs + 2
         files.append(downloaded(tmp_path, f"my_study_{user}.csv"))
     assert browser.lines == []
@@ -114,7 +115,7 @@ def test_twelve_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_
     lines = files[0].read_text().splitlines()
     assert lines[0].split(",") == [*GENEA_COLUMNS, *OWN_COLUMNS]
     found = read_answers(files)
-    assert found.excluded == {"p2": "failed 2 of 2 attention checks"}
+    assert found.excluded == {"Zoë_語": "failed 2 of 2 attention checks"}
     assert len(found.kept) == len({answer.clip for answer in found.kept}) == 12
     sides = [(answer.left, answer.right) for answer in found.kept]
     assert sides.count(("ours", "base line")) == sides.count(("base line", "ours")) == 6

@@ -45,6 +45,17 @@ def test_it_shows_losses_by_level_metrics_by_step_and_samples(run: Run) -> None:
     assert "http" not in page.replace("http-equiv", "")
 
 
+def test_a_level_has_one_colour_in_all_charts(run: Run) -> None:
+    run.log(10, {"contact": 0.5}, level=1)
+    run.log(20, {"contact": 0.25, "smoothness": 0.1}, level=3)
+    run.close()
+    colours = [
+        re.findall(r'<b style="color: ([^"]*)">level 3', chart_of(page_of(run), title))
+        for title in ("contact", "smoothness")
+    ]
+    assert colours[0] == colours[1] != []
+
+
 def test_it_reloads_itself_while_the_training_runs(run: Run) -> None:
     run.log(1, {"loss": 1.0})
     assert 'http-equiv="refresh"' in page_of(run) and "running, step 1" in page_of(run)

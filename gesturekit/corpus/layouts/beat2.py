@@ -31,7 +31,7 @@ def read_beat2(folder: Path) -> Listing:
 
     The split of train_test_split.csv counts; its type `additional` is used by no split and left
     out. Style is the emotion, speaker the name in the id. Sound is often half a second longer than
-    motion and is trimmed.
+    motion and is trimmed. Sounds of the test split need no motion to be rendered.
 
     Raises:
         CorpusError: train_test_split.csv is missing or invalid.
@@ -52,12 +52,12 @@ def read_beat2(folder: Path) -> Listing:
         for what, file in zip(absent, (motion, audio, *sides.values()), strict=True):
             if not file.is_file():
                 absent[what].append(file.name)
-        if motion.is_file() and audio.is_file():
+        if audio.is_file() and (motion.is_file() or split == "test"):
             listing.recordings.append(
                 Recording(
                     name,
                     audio=audio,
-                    motion=motion,
+                    motion=motion if motion.is_file() else None,
                     speaker=match["speaker"],
                     style=_emotion(int(match["start"])),
                     split=_SPLITS[split],

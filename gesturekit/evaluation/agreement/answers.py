@@ -109,6 +109,7 @@ def read_answers(
     found: list[Answer] = []
     failed: dict[str, tuple[int, int]] = {}
     seen: dict[tuple[str, ...], Path] = {}
+    sessions: dict[tuple[str, str], set[str]] = {}
     repeated = same = unsaid = 0
     has_checks = False
     for path in _files(paths):
@@ -125,6 +126,8 @@ def read_answers(
                     _count(row, name, where) for name in ("checks_failed", "checks")
                 )
                 failed[answer.user] = max(failed.get(answer.user, (0, 0)), (wrong, all_checks))
+            session = sessions.setdefault((answer.user, row.get("study", "")), set())
+            session.add(row.get("finished", ""))
             unsaid += answer.score != 0 and row["is_strong"].lower() in _EMPTY
             if answer.left == answer.right:
                 same += 1
@@ -139,14 +142,26 @@ def read_answers(
     if not kept:
         why = f": {counted(len(excluded), 'rater')} failed attention checks" if excluded else ""
         raise EvaluationError(f"{listed([str(p) for p in paths])}: no answer to analyse{why}")
-    notes = []
-    if repeated:
-        notes.append(f"{counted(repeated, 'line')} found in two files were counted once")
-    if same:
-        notes.append(f"{counted(same, 'line')} left out: the same system on both sides")
-    if unsaid:
-        notes.append(f"{counted(unsaid, 'preference')} without is_strong count as slight")
+    notes = _notes(repeated, same, unsaid, sessions)
     return Answers(kept, excluded, tuple(notes), has_checks)
+
+
+def _notes(
+    repeated: int, same: int, unsaid: int, sessions: dict[tuple[str, str], set[str]]
+) -> Iterator[str]:
+    """Yield sentences on lines that were left out or changed, and on raters of several sessions."""
+    if repeated:
+        yield f"{counted(repeated, 'line')} found in two files were counted once"
+    if same:
+        yield f"{counted(same, 'line')} left out: the same system on both sides"
+    if unsaid:
+        yield f"{counted(unsaid, 'preference')} without is_strong count as slight"
+    twice = {user: None for (user, _), ends in sessions.items() if len(ends) > 1}
+    if twice:
+        yield (
+            f"{counted(len(twice), 'rater')} took part more than once: "
+            f"{listed([printable(user) for user in twice])}; if these are two people, rename one"
+        )
 
 
 def _files(paths: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
@@ -171,8 +186,8 @@ def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
         with path.open(encoding="utf-8-sig", newline="") as lines:
             first = lines.readline()
             lines.seek(0)
-            # Spreadsheets of some countries separate by semicolons.
-            separator = ";" if first.count(";") > first.count(",") else ","
+            # Spreadsheets of some countries separate by semicolons, others save tabs.
+            separator = max(",;\t", key=first.count)
             reader = csv.reader(lines, strict=True, delimiter=separator)
             header = [name.strip() for name in next(reader, [])]
             _check_header(path, header)

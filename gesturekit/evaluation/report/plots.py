@@ -20,6 +20,7 @@ _SOFT, _LINE = "#6b7785", "#d5dae0"
 
 _SPEECH = ("sync", "bas", "bc")
 _RATIOS = ("arm_speed", "wrist_speed", "acceleration", "jerk", "l1_diversity")
+_LEAST_RATIO = 0.01
 _MOST_RECORDINGS = 24
 
 
@@ -98,13 +99,15 @@ def _ratios(evaluation: Evaluation) -> str | None:
     axes.set_xscale("log")
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, 0.45), max(high, 2.2))
-    ticks = [t for t in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50) if low <= t <= high or t == 1]
-    ticks = sorted({*ticks, 0.5, 2})
+    ticks = {t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 5, 10, 20, 50) if low <= t <= high}
+    ticks = sorted(ticks | {0.5, 1, 2})
     axes.set_xticks(ticks, [f"{t:g}×" for t in ticks])
     axes.minorticks_off()
     axes.set_yticks(range(len(keys)), [_named(key) for key in keys])
     axes.set_ylim(len(keys) - 0.5, -0.5)
-    axes.set_xlabel("generated / recorded (log scale); the dashed line is the recording")
+    axes.set_xlabel(
+        "generated / recorded (log scale, 0.01× and more); the dashed line is the recording"
+    )
     axes.grid(axis="x", color=_LINE, lw=0.8)
     _legend(figure, models)
     return svg_text(figure, _LINE, _SOFT)
@@ -112,12 +115,14 @@ def _ratios(evaluation: Evaluation) -> str | None:
 
 def _ratio(model: ModelResult, key: str) -> tuple[float, float, float] | None:
     found = model.figures.get(key)
-    if found is None or not found.recording or found.interval.value <= 0:
+    if found is None or not found.recording:
         return None
     value, low, high = found.interval.value, found.interval.low, found.interval.high
-    low = value if low is None else max(low, 1e-3 * value)
-    high = value if high is None else high
-    return value / found.recording, low / found.recording, high / found.recording
+    ratio = value / found.recording
+    if ratio < _LEAST_RATIO:
+        return None
+    low = ratio if low is None else max(low / found.recording, _LEAST_RATIO)
+    return ratio, low, ratio if high is None else high / found.recording
 
 
 def _wrists(evaluation: Evaluation) -> str | None:

@@ -23,7 +23,8 @@ import TwoClips, { emphasised, make } from "./two_clips.js";
 
 const setup = JSON.parse(document.getElementById("setup").textContent);
 const parameters = new URLSearchParams(location.search);
-const given = (name) => (parameters.get(name) ?? "").replace(/[^\w.@:-]/g, "").slice(0, 100);
+const given = (name) =>
+  (parameters.get(name) ?? "").replace(/[^\p{L}\p{M}\p{N}_ .@:-]/gu, "").trim().slice(0, 100);
 
 function randomName() {
   const bytes = crypto.getRandomValues(new Uint8Array(8));
@@ -150,7 +151,7 @@ function endScreen(text, saved) {
   document.documentElement.dataset.study = saved ? "sent" : "downloaded";
 }
 
-const fileName = () => `${setup.name}_${user}.csv`.replace(/[^\w.@-]+/g, "_");
+const fileName = () => `${setup.name}_${user}.csv`.replace(/[^\p{L}\p{M}\p{N}_.@-]+/gu, "_");
 
 async function finish() {
   const trials = jsPsych.data.get().filter({ compared: true }).values();

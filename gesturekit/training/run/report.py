@@ -140,7 +140,9 @@ class RunReport:
         )
 
     def _section(self, part: str) -> str:
-        charts = "".join(_chart(title, curves) for title, curves in self._curves[part].items())
+        shown = self._curves[part]
+        labels = list(dict.fromkeys(label for curves in shown.values() for label in curves))
+        charts = "".join(_chart(title, curves, labels) for title, curves in shown.items())
         title = html.escape(_TITLES.get(part, part.capitalize()))
         return f'<h2>{title}</h2><div class="charts">{charts}</div>\n'
 
@@ -157,16 +159,16 @@ class RunReport:
         return f"<h2>Samples, with their motion</h2><ul>{links}</ul>\n"
 
 
-def _chart(title: str, curves: dict[str, Curve]) -> str:
-    """Return one chart with a line for each label."""
+def _chart(title: str, curves: dict[str, Curve], known: list[str]) -> str:
+    """Return one chart with a line for each label, in the colour of its place in `known`."""
     values = [value for curve in curves.values() for _, value in curve]
     low, high = min(values), max(values)
     is_log = low > 0 and high / low > _LOG_SCALE
     last_step = max(curve[-1][0] for curve in curves.values())
     first_step = min(curve[0][0] for curve in curves.values())
     lines, labels = [], []
-    for number, (label, curve) in enumerate(curves.items()):
-        hue = round(205 + 360 * number / max(len(curves), 1)) % 360
+    for label, curve in curves.items():
+        hue = round(205 + 360 * known.index(label) / len(known)) % 360
         places = _places(curve, (first_step, last_step), (low, high), is_log)
         colour = f"hsl({hue} 60% var(--light))"
         named = html.escape(f"{label} {curve[-1][1]:.4g}".strip())
