@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import arm_speed
+from gesturekit.multires.backend import VARIABLE
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.sampling import tiling
 from gesturekit.multires.sampling.conditions import LevelConditions, condition_levels
 from gesturekit.multires.sampling.tiling import sample
 from gesturekit.systems import bundled_speech
@@ -65,17 +65,17 @@ def draw(n_frames: int, seed: int) -> tuple[np.ndarray, list[int], list[torch.Te
     tile=st.integers(1, 120),
     residual=st.booleans(),
     listening=st.booleans(),
-    short=st.sampled_from([0, tiling.SHORT]),
+    backend=st.sampled_from(["numba", "torch"]),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_pieces_are_the_whole(network, n_frames, tile, residual, listening, short, seed):
+def test_pieces_are_the_whole(network, n_frames, tile, residual, listening, backend, seed):
     speech, lengths, noises = draw(n_frames, seed)
     conditions = condition_levels(torch.from_numpy(speech.T.copy())[None], lengths, residual)
     # With gradients the layers run as in training: one dense convolution each.
     whole = network(noises, conditions if listening else None, lengths=lengths)[-1].detach()
     condition = LevelConditions(speech, lengths, residual) if listening else None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tiling, "SHORT", short)  # by compiled kernels, or by torch alone
+        patch.setenv(VARIABLE, backend)
         pieces = sample(network, noises, lengths, condition, tile=tile)
     assert pieces.shape == whole.shape
     torch.testing.assert_close(pieces, whole, rtol=0, atol=1e-5)
