@@ -54,8 +54,8 @@ class MetricResult:
         chance: mean chance level over circular shifts of the sound, or None.
         mismatched: mean over other recordings' sounds or motion, or None.
         note: "" or a remark on how to read the value.
-        informative: False where the recordings' own value is at its chance level, so that the
-            metric says nothing about these recordings.
+        informative: False where the recordings' own value is at its chance level, or they are too
+            short, so that the metric says nothing about these recordings.
     """
 
     key: str

@@ -343,6 +343,15 @@ def test_the_report_has_the_recordings_value_beside_the_models(gesturing, tmp_pa
     assert found["calm_lively_r"].note == "8 windows"
 
 
+@pytest.mark.parametrize(("seconds", "enough"), [(40.0, False), (43.0, True)])
+def test_a_few_windows_say_nothing_about_calm_and_lively(talker, tmp_path, seconds, enough):
+    """16 windows of 5 s, 2.5 s apart, take 42.5 s."""
+    found = judged(talker(1, seconds), talker(0, seconds), tmp_path)
+    assert found.figures["calm_lively_r"].informative == enough
+    assert found.figures["calm_lively_slope"].informative == enough
+    assert ("calm and lively" in found.verdict.lower()) == enough
+
+
 def test_the_verdict_names_half_of_the_reach_and_missing_rests(gesturing, tmp_path):
     text = judged(gesturing(0.42, rests=False), gesturing(), tmp_path).verdict
     assert text.startswith("Half of the speaker's reach, fast gestures at half of the speaker's")
@@ -382,6 +391,7 @@ def result(key: str, value: float, recording: float, **levels: float) -> dict[st
         (result("rest", 0.0, 1.0), ""),
         (result("copying_low", 0.05, 0.1), "Copied from recordings now and then."),
         (result("calm_lively_r", 0.1, 1.0), "Calm and lively in other places than the speaker."),
+        (result("calm_lively_r", 0.1, 1.0, informative=False), ""),
         (result("hand_q90", 1.0, 1.0), ""),
     ],
 )

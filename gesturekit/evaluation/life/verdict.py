@@ -97,7 +97,7 @@ def _rests(figures: Mapping[str, MetricResult]) -> Iterator[str]:
 
 def _timing(figures: Mapping[str, MetricResult]) -> Iterator[str]:
     calm, sync = figures.get("calm_lively_r"), figures.get("sync")
-    if calm is not None and calm.interval.value < FOLLOWS:
+    if calm is not None and calm.informative and calm.interval.value < FOLLOWS:
         yield "calm and lively in other places than the speaker"
     if sync is None or sync.recording is None:
         return
