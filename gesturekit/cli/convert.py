@@ -142,7 +142,7 @@ def _changes(options: dict[str, Any]) -> Changes:
         options.pop(name) for name in ("rig", "rig_parts", "trim", "joints")
     )
     if rig_parts and rig is None:
-        raise click.UsageError("--rig-part names joints of --rig: give it as well.")
+        raise click.UsageError("--rig-part requires --rig.")
     if options["antialias"] and options["fps"] is None:
         click.echo("Warning: --antialias has no effect without --fps", err=True)
     return Changes(

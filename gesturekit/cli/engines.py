@@ -97,7 +97,9 @@ def run_elsewhere(ctx: click.Context, out: Path, options: dict[str, Any]) -> int
             raise click.UsageError("--jobs, --engine-option and --address require --engine.")
         return None
     if options["shard"] is not None:
-        raise click.UsageError(f"--engine {engine} makes the shards: give --jobs, not --shard.")
+        raise click.UsageError(
+            f"--engine {engine} creates the shards itself: give --jobs, not --shard."
+        )
     if (settings and engine != "slurm") or (address and engine != "ray"):
         raise click.UsageError("--engine-option is for slurm, and --address for ray.")
     if options["dry_run"]:
@@ -132,7 +134,9 @@ def _run_slurm(
             jobs = [executor.submit(command, shard) for shard in shards]
     except (NameError, RuntimeError, ValueError, AssertionError) as error:
         raise ConfigError(f"slurm: {error}") from None
-    click.echo(f"Submitted {counted(len(jobs), 'job')}; Ctrl-C ends the waiting only.", err=True)
+    click.echo(
+        f"Submitted {counted(len(jobs), 'job')}; Ctrl-C stops waiting, but not the jobs.", err=True
+    )
     codes = []
     for shard, job in zip(shards, jobs, strict=True):
         try:

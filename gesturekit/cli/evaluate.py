@@ -248,7 +248,8 @@ def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path
         surplus = (str(reference), *surplus)
     if surplus:
         raise click.UsageError(
-            f"what is {surplus[0]}? Each model to compare with has its own --compare, such as "
+            f"unexpected argument {surplus[0]}: give each model to compare with its own "
+            "--compare, such as "
             f"{' '.join(f'--compare {shlex.quote(name)}' for name in surplus)}"
         )
 
@@ -297,8 +298,8 @@ def _evaluated(
         )
     except KeyboardInterrupt:
         click.echo(
-            "Stopped, and nothing was written. What was measured is kept: the same command goes "
-            "on from there.",
+            "Stopped; nothing was written. Finished measurements are cached: the same command "
+            "continues from there.",
             err=True,
         )
         raise
@@ -312,14 +313,19 @@ def _recordings(reference: Path | None, options: Mapping[str, Any]) -> Path | It
     corpus, split = options["corpus"], options["split"]
     if corpus is None:
         if split is not None:
-            raise click.UsageError("--split chooses items of --corpus: give it as well")
+            raise click.UsageError("--split requires --corpus")
         if reference is None:
             raise click.UsageError("name the recordings: a folder (REFERENCE), or --corpus")
         return Items.of_folder(reference, reading) if reading else reference
     if options["audio"] is not None or reading:
-        raise click.UsageError("--corpus says where the sound is and how motion is read")
+        raise click.UsageError(
+            "--corpus already gives the sound and how motion is read: leave out --audio and "
+            "--in-..."
+        )
     if options["protocol"] is not None:
-        raise click.UsageError("--protocol goes with a folder of recordings, not with --corpus")
+        raise click.UsageError(
+            "--protocol needs a folder of recordings, and cannot be combined with --corpus"
+        )
     return Items.of_manifest(corpus, split or "test")
 
 

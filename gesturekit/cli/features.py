@@ -140,7 +140,7 @@ def command(
 
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     if options["align"] is not None and options["fps"] is None:
-        raise click.UsageError("--align resamples features to motion frames: give --fps as well")
+        raise click.UsageError("--align requires --fps")
     elsewhere = run_elsewhere(ctx, out, options)
     if elsewhere is not None:
         ctx.exit(elsewhere)
@@ -168,7 +168,7 @@ def _print(outcome: Outcome) -> None:
         click.echo(f"{name}: {counted(n_frames, 'frame')} × {width}")
     else:
         source = click.format_filename(outcome.source)
-        click.echo(f"{source}: left as it is, the outputs exist")
+        click.echo(f"{source}: skipped, its outputs exist")
 
 
 def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:

@@ -68,17 +68,17 @@ def _print(status: Status, out: Path) -> None:
         f"done {status.done}, failed {len(status.failed)}{put_aside}, left {len(status.left)}"
     )
     if status.earlier:
-        click.echo(f"done earlier and not in the present plan: {status.earlier}")
+        click.echo(f"done earlier, not in the current plan: {status.earlier}")
     if len(status.shards) > 1:
         whole = sum(done == count for count, done in status.shards)
         click.echo(f"shards: {whole} of {len(status.shards)} finished")
     for lease in status.running:
         owner = printable(f"process {lease.get('pid')} on {lease.get('host')}")
         shard, age = lease["file"].removesuffix(".json"), lease["age"]
-        click.echo(f"at work: {owner}, {shard}, sign of life {age:.0f} s ago")
+        click.echo(f"running: {owner}, {shard}, last heartbeat {age:.0f} s ago")
     if status.in_hand and not status.running:
         names = ", ".join(status.in_hand[:5])
-        click.echo(printable(f"in hand when a run was killed: {names}"))
+        click.echo(printable(f"in progress when a run was killed: {names}"))
     if status.items_per_minute:
         rest = status.seconds_left
         until = f"; {time_in_words(rest)} left" if status.left and status.running else ""

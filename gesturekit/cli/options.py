@@ -78,7 +78,9 @@ def parse_weights(
         kind, mark, path = value.partition("=")
         if not mark or Path(value).exists():
             if len(values) > 1:
-                raise click.UsageError(f"--weights {value}: of several, each is KIND=PATH.")
+                raise click.UsageError(
+                    f"--weights {value}: with several encoders, give KIND=PATH for each."
+                )
             return Path(value)
         if kind in places:
             raise click.UsageError(f"--weights: {kind} is given twice.")

@@ -265,9 +265,9 @@ def _check(
     if options["change"] is not None and options["like"] is None:
         raise click.UsageError("--change requires --like.")
     if options["rig_parts"] and options["rig"] is None:
-        raise click.UsageError("--rig-part names joints of --rig: give it as well.")
+        raise click.UsageError("--rig-part requires --rig.")
     if corpus is None and split is not None:
-        raise click.UsageError("--split selects items of --corpus: give it as well.")
+        raise click.UsageError("--split requires --corpus.")
     if corpus is not None:
         if sources or seconds is not None or options["channel"] is not None:
             raise click.UsageError(

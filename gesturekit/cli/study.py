@@ -106,8 +106,9 @@ def power(
         total = f"{raters * answers * pairs:,}" if raters else "-"
         click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
     click.echo(
-        "\nRaters are those who pass the attention checks: recruit some 10 % more. Use at least as "
-        "many\nsegments as a rater sees comparisons; what is found holds for segments like these."
+        "\nRaters are those who pass the attention checks: recruit about 10 % more. Use at least "
+        "as "
+        "many\nsegments as comparisons per rater; the result holds for segments like these."
     )
 
 

@@ -314,7 +314,7 @@ class _Shard:
         del self._in_hand[work.task.name]
         if done.is_full:
             raise OutputError(
-                f"{done.outcome.error}; stopped: nothing that is done is lost, and the same "
+                f"{done.outcome.error}; stopped: finished results are kept, and the same "
                 "command continues"
             )
         return done.outcome
@@ -351,7 +351,7 @@ def _journaling(out: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise OutputError(
-            f"{out}: {error.strerror}; stopped: nothing that is done is lost, and the same command "
+            f"{out}: {error.strerror}; stopped: finished results are kept, and the same command "
             "continues"
         ) from None
 
@@ -365,6 +365,6 @@ def _make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         writable = os.access(out, os.W_OK | os.X_OK)
     except OSError as error:
-        raise ConfigError(f"{out}: cannot be made ({error.strerror})") from None
+        raise ConfigError(f"{out}: cannot be created ({error.strerror})") from None
     if not writable:
         raise ConfigError(f"{out}: cannot be written to; give another folder")

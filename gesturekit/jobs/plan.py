@@ -103,9 +103,7 @@ class Plan:
                 raise
             raise FormatError(f"{path}: damaged header; delete it for a new plan") from None
         if plan.sha256 != body or not plan.shards:
-            raise FormatError(
-                f"{path}: its lines are not those that were written; delete it for a new plan"
-            )
+            raise FormatError(f"{path}: its lines were changed; delete it for a new plan")
         return plan
 
     def items(self, shard: int | None = None) -> Iterator[PlanItem]:

@@ -90,7 +90,7 @@ class Motion:
         moving = {}
         for name, values in self.joint_translations.items():
             if self.skeleton.index(name) == 0:
-                raise MotionError(f"{name!r} is the root: its place is the motion's translation")
+                raise MotionError(f"{name!r} is the root: its position is the motion's translation")
             moving[name] = _positions(values, n_frames, f"translation of joint {name!r}")
         fps = checked_fps(self.fps)
         translation = _positions(self.translation, n_frames, "translation")

@@ -24,7 +24,7 @@ def requested_backend(configured: BackendName = "auto") -> BackendName:
     name = os.environ.get(VARIABLE) or configured
     if name not in get_args(BackendName):
         known = ", ".join(get_args(BackendName))
-        raise ConfigError(f"{VARIABLE}: {name!r} is none of {known}; correct or unset it")
+        raise ConfigError(f"{VARIABLE}: {name!r} is not one of {known}; correct or unset it")
     return name
 
 

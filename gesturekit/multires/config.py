@@ -171,7 +171,9 @@ class TrainingConfig:
         }
         check_not_negative(**steps, decay_at=self.decay_at)
         if not self.generator_steps and not self.reconstruction_steps:
-            raise ConfigError("generator_steps and reconstruction_steps are both 0: nothing learns")
+            raise ConfigError(
+                "generator_steps and reconstruction_steps are both 0: nothing would be trained"
+            )
         if len(self.betas) != 2 or not all(0 <= beta < 1 for beta in self.betas):
             raise ConfigError(f"betas: {list(self.betas)} must be two numbers from 0 to below 1")
         if not 0 <= self.silence < 1:

@@ -88,7 +88,7 @@ class StudyConfig:
         for name in ("post_url", "completion_url"):
             url = getattr(self, name)
             if url is not None and not _is_web_address(url):
-                raise ConfigError(f"{name}: {url!r} is not an address; expected https://...")
+                raise ConfigError(f"{name}: {url!r} is not a web address; expected https://...")
         self._check_styles()
 
     def _check_systems(self) -> None:

@@ -86,7 +86,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
-            raise ConfigError(f"{path}: over {_MAX_BYTES >> 20} MB; no configuration is so large")
+            raise ConfigError(f"{path}: over {_MAX_BYTES >> 20} MB; too large for a configuration")
         values = yaml.load(data.decode("utf-8"), Loader=_Loader)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such configuration file") from None
@@ -155,7 +155,7 @@ def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, 
     if base is None:
         return values
     if depth == 0:
-        raise ConfigError(f"{path}: its base files go on and on; is one its own parent?")
+        raise ConfigError(f"{path}: too many nested base files; does one include itself?")
     if not isinstance(base, str):
         raise ConfigError(f"{path}: base: {base!r} is not a file name")
     parent = path.parent / base

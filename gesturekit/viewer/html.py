@@ -129,7 +129,7 @@ def player_data(
 def _player() -> str:
     if not _BUNDLE.is_file():
         raise GestureKitError(
-            f"the HTML player is not there: {_BUNDLE} is made when gesturekit is set up. "
+            f"the HTML player is missing: {_BUNDLE} is made when gesturekit is set up. "
             "In a checkout run `make setup`; an installed package holds it already."
         )
     # The HTML parser ends a script at these letters wherever they stand.

@@ -78,5 +78,5 @@ class Worn:
                 moved, scale = human.wear(motion)
                 return cls(moved, Figure.of(moved), human.skins, scale)
             except GestureKitError as error:
-                warnings.warn(f"the mannequin is drawn in place of {body}: {error}", stacklevel=2)
+                warnings.warn(f"the mannequin is drawn instead of {body}: {error}", stacklevel=2)
         return cls(motion, Figure.of(motion, plain=body == "skeleton"))

@@ -77,7 +77,7 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
         (["a.bvh", "x.npz", "--in-unit", "yard"], "--in-unit"),
         (["a.bvh", "x.npz", "--part", "elbow"], "PART=JOINT"),
         (["a.bvh", "x.npz", "--part", "tail=Hips"], "PART=JOINT"),
-        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "names joints of --rig"),
+        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "--rig-part requires --rig"),
         (["a.bvh", "sub", "--format", "bhv"], "format bhv"),
         (["a.bvh", "sub"], "--format npz"),
         (["a.bvh", "sub/für später.npz", "x.npz"], "2 inputs cannot become one file"),

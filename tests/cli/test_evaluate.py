@@ -91,7 +91,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["demo", "recordings"], "demo is a model"),
         (["made", "recordings", "--out", "recordings/clip0.bvh/r.html"], "cannot be written"),
         (["demo", "recordings", "--protocol", "lda"], "give --audio"),
-        (["--sanity", "recordings", "ours"], "a folder of recordings alone"),
+        (["--sanity", "recordings", "ours"], "only a folder of recordings"),
         (["--sanity", "empty"], "empty: no motion files"),
         (["--sanity", "recordings", "--body", "human"], "does not use --body; leave it out"),
         (["--sanity", "recordings", "--csv", "t.csv"], "does not use --csv; leave it out"),
@@ -231,7 +231,7 @@ def test_a_model_that_is_not_known_cannot_hear_other_speech(gesturekit, held_out
         "--baseline",
         "speech_blind",
     )
-    assert done.status == 2 and "only known of what gesturekit render wrote" in done.err
+    assert done.status == 2 and "only known for folders written by gesturekit render" in done.err
 
 
 def test_what_was_trained_on_is_warned_about(gesturekit, held_out, tmp_path):
@@ -324,7 +324,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(gesturekit, folders, tmp
 
     monkeypatch.setattr(Work, "clip", counted)
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
-    assert done.status == 130 and "What was measured is kept" in done.err
+    assert done.status == 130 and "Finished measurements are cached" in done.err
     done_clips[:] = [None]  # room for one more clip
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
     assert done.status == 0, done.err

@@ -39,7 +39,7 @@ def test_features_that_cannot_be_written_or_made(gesturekit, write_speech, tmp_p
     done = gesturekit("features", wav, "--out", tmp_path / "speech.wav" / "out")
     assert done.status == 2
     target = tmp_path / "speech.wav" / "out"
-    assert done.err == f"Error: {target}: cannot be made (Not a directory)\n"
+    assert done.err == f"Error: {target}: cannot be created (Not a directory)\n"
     for fps in ("0", "1e9", "fast"):
         done = gesturekit("features", wav, "--out", tmp_path / "out", "--fps", fps)
         assert done.status == 2 and "--fps" in done.err

@@ -97,7 +97,7 @@ def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path)
     for arguments in (["--failed", "--left"], ["--page", tmp_path / "page.html"]):
         shown = gesturekit("jobs", tmp_path, *arguments)
         assert shown.status == 0 and "\x1b" not in shown.out and "a?[2J?" in shown.out
-    assert "in hand when a run was killed: b?" in shown.out
+    assert "in progress when a run was killed: b?" in shown.out
 
 
 def test_large_numbers_of_the_page_are_written_out():

@@ -152,7 +152,10 @@ def test_one_motion_leaves_no_state_beside_it(gesturekit, folder, tmp_path):
     assert gesturekit("convert", folder / "a.bvh", tmp_path / "x.npz").status == 0
     assert not (tmp_path / STATE).exists()
     refused = gesturekit("convert", folder / "a.bvh", tmp_path / "y.npz", "--shard", "1/2")
-    assert refused.status == 2 and "is a file, which has no shards; give a folder" in refused.err
+    assert (
+        refused.status == 2
+        and "is a file, which cannot be split into shards; give a folder" in refused.err
+    )
 
 
 def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):

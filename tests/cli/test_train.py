@@ -49,7 +49,7 @@ def error_line(done) -> str:
         ("training.discriminator_steps=-1", "discriminator_steps: -1"),
         ("losses.contact=-5", "contact: -5"),
         ("threads=0", "threads: 0"),
-        ("network.levels=40", "take fewer levels"),
+        ("network.levels=40", "use fewer levels"),
         ("corpus=", "corpus may not be empty"),
         ("corpus=typo.jsonl", "typo.jsonl: cannot open the manifest"),
         ("corpus=.", "cannot open the manifest"),
@@ -72,7 +72,7 @@ def test_wrong_settings(train, override, says):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("system: multires\nbase: mine.yaml\n", "base files go on and on"),
+        ("system: multires\nbase: mine.yaml\n", "too many nested base files"),
         ("system: multires\nbase: gone.yaml\n", "gone.yaml: no such configuration file"),
         ("system: multires\n", "corpus is missing"),
         ("corpus: corpus.jsonl\n", "system: None"),
@@ -150,7 +150,7 @@ def test_a_run_that_was_stopped_before_its_folder_begins(train, tmp_path, caplog
     caplog.set_level("INFO")
     done = train("--resume")
     assert done.status == 0, error_line(done)
-    assert f"{tmp_path / 'run'}: no run to resume yet, so it begins." in caplog.text
+    assert f"{tmp_path / 'run'}: no run to resume yet; starting a new one." in caplog.text
     caplog.clear()
     assert train("--resume").status == 0 and "begins" not in caplog.text
 
@@ -199,7 +199,7 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert train().status == 0
     taken = train("--plan")
     assert taken.status == 0
-    assert "holds a run already; add --resume to go on with it, or out=OTHER" in caplog.text
+    assert "holds a run already; add --resume to continue it, or out=OTHER" in caplog.text
 
 
 @pytest.fixture
@@ -246,7 +246,7 @@ def test_a_corpus_that_is_gone_by_the_end_costs_figures_only(
     one_recording.rename(tmp_path / "elsewhere.jsonl")
     done = gesturekit("train", "--resume", tmp_path / "run")
     assert done.status == 0, done.err
-    assert "No figures on held-out recordings" in caplog.text
+    assert "No metrics on held-out recordings" in caplog.text
 
 
 def test_a_model_without_speech_is_rendered_for_so_many_seconds(

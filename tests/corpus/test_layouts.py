@@ -409,7 +409,7 @@ def test_hold_outs_by_name(tmp_path, write_pair):
     assert held(hold_out_pattern=r"1$", hold_out_speakers=["bob"]) == {"ann/a1", "bob/b1", "bob/b2"}
     names.write_text("a1\nc9\n")
     for options, complaint in (
-        ({"hold_out_list": names}, "1 name of no usable recording: c9"),
+        ({"hold_out_list": names}, "1 name without a usable recording: c9"),
         ({"hold_out_list": tmp_path / "none"}, "none: cannot read"),
         ({"hold_out_speakers": "carl"}, "no recording of speaker 'carl'; there: ann, bob"),
         ({"hold_out_speakers": "ann,bob"}, "all 4 recordings would be held out"),

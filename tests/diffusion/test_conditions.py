@@ -77,7 +77,7 @@ def test_a_model_without_conditions_has_no_columns():
 
 
 def test_what_does_not_fit_is_one_clear_error(conditions):
-    with pytest.raises(ModelError, match=r"event 'kik': did you mean kick\? the model knows kick"):
+    with pytest.raises(ModelError, match=r"event 'kik': did you mean kick\? the model has kick"):
         conditions.encode(3, FPS, events=[Event(0.0, "kik")])
     with pytest.raises(ModelError, match=r"speech of shape \(3, 5\); expected \(3, 4\)"):
         conditions.encode(3, FPS, speech=np.zeros((3, 5)))

@@ -124,7 +124,7 @@ def test_what_is_left_out_or_guessed_is_said(tmp_path):
         (HEAD + "u,c,,b,model_a,True,,\n", "line 2: model_a is empty"),
         (HEAD + "u,c,a,b,model_a,True,,\nu,c,a\n", "line 3: 3 cells, but the header has 8"),
         (HEAD.strip() + ",checks,checks_failed\nu,c,a,b,tie,,,,2,x\n", "checks_failed is 'x'"),
-        (HEAD + 'u,c,a,b,model_a,True,"open', "no CSV file in UTF-8"),
+        (HEAD + 'u,c,a,b,model_a,True,"open', "not a CSV file in UTF-8"),
         ("\x00\x01" * 50, "no column user"),
     ],
 )

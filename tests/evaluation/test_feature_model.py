@@ -156,7 +156,7 @@ def test_a_damaged_model_is_refused(model, tmp_path):
 
     for damaged, message in (
         ("{", "cannot be read"),
-        ("[]", "no feature model"),
+        ("[]", "not a feature model"),
         (text.replace('"format": 1', '"format": 2'), "a newer gesturekit"),
         (with_windows(n_frames=10**12), "10 to 1000 can be"),
         (with_windows(n_frames=40), "damaged"),

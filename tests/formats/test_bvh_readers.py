@@ -230,7 +230,7 @@ def bvh_texts(draw):
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(text_fps=bvh_texts())
-@pytest.mark.filterwarnings("ignore:joint names with blanks")
+@pytest.mark.filterwarnings("ignore:joint names with spaces")
 def test_files_of_all_sorts_are_read_by_the_book_and_survive(tmp_path, text_fps):
     text, fps = text_fps
     path = tmp_path / "a.bvh"

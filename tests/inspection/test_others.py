@@ -204,7 +204,7 @@ def test_unknown_files_are_reported_in_one_line(gesture, tmp_path):
     shutil.copy(tmp_path / "a.bvh", tmp_path / "a.txt")
     (tmp_path / "b.xyz").write_bytes(b"\x00\x01")
     for name, says in (
-        ("empty", "nothing of gesturekit in it"),
+        ("empty", "not a folder that gesturekit recognises"),
         ("none", "no such file or folder, and no bundled model"),
         ("b.xyz", "not known"),
     ):

@@ -337,7 +337,7 @@ def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_pa
     assert render("--like", str(tmp_path / "old_0.bvh"), "--style", "old") == 0
     capsys.readouterr()
     assert render("--seconds", "4", "--style", "sad") == 2
-    assert "the model knows angry, old" in capsys.readouterr().err
+    assert "unknown; the model has angry, old" in capsys.readouterr().err
     assert render("--keyframes", str(edit), "--like", str(edit)) == 2
 
 

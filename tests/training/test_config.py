@@ -89,7 +89,7 @@ def test_what_is_written_reads_back_the_same(tmp_path):
         ("- a list", [], "expected key: value lines"),
         ("corpus: [unclosed", [], "not valid YAML"),
         ("corpus: !!python/object/apply:os.getcwd []", [], "not valid YAML"),
-        ("base: a.yaml", [], "its own parent"),
+        ("base: a.yaml", [], "include itself"),
     ],
 )
 def test_mistakes_are_named(tmp_path, text, overrides, says):

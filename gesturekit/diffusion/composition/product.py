@@ -113,7 +113,7 @@ class ModelProduct:
                 weight_track(expert[1], 1, first.fps)
         if unconditional is not None:
             if controls.guidance is None:
-                raise ModelError("unconditional: needs guidance, which extrapolates from it")
+                raise ModelError("unconditional: only used with guidance; give guidance too")
             _check_compatible(first, unconditional, "unconditional")
         _check_guidance(first, controls.guidance, unconditional)
         experts = [(*expert, None, None)[:3] for expert in controls.experts]
@@ -215,7 +215,7 @@ def _check_compatible(first: TrainedModel, other: TrainedModel, who: str) -> Non
     """Raise ModelError if the numbers of two models' motion vectors differ in meaning."""
     kind = getattr(other, "kind", type(other).__name__)
     if kind != first.kind:
-        raise ModelError(f"{who}: a {kind} model; only diffusion models can be multiplied")
+        raise ModelError(f"{who}: a {kind} model; only diffusion models can be combined")
     if other.device != first.device:
         raise ModelError(
             f"{who}: is on {other.device}, this model on {first.device}; load both on one device"
@@ -228,8 +228,8 @@ def _check_compatible(first: TrainedModel, other: TrainedModel, who: str) -> Non
         raise ModelError(f"{who}: another rig: {different}")
     if theirs.joints != own.joints:
         raise ModelError(
-            f"{who}: it models {len(theirs.joints)} joints, this model {len(own.joints)}, or "
-            "others; experts of a product need the same joints"
+            f"{who}: its {len(theirs.joints)} joints are not the {len(own.joints)} of this model; "
+            "experts of a product need the same joints"
         )
     if theirs.makes_root != own.makes_root:
         raise ModelError(f"{who}: only one of the two follows a path")

@@ -72,7 +72,10 @@ class Request:
         path, events = controls.path, controls.events
         follows = models[0].path
         if path is not None and not follows:
-            raise ModelError(f"path={path!r}: this model moves its root itself and follows no path")
+            raise ModelError(
+                f"path={path!r}: this model generates the root motion itself and cannot follow a "
+                "path"
+            )
         if path is None and follows:
             raise ModelError(
                 "path: this model follows a path and needs one: a .csv with columns "

@@ -103,7 +103,7 @@ def _mean_pose(every: _Recordings, source: _Recordings, fps: float) -> Loader:
     def load(pair: Pair, n_frames: int) -> Motion:
         recording = load_recording(pair.reference, fps)
         if recording.skeleton.names != rig:
-            raise MotionError(f"{pair.stem}: another rig than the one of the mean pose")
+            raise MotionError(f"{pair.stem}: its rig differs from that of the mean pose")
         return Motion(
             recording.skeleton,
             np.tile(pose, (n_frames, 1, 1)),

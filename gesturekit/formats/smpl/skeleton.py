@@ -163,7 +163,9 @@ def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> 
     """
     body = BodyModel.of(body_model)
     if body.n_joints not in N_JOINTS or body.parents != smpl_skeleton(body.n_joints).parents:
-        raise FormatError(f"{body.source}: a model of {body.n_joints} joints, not of SMPL's family")
+        raise FormatError(
+            f"{body.source}: a model of {body.n_joints} joints, not of the SMPL family"
+        )
     motion = as_smpl(motion, body.n_joints)
     info = motion.info | {"body_model": body.source}
     rig = body.rig(motion.skeleton, info.get("betas"))

@@ -144,7 +144,7 @@ class BodyModel:
         if skeleton.parents != self.parents:
             raise MotionError(
                 f"the body model has {self.n_joints} joints and the rig {skeleton.n_joints}, or "
-                "they hang on one another in another way"
+                "their hierarchies differ"
             )
         joints = self.joints_at_rest(betas)
         offsets = joints - joints[np.maximum(self.parents, 0)]

@@ -100,7 +100,7 @@ def _wanted(
     wanted = WantedMovement.fit(speeches, movement, fps, data.conditioner.effort, smaller)
     if wanted.predicts:
         return wanted
-    log.info("Speech does not predict hand movement: recorded pieces do not depend on it.")
+    log.info("Speech does not predict hand movement here: recalled pieces are chosen without it.")
     return None
 
 

@@ -215,7 +215,7 @@ class WantedMovement:
         of_fast, basis = [each for each in fitted if each[0].r >= enough][-1]
         if len(fitted) > 1:
             log.info(
-                "Hand movement predicted from speech in left-out passages: r %s; %d are used.",
+                "Hand movement predicted from held-out speech: r = %s; %d features are used.",
                 ", ".join(
                     f"{regression.r:.2f} with {len(regression.mean) // _BINS} features"
                     for regression, _ in fitted
