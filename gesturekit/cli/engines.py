@@ -26,10 +26,11 @@ def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
             type=click.Choice(["local", "slurm", "ray"]),
             default="local",
             show_default=True,
-            help="Run the shards here, as jobs of Slurm (submitit), or on a Ray cluster.",
+            help="Where to run the shards: on this machine, as Slurm jobs (submitit), or on a Ray "
+            "cluster.",
         ),
         click.option(
-            "--jobs", type=click.IntRange(1, 10_000), help="Number of shards of slurm or ray."
+            "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
         ),
         click.option(
             "--engine-option",
@@ -39,7 +40,9 @@ def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
             help="For slurm, a parameter of submitit, such as slurm_partition=cpu, "
             "timeout_min=600, cpus_per_task=4 or cluster=local. May be repeated.",
         ),
-        click.option("--address", help="Address of a Ray cluster; without it one starts here."),
+        click.option(
+            "--address", help="Address of a Ray cluster; by default one is started on this machine."
+        ),
     )
     for option in reversed(options):
         command = option(command)

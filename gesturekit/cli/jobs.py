@@ -28,15 +28,14 @@ _MOST_REASONS = 12
     "--page",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.html",
-    help="Write a page: pictures of results, durations, speeds and failures.",
+    help="Write an overview page with pictures of results, durations, speeds and failures.",
 )
 @existing_option("replace", note=" (with --page)")
 def command(
     out: Path, failed: bool, left: bool, as_json: bool, page: Path | None, existing: str
 ) -> None:
-    """Show what is done, failed and left in OUT, the output folder of render, features or convert.
-
-    It works at any time, also while other processes write into the folder.
+    """Show which items are done, failed or left in OUT, the output folder of render, features or
+    convert.  This works at any time, also while other processes write into the folder.
     """
     from gesturekit.jobs.status import status_of
 

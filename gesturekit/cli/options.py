@@ -30,7 +30,7 @@ _RECORDING = (
         "--height",
         type=click.FloatRange(min=0, min_open=True, max=1000),
         metavar="METRES",
-        help="Scale the body to this height from sole to crown, such as 1.75.",
+        help="Scale the body to this height (sole to crown) in metres, such as 1.75.",
     ),
 )
 RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height")
@@ -42,14 +42,16 @@ _OPTIONS = (
         "--body-model",
         type=click.Path(path_type=Path),
         metavar="NPZ",
-        help="SMPL or SMPL-X model: exact bones for SMPL files, body mesh for html and obj.",
+        help="SMPL or SMPL-X body model: gives exact bones to SMPL files, and a body mesh to html "
+        "and obj.",
     ),
 )
 
 channel_option = click.option(
     "--channel",
     type=click.IntRange(min=1),
-    help="Channel to use, from 1 (left), if two speakers share a file.  [default: the mean]",
+    help="Channel to use, counted from 1 (left), if two speakers share a file.  [default: the "
+    "mean]",
 )
 
 part_option = click.option(
@@ -93,8 +95,9 @@ weights_option = click.option(
     multiple=True,
     callback=parse_weights,
     metavar="[KIND=]PATH",
-    help="Weights of the speech or text encoder that the model was trained with. With several, "
-    "each by its kind, wavlm, hf or words: --weights wavlm=PATH --weights words=PATH.",
+    help="Weights of the speech or text encoder that the model was trained with. For several "
+    "encoders, give each with its kind (wavlm, hf or words): --weights wavlm=PATH --weights "
+    "words=PATH.",
 )
 
 workers_option = click.option(
@@ -102,7 +105,7 @@ workers_option = click.option(
     type=click.IntRange(1, 1024),
     default=1,
     show_default=True,
-    help="Number of processes. The results are the same for any number.",
+    help="Number of processes; does not change the results.",
 )
 
 size_option = click.option(

@@ -128,8 +128,8 @@ class Item:
         if wave.duration < self.duration - _MISSING_SECONDS:
             raise CorpusError(
                 f"item {self.id!r} is {self.duration:.2f} s of {self.audio} from "
-                f"{self.audio_start:.2f} s, "
-                f"but only {wave.duration:.2f} s are there; prepare the corpus again"
+                f"{self.audio_start:.2f} s, but only {wave.duration:.2f} s are there; prepare the "
+                "corpus again"
             )
         if "words" in self.conditions:
             wave = replace(wave, words=self.conditions["words"])

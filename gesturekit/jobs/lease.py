@@ -51,8 +51,7 @@ class Lease:
             if other.get("run") != run:
                 raise ConfigError(
                     f"{state.parent}: another run, with other inputs or settings, is writing "
-                    "there, "
-                    f"{_owner(other)}; wait for it, or give another --out"
+                    f"there, {_owner(other)}; wait for it, or give another --out"
                 )
             if other["file"] == self.path.name:
                 raise ConfigError(

@@ -284,8 +284,7 @@ def _bundle() -> str:
     if not _BUNDLE.is_file():
         raise GestureKitError(
             f"the script of the study pages is missing: {_BUNDLE} is made when gesturekit is set "
-            "up. "
-            "In a checkout run `make setup`; an installed package holds it already."
+            "up. In a checkout run `make setup`; an installed package holds it already."
         )
     # The HTML parser ends a script at these letters wherever they stand.
     return re.sub(r"</(?=script)", r"<\\/", _BUNDLE.read_text(encoding="utf-8"), flags=re.I)

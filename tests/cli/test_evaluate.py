@@ -85,7 +85,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["ours", "recordings", "--compare", "baseline", "b c"], "--compare 'b c'"),
         (["a=ours", "recordings", "--compare", "a=baseline"], "two models are named a"),
         (["ours", "recordings", "--baseline", "median"], "it is one of mean_pose, other"),
-        (["ours", "recordings", "--compare", "ours"], "is named twice"),
+        (["ours", "recordings", "--compare", "ours"], "is given twice"),
         (["ours", "recordings", "--audio", "ours"], "no sound files"),
         (["ours", "recordings", "--features", "ours"], "ours"),
         (["demo", "recordings"], "demo is a model"),
@@ -268,7 +268,7 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     done = gesturekit("evaluate", made, *corpus)
     assert done.status == 2 and "of 1 clip (other) none has a recording" in done.err
     both = gesturekit("evaluate", made, root / "recordings", *corpus)
-    assert both.status == 2 and "has its own --compare" in both.err
+    assert both.status == 2 and "with its own --compare" in both.err
 
 
 def test_a_rig_without_limbs_gets_one_line_of_what_was_left_out(gesturekit, tmp_path):

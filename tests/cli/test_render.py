@@ -303,7 +303,7 @@ def test_a_file_named_twice_is_rendered_once(gesturekit, model, wav, tmp_path):
         (["in/other/speech.flac"], "speech.flac would both be written as"),
         (["in/nothing"], "in/nothing: the folder holds no audio files"),
         (["--out", "in/speech.wav"], "is a file"),
-        (["--out", "in/speech.wav/out"], "in/speech.wav/out: cannot be made"),
+        (["--out", "in/speech.wav/out"], "in/speech.wav/out: cannot be created"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -181,7 +181,7 @@ def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monke
     monkeypatch.setattr(Stage, "iterate", interrupted)
     assert train().status == 130
     command = f"gesturekit train --resume {tmp_path / 'run'}"
-    assert f"Go on with: {command}" in caplog.text
+    assert f"Continue with: {command}" in caplog.text
     monkeypatch.undo()
     assert gesturekit(*command.split()[1:]).status == 0
 

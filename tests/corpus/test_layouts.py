@@ -411,7 +411,10 @@ def test_hold_outs_by_name(tmp_path, write_pair):
     for options, complaint in (
         ({"hold_out_list": names}, "1 name without a usable recording: c9"),
         ({"hold_out_list": tmp_path / "none"}, "none: cannot read"),
-        ({"hold_out_speakers": "carl"}, "no recording of speaker 'carl'; there: ann, bob"),
+        (
+            {"hold_out_speakers": "carl"},
+            "no recording of speaker 'carl'; the speakers are ann, bob",
+        ),
         ({"hold_out_speakers": "ann,bob"}, "all 4 recordings would be held out"),
         ({"hold_out_pattern": "x"}, "matches none of 4 recordings"),
         ({"hold_out_pattern": "("}, "not a regular expression"),

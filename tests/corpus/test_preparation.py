@@ -97,7 +97,7 @@ def test_a_file_that_was_shortened_after_prepare_is_named(tmp_path, write_pair, 
     write_speech(tmp_path / "a.wav", 3.95)  # as another decoder may read it
     assert item.load_wave().duration == pytest.approx(3.95, abs=1e-3)
     write_speech(tmp_path / "a.wav", 3.0)
-    with pytest.raises(CorpusError, match=r"'a' is 4.00 s .*a\.wav, which has 3.00 s.*prepare"):
+    with pytest.raises(CorpusError, match=r"'a' is 4.00 s of .*a\.wav .*only 3.00 s.*prepare"):
         item.load_wave()
 
 
@@ -224,7 +224,7 @@ def test_unidentified_parts_are_reported_and_can_be_specified(tmp_path, write_sp
     (note,) = texts(report, "note")
     assert len(report.manifest) == 1
     assert re.search(
-        r"a.bvh: cannot identify the arms.*where is forward.*parts: \{left_elbow:", note
+        r"a.bvh: cannot identify the arms.*which way is forward.*parts: \{left_elbow:", note
     )
     by_hand = {
         f"{side}_{part}": names[rig.index(side.title() + joint)]

@@ -139,7 +139,7 @@ def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
         walker.generate(path=np.zeros((3, 2)))
     with pytest.raises(FormatError, match="no such file"):
         walker.generate(path=tmp_path / "none.csv")
-    with pytest.raises(ModelError, match="follows no path"):
+    with pytest.raises(ModelError, match="cannot follow a path"):
         untrained().generate(path=straight)
 
 

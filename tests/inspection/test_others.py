@@ -206,7 +206,7 @@ def test_unknown_files_are_reported_in_one_line(gesture, tmp_path):
     for name, says in (
         ("empty", "not a folder that gesturekit recognises"),
         ("none", "no such file or folder, and no bundled model"),
-        ("b.xyz", "not known"),
+        ("b.xyz", "not recognised"),
     ):
         with pytest.raises(FormatError, match=says) as told:
             inspect(tmp_path / name)

@@ -386,7 +386,7 @@ def test_shapes_that_do_not_tell(mixamo, shared_data):
     three_bones[knuckles, 0] *= 2.5
     for skeleton, says in (
         (heap, "1 pair of limbs"),
-        (replace(nameless(mixamo), offsets=no_feet), "where is forward"),
+        (replace(nameless(mixamo), offsets=no_feet), "which way is forward"),
         (replace(nameless(mixamo), offsets=three_bones), "no two bones"),
     ):
         with pytest.raises(MotionError, match=rf"arms.*{says}.*--part left_elbow=JOINT.*parts: "):

@@ -77,8 +77,14 @@ def test_mismatched_motion_is_another_clip_of_the_same_folder():
         ("title: x\nsystems: {a: x, b: y}\ndesign: prefer", "'prefer' is not one of"),
         ("title: x\nsystems: {a: x, b: y}\ndesign: style", "needs styles"),
         ("title: x\nsystems: {a: x, b: y}\nanswers: [better, worse]", "five are expected"),
-        ('title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"', "is not a web address"),
-        ('title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"', "not a web address"),
+        (
+            'title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"',
+            "is not a web address",
+        ),
+        (
+            'title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"',
+            "not a web address",
+        ),
         ("title: x\nsystems: {a: x, b: y}\npairs: 0", "at least 1"),
         ("title: x\nsystems: {a: x, b: y}\nattention_check: 3", "attention_checks"),
     ],

@@ -32,8 +32,7 @@ def keep_common_recordings(found: Mapping[str, Pairs]) -> None:
         counts = "; ".join(f"{key}: {_some(seen)}" for key, seen in windows.items())
         raise EvaluationError(
             f"no recording, or window of one, has clips of all models ({counts}), so they cannot "
-            "be "
-            "compared; evaluate each alone, or render the same files"
+            "be compared; evaluate each alone, or render the same files"
         )
     for label, pairs in found.items():
         apart = [pair for pair in pairs.pairs if (pair.stem, pair.window) not in common]

@@ -45,10 +45,9 @@ def from_amass(archive: Archive, up: str) -> Motion:
     if lacking := [key for key in ("poses", "trans") if key not in archive]:
         held = [ascii(key)[1:-1][:40] for key in archive]
         raise FormatError(
-            f"{archive.path}: not a motion: there is no key {lacking[0]!r}. An npz "
-            "of motion is in gesturekit's own format or has the keys poses, trans and "
-            "mocap_frame_rate of "
-            f"AMASS and BEAT2; this one has {listed(held, 8) or 'none'}"
+            f"{archive.path}: not a motion: there is no key {lacking[0]!r}. An npz of motion is in "
+            "gesturekit's own format or has the keys poses, trans and mocap_frame_rate of AMASS "
+            f"and BEAT2; this one has {listed(held, 8) or 'none'}"
         )
     poses = archive.numbers("poses")
     if poses.ndim == 3:  # some keep the joints apart: (T, J, 3)

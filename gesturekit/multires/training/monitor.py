@@ -80,8 +80,8 @@ class Monitor:
         log.warning(
             "Step %d: mode collapse: patches of the samples differ from one another %.2f times as "
             "much as those of the recordings. If this continues, try a lower "
-            "training.learning_rate, more "
-            "training.discriminator_steps, or fewer training.reconstruction_steps.",
+            "training.learning_rate, more training.discriminator_steps, or fewer "
+            "training.reconstruction_steps.",
             step,
             ratio,
         )
