@@ -171,7 +171,7 @@ def _line(outcome: Converted) -> str:
     """Return the detected input, the written files and the changes, on one or two lines."""
     source = click.format_filename(outcome.source)
     if not outcome.files:
-        return f"{source}: left as it is, the outputs exist"
+        return f"{source}: skipped, its outputs exist"
     first, *others = outcome.files
     written = ", ".join([click.format_filename(first), *(path.suffix for path in others)])
     found = f"{source} ({outcome.found})"

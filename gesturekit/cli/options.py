@@ -247,7 +247,7 @@ def is_left(files: Sequence[Path], existing: str) -> bool:
         from gesturekit.jobs.targets import refuse_existing
 
         refuse_existing(there)
-    click.echo(f"{', '.join(map(str, there))}: left as it is", err=True)
+    click.echo(f"{', '.join(map(str, there))}: skipped, exists already", err=True)
     return True
 
 

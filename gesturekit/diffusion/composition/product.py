@@ -80,9 +80,9 @@ class ModelProduct:
     Attributes:
         models: of one rig. The first is the model of the request; the last is the unconditional
             model, if that is another one.
-        weights: of all models but the unconditional one; None for an equal share of what the
-            others leave of 1.
-        styles: of the same models; None for a random style.
+        weights: of all models but the unconditional one; models with None share the remaining
+            weight equally.
+        styles: style of each of these models; None for a random style.
         guidance: gamma of classifier-free guidance for the first model; None for no guidance.
         unconditional: the unconditional model; None for the first model with conditions dropped.
     """
@@ -97,8 +97,8 @@ class ModelProduct:
     def build(cls, first: TrainedModel, controls: DiffusionControls) -> ModelProduct:
         """Collect and check the models of a request.
 
-        An expert without a style gets the style of the first model if it knows it, and a random
-        one otherwise.
+        An expert without a style gets the style of the first model if it has that style, and a
+        random one otherwise.
 
         Raises:
             ModelError: models that cannot be combined, weights over time that cannot be read, or
@@ -133,7 +133,7 @@ class ModelProduct:
         )
 
     def check_styles(self) -> None:
-        """Raise ModelError if a model does not know the style that it is given."""
+        """Raise ModelError if a model does not have its requested style."""
         for model, style in zip(self.models, self.styles, strict=False):
             if model.styles and style is not None:
                 style_weights(model.styles, style, 1, model.fps)
