@@ -67,7 +67,7 @@ def expected_normalization(folder: Path, front_norm: str) -> float | None:
 
 
 def check_fingerprint(source: str | os.PathLike[str], found: str, wanted: str | None) -> None:
-    """Raise WeightsError if an encoder is not the one that a spec asks for.
+    """Raise WeightsError if an encoder is not the one in a feature spec.
 
     Args:
         source: file or folder of the encoder, for the message.

@@ -78,7 +78,7 @@ def show(
     """Do work with a progress bar.
 
     Args:
-        outcomes: results, made as they are asked for.
+        outcomes: results, computed when they are consumed.
         total: their number.
         description: name of the bar.
         add: called with each outcome, to print it; it may return a text for the bar.

@@ -53,7 +53,7 @@ def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
 class ShardCommand:
     """The command of one shard; all that is handed to another machine.
 
-    What is done lies in the journals alone, so that a job which is ended and started again goes on.
+    Only the journals record what is done, so a job that is stopped and started again continues.
 
     Attributes:
         arguments: those of `gesturekit`.

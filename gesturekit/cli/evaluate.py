@@ -234,7 +234,7 @@ def _write(
     out: Path | None,
     body: str | None,
 ) -> None:
-    """Write the files that were asked for."""
+    """Write the requested files."""
     import sys
 
     from gesturekit.evaluation import write_report

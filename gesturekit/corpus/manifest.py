@@ -2,7 +2,7 @@
 
 The first line is the header ``{"schema": 1}``; every further line is one item with exactly
 the fields of `Item`. Paths in the file are relative to the manifest and may point outside its
-folder (``../``): the recordings usually lie elsewhere and are only ever read.
+folder (``../``): the recordings are usually elsewhere and are only read.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ def prepare(
 
     The sound and the motion of a pair are assumed to begin together. Tables beside a recording
     become its conditions: STEM.events.csv (`gesturekit.formats.tables.events`) and STEM.path.csv
-    (`formats.tables.root_path`). A problem of one recording never stops the others: it is
+    (`formats.tables.root_path`). A problem with one recording does not stop the others: it is
     reported with its file, and a recording with an error is left out.
 
     Args:

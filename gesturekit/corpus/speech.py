@@ -42,7 +42,7 @@ _ACTIVITY_HOP = 0.01
 """Seconds between frames of the speech activity."""
 
 _LONGEST_SECONDS = 86_400.0
-"""Limit for motion without speech, so that a typing error cannot ask for all memory."""
+"""Limit for motion without speech, so that a typing error cannot exhaust the memory."""
 
 _FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in memory once
 

@@ -55,7 +55,7 @@ class MetricResult:
         mismatched: mean over other recordings' sounds or motion, or None.
         note: "" or a remark on how to read the value.
         informative: False where the recordings' own value is at its chance level, so that the
-            metric says nothing about these recordings.
+            metric is not informative for these recordings.
     """
 
     key: str

@@ -1,4 +1,4 @@
-"""Conversion of motion files between formats; a broken file never stops the others."""
+"""Conversion of motion files between formats; a broken file does not stop the others."""
 
 from __future__ import annotations
 

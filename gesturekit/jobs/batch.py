@@ -1,4 +1,4 @@
-"""Work on many tasks: plan, leases, journal, processes; a broken input never stops the others."""
+"""Work on many tasks: plan, leases, journal, processes; a broken input does not stop the others."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gesturekit.jobs.state import state_folder
 from gesturekit.jobs.targets import EXISTING, refuse_existing, refuse_leaving
 from gesturekit.jobs.work import Done, Inputs, Outcome, Processor, Task, Work, digest_of
 
-_SUSPICIOUS = 2  # times that a run was killed with an item in hand
+_SUSPICIOUS = 2  # times that a run was killed while it processed an item
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class Execution:
         workers: number of processes; 1 works in this process.
         shard: number of the shard to do, counted from 1, and the number of all shards, which
             hold about the same seconds of sound or motion. Runs of different shards share a plan:
-            the first makes it, and the others use it even if files were added since.
-        replan: look for the inputs again, instead of using the plan of another shard's run.
-        retry_failed: try items again that were put aside after three failures.
-        deadline: seconds after which an item is given up; such items count as failed.
+            the first one writes it, and the others use it even if files were added since. replan:
+        list the inputs again, instead of using the plan of another shard's run. retry_failed: try
+        items again that were put aside after three failures. deadline: seconds after which an item
+        is given up; such items count as failed.
     """
 
     workers: int = 1
@@ -267,14 +267,14 @@ class Batch:
 
 
 class _Shard:
-    """The shard in work: its journal, its lease, and the tasks in hand."""
+    """The shard being processed: its journal, its lease, and the tasks in progress."""
 
     def __init__(self, batch: Batch, journal: Journal, lease: Lease) -> None:
         self._batch, self._journal, self._lease = batch, journal, lease
         self._out, self._in_hand = batch.out, dict[str, Work]()
 
     def begin(self, work: Work) -> None:
-        """Record that a task is in hand, and remove what a killed run left of it."""
+        """Record that a task is in progress, and remove what a killed run left of it."""
         self._lease.check()
         name = work.task.name
         if self._batch.history.unfinished(name):
@@ -332,7 +332,7 @@ class _Shard:
         return Done(Outcome(task.source, kept=work.kept, error=error), entry)
 
     def _drop(self) -> None:
-        """Record that the tasks in hand were stopped by the user, and remove what is half done."""
+        """Record that the user stopped the tasks in progress, and remove their partial results."""
         for work in self._in_hand.values():
             self._remove_temporary(work)
             with suppress(OSError):

@@ -48,7 +48,7 @@ class Plan:
 
     Attributes:
         path: the file.
-        request: SHA-256 of what was asked for: two runs with the same request share a plan.
+        request: SHA-256 of the request: two runs with the same request share a plan.
         sha256: SHA-256 of the lines of all items.
         shards: (number of items, seconds of sound) of each shard.
         made: time of writing, seconds since 1970.

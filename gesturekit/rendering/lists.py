@@ -6,9 +6,9 @@
 | `NAME.scp` (Kaldi's wav.scp) | id and path of a sound; commands (`sox ... \\|`) are never run |
 | `NAME.jsonl` | object with `audio`, and optionally the fields of `FIELDS` |
 
-Paths are relative to the list's folder, or where there is no such file to the working folder.
-Results are named by the id; without one, by the path as it is written in the list, or by the stem
-of a path that is absolute or has `..`.
+Paths are relative to the list's folder or, if there is no such file, to the working folder. Results
+are named by the id; without one, by the path as it is written in the list, or by the stem of a path
+that is absolute or has `..`.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ class Segment:
         name: path of its clips without suffix; `input_code` in the answers.
         clips: {system: file}.
         sound: the speech, for motions; None if silent.
-        style: the style that its question asks for; "" in other designs.
+        style: the style in its question; "" in other designs.
     """
 
     name: str

@@ -27,7 +27,7 @@ Schema = TypeVar("Schema")
 
 
 _MAX_BYTES = 2 << 20
-_MAX_VALUES = 200_000  # in a file, where an alias counts as all that it stands for
+_MAX_VALUES = 200_000  # in a file; an alias counts as many as the value that it refers to
 _MAX_DIGITS = 40
 
 
@@ -203,7 +203,7 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         leaf = full.rsplit(".", 1)[-1]
         same = [name for name in _settings(schema) if name.rsplit(".", 1)[-1] == leaf]
         # A section's name may be misspelt; a setting that another section has is in the wrong one.
-        # A plural for a singular is near beyond doubt; other settings of the name come after it.
+        # A plural of the given name is the best match; the same name in other sections comes next.
         plural = [name for name in error.near if name == f"{full}s"]
         meant = (error.near or same) if error.inner else (plural or same or error.near)
         hint = (

@@ -34,7 +34,7 @@ MOST_SECONDS = 20.0
 EVERY_SECONDS = 300.0
 """Seconds between measurements of a training without `eval_every`."""
 MOST_SHARE = 0.05
-"""Largest share of the training time spent on measurements, which are made less often if needed."""
+"""Largest share of the training time spent on evaluations; they become less frequent if needed."""
 _PATCH_FRAMES = 30
 
 

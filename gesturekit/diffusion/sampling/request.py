@@ -117,7 +117,7 @@ def check_events(events: str | Path, models: Sequence[Conditions]) -> None:
     """Check the names of requested events without their sound.
 
     Raises:
-        ModelError: a text that cannot be read, or a name that none of the models knows.
+        ModelError: a text that cannot be read, or an event that none of the models has.
         FormatError: a table that cannot be read.
     """
     if not any(model.events for model in models):

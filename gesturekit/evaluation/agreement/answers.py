@@ -37,7 +37,7 @@ OWN_COLUMNS = (
 )
 """Columns that our pages write after GENEA's."""
 MISMATCHED = "_Mismatched"
-"""Ending of the name of a system whose motion belongs to other speech."""
+"""Ending of the name of a system that shows motion of other speech."""
 
 _REQUIRED = GENEA_COLUMNS[:6]
 _STRONG = ("true", "1", "yes", "strong", "1.0")

@@ -141,7 +141,7 @@ BASELINES: Mapping[str, Callable[[_Recordings, _Recordings, float], Loader]] = {
 
 
 def _pair(pair: Pair, load: Loader, fps: float) -> Pair:
-    """Return the pair with the baseline's motion in the place of the model's."""
+    """Return the pair with the baseline's motion instead of the model's."""
     name = pair.stem if pair.window is None else f"{pair.stem}_w{pair.window:03d}"
 
     def made() -> Motion:

@@ -212,7 +212,7 @@ def forward_votes(
 
 
 def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int = 0) -> float:
-    """Return the share of recorded windows that the generated motion comes near to.
+    """Return the share of recorded windows that have a generated window nearby.
 
     Near is below the median distance of a recorded window to its nearest recorded neighbour that
     begins more than 3 s away or is of another clip. If there are more generated than recorded

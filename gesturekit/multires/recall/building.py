@@ -40,7 +40,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     places = [joint_places(representation, fps, own) for own in values]
     defects = [defects_of_parts(parts, representation, fps, own) for own in values]
     moved = [movements(parts, joints, fps, own) for own in places]
-    # Speech is asked for the movement of the hands: that of both arms, or of the only part.
+    # Speech predicts the movement of the hands: that of both arms, or of the only part.
     asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
     every = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
     goals = [np.concatenate(curves) for curves in _with_slow(every, fps)]

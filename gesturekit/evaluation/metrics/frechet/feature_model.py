@@ -1,6 +1,6 @@
 """A feature extractor for the Fréchet gesture distance, fitted on a reference set.
 
-Published extractors are bound to their rigs or were never released, so that values of different
+Published extractors only work for their own rigs or were never released, so values of different
 papers cannot be compared. Two values of this one can be compared if `fingerprint` is the same.
 """
 
