@@ -159,7 +159,7 @@ def test_poses_are_turned_by_its_shoulders_and_geometric_features_say_what_they_
         geometric_features(motion)
 
 
-def test_inspect_tells_it_as_information(recordings):
+def test_inspect_reports_missing_legs_as_information(recordings):
     summary = inspect(recordings / "a.bvh")
     assert summary.problems == ()
     rows = dict(summary.rows)

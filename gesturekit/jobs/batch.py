@@ -271,7 +271,7 @@ class _Shard:
 
     def __init__(self, batch: Batch, journal: Journal, lease: Lease) -> None:
         self._batch, self._journal, self._lease = batch, journal, lease
-        self._out, self._in_hand = batch.out, dict[str, Work]()
+        self._out, self._in_progress = batch.out, dict[str, Work]()
 
     def begin(self, work: Work) -> None:
         """Record that a task is in progress, and remove what a killed run left of it."""
@@ -281,7 +281,7 @@ class _Shard:
             self._remove_temporary(work)
         with _journaling(self._out):
             self._journal.start(name)
-        self._in_hand[name] = work
+        self._in_progress[name] = work
 
     def call_inside(self, work: Work) -> Done:
         """Work in this process."""
@@ -311,7 +311,7 @@ class _Shard:
         done = self._lost(work, result) if isinstance(result, Failure) else result
         with _journaling(self._out):
             self._journal.finish(done.entry)
-        del self._in_hand[work.task.name]
+        del self._in_progress[work.task.name]
         if done.is_full:
             raise OutputError(
                 f"{done.outcome.error}; stopped: finished results are kept, and the same "
@@ -333,11 +333,11 @@ class _Shard:
 
     def _drop(self) -> None:
         """Record that the user stopped the tasks in progress, and remove their partial results."""
-        for work in self._in_hand.values():
+        for work in self._in_progress.values():
             self._remove_temporary(work)
             with suppress(OSError):
                 self._journal.finish(Entry("dropped", work.task.name))
-        self._in_hand.clear()
+        self._in_progress.clear()
 
     def _remove_temporary(self, work: Work) -> None:
         for file in self._batch.processor.targets(work.task):

@@ -42,7 +42,7 @@ def test_one_bad_file_is_listed_and_the_others_are_done(folder):
     assert made == [".gesturekit", "a.npz", "silent.npz"]
 
 
-def test_what_cannot_start_says_why(folder):
+def test_commands_that_cannot_start_give_a_reason(folder):
     from click import UsageError
 
     from audio_features import WeightsError

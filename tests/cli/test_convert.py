@@ -34,7 +34,7 @@ def takes(gesture, tmp_path) -> Path:
     return folder
 
 
-def test_the_choices_are_those_of_the_readers():
+def test_choices_of_the_options_match_the_readers():
     assert set(UNITS) == set(units.METRES) and set(AXES) == set(axes.AXES)
 
 

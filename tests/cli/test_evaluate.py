@@ -97,7 +97,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["--sanity", "recordings", "--csv", "t.csv"], "does not use --csv; leave it out"),
     ],
 )
-def test_what_cannot_start_is_one_line_and_exit_2(
+def test_usage_errors_are_one_line_and_exit_code_2(
     gesturekit, folders, monkeypatch, arguments, said
 ):
     monkeypatch.chdir(folders)
@@ -186,7 +186,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     assert by_hand == pytest.approx(own, rel=1e-4, abs=1e-4)
 
 
-def test_retrieval_and_a_model_that_hears_other_speech_are_peers(gesturekit, held_out, tmp_path):
+def test_retrieval_and_speech_blind_are_compared(gesturekit, held_out, tmp_path):
     root, items = held_out
     about = ["--corpus", root / "corpus.jsonl"]
     made = gesturekit(
@@ -221,7 +221,7 @@ def test_baselines_that_cannot_be_made_are_refused_first(gesturekit, folders, ar
     assert done.status == 2 and message in done.err
 
 
-def test_a_model_that_is_not_known_cannot_hear_other_speech(gesturekit, held_out):
+def test_speech_blind_needs_a_folder_written_by_render(gesturekit, held_out):
     root, _ = held_out
     done = gesturekit(
         "evaluate",
@@ -234,7 +234,7 @@ def test_a_model_that_is_not_known_cannot_hear_other_speech(gesturekit, held_out
     assert done.status == 2 and "only known for folders written by gesturekit render" in done.err
 
 
-def test_what_was_trained_on_is_warned_about(gesturekit, held_out, tmp_path):
+def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out, tmp_path):
     root, items = held_out
     train = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl", "--split", "train")
     done = gesturekit(*train)

@@ -46,7 +46,7 @@ def test_features_that_cannot_be_written_or_made(gesturekit, write_speech, tmp_p
     assert not (tmp_path / "out").exists()
 
 
-def test_a_reader_that_leaves_early_is_no_error(model, write_speech, tmp_path):
+def test_a_reader_that_closes_the_pipe_early_is_not_an_error(model, write_speech, tmp_path):
     """gesturekit render ... | head -1"""
     for i in range(3):
         write_speech(tmp_path / "in" / f"{i}.wav", 0.5)
@@ -109,7 +109,7 @@ VERBS_OF_MANY = {
 
 
 @pytest.mark.parametrize("verb", VERBS_OF_MANY)
-def test_ctrl_c_names_how_to_go_on(gesturekit, write_pair, tmp_path, monkeypatch, verb):
+def test_ctrl_c_prints_how_to_continue(gesturekit, write_pair, tmp_path, monkeypatch, verb):
     import audio_features as af
 
     monkeypatch.chdir(tmp_path)

@@ -226,7 +226,9 @@ def test_it_ends_with_figures_on_held_out_speech(train, one_recording, tmp_path,
     assert f"render --corpus {one_recording} --split test" in done.out
 
 
-def test_measuring_all_the_time_changes_no_weight(train, one_recording, tmp_path, monkeypatch):
+def test_frequent_evaluation_does_not_change_the_weights(
+    train, one_recording, tmp_path, monkeypatch
+):
     corpus = f"corpus={one_recording}"
     assert train(corpus).status == 0
     monkeypatch.setattr(HeldOut, "is_due", lambda self: True)
@@ -238,7 +240,7 @@ def test_measuring_all_the_time_changes_no_weight(train, one_recording, tmp_path
     assert one == other
 
 
-def test_a_corpus_that_is_gone_by_the_end_costs_figures_only(
+def test_a_corpus_deleted_during_training_only_costs_the_metrics(
     gesturekit, train, one_recording, tmp_path, caplog
 ):
     assert train(f"corpus={one_recording}").status == 0
@@ -260,7 +262,7 @@ def test_a_model_without_speech_is_rendered_for_so_many_seconds(
     assert json.loads(lines[-1])["recorded/speed_ratio"] > 0
 
 
-def test_a_mistyped_configuration_is_met_by_the_nearest(gesturekit, light, monkeypatch):
+def test_a_mistyped_configuration_suggests_the_nearest(gesturekit, light, monkeypatch):
     monkeypatch.chdir(light.parents[2])
     done = gesturekit("train", "recipes/multires_speach/lite.yaml")
     assert "did you mean recipes/multires_speech/light.yaml?" in error_line(done)
@@ -283,7 +285,7 @@ def test_a_mistyped_configuration_is_met_by_the_nearest(gesturekit, light, monke
         (["recipes/speech/light.yaml", "window=3"], "did you mean training.window?"),
     ],
 )
-def test_what_newcomers_name_in_place_of_a_run_a_recipe_or_a_setting(
+def test_common_mistakes_in_naming_a_run_a_recipe_or_a_setting(
     gesturekit, corpus, tmp_path, monkeypatch, arguments, says
 ):
     monkeypatch.chdir(tmp_path)

@@ -57,7 +57,9 @@ def test_from_weights_to_motion(gesturekit, corpus, write_speech, write_wavlm, t
     assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 39
 
 
-def test_training_asks_for_the_weights_before_it_listens(gesturekit, corpus, tmp_path, tiny):
+def test_missing_weights_are_reported_before_features_are_extracted(
+    gesturekit, corpus, tmp_path, tiny
+):
     done = gesturekit("train", CONFIG, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
     assert done.status == 2
     assert done.err.startswith("Error: weights of WavLM are needed")

@@ -115,7 +115,7 @@ def test_beat2(beat2, tmp_path):
     assert item.load_wave().words == item.conditions["words"]
 
 
-def test_what_beat2_lacks_and_what_is_broken_in_it_is_told_by_name(beat2):
+def test_missing_and_broken_beat2_files_are_listed(beat2):
     (beat2 / "wave16k" / "2_scott_0_1_1.wav").unlink()
     (beat2 / "smplxflame_30" / "1_wayne_0_103_103.npz").write_bytes(b"no npz")
     write(beat2 / "sem" / "1_wayne_0_86_87.txt", "beat\tx\n")

@@ -153,7 +153,7 @@ def test_what_a_model_cannot_do_is_one_line(render, folders, name, options, told
         ("plain", ["--events", "kick@1.0"], "this model has no events"),
     ],
 )
-def test_a_mistake_about_the_model_is_said_once_for_all_sounds(
+def test_a_wrong_control_is_reported_once_for_all_sounds(
     render, folders, write_speech, tmp_path, name, options, says
 ):
     sounds = [write_speech(tmp_path / "in" / f"{stem}.wav", 1.0) for stem in "ab"]

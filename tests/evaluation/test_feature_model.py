@@ -31,7 +31,7 @@ def model(clips) -> FeatureModel:
 
 
 @pytest.mark.parametrize("variant", ["genea", "yoon"])
-def test_poses_do_not_know_where_a_body_stands_and_faces(clips, variant):
+def test_poses_do_not_depend_on_position_and_heading(clips, variant):
     windows = PoseWindows.fit(clips, variant)
     motion = clips[0]
     yaw = np.linspace(0.0, 200.0, motion.n_frames)  # turns while it talks

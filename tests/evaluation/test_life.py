@@ -389,7 +389,7 @@ def test_the_verdict_goes_by_named_thresholds(figures, said):
     assert verdict(figures).startswith(said) and bool(verdict(figures)) == bool(said)
 
 
-def test_a_training_split_is_what_copies_are_copies_of(talker, tmp_path):
+def test_copies_are_measured_against_the_training_split(talker, tmp_path):
     items = []
     for name, seed in (("day", 0), ("night", 1), ("held", 2)):
         talker(seed).save(tmp_path / f"{name}.npz")

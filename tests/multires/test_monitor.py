@@ -90,7 +90,7 @@ def test_identical_samples_are_reported(make_config, caplog):
     assert not monitor.warn_of_collapse({"patch_diversity_ratio": 0.9}, 5)
 
 
-def test_the_best_is_what_is_nearest_to_the_recordings():
+def test_the_best_model_is_nearest_to_the_recordings():
     near = {"jerk_ratio": 1.1, "arm_speed_ratio": 0.9, "foot_skate": 7.0}
     assert distance_from_recordings(near) < distance_from_recordings({"jerk_ratio": 0.5})
     twice, half = ({"jerk_ratio": ratio} for ratio in (2.0, 0.5))

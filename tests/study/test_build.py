@@ -151,7 +151,7 @@ def setup_of(page: Path) -> dict:
     return json.loads(re.search(r'id="setup">(.*?)</script>', text, re.S)[1])
 
 
-def test_the_page_tells_no_system_by_the_names_of_its_clips(tmp_path):
+def test_clip_names_do_not_reveal_the_system(tmp_path):
     names = [f"speaker/clip {k}.mp4" for k in range(4)]
     config = video_study(tmp_path, {"ours": names, "baseline": names})
     built = build_study(config, tmp_path / "out")

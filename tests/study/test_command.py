@@ -69,7 +69,7 @@ def test_random_answers_allow_no_conclusion(simulate, answers_of, tmp_path, run)
     assert "No difference was found between" in out and "not show that they are equally good" in out
 
 
-def test_small_studies_come_with_reservations(tmp_path, run):
+def test_small_studies_are_reported_with_caveats(tmp_path, run):
     path = write(tmp_path / "x.csv", [Answer("u", "c", "a", "b", 2)] * 3, {})
     code, _, err = run("analyse", path)
     assert code == 0

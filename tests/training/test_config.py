@@ -71,7 +71,7 @@ def test_settings_are_python_values_by_name(tmp_path, monkeypatch):
         load_config(path, Outer, settings={"inner": {"rat": 1}})
 
 
-def test_what_is_written_reads_back_the_same(tmp_path):
+def test_a_written_configuration_reads_back_the_same(tmp_path):
     config = load_config(write(tmp_path, "a.yaml", "corpus: c\ninner: {mode: [Hips]}"), Outer)
     assert build(Outer, to_dict(config)) == config
 

@@ -51,7 +51,7 @@ def test_both_versions_of_vrm_look_along_z_with_their_bones_and_colours(vrm):
     assert (skin.weights.sum(axis=1) == 255).all()
 
 
-def test_a_motion_is_put_on_the_avatar(vrm, gesture):
+def test_a_motion_is_retargeted_to_the_avatar(vrm, gesture):
     motion = gesture(1.0)
     drawn = DrawnBody.of(motion, str(vrm))
     rig = drawn.motion.skeleton

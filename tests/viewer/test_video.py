@@ -106,7 +106,7 @@ def test_without_the_extra_the_error_names_it(tmp_path, gesture, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_cannot_be_used_is_refused_and_leaves_no_file(tmp_path, gesture):
+def test_invalid_sounds_and_sizes_are_refused_and_leave_no_file(tmp_path, gesture):
     (tmp_path / "x.wav").write_text("no sound")
     with pytest.raises(AudioError):
         write_video(gesture(0.2), tmp_path / "x.mp4", audio=tmp_path / "x.wav")
