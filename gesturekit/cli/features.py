@@ -127,9 +127,11 @@ _NETWORKS = {
 def command(
     ctx: click.Context, wavs: tuple[Path, ...], extractor: str, out: Path, **options: Any
 ) -> None:
-    """Extract speech features from sound files.  Writes NAME.npz (values, times, spec) to the
-    output folder for every WAV; flac, ogg, mp3, aiff, au and SPHERE are read too. WAV may also be a
-    folder, a glob in quotes, or a list, as in gesturekit render. A broken file is listed with its
+    """Extract speech features from sound files.
+
+    Writes NAME.npz (values, times, spec) to the output folder for every WAV; flac, ogg, mp3, aiff,
+    au and SPHERE are read too. WAV may also be a folder, a glob in quotes, or a list, as in
+    gesturekit render. A broken file is listed with its
     reason, and the others are still processed. To continue an interrupted run, repeat the command:
     finished files are kept.
     """

@@ -34,8 +34,10 @@ _MOST_REASONS = 12
 def command(
     out: Path, failed: bool, left: bool, as_json: bool, page: Path | None, existing: str
 ) -> None:
-    """Show which items are done, failed or left in OUT, the output folder of render, features or
-    convert.  This works at any time, also while other processes write into the folder.
+    """Show which items are done, failed or left in OUT, the output folder of a batch.
+
+    OUT is that of gesturekit render, features or convert. This works at any time, also while other
+    processes write into the folder.
     """
     from gesturekit.jobs.status import status_of
 

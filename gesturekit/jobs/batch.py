@@ -30,11 +30,11 @@ class Execution:
     Attributes:
         workers: number of processes; 1 works in this process.
         shard: number of the shard to do, counted from 1, and the number of all shards, which
-            hold about the same seconds of sound or motion. Runs of different shards share a plan:
-            the first one writes it, and the others use it even if files were added since. replan:
-        list the inputs again, instead of using the plan of another shard's run. retry_failed: try
-        items again that were put aside after three failures. deadline: seconds after which an item
-        is given up; such items count as failed.
+            have about the same total duration. Runs of different shards share a plan:
+            the first one writes it, and the others use it even if files were added since.
+        replan: list the inputs again, instead of using the plan of another shard's run.
+        retry_failed: retry items that are skipped because they failed three times.
+        deadline: seconds after which an item is abandoned; such items count as failed.
     """
 
     workers: int = 1

@@ -1,4 +1,4 @@
-"""Looking at a training now and then tells something and changes nothing."""
+"""The training monitor logs metrics and does not change the training."""
 
 from __future__ import annotations
 

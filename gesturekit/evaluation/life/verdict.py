@@ -100,7 +100,7 @@ def _rests(figures: Mapping[str, MetricResult]) -> Iterator[str]:
 def _timing(figures: Mapping[str, MetricResult]) -> Iterator[str]:
     calm, sync = figures.get("calm_lively_r"), figures.get("sync")
     if calm is not None and calm.interval.value < FOLLOWS:
-        yield "calm and lively in other places than the speaker"
+        yield "calm and lively at other times than the speaker"
     if sync is None or sync.recording is None:
         return
     levels = [level for level in (sync.mismatched, sync.chance) if level is not None]
@@ -127,7 +127,7 @@ def _copying(figures: Mapping[str, MetricResult]) -> Iterator[str]:
     elif median is not None and median < NEAR:
         yield "partly copied from recordings"
     elif low is not None and low < NOW_AND_THEN:
-        yield "copied from recordings now and then"
+        yield "occasionally copied from recordings"
 
 
 def _ratio(figures: Mapping[str, MetricResult], key: str) -> float | None:
