@@ -381,7 +381,7 @@ def result(key: str, value: float, recording: float, **levels: float) -> dict[st
         (result("rest", 60.0, 32.0), "At rest more often than the speaker."),
         (result("rest", 0.0, 1.0), ""),
         (result("copying_low", 0.05, 0.1), "Occasionally copied from recordings."),
-        (result("calm_lively_r", 0.1, 1.0), "Calm and lively in other places than the speaker."),
+        (result("calm_lively_r", 0.1, 1.0), "Calm and lively at other times than the speaker."),
         (result("hand_q90", 1.0, 1.0), ""),
     ],
 )

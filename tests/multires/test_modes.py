@@ -133,7 +133,7 @@ def test_spans_hold_and_blend_over_a_second():
     [
         ("old@3", None, "old@0-10"),
         ("old@4-3", None, "before it begins"),
-        ("older", None, "knows angry, old"),
+        ("older", None, "the model has angry, old"),
         ("old", "1-9=old", "levels 1 .coarse. to 4"),
         ("old", "old", "1-4=describe"),
     ],

@@ -84,7 +84,7 @@ def test_identical_samples_are_reported(make_config, caplog):
         torch.nn.init.zeros_(weight)
     figures = monitor.figures(network, 4)
     assert figures["patch_diversity_ratio"] < 0.01
-    assert monitor.warn_of_collapse(figures, 5) and "Step 5: samples collapse" in caplog.text
+    assert monitor.warn_of_collapse(figures, 5) and "Step 5: mode collapse" in caplog.text
     recorded = monitor._recorded(0)
     assert monitor._patch_spread([recorded]) > 0.5
     assert not monitor.warn_of_collapse({"patch_diversity_ratio": 0.9}, 5)
