@@ -27,7 +27,7 @@ class AudioError(AudioFeaturesError, ValueError):
 
 
 class WeightsError(AudioFeaturesError, ValueError):
-    """A folder of network weights that is missing, incomplete, or not the one asked for."""
+    """A folder of network weights that is missing, incomplete, or not the requested one."""
 
 
 class FeatureError(AudioFeaturesError, ValueError):

@@ -216,6 +216,6 @@ def _check_one_place(parts: list[Any], weights: WeightPlaces | None) -> None:
     if len(kinds) > 1:
         named = " ".join(f"--weights {kind}=PATH" for kind in _ENCODERS if kind in kinds)
         raise WeightsError(
-            f"{os.fspath(weights)}: the features are of {len(kinds)} encoders, and this is one "
-            f"path: name the weights of each ({named})"
+            f"{os.fspath(weights)}: the features need {len(kinds)} encoders, but this is one path: "
+            f"give the weights of each ({named})"
         )

@@ -67,7 +67,7 @@ def expected_normalization(folder: Path, front_norm: str) -> float | None:
 
 
 def check_fingerprint(source: str | os.PathLike[str], found: str, wanted: str | None) -> None:
-    """Raise WeightsError if an encoder is not the one that a spec asks for.
+    """Raise WeightsError if an encoder is not the one in a feature spec.
 
     Args:
         source: file or folder of the encoder, for the message.
@@ -143,21 +143,25 @@ def read_file(path: Path) -> Any:
         if start[:2] == b"PK":
             with zipfile.ZipFile(path) as archive:
                 if any(entry.compress_type for entry in archive.infolist()):
-                    raise ValueError("it is compressed, as torch never writes it")
+                    raise ValueError("it is compressed, which torch never does")
             return torch.load(path, map_location="cpu", weights_only=True)
         if start[:2] != b"\x80\x02":  # the pickle that a legacy file of torch begins with
-            raise ValueError(f"it begins with {start[:8]!r}, as no file of torch or safetensors")
+            raise ValueError(
+                f"it begins with {start[:8]!r}, unlike the files of torch and safetensors"
+            )
         # A file allocates as much as its pickle claims to need; bytes give what they have.
         content = io.BytesIO(path.read_bytes())
         return torch.load(content, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         kind = re.search(r"GLOBAL (\S+)", str(error))
         if kind is None:  # torch's own message would advise loading it anyway
-            raise _unreadable(path, ValueError("it is damaged, or no plain tensors")) from error
+            raise _unreadable(
+                path, ValueError("it is damaged, or holds more than plain tensors")
+            ) from error
         what = f"{path}: holds a Python object ({kind[1]}), which could run code and is not read: "
         if kind[1] != "argparse.Namespace":
             raise WeightsError(
-                f"{what}no speech encoder needs one: do not load this file; take the "
+                f"{what}no speech encoder needs one: do not load this file; use the "
                 "published weights"
             ) from error
         raise WeightsError(
@@ -190,7 +194,7 @@ def plain_tensors(path: Path, content: Any) -> dict[str, torch.Tensor]:
     claimed = sum(tensor.numel() * tensor.element_size() for tensor in content.values())
     if claimed > 2 * path.stat().st_size:
         raise WeightsError(
-            f"{path}: cannot be read as weights: {path.stat().st_size} bytes that claim to be "
-            f"{claimed}: download it again"
+            f"{path}: cannot be read as weights: the tensors claim {claimed} bytes, the file has "
+            f"{path.stat().st_size}: download it again"
         )
     return {str(name): tensor for name, tensor in content.items()}

@@ -157,7 +157,9 @@ def _check_directory(path: Path) -> None:
         tail = file.read()
     at = tail.rfind(b"PK\5\6")
     if at < 0 or len(tail) - at < _END.size:
-        raise FormatError(f"{path}: not a readable npz file: it is not a zip archive, or cut short")
+        raise FormatError(
+            f"{path}: not a readable npz file: it is not a zip archive, or is truncated"
+        )
     (directory,) = _END.unpack_from(tail, at)
     if tail[max(0, at - 20) : at].startswith(b"PK\6\7"):
         raise FormatError(f"{path}: an archive of more than 4 GiB; cut the recording into pieces")

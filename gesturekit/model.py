@@ -1,4 +1,4 @@
-"""Interface of the models of every system, and the controls that all of them take."""
+"""Interface of the models of both systems, and the controls that all models take."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ class Controls:
     style: str | None = None
     """A style of the model, or several over time: old@0-10,angry@10-20 (seconds)."""
     path: str | Path | RootPath | Motion | None = None
-    """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path to
-    follow."""
+    """The path of the root: a table time,x,z[,heading] (s, m, degrees), or a motion whose path is
+    followed."""
     like: str | Path | Motion | None = None
-    """A motion on any human rig, to be redone in the style of the model's recordings."""
+    """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
     speaker: str | None = None
     """The speaker whose skeleton to use, one of the model's `speakers`."""
     foot_lock: bool = True
     """Lock planted feet in place; without it, feet stay as the model generated them."""
     smooth: float | None = None
-    """Smooth upper-body movements shorter than this many seconds; beats keep their time and
-    height. 0 turns smoothing off; the default is stored with the model."""
+    """Smooth upper-body movements shorter than this many seconds, but keep the time and size of
+    beat gestures. 0 turns smoothing off; the default is stored with the model."""
     fps: float | None = None
     """Frames per second of the result; by default those of the training recordings."""
 
@@ -48,7 +48,7 @@ class Controls:
         """Build the controls of one call.
 
         Args:
-            keywords: by field name. None stands for a control that is not given.
+            keywords: controls by field name. None means that a control is not given.
             kind: name of the system, for errors.
 
         Raises:
@@ -88,7 +88,7 @@ class Inputs:
         speech: whether it was trained with speech (or music) features.
         words: whether these features include the words beside a recording.
         path: whether it was trained with the path of the root.
-        events: names of the events that it was trained with.
+        events: names of the events with which it was trained.
     """
 
     speech: bool = False
@@ -104,9 +104,9 @@ class Model(Protocol):
     Attributes:
         kind: name of its system.
         fps: frames per second of its networks.
-        recorded_fps: frames per second of the training recordings; the default of the output.
+        recorded_fps: frames per second of the training recordings, and by default of the output.
         speakers: reference skeleton of each speaker of the corpus.
-        folder: folder that it was loaded from; None for one that was not loaded.
+        folder: folder from which it was loaded; None if it was not loaded from a folder.
     """
 
     kind: str

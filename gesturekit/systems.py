@@ -174,7 +174,7 @@ def train(
     from gesturekit.training.run.folder import has_no_run  # imports torch
 
     if resume and has_no_run(loaded.out):
-        log.info("%s: no run to resume yet, so it begins.", loaded.out)
+        log.info("%s: no run to resume yet; starting a new one.", loaded.out)
         resume = False
     return _part(system.train)(loaded, resume=resume)
 
@@ -237,10 +237,10 @@ def _config_file(
         if not (path / "config.yaml").is_file():
             raise ConfigError(
                 f"{path}: a folder without config.yaml, so no run to resume; to train on what is "
-                "in it, run gesturekit prepare on it and name a configuration (.yaml)"
+                "in it, run gesturekit prepare on it and give a configuration (.yaml)"
             )
         if not resume:
-            raise ConfigError(f"{path}: a run folder; add --resume to go on with it")
+            raise ConfigError(f"{path}: a run folder; add --resume to continue it")
         # Its own config.yaml holds every setting, and the folder may have been moved.
         return path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
     path = find_config(path)

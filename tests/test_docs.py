@@ -134,7 +134,7 @@ def test_the_examples_in_the_help_are_valid(verb):
         check_command(line)
 
 
-def test_an_invalid_command_line_is_noticed(tmp_path):
+def test_an_invalid_command_line_is_detected(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("```\ngesturekit render \\\n   a.wav --modle demo\n```\n")
     (line,) = (text for text in commands(page) if text)

@@ -159,7 +159,7 @@ def test_poses_are_turned_by_its_shoulders_and_geometric_features_say_what_they_
         geometric_features(motion)
 
 
-def test_inspect_tells_it_as_information(recordings):
+def test_inspect_reports_missing_legs_as_information(recordings):
     summary = inspect(recordings / "a.bvh")
     assert summary.problems == ()
     rows = dict(summary.rows)
@@ -183,8 +183,8 @@ def test_it_is_drawn_as_a_bust(gesture):
 
 
 def test_a_human_body_stands_below_it(gesture):
-    worn, _ = Human.load().wear(upper(gesture(1.0)))
-    feet = [worn.skeleton.index(f"{side}Foot") for side in ("Left", "Right")]
-    heights = worn.positions()[:, [0, *feet], 1]
+    drawn, _ = Human.load().retargeted(upper(gesture(1.0)))
+    feet = [drawn.skeleton.index(f"{side}Foot") for side in ("Left", "Right")]
+    heights = drawn.positions()[:, [0, *feet], 1]
     assert (heights[:, 0] - heights[:, 1:].mean(axis=1)).min() > 0.7
     assert np.ptp(heights[:, 1:]) < 0.1

@@ -150,7 +150,7 @@ def _madmom() -> type:
         AttributeError,
     ) as error:  # AttributeError: names numpy removed
         raise FeatureError(
-            f"beats='madmom' needs the package madmom, which does not import here ({error}): "
+            f"beats='madmom' needs the package madmom, which cannot be imported ({error}): "
             "its last release, 0.16.1, needs Python 3.9 or older; or use beats='librosa'"
         ) from error
     return RNNDownBeatProcessor

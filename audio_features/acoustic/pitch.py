@@ -64,7 +64,7 @@ def check_tracker(tracker: str) -> None:
         except ImportError as error:
             raise FeatureError(
                 f"f0={tracker!r} needs the package {package} ({error}): {install}, "
-                "or take f0='yin', which needs nothing"
+                "or use f0='yin', which needs no package"
             ) from error
 
 

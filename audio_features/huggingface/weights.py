@@ -2,7 +2,7 @@
 
 transformers' own loader is not used: it fills missing tensors with random numbers, contacts a hub
 about a local folder, and may run code that lies in the folder. Here transformers gives only the
-network; tensors come from safetensors, or from torch files that hold nothing but tensors.
+network; tensors come from safetensors, or from torch files that hold only tensors.
 """
 
 from __future__ import annotations

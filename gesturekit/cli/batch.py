@@ -25,25 +25,25 @@ _OPTIONS = (
     click.option(
         "--shard",
         metavar="K/N",
-        help="Do part K of N, such as 1/8: the parts are of about the same length, and may be done "
-        "in any order, or at once on several machines, into one output folder.",
+        help="Process part K of N, such as 1/8. Parts have about the same total duration, and may "
+        "be processed in any order, or in parallel on several machines, into one output folder.",
     ),
     engine_options,
     click.option(
         "--replan",
         is_flag=True,
-        help="With --shard: look for the inputs again, after files changed.",
+        help="With --shard: list the inputs again, after files have changed.",
     ),
     click.option(
         "--deadline",
         type=click.FloatRange(min=0, min_open=True),
         metavar="SECONDS",
-        help="Give up an input after this time.",
+        help="Abandon an input after this time.",
     ),
     click.option(
         "--retry-failed",
         is_flag=True,
-        help="Try inputs again that were put aside after three failures.",
+        help="Retry inputs that are skipped because they failed three times.",
     ),
 )
 
@@ -78,7 +78,7 @@ def show(
     """Do work with a progress bar.
 
     Args:
-        outcomes: results, made as they are asked for.
+        outcomes: results, computed when they are consumed.
         total: their number.
         description: name of the bar.
         add: called with each outcome, to print it; it may return a text for the bar.

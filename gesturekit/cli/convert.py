@@ -55,20 +55,24 @@ WIDTH = 100
     "--format",
     "formats",
     metavar="LIST",
-    help="Formats of a folder: any of bvh,npz,html,mp4,png,svg,pdf,obj.",
+    help="Formats to write into a folder: any of bvh,npz,html,mp4,png,svg,pdf,obj.",
 )
 @click.option(
     "--rig", metavar="RIG", help="Skeleton to retarget to: a motion file, smpl, smplh or smplx."
 )
-@click.option("--fps", type=RATE, metavar="RATE", help="Frames per second to write.")
-@click.option("--antialias", is_flag=True, help="Low-pass filter before reducing --fps.")
-@click.option("--trim", metavar="START:END", help="Keep these seconds; either may be omitted.")
+@click.option("--fps", type=RATE, metavar="RATE", help="Resample to this frame rate.")
+@click.option(
+    "--antialias", is_flag=True, help="Low-pass filter before --fps reduces the frame rate."
+)
+@click.option(
+    "--trim", metavar="START:END", help="Keep only these seconds; START or END may be omitted."
+)
 @click.option("--mirror", is_flag=True, help="Swap left and right.")
 @click.option(
     "--joints",
     default="all",
     metavar="LIST",
-    help="Keep these joints, or body: all but fingers, face and end joints.",
+    help="Keep only these joints; body means all but fingers, face and end joints.",
 )
 @click.option(
     "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; z for AMASS readers."
@@ -95,12 +99,12 @@ def command(
     body_model: Path | None,
     **options: Any,
 ) -> None:
-    """Convert motion: a file to a file, or files and folders into the folder OUT.
+    """Convert motion: one file to another, or files and folders into the folder OUT.
 
     Folders are searched recursively and keep their structure. Unit, axes and frame rate of each
-    file are detected and printed, with a ? where they are a guess. A broken file never stops the
-    others: it is listed with its reason, and the exit code is 1. To continue an interrupted run,
-    repeat the command: what it made in the folder OUT is kept.
+    file are detected and printed, with a ? where they are a guess. A broken file is listed with its
+    reason, the others are still converted, and the exit code is 1. To continue an interrupted run,
+    repeat the command: finished files in the folder OUT are kept.
     """
     from gesturekit.formats.batch import Conversion
     from gesturekit.formats.conversion import FormatOptions
@@ -142,7 +146,7 @@ def _changes(options: dict[str, Any]) -> Changes:
         options.pop(name) for name in ("rig", "rig_parts", "trim", "joints")
     )
     if rig_parts and rig is None:
-        raise click.UsageError("--rig-part names joints of --rig: give it as well.")
+        raise click.UsageError("--rig-part requires --rig.")
     if options["antialias"] and options["fps"] is None:
         click.echo("Warning: --antialias has no effect without --fps", err=True)
     return Changes(
@@ -167,7 +171,7 @@ def _line(outcome: Converted) -> str:
     """Return the detected input, the written files and the changes, on one or two lines."""
     source = click.format_filename(outcome.source)
     if not outcome.files:
-        return f"{source}: left as it is, the outputs exist"
+        return f"{source}: skipped, its outputs exist"
     first, *others = outcome.files
     written = ", ".join([click.format_filename(first), *(path.suffix for path in others)])
     found = f"{source} ({outcome.found})"

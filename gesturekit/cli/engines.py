@@ -26,10 +26,11 @@ def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
             type=click.Choice(["local", "slurm", "ray"]),
             default="local",
             show_default=True,
-            help="Run the shards here, as jobs of Slurm (submitit), or on a Ray cluster.",
+            help="Where to run the shards: on this machine, as Slurm jobs (submitit), or on a Ray "
+            "cluster.",
         ),
         click.option(
-            "--jobs", type=click.IntRange(1, 10_000), help="Number of shards of slurm or ray."
+            "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
         ),
         click.option(
             "--engine-option",
@@ -39,7 +40,9 @@ def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
             help="For slurm, a parameter of submitit, such as slurm_partition=cpu, "
             "timeout_min=600, cpus_per_task=4 or cluster=local. May be repeated.",
         ),
-        click.option("--address", help="Address of a Ray cluster; without it one starts here."),
+        click.option(
+            "--address", help="Address of a Ray cluster; by default one is started on this machine."
+        ),
     )
     for option in reversed(options):
         command = option(command)
@@ -50,7 +53,7 @@ def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
 class ShardCommand:
     """The command of one shard; all that is handed to another machine.
 
-    What is done lies in the journals alone, so that a job which is ended and started again goes on.
+    Only the journals record what is done, so a job that is stopped and started again continues.
 
     Attributes:
         arguments: those of `gesturekit`.
@@ -97,7 +100,9 @@ def run_elsewhere(ctx: click.Context, out: Path, options: dict[str, Any]) -> int
             raise click.UsageError("--jobs, --engine-option and --address require --engine.")
         return None
     if options["shard"] is not None:
-        raise click.UsageError(f"--engine {engine} makes the shards: give --jobs, not --shard.")
+        raise click.UsageError(
+            f"--engine {engine} creates the shards itself: give --jobs, not --shard."
+        )
     if (settings and engine != "slurm") or (address and engine != "ray"):
         raise click.UsageError("--engine-option is for slurm, and --address for ray.")
     if options["dry_run"]:
@@ -132,7 +137,9 @@ def _run_slurm(
             jobs = [executor.submit(command, shard) for shard in shards]
     except (NameError, RuntimeError, ValueError, AssertionError) as error:
         raise ConfigError(f"slurm: {error}") from None
-    click.echo(f"Submitted {counted(len(jobs), 'job')}; Ctrl-C ends the waiting only.", err=True)
+    click.echo(
+        f"Submitted {counted(len(jobs), 'job')}; Ctrl-C stops waiting, but not the jobs.", err=True
+    )
     codes = []
     for shard, job in zip(shards, jobs, strict=True):
         try:

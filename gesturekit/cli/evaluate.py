@@ -48,10 +48,10 @@ if TYPE_CHECKING:
 @click.option(
     "--baseline",
     metavar="NAMES",
-    help="Compare with baselines, comma-separated: mean_pose (of the recordings, held still), "
-    "other_utterance (the recording of another utterance), retrieval (pieces of the training "
-    "recordings, chosen by the speech; with --corpus), speech_blind (GENERATED's model with the "
-    "speech of another recording; with --corpus).",
+    help="Compare with baselines, comma-separated: mean_pose (the recordings' mean pose, held "
+    "still), other_utterance (the recording of another utterance), retrieval (pieces of the "
+    "training recordings, chosen by the speech; with --corpus), speech_blind (GENERATED's model "
+    "with the speech of another recording; with --corpus).",
 )
 @click.option(
     "--corpus",
@@ -79,33 +79,45 @@ if TYPE_CHECKING:
     "--study",
     type=click.Path(path_type=Path),
     metavar="CSV",
-    help="Answers of a user study on these models, as of gesturekit study (or a folder of them): "
-    "how far each metric orders the models as people did.",
-)
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="HTML report.")
-@click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="JSON.")
-@click.option(
-    "--csv", type=click.Path(path_type=Path, dir_okay=False), help="Table of all metrics as CSV."
+    help="Answers of a user study on these models in the format of gesturekit study (a file or a "
+    "folder); shows how well each metric agrees with people's ranking of the models.",
 )
 @click.option(
-    "--markdown", type=click.Path(path_type=Path, dir_okay=False), help="The table in Markdown."
+    "--out", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report."
+)
+@click.option(
+    "--json",
+    "json_out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write all results as JSON.",
+)
+@click.option(
+    "--csv",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the table of all metrics as CSV.",
+)
+@click.option(
+    "--markdown",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the table in Markdown.",
 )
 @click.option(
     "--latex",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="The table in LaTeX (booktabs).",
+    help="Write the table in LaTeX (booktabs).",
 )
 @click.option(
     "--protocol",
     type=click.Choice(["multires", "lda"]),
-    help="multires: patches of each training sequence, 200 samples of twice its length. lda: "
-    "Fréchet distances of 10 s windows, 3 samples each, against all of REFERENCE. With a protocol, "
-    "GENERATED and --compare may be model folders: motion is sampled first.",
+    help="Evaluation of one of the papers. multires: patch metrics of each training sequence, 200 "
+    "samples of twice its length. lda: Fréchet distances of 10 s windows, 3 samples each, against "
+    "all of REFERENCE. With a protocol, GENERATED and --compare may be model folders: motion is "
+    "sampled first.",
 )
 @click.option(
     "--samples",
     type=click.IntRange(min=1),
-    help="Number of samples of a model folder.  [default: that of the protocol]",
+    help="Number of samples from a model folder.  [default: that of the protocol]",
 )
 @click.option(
     "--samples-dir",
@@ -125,19 +137,22 @@ if TYPE_CHECKING:
 @click.option(
     "--threshold",
     type=click.FloatRange(min=0, min_open=True),
-    help="Coverage threshold: largest distance of a covered patch.  [default: 2.0; none for paper]",
+    help="Coverage threshold: largest distance at which a patch counts as covered.  [default: "
+    "2.0; none for paper]",
 )
 @click.option(
     "--sanity",
     is_flag=True,
     help="GENERATED is a folder of recordings (with their sound, or --audio): evaluate known-bad "
-    "motion made from them, and print what each metric notices.",
+    "motion made from them, and print which of it each metric detects.",
 )
-@click.option("--seed", default=0, show_default=True, help="Seed of samples and intervals.")
+@click.option(
+    "--seed", default=0, show_default=True, help="Seed for samples and confidence intervals."
+)
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
-    help="Number of processes; the figures are the same for any number.  [default: the cores]",
+    help="Number of processes; does not change the results.  [default: number of cores]",
 )
 @body_option
 @existing_option("replace", note="; samples of an earlier run are only skipped or refused")
@@ -156,9 +171,9 @@ def command(
     """Measure generated motion (GENERATED: folder or file, npz or BVH) against recordings.
 
     Clips are matched with recordings by name; STEM_s1, STEM_s2 ... are samples for STEM. GENERATED
-    may be NAME=DIR too. Without --audio, speech metrics are left out. Prints a verdict in words and
-    a table; --out and --json write all results. What has been measured is kept by content in the
-    cache (gesturekit cache): a rerun measures what is new. Held-out recordings:
+    may also be NAME=DIR. Without --audio, speech metrics are left out. Prints a verdict in words
+    and a table; --out and --json write all results. Measurements are cached by content (see
+    gesturekit cache), so that a rerun only measures new clips. To evaluate on held-out recordings:
 
     \b
     gesturekit render --corpus corpus.jsonl --split test --model M --out rendered
@@ -167,8 +182,8 @@ def command(
     --in-unit and similar options set how REFERENCE is read; a manifest stores its own.
 
     Exit codes: 0 every clip was measured; 1 some were left out, as listed; 2 nothing could be
-    measured. Clips of other splits of --corpus, and of its items without motion, are not expected
-    to be measured: a note lists them.
+    measured. With --corpus, clips of other splits and of items without motion do not count as left
+    out: a note lists them.
     """
     from gesturekit.evaluation.agreement.correlation import agreement, shared_models
     from gesturekit.evaluation.report.figure_table import WRITERS
@@ -219,7 +234,7 @@ def _write(
     out: Path | None,
     body: str | None,
 ) -> None:
-    """Write the files that were asked for."""
+    """Write the requested files."""
     import sys
 
     from gesturekit.evaluation import write_report
@@ -248,8 +263,8 @@ def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path
         surplus = (str(reference), *surplus)
     if surplus:
         raise click.UsageError(
-            f"what is {surplus[0]}? Each model to compare with has its own --compare, such as "
-            f"{' '.join(f'--compare {shlex.quote(name)}' for name in surplus)}"
+            f"unexpected argument {surplus[0]}: give each model to compare with its own --compare, "
+            f"such as {' '.join(f'--compare {shlex.quote(name)}' for name in surplus)}"
         )
 
 
@@ -297,8 +312,8 @@ def _evaluated(
         )
     except KeyboardInterrupt:
         click.echo(
-            "Stopped, and nothing was written. What was measured is kept: the same command goes "
-            "on from there.",
+            "Stopped; nothing was written. Finished measurements are cached: the same command "
+            "continues from there.",
             err=True,
         )
         raise
@@ -312,14 +327,19 @@ def _recordings(reference: Path | None, options: Mapping[str, Any]) -> Path | It
     corpus, split = options["corpus"], options["split"]
     if corpus is None:
         if split is not None:
-            raise click.UsageError("--split chooses items of --corpus: give it as well")
+            raise click.UsageError("--split requires --corpus")
         if reference is None:
             raise click.UsageError("name the recordings: a folder (REFERENCE), or --corpus")
         return Items.of_folder(reference, reading) if reading else reference
     if options["audio"] is not None or reading:
-        raise click.UsageError("--corpus says where the sound is and how motion is read")
+        raise click.UsageError(
+            "--corpus already gives the sound and how motion is read: leave out --audio and "
+            "--in-..."
+        )
     if options["protocol"] is not None:
-        raise click.UsageError("--protocol goes with a folder of recordings, not with --corpus")
+        raise click.UsageError(
+            "--protocol needs a folder of recordings, and cannot be combined with --corpus"
+        )
     return Items.of_manifest(corpus, split or "test")
 
 

@@ -35,7 +35,7 @@ def folders_of(
     places = [Path(place_of(name)).resolve() for name in names]
     for text, place in zip(names, places):
         if places.count(place) > 1:
-            raise click.UsageError(f"{text} is named twice")
+            raise click.UsageError(f"{text} is given twice")
         label, name = _named(text)
         path = Path(name)
         if label in folders:
@@ -53,8 +53,8 @@ def folders_of(
             continue  # `evaluate` reports that there is no such folder
         if options["protocol"] is None:
             raise click.UsageError(
-                f"{name} is a model: render it first (gesturekit render), or say by --protocol "
-                "how it is to be sampled"
+                f"{name} is a model, not motion: render it first (gesturekit render), or give "
+                "--protocol to sample it"
             )
         folders[label] = options["samples_dir"] / label.replace("/", "_")
         _sample(name, label, folders[label], reference, options)
@@ -73,8 +73,8 @@ def _sample(
     if not skip and folder.is_dir() and any(folder.iterdir()):
         raise click.UsageError(
             f"{folder} holds samples of an earlier run, which would be measured too: "
-            "name another --samples-dir, measure that folder in place of the model, or go on "
-            "with the sampling by --existing skip"
+            "give another --samples-dir, measure that folder instead of the model, or continue "
+            "the sampling with --existing skip"
         )
     model = load(name, weights=options["weights"])
     settings = {"seed": options["seed"], "skip": skip}
@@ -86,7 +86,7 @@ def _sample(
         files = sampling.sample_lda(model, audio, folder, **settings)
     else:
         files = sampling.sample_multires(model, reference, folder, audio=audio, **settings)
-    with resumable(lambda: "With --existing skip the same command goes on."):
+    with resumable(lambda: "The same command with --existing skip continues."):
         for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
             pass
 
@@ -127,7 +127,7 @@ def rendered_baselines(
     corpus, split = options["corpus"], options["split"] or "test"
     if wanted and corpus is None:
         raise click.UsageError(
-            f"--baseline {wanted[0]} needs --corpus, which says what is for training"
+            f"--baseline {wanted[0]} needs --corpus, which lists the training recordings"
         )
     found = {}
     for name in wanted:
@@ -140,7 +140,7 @@ def rendered_baselines(
             if model is None:
                 raise click.UsageError(
                     f"--baseline {name} renders the model of {generated} again, which is only "
-                    "known of what gesturekit render wrote"
+                    "known for folders written by gesturekit render"
                 )
             sounds = baselines.other_sounds(corpus, split)
         found[name] = folder / name

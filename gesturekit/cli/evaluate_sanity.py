@@ -30,7 +30,7 @@ def sanity(
     """
     recordings, *surplus = filter(None, names)
     if surplus:
-        raise click.UsageError("--sanity takes a folder of recordings alone, and --audio")
+        raise click.UsageError("--sanity takes only a folder of recordings, and --audio")
     _refuse_unused(click.get_current_context())
     from gesturekit.evaluation import PatchOptions, write_report
     from gesturekit.evaluation.report.headline import headline_lines

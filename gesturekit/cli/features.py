@@ -57,8 +57,8 @@ _NETWORKS = {
     default="logmel,prosody",
     show_default=True,
     metavar="LIST",
-    help=f"One or more of {', '.join(KINDS)}, separated by commas and concatenated. A "
-    "colon gives a size, method or folder: logmel:64, mfcc:16, prosody:pyin, music:1, "
+    help=f"One or more of {', '.join(KINDS)}, separated by commas and concatenated. A size, "
+    "method or folder may follow a colon: logmel:64, mfcc:16, prosody:pyin, music:1, "
     "hf:hubert-base/, words:bert-base/.",
 )
 @click.option(
@@ -72,8 +72,9 @@ _NETWORKS = {
 @click.option(
     "--align",
     type=click.Choice(["linear", "mean", "gaussian", "length_ratio"]),
-    help="Method of resampling: linear interpolation, mean over the motion frame, a wider gaussian "
-    "mean, or by the ratio of lengths, as in systems that ignore frame times.  [default: linear]",
+    help="Method of resampling: linear interpolation, mean over the motion frame, a wider "
+    "Gaussian mean, or by the ratio of the lengths, as in systems that ignore frame times.  "
+    "[default: linear]",
 )
 @channel_option
 @weights_option
@@ -85,7 +86,8 @@ _NETWORKS = {
 @click.option(
     "--preset",
     type=click.Choice(["dsg", "dsg+"]),
-    help="WavLM features exactly as in DiffuseStyleGesture; leave --layer out.",
+    help="Extract WavLM features exactly as in DiffuseStyleGesture; cannot be combined with "
+    "--layer.",
 )
 @click.option(
     "--dtype",
@@ -97,13 +99,13 @@ _NETWORKS = {
     "--full-context",
     type=click.FloatRange(min=0),
     metavar="SECONDS",
-    help="Longest sound that WavLM or hf processes whole; longer ones are split.  [default: 300, "
-    "of hf 30]",
+    help="Longest sound that WavLM or hf processes without splitting it.  [default: 300; 30 for "
+    "hf]",
 )
 @click.option(
     "--implementation",
     type=click.Choice(["fast", "transformers"]),
-    help="Implementation of WavLM: ours, or transformers' own.  [default: fast]",
+    help="Implementation of WavLM: gesturekit's (fast) or that of transformers.  [default: fast]",
 )
 @click.option("--device", default="cpu", show_default=True, help="Device of WavLM and hf.")
 @click.option(
@@ -113,7 +115,7 @@ _NETWORKS = {
     show_default=True,
     help="Precision of cached features; see gesturekit cache.",
 )
-@click.option("--picture", is_flag=True, help="Draw STEM.png as well.")
+@click.option("--picture", is_flag=True, help="Also draw the features to NAME.png.")
 @batch_options
 @click.option(
     "--dry-run",
@@ -125,12 +127,13 @@ _NETWORKS = {
 def command(
     ctx: click.Context, wavs: tuple[Path, ...], extractor: str, out: Path, **options: Any
 ) -> None:
-    """Turn sound files into feature files.
+    """Extract speech features from sound files.
 
     Writes NAME.npz (values, times, spec) to the output folder for every WAV; flac, ogg, mp3, aiff,
     au and SPHERE are read too. WAV may also be a folder, a glob in quotes, or a list, as in
-    gesturekit render. A broken file never stops the others: it is listed with its reason. To
-    continue an interrupted run, repeat the command: what it made is kept.
+    gesturekit render. A broken file is listed with its
+    reason, and the others are still processed. To continue an interrupted run, repeat the command:
+    finished files are kept.
     """
     import logging
 
@@ -140,7 +143,7 @@ def command(
 
     logging.basicConfig(level=logging.WARNING, format="Warning: %(message)s")
     if options["align"] is not None and options["fps"] is None:
-        raise click.UsageError("--align resamples features to motion frames: give --fps as well")
+        raise click.UsageError("--align requires --fps")
     elsewhere = run_elsewhere(ctx, out, options)
     if elsewhere is not None:
         ctx.exit(elsewhere)
@@ -168,7 +171,7 @@ def _print(outcome: Outcome) -> None:
         click.echo(f"{name}: {counted(n_frames, 'frame')} × {width}")
     else:
         source = click.format_filename(outcome.source)
-        click.echo(f"{source}: left as it is, the outputs exist")
+        click.echo(f"{source}: skipped, its outputs exist")
 
 
 def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:

@@ -30,12 +30,16 @@ if TYPE_CHECKING:
     help="genea: positions of body joints, 60 frames at 30 fps; yoon: directions of the upper "
     "body's bones, 34 frames at 15 fps.",
 )
-@click.option("--frames", type=int, help="Frames of a window.  [default: the variant's]")
+@click.option("--frames", type=int, help="Frames per window.  [default: the variant's]")
 @click.option(
-    "--joints", metavar="LIST", help="body, upper, or joint names.  [default: the variant's]"
+    "--joints",
+    metavar="LIST",
+    help="Joints to use: body, upper, or joint names.  [default: the variant's]",
 )
-@click.option("--steps", type=click.IntRange(1), default=2300, show_default=True)
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--steps", type=click.IntRange(1), default=2300, show_default=True, help="Training steps."
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
 @existing_option("refuse")
 def command(
     reference: tuple[Path, ...],
@@ -47,11 +51,11 @@ def command(
     seed: int,
     existing: str,
 ) -> int:
-    """Fit the autoencoder of the Fréchet gesture distance on your own recordings.
+    """Train the autoencoder of the Fréchet gesture distance on your own recordings.
 
-    REFERENCE are motion files (bvh, npz) of one rig, or folders of them. The output folder gets
-    feature_model.safetensors and feature_model.json, and the fingerprint is printed: distances may
-    be compared where it is the same. Takes minutes on a CPU.
+    REFERENCE are motion files (bvh, npz) of one rig, or folders of them. Writes
+    feature_model.safetensors and feature_model.json to the output folder, and prints a fingerprint:
+    only distances with the same fingerprint can be compared. Takes minutes on a CPU.
 
     Exit codes: 0 all files were used; 1 some could not be read; 2 none could.
     """

@@ -27,14 +27,15 @@ from gesturekit.cli.options import existing_option, weights_option, workers_opti
     type=click.Choice(["beat2", "seamless"]),
     default="beat2",
     show_default=True,
-    help="FOLDER is this corpus as published. BEAT2 is written as SMPL-X, Seamless as SMPL-H.",
+    help="Corpus in FOLDER, as published. Motion is written as SMPL-X for BEAT2, as SMPL-H for "
+    "Seamless.",
 )
 @click.option(
     "--samples",
     type=click.IntRange(min=1),
     default=5,
     show_default=True,
-    help="Motions for each sound; the leaderboard asks for 5 of a model with randomness.",
+    help="Number of motions per sound; the leaderboard asks for 5 if the model is stochastic.",
 )
 @click.option("--seed", default=0, show_default=True, help="Random seed.")
 @weights_option
@@ -52,10 +53,10 @@ def command(
     """Render the test split in FOLDER for the GENEA leaderboard (export), or check a submission.
 
     Each sound of the published test split becomes NAME_s1.npz to NAME_s5.npz: SMPL-X at 30 fps,
-    exactly as long as the sound. A repeated export makes what is missing. `export` checks what it
-    has made; `check` checks any folder of files with these names.
+    exactly as long as the sound. A repeated export renders what is missing. `export` also checks
+    its results; `check` checks any folder of files with these names.
 
-    Exit codes: 0 complete; 1 something is missing or wrong, each with its file; 2 nothing started.
+    Exit codes: 0 complete; 1 files are missing or wrong, as listed; 2 nothing could be started.
     """
     from gesturekit.progress import Progress
     from gesturekit.rendering.genea import RIGS, check, export, sounds_of

@@ -28,15 +28,16 @@ _MOST_REASONS = 12
     "--page",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.html",
-    help="Write a page: pictures of results, durations, speeds and failures.",
+    help="Write an overview page with pictures of results, durations, speeds and failures.",
 )
 @existing_option("replace", note=" (with --page)")
 def command(
     out: Path, failed: bool, left: bool, as_json: bool, page: Path | None, existing: str
 ) -> None:
-    """Show what is done, failed and left in OUT, the output folder of render, features or convert.
+    """Show which items are done, failed or left in OUT, the output folder of a batch.
 
-    It works at any time, also while other processes write into the folder.
+    OUT is that of gesturekit render, features or convert. This works at any time, also while other
+    processes write into the folder.
     """
     from gesturekit.jobs.status import status_of
 
@@ -68,17 +69,17 @@ def _print(status: Status, out: Path) -> None:
         f"done {status.done}, failed {len(status.failed)}{put_aside}, left {len(status.left)}"
     )
     if status.earlier:
-        click.echo(f"done earlier and not in the present plan: {status.earlier}")
+        click.echo(f"done earlier, not in the current plan: {status.earlier}")
     if len(status.shards) > 1:
         whole = sum(done == count for count, done in status.shards)
         click.echo(f"shards: {whole} of {len(status.shards)} finished")
     for lease in status.running:
         owner = printable(f"process {lease.get('pid')} on {lease.get('host')}")
         shard, age = lease["file"].removesuffix(".json"), lease["age"]
-        click.echo(f"at work: {owner}, {shard}, sign of life {age:.0f} s ago")
+        click.echo(f"running: {owner}, {shard}, last heartbeat {age:.0f} s ago")
     if status.in_hand and not status.running:
         names = ", ".join(status.in_hand[:5])
-        click.echo(printable(f"in hand when a run was killed: {names}"))
+        click.echo(printable(f"in progress when a run was killed: {names}"))
     if status.items_per_minute:
         rest = status.seconds_left
         until = f"; {time_in_words(rest)} left" if status.left and status.running else ""

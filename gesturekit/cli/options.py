@@ -30,7 +30,7 @@ _RECORDING = (
         "--height",
         type=click.FloatRange(min=0, min_open=True, max=1000),
         metavar="METRES",
-        help="Scale the body to this height from sole to crown, such as 1.75.",
+        help="Scale the body to this height (sole to crown) in metres, such as 1.75.",
     ),
 )
 RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height")
@@ -42,14 +42,16 @@ _OPTIONS = (
         "--body-model",
         type=click.Path(path_type=Path),
         metavar="NPZ",
-        help="SMPL or SMPL-X model: exact bones for SMPL files, body mesh for html and obj.",
+        help="SMPL or SMPL-X body model: gives exact bones to SMPL files, and a body mesh to html "
+        "and obj.",
     ),
 )
 
 channel_option = click.option(
     "--channel",
     type=click.IntRange(min=1),
-    help="Channel to use, from 1 (left), if two speakers share a file.  [default: the mean]",
+    help="Channel to use, counted from 1 (left), if two speakers share a file.  [default: the "
+    "mean]",
 )
 
 part_option = click.option(
@@ -78,7 +80,9 @@ def parse_weights(
         kind, mark, path = value.partition("=")
         if not mark or Path(value).exists():
             if len(values) > 1:
-                raise click.UsageError(f"--weights {value}: of several, each is KIND=PATH.")
+                raise click.UsageError(
+                    f"--weights {value}: with several encoders, give KIND=PATH for each."
+                )
             return Path(value)
         if kind in places:
             raise click.UsageError(f"--weights: {kind} is given twice.")
@@ -91,8 +95,9 @@ weights_option = click.option(
     multiple=True,
     callback=parse_weights,
     metavar="[KIND=]PATH",
-    help="Weights of the speech or text encoder that the model was trained with. With several, "
-    "each by its kind, wavlm, hf or words: --weights wavlm=PATH --weights words=PATH.",
+    help="Weights of the speech or text encoder that the model was trained with. For several "
+    "encoders, give each with its kind (wavlm, hf or words): --weights wavlm=PATH --weights "
+    "words=PATH.",
 )
 
 workers_option = click.option(
@@ -100,7 +105,7 @@ workers_option = click.option(
     type=click.IntRange(1, 1024),
     default=1,
     show_default=True,
-    help="Number of processes. The results are the same for any number.",
+    help="Number of processes; does not change the results.",
 )
 
 size_option = click.option(
@@ -242,7 +247,7 @@ def is_left(files: Sequence[Path], existing: str) -> bool:
         from gesturekit.jobs.targets import refuse_existing
 
         refuse_existing(there)
-    click.echo(f"{', '.join(map(str, there))}: left as it is", err=True)
+    click.echo(f"{', '.join(map(str, there))}: skipped, exists already", err=True)
     return True
 
 

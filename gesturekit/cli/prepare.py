@@ -28,46 +28,47 @@ from gesturekit.cli.options import (
 @click.option(
     "--layout",
     metavar="NAME",
-    help="FOLDER is a public corpus as published: beat2, zeggs, genea2023, motorica, 100style, "
-    "trinity or seamless. Its splits, speakers, styles and side files are used.",
+    help="FOLDER is a public corpus in its published form: beat2, zeggs, genea2023, motorica, "
+    "100style, trinity or seamless. Its splits, speakers, styles and side files are used.",
 )
 @click.option(
     "--unpaired",
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Folder of speech to use alone. May be repeated.",
+    help="Folder of speech without motion. May be repeated.",
 )
 @click.option(
     "--unpaired-motion",
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Folder of motion to use alone, for models without speech. May be repeated.",
+    help="Folder of motion without speech, for models without speech input. May be repeated.",
 )
 @click.option(
     "--holdout",
     type=click.FloatRange(0, 1, max_open=True),
     default=0.1,
     show_default=True,
-    help="Fraction of the recordings to hold out from training, as test and valid in turn; of "
-    "several pairs at least one, of a single pair its last 20 %. 0 for none.",
+    help="Fraction of the recordings to hold out from training, alternately as test and valid: at "
+    "least one of several pairs, or the last 20 % of a single pair. 0 for none.",
 )
 @click.option(
     "--hold-out-seconds",
     metavar="START-END,...",
-    help="Hold out these seconds of each pair instead, as test. Without END, to its end.",
+    help="Hold out these seconds of each pair instead, as test. Without END, up to the end of the "
+    "pair.",
 )
 @click.option(
     "--hold-out-pattern",
     metavar="REGEX",
-    help="Hold out the recordings whose path within FOLDER it matches instead, as test.",
+    help="Hold out the recordings whose path within FOLDER matches instead, as test.",
 )
 @click.option(
     "--hold-out-list",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Hold out the recordings named in this text file instead, one a line.",
+    help="Hold out the recordings named in this text file instead, one per line.",
 )
 @click.option(
     "--hold-out-speakers", metavar="NAME,...", help="Hold out these speakers' recordings instead."
@@ -77,22 +78,23 @@ from gesturekit.cli.options import (
     type=int,
     default=0,
     show_default=True,
-    help="Seed of the held-out choice.",
+    help="Seed for choosing the held-out recordings.",
 )
-@click.option("--speaker", metavar="NAME", help="Speaker of all recordings of FOLDER.")
-@click.option("--style", metavar="NAME", help="The style of all recordings.")
+@click.option("--speaker", metavar="NAME", help="The speaker of all recordings in FOLDER.")
+@click.option("--style", metavar="NAME", help="The style of all recordings in FOLDER.")
 @click.option(
     "--style-pattern",
     metavar="REGEX",
-    help="Take style (and speaker) from each path within its folder by named groups, "
-    "as in '(?P<style>calm|lively)_.*'.",
+    help="Take style (and speaker) from the path of each recording within its folder, by named "
+    "groups such as '(?P<style>calm|lively)_.*'.",
 )
 @click.option(
     "--tolerance",
     type=click.FloatRange(0),
     default=1.0,
     show_default=True,
-    help="Largest difference in length of sound and motion, seconds; the longer one is trimmed.",
+    help="Largest allowed difference in length between sound and motion, in seconds; the longer "
+    "one is trimmed.",
 )
 @workers_option
 @channel_option
@@ -111,9 +113,10 @@ def command(
     """Pair speech (wav, flac, mp3, ogg, opus, aiff) with motion (bvh, npz) and write a manifest.
 
     Files are paired by path within FOLDER without extension, then by unique name. Tables beside a
-    recording belong to it: STEM.events.csv (time,name[,duration]: events), STEM.path.csv
+    recording are used with it: STEM.events.csv (time,name[,duration]: events), STEM.path.csv
     (time,x,z[,heading]: path of the root) and word lists (STEM.TextGrid, .ctm, .srt and others).
-    Every recording is checked; each problem is reported with its file and never stops the others.
+    Every recording is checked; a problem is reported with its file, and the other files are still
+    processed.
 
     Exit codes: 0 everything is used; 1 some files are left out; 2 nothing is usable.
     """

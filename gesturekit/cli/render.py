@@ -73,7 +73,7 @@ GROUPS = {
     "--corpus",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="CORPUS.jsonl",
-    help="Render the items of this manifest instead of WAVs; outputs are named by their ids.",
+    help="Render the items of this manifest instead of WAVs; outputs are named by item id.",
 )
 @click.option(
     "--split",
@@ -84,7 +84,10 @@ GROUPS = {
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
 )
 @click.option(
-    "--format", "formats", default="bvh", help="Any of bvh,npz,html,mp4,png.  [default: bvh]"
+    "--format",
+    "formats",
+    default="bvh",
+    help="Output formats: any of bvh,npz,html,mp4,png.  [default: bvh]",
 )
 @click.option("--fps", cls=ControlOption, type=RATE, metavar="RATE")
 @click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH files.  [default: cm]")
@@ -99,12 +102,12 @@ GROUPS = {
     type=click.IntRange(min=1),
     default=1,
     show_default=True,
-    help="Number of motions for each WAV.",
+    help="Number of motions to generate for each WAV.",
 )
 @click.option(
     "--seconds",
     type=click.FloatRange(min=0, min_open=True, max=4 * 3600),
-    help="Length of a motion without a WAV.",
+    help="Length of the motion if there is no WAV.",
 )
 @channel_option
 @click.option("--speaker", cls=ControlOption)
@@ -120,15 +123,15 @@ GROUPS = {
     "--device",
     default="cpu",
     show_default=True,
-    help="Device of diffusion and WavLM: cpu, cuda, cuda:1, or auto.",
+    help="Device for diffusion and WavLM: cpu, cuda, cuda:1, or auto.",
 )
 @click.option(
     "--dtype",
     type=click.Choice(["fp32", "bf16"]),
     default="fp32",
     show_default=True,
-    help="Precision of diffusion; bf16 is 1.5 to 1.9 times as fast on processors that support it, "
-    "and its motion differs slightly.",
+    help="Precision of diffusion models; bf16 is 1.5 to 1.9 times as fast on processors that "
+    "support it, and gives slightly different motion.",
 )
 @batch_options
 @click.option(
@@ -150,9 +153,9 @@ GROUPS = {
     "experts",
     multiple=True,
     metavar="MODEL[:WEIGHT[:STYLE]]",
-    help="Combine with another model (product of experts); --model gets the remaining weight. "
-    "Without weights, all count equally. Over time: MODEL:0.2@0-10,0.8@10-20 (seconds). May be "
-    "repeated.",
+    help="Combine with another diffusion model (product of experts); --model gets the remaining "
+    "weight. Without WEIGHT, all models have equal weights. Over time: MODEL:0.2@0-10,0.8@10-20 "
+    "(seconds). May be repeated.",
 )
 @click.option(
     "--steps",
@@ -196,17 +199,17 @@ def command(
     seconds: float | None,
     **options: Any,
 ) -> None:
-    """Turn each WAV (or folder of audio) into motion of the same length.
+    """Generate motion for each WAV (or folder of audio), of the same length.
 
     Folders are searched recursively and keep their structure. WAV may also be a glob in quotes, or
-    a list: NAME.txt with one path a line, Kaldi's wav.scp, or NAME.jsonl with lines such as
+    a list: NAME.txt with one path per line, Kaldi's wav.scp, or NAME.jsonl with lines such as
     {"audio": "a.wav", "id": "day1/a", "seed": 3, "style": "old"}. Models without speech input take
     --seconds, --keyframes, --like, --path or --keep instead of a WAV.
 
-    A broken file never stops the others: it is listed with its reason, and the exit code is 1.
-    To continue an interrupted run, repeat the command: files made with the same model, settings
-    and input are kept, and anything else in --out is only overwritten with --existing replace.
-    `gesturekit jobs OUT` shows the state of a run, at any time.
+    A broken file is listed with its reason, the others are still rendered, and the exit code is 1.
+    To continue an interrupted run, repeat the command: files rendered with the same model, settings
+    and input are kept, and other files in --out are only overwritten with --existing replace.
+    `gesturekit jobs OUT` shows the state of a run at any time.
     """
     import logging
 
@@ -265,9 +268,9 @@ def _check(
     if options["change"] is not None and options["like"] is None:
         raise click.UsageError("--change requires --like.")
     if options["rig_parts"] and options["rig"] is None:
-        raise click.UsageError("--rig-part names joints of --rig: give it as well.")
+        raise click.UsageError("--rig-part requires --rig.")
     if corpus is None and split is not None:
-        raise click.UsageError("--split selects items of --corpus: give it as well.")
+        raise click.UsageError("--split requires --corpus.")
     if corpus is not None:
         if sources or seconds is not None or options["channel"] is not None:
             raise click.UsageError(

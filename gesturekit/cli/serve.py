@@ -21,7 +21,7 @@ TOKEN = "GESTUREKIT_TOKEN"
     "--host",
     default="127.0.0.1",
     show_default=True,
-    help="Address to listen on. Beyond this machine a token is required.",
+    help="Address to listen on. Addresses other than this machine require a token.",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True)
 @click.option(
@@ -29,27 +29,27 @@ TOKEN = "GESTUREKIT_TOKEN"
     "names",
     multiple=True,
     metavar="NAME",
-    help="Further name under which the service is reached, such as a proxy's. May be repeated.",
+    help="Additional host name of the service, such as that of a proxy. May be repeated.",
 )
 @click.option(
     "--token-file",
     type=click.Path(path_type=Path, dir_okay=False, exists=True),
     help=f"File with the token that requests must send.  [default: ${TOKEN}]",
 )
-@click.option("--max-mb", default=64.0, show_default=True, help="Largest sound.")
-@click.option("--max-seconds", default=600.0, show_default=True, help="Longest sound.")
+@click.option("--max-mb", default=64.0, show_default=True, help="Largest sound file, in MB.")
+@click.option("--max-seconds", default=600.0, show_default=True, help="Longest sound, in seconds.")
 @click.option(
-    "--per-minute", default=60.0, show_default=True, help="Requests of one client in a minute."
+    "--per-minute", default=60.0, show_default=True, help="Most requests per client and minute."
 )
 @click.option(
-    "--queue", default=16, show_default=True, help="Requests that may wait; more are refused."
+    "--queue", default=16, show_default=True, help="Most requests that may wait; more are refused."
 )
 @click.option(
     "--workers",
     type=click.IntRange(1, 64),
     default=1,
     show_default=True,
-    help="Number of motions that are generated at once.",
+    help="Number of motions that are generated in parallel.",
 )
 @weights_option
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, or auto.")
@@ -63,10 +63,10 @@ def command(
     device: str,
     **limits: float,
 ) -> None:
-    """Serve a model over HTTP: POST a sound, get BVH, npz or a page that plays it.
+    """Serve a model over HTTP: POST a sound, get BVH, npz or a page that plays the motion.
 
-    A page for browsers is at the address itself, the API is described at /docs, the state at
-    /health, and figures for Prometheus at /metrics.
+    The address itself has a page for browsers, /docs describes the API, /health gives the state,
+    and /metrics has metrics for Prometheus.
     """
     try:
         import uvicorn

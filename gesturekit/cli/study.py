@@ -34,19 +34,21 @@ def command() -> None:
     show_default=True,
     help="Folder for index.html and its clips.",
 )
-@click.option("--show", is_flag=True, help="Print all settings with values and meanings, and stop.")
+@click.option(
+    "--show", is_flag=True, help="Print every setting with its value and description, and exit."
+)
 @existing_option("refuse")
 def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, existing: str) -> None:
-    """Make the static page of a user study from CONFIG, a YAML file.
+    """Build the static page of a user study from CONFIG, a YAML file.
 
-    The page needs no server: open index.html from a disk, or put the folder on any web space.
+    The page needs no server: open index.html from disk, or upload the folder to any web host.
     """
     if config.is_dir():
         name = click.format_filename(config)
         raise click.UsageError(
-            f"{name}: a folder; CONFIG is a YAML file with title, the folder of each system "
+            f"{name}: a folder; CONFIG is a YAML file with a title, the folder of each system "
             f"(systems: {{ours: {name}, other: FOLDER}}) and of the wavs (audio: FOLDER); "
-            "docs/study.md has one"
+            "docs/study.md has an example"
         )
     from gesturekit.study import build_study
     from gesturekit.study.config import load_study_config
@@ -62,7 +64,7 @@ def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, exist
         return
     built = build_study(settings, out)
     click.echo(
-        f"{click.format_filename(built.page)}: {counted(built.trials, 'comparison')} a rater, "
+        f"{click.format_filename(built.page)}: {counted(built.trials, 'comparison')} per rater, "
         f"{counted(built.segments, 'segment')}, {counted(built.clips, 'clip')}, "
         f"{counted(settings.lists, 'list')}; page {built.page_bytes / 1e6:.1f} MB without clips"
     )
@@ -71,26 +73,29 @@ def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, exist
 @command.command("power", epilog="Example: gesturekit study power --win-rate 0.6 --systems 3")
 @click.option(
     "--win-rate", type=float, default=0.6, show_default=True,
-    help="Share of preferences for the better system, ties excluded.",
+    help="Expected share of preferences for the better system, ties excluded.",
 )  # fmt: skip
-@click.option("--ties", type=float, default=0.2, show_default=True, help="Share of ties.")
+@click.option("--ties", type=float, default=0.2, show_default=True, help="Expected share of ties.")
 @click.option(
     "--clear", type=float, default=0.4, show_default=True,
-    help="Share of clear ones among preferences.",
+    help="Expected share of preferences that are clear rather than slight.",
 )  # fmt: skip
 @click.option(
     "--agreement", type=float, default=0.05, show_default=True,
-    help="Intraclass correlation of one rater's answers.",
+    help="Expected intraclass correlation of a rater's answers.",
 )  # fmt: skip
 @click.option(
     "--systems", type=click.IntRange(min=2), default=2, show_default=True,
     help="Systems in the study; all pairs are tested, adjusted by Holm's method.",
 )  # fmt: skip
-@click.option("--power", type=float, default=0.8, show_default=True, help="Wanted power.")
+@click.option(
+    "--power", type=float, default=0.8, show_default=True, help="Statistical power to reach."
+)
 def power(
     win_rate: float, ties: float, clear: float, agreement: float, systems: int, power: float
 ) -> None:
-    """Say how many raters and comparisons a difference needs, for the tests of `study analyse`."""
+    """Print how many raters and comparisons are needed to detect a difference by `study
+    analyse`."""
     from gesturekit.study.analysis.power import Expected, raters_needed
 
     expected = Expected(win_rate, ties, clear, agreement)
@@ -106,8 +111,9 @@ def power(
         total = f"{raters * answers * pairs:,}" if raters else "-"
         click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
     click.echo(
-        "\nRaters are those who pass the attention checks: recruit some 10 % more. Use at least as "
-        "many\nsegments as a rater sees comparisons; what is found holds for segments like these."
+        "\nRaters are those who pass the attention checks: recruit about 10 % more. "
+        "Use at least as\nmany segments as comparisons per rater; the result holds for segments "
+        "like these."
     )
 
 
@@ -124,7 +130,10 @@ def power(
     help="Write a report with tables and plots.",
 )
 @click.option(
-    "--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="Write all figures."
+    "--json",
+    "json_out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write all results as JSON.",
 )
 @click.option(
     "--failed-checks",
@@ -151,7 +160,7 @@ def analyse(
     seed: int,
     existing: str,
 ) -> None:
-    """Analyse answers: CSV files of study pages or of GENEA, or folders of them."""
+    """Analyse answers: CSV files from study pages or from GENEA, or folders of them."""
     from gesturekit.evaluation import read_answers
     from gesturekit.study import analyse_study, write_study_report
 

@@ -92,7 +92,7 @@ def command(
     write(shown, page, audio=audio, **given(body=body, body_model=reading.get("body_model")))
     click.echo(click.format_filename(page))
     if out is None and not _opened(page):
-        click.echo("No browser found here: open this file in one.", err=True)
+        click.echo("No browser found: open this file in a browser.", err=True)
     ctx.exit(1 if n_failed else 0)
 
 

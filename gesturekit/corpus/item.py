@@ -100,7 +100,7 @@ class Item:
                 raise CorpusError(f"item {self.id!r}: reading.{name} is {value!r}")
         for interval in self.audible:
             if not (len(interval) == 2 and 0 <= interval[0] <= interval[1] < math.inf):
-                raise CorpusError(f"item {self.id!r}: audible has {interval}, no START, END")
+                raise CorpusError(f"item {self.id!r}: audible has {interval}; expected START, END")
         if self.split not in SPLITS:
             raise CorpusError(
                 f"item {self.id!r}: split is {self.split!r}; it must be one of {', '.join(SPLITS)}"
@@ -127,8 +127,9 @@ class Item:
         )
         if wave.duration < self.duration - _MISSING_SECONDS:
             raise CorpusError(
-                f"item {self.id!r} is {self.duration:.2f} s from {self.audio_start:.2f} s on of "
-                f"{self.audio}, which has {wave.duration:.2f} s of them; prepare the corpus again"
+                f"item {self.id!r} is {self.duration:.2f} s of {self.audio} from "
+                f"{self.audio_start:.2f} s, but only {wave.duration:.2f} s are there; prepare the "
+                "corpus again"
             )
         if "words" in self.conditions:
             wave = replace(wave, words=self.conditions["words"])

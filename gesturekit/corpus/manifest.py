@@ -2,7 +2,7 @@
 
 The first line is the header ``{"schema": 1}``; every further line is one item with exactly
 the fields of `Item`. Paths in the file are relative to the manifest and may point outside its
-folder (``../``): the recordings usually lie elsewhere and are only ever read.
+folder (``../``): the recordings are usually elsewhere and are only read.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def _parsed(line: bytes, where: str) -> dict[str, Any]:
         return dict(pairs)
 
     def refuse(constant: str) -> float:
-        raise ValueError(f"{constant} is not a number of JSON")
+        raise ValueError(f"{constant} is not a valid JSON number")
 
     try:
         record = json.loads(line.decode(), object_pairs_hook=unique, parse_constant=refuse)
@@ -180,7 +180,7 @@ def _check_header(record: dict[str, Any], where: str) -> None:
         )
     if set(record) != {"schema"}:
         raise CorpusError(
-            f'{where}: the header holds "schema" alone, got also '
+            f'{where}: the header may hold only "schema", got also '
             f"{', '.join(sorted(set(record) - {'schema'}))}"
         )
 

@@ -101,7 +101,7 @@ class PrepareOptions:
 
     def __post_init__(self) -> None:
         if self.hold_out() and self.hold_out_seconds:
-            raise CorpusError("hold out seconds, or recordings by name, not both")
+            raise CorpusError("give either seconds or names of recordings to hold out, not both")
         splits.as_intervals(self.hold_out_seconds)
         if not 0 <= self.holdout < 1:
             raise CorpusError(f"holdout is {self.holdout}; it must be a fraction from 0 to below 1")
@@ -110,9 +110,7 @@ class PrepareOptions:
         if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
             raise CorpusError(f"tolerance is {self.tolerance}; it must be 0 or more seconds")
         if unknown := sorted(set(self.read or {}) - set(READING)):
-            raise CorpusError(
-                f"{unknown[0]!r} is nothing a manifest keeps; read has {list(READING)}"
-            )
+            raise CorpusError(f"read: unknown option {unknown[0]!r}; expected {list(READING)}")
 
 
 @gesturekit_errors()
@@ -125,7 +123,7 @@ def prepare(
 
     The sound and the motion of a pair are assumed to begin together. Tables beside a recording
     become its conditions: STEM.events.csv (`gesturekit.formats.tables.events`) and STEM.path.csv
-    (`formats.tables.root_path`). A problem of one recording never stops the others: it is
+    (`formats.tables.root_path`). A problem with one recording does not stop the others: it is
     reported with its file, and a recording with an error is left out.
 
     Args:
@@ -200,7 +198,9 @@ def _published(layout: str | None, folders: list[Any]) -> Listing | None:
     if layout is None:
         return None
     if len(folders) != 1:
-        raise CorpusError(f"layout {layout}: {len(folders)} folders; give the corpus's one folder")
+        raise CorpusError(
+            f"layout {layout}: {len(folders)} folders; give one folder, that of the corpus"
+        )
     return read_layout(layout, Path(folders[0]))
 
 

@@ -42,7 +42,7 @@ _ACTIVITY_HOP = 0.01
 """Seconds between frames of the speech activity."""
 
 _LONGEST_SECONDS = 86_400.0
-"""Limit for motion without speech, so that a typing error cannot ask for all memory."""
+"""Limit for motion without speech, so that a typing error cannot exhaust the memory."""
 
 _FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in memory once
 
@@ -294,7 +294,7 @@ def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af
         return af.Wave.from_array(speech, sample_rate, "speech")
     if sample_rate is not None:
         reason = "no speech is given" if speech is None else "a file or a Wave has its own rate"
-        raise ModelError(f"sample_rate={sample_rate!r} goes with an array of samples: {reason}")
+        raise ModelError(f"sample_rate={sample_rate!r} is only for an array of samples: {reason}")
     return speech
 
 
@@ -336,7 +336,9 @@ def speech_features(
         if conditioner is None:
             raise ModelError("speech: this model takes no speech; give seconds instead (--seconds)")
         if seconds is not None:
-            raise ModelError("seconds goes without speech: the motion is as long as the speech")
+            raise ModelError(
+                "seconds cannot be combined with speech: the motion is as long as the speech"
+            )
         wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
         if wave.is_silent:
             log.warning("%s: silent; the motion will be idle", wave.source or "the speech")

@@ -84,12 +84,14 @@ class HoldOut:
         known = {recording.speaker for recording in recordings}
         if unknown := sorted(set(self.speakers) - known):
             there = listed(sorted(filter(None, known))) or "none is named"
-            raise CorpusError(f"hold-out: no recording of speaker {unknown[0]!r}; there: {there}")
+            raise CorpusError(
+                f"hold-out: no recording of speaker {unknown[0]!r}; the speakers are {there}"
+            )
         wanted |= {one.id for one in recordings if one.speaker in self.speakers}
         if recordings and len(wanted) == len(recordings):
             raise CorpusError(
-                f"all {counted(len(recordings), 'recording')} would be held out, and "
-                "none trained on"
+                f"all {counted(len(recordings), 'recording')} would be held out, which would "
+                "leave none for training"
             )
         return [replace(one, split="test" if one.id in wanted else "train") for one in recordings]
 
@@ -128,7 +130,7 @@ class HoldOut:
                 unknown.append(line)
         if unknown:
             raise CorpusError(
-                f"{path}: {counted(len(unknown), 'name')} of no usable recording: "
+                f"{path}: {counted(len(unknown), 'name')} without a usable recording: "
                 f"{listed(unknown, 10)}"
             )
         return found

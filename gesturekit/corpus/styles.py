@@ -64,5 +64,5 @@ def style_number(names: Sequence[str], name: str) -> int:
         ModelError: an unknown style.
     """
     if name not in names:
-        raise ModelError(f"style {name!r}: the model knows {', '.join(names) or 'none'}")
+        raise ModelError(f"style {name!r}: unknown; the model has {', '.join(names) or 'none'}")
     return list(names).index(name)

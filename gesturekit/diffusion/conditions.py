@@ -1,7 +1,7 @@
 """Conditions of a diffusion model, frame by frame: speech features, a path, events and a style.
 
-A condition has the columns `[speech S | path 3 | events E | styles K]`; parts that a model was not
-trained with have no columns. A part that is not given is zero, as with condition dropout.
+A condition has the columns `[speech S | path 3 | events E | styles K]`; parts with which the model
+was not trained have no columns. A part that is not given is zero, as with condition dropout.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settings of a diffusion run; the defaults are those of the paper's gesture models."""
+"""Settings of a diffusion training run; the defaults are those of the paper's gesture models."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ class NetworkConfig:
     blocks: int = 10
     """Residual blocks."""
     layers: int = 4
-    """Conformer layers in each block; `diffwave` has one convolution instead."""
+    """Conformer layers in each block; the architecture `diffwave` has one convolution instead."""
     channels: int = 256
     """Width of the residual blocks and Conformer layers."""
     heads: int = 8
     """Attention heads in each layer."""
     feedforward: int = 1024
-    """Hidden channels of the convolutional part of a Conformer layer."""
+    """Hidden channels of the convolutional feed-forward part of a Conformer layer."""
     embedding: int = 512
     """Width of the embedding of the diffusion step."""
     dilations: tuple[int, ...] = (0, 1, 2)
-    """Dilation of the convolutions in frames, cycling over the blocks. 0 replaces the convolutions
-    of three frames by a plain feed-forward part."""
+    """Dilations of the convolutions in frames; blocks cycle through this list. 0 replaces the
+    convolutions of kernel size 3 by a plain feed-forward part."""
     kernels: int = 21
-    """Number of sigmoids in the position bias of each head."""
+    """Number of learnt sigmoids in the position bias of each attention head."""
     nearest_view: int = 5
-    """Receptive field in frames of the head with the narrowest view. At half of it, the position
-    bias has fallen to a weight of 1e-8."""
+    """Receptive field, in frames, of the attention head with the narrowest view. At half this
+    distance, the position bias has lowered the attention weight to 1e-8."""
     farthest_view: int = 75
-    """Receptive field in frames of the head with the widest view."""
+    """Receptive field, in frames, of the attention head with the widest view."""
     dropout: float = 0.1
     """Dropout of attention weights, of the feed-forward part and of each residual branch."""
     architecture: Literal["conformer", "diffwave"] = "conformer"
@@ -79,13 +79,14 @@ class NoiseConfig:
     steps: int = 100
     """Number of diffusion steps N; the paper has 150 for dance, locomotion and fighting."""
     first_beta: float = 0.0074
-    """beta_1 of the linear schedule; the paper has 0.01 for dance, locomotion and fighting."""
+    """beta_1 of the linear noise schedule; the paper has 0.01 for dance, locomotion and
+    fighting."""
     last_beta: float = 0.78
-    """beta_N of the linear schedule; the paper has 0.7 for dance, locomotion and fighting."""
+    """beta_N of the linear noise schedule; the paper has 0.7 for dance, locomotion and fighting."""
     predict: Literal["noise", "velocity", "clean"] = "noise"
     """Prediction target: the noise (as in the paper), the velocity of Salimans and Ho, or the clean
-    motion. Clean motion is smooth and low-dimensional, so a small network learns it in a fraction
-    of the time."""
+    motion. Clean motion is smooth and low-dimensional, so a small network learns to predict it in a
+    fraction of the time."""
 
     def __post_init__(self) -> None:
         check_positive(steps=self.steps)
@@ -105,10 +106,10 @@ class TrainingConfig:
 
     updates: int = 67_000
     """Number of updates. The default suits the 135 minutes of ZeroEGGS; the paper has 112,000 for
-    244 minutes of speech, 180,000 for 373 of dance, 52,000 for 60 of fighting, 292,000 for 1125 of
-    locomotion."""
+    244 minutes of speech, 180,000 for 373 minutes of dance, 52,000 for 60 minutes of fighting, and
+    292,000 for 1125 minutes of locomotion."""
     batch: int = 80
-    """Windows per update, in all processes together."""
+    """Windows per update, over all processes."""
     window: float = 5.0
     """Length of a training window in seconds."""
     learning_rate: float = 6e-4
@@ -116,27 +117,30 @@ class TrainingConfig:
     warm_up: int = 3000
     """Number of updates of linear learning-rate warm-up."""
     decay: float = 0.99995
-    """Factor on the learning rate every ten updates, as in the released code; the paper has
-    1 - 0.5e-5. After 67,000 updates, the learning rate has fallen to 0.72 or 0.97 of its value."""
+    """Factor applied to the learning rate every ten updates, as in the released code; the paper has
+    1 - 0.5e-5. After 67,000 updates, the learning rate has fallen to 0.72 (paper: 0.97) of its
+    initial value."""
     clip: float = 25.0
     """Maximum gradient norm; 0 for no clipping."""
     ema: float = 0.0
-    """Decay of the exponential moving average of the weights, which becomes the model; it is lower
-    in the first updates. 0, as in the paper, uses the weights themselves."""
+    """Decay of the exponential moving average of the weights, which is saved as the model; the
+    decay is lower in the first updates. 0, as in the paper, saves the weights themselves."""
     dropout_condition: float = 0.0
-    """Share of windows without any condition (condition dropout), for guidance and for products."""
+    """Fraction of windows trained without any condition (condition dropout), for guidance and for
+    products of experts."""
     dropout_style: float = 0.0
-    """Share of the other windows without their style (style dropout), for guidance."""
+    """Fraction of the other windows trained without their style (style dropout), for guidance."""
     min_snr: float | None = None
-    """Gamma of min-SNR loss weights; null, as in the paper, gives all steps the same weight."""
+    """Gamma of the min-SNR loss weights (Hang et al. 2023); null, as in the paper, gives all
+    diffusion steps the same weight."""
     changes: float = 0.0
     """Weight of the squared error of frame-to-frame changes, in units of their standard deviation
-    in the recordings. It reduces jitter of networks that predict clean motion; the paper has no
-    such loss."""
+    in the recordings. It reduces the jitter of networks that predict clean motion, and requires
+    that prediction target; the paper has no such loss."""
     foot_sliding: float = 0.0
-    """Weight of the speed of feet that stand in the recording, in units of 0.1 m/s, after Tevet et
-    al. 2023, for networks that predict clean motion; the paper has no such loss. Rigs without legs
-    are trained without it."""
+    """Weight of a loss on the speed of feet that are planted in the recording, in units of 0.1 m/s,
+    after Tevet et al. 2023. For networks that predict clean motion; the paper has no such loss. It
+    is off for rigs without legs."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of matrix products in training; weights and sums stay float32."""
 
@@ -169,9 +173,9 @@ class AugmentationConfig:
     mirror: bool = True
     """Train on mirrored recordings too, except for the styles in `styles.handed`."""
     stretch: float = 0.1
-    """Share of time-stretched windows; the paper has 0.2 for dance and fighting."""
+    """Fraction of windows that are time-stretched; the paper has 0.2 for dance and fighting."""
     stretch_range: float = 0.1
-    """Time stretching is by a factor between 1 minus this and 1 plus this."""
+    """Range r of time stretching: the factor is between 1 - r and 1 + r."""
 
     def __post_init__(self) -> None:
         check_share(stretch=self.stretch)
@@ -189,13 +193,13 @@ class StyleConfig:
 
 @dataclass(frozen=True)
 class UnpairedConfig:
-    """Unpaired motion: training windows without any condition."""
+    """Unpaired motion: extra training windows without any condition."""
 
     corpus: Path | None = None
-    """A manifest of motion of any human rig, which is retargeted to the rig of the corpus. Null
-    takes the unpaired motion of the run's own corpus."""
+    """Manifest of motion on any human rig, which is retargeted to the rig of the corpus. Null uses
+    the unpaired motion of the run's own corpus."""
     share: float = 0.5
-    """Share of windows from unpaired motion."""
+    """Fraction of windows taken from unpaired motion."""
 
     def __post_init__(self) -> None:
         check_share(share=self.share)
@@ -206,23 +210,24 @@ class DiffusionConfig(RunConfig):
     """A diffusion training run, with any combination of speech, path, events and styles."""
 
     system: Literal["diffusion"]
-    """System that is trained; `diffusion` for these settings."""
+    """Name of the system; always `diffusion` here."""
     out: Path = field(default_factory=lambda: Path("runs/diffusion"))
     fps: float = 30.0
-    """Frames per second at which the network works."""
+    """Frame rate of the network, in frames per second; recordings are resampled to it."""
     features: FeatureConfig | None = field(default_factory=FeatureConfig)
     """Features of speech or music; null for a model without sound input."""
     path: bool = False
-    """Condition on the path of the root: each item's `path`, or the path of its motion."""
+    """Condition on the path of the root: each item's `path` table, or else the path of its own
+    motion."""
     events: bool = False
-    """Condition on binary event flags: each item's `events`."""
+    """Condition on binary event flags, from each item's `events` table."""
     styles: StyleConfig | None = None
     """Style condition; null for none, as in an unconditional model for guidance."""
     unpaired: UnpairedConfig | None = None
     """Unpaired motion; null for none."""
     moves_like: Path | None = None
-    """A model folder with the rig, joints and standardisation to use, but not the weights. The two
-    models can then be combined in a product of experts, whatever their conditions."""
+    """Model folder whose rig, joints and standardisation are used, but not its weights. The two
+    models can then be combined in a product of experts, even if their conditions differ."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)

@@ -25,24 +25,25 @@ class DiffusionControls(Controls):
     every beat of the sound), or a table time,name[,duration]."""
     guidance: float | None = None
     """Weight gamma of classifier-free guidance (eq. 6): 1 is the plain model, values above 1
-    exaggerate the style, 0 leaves it out. Models without styles guide on all of their inputs."""
+    exaggerate the style, 0 leaves it out. In models without styles, guidance applies to all
+    conditions."""
     unconditional: Model | None = None
-    """The model that guidance extrapolates from; by default this one, with the style dropped."""
+    """The unconditional model for guidance; by default this model, without the style."""
     experts: Sequence[tuple[Any, ...]] = ()
     """Further experts of a product: (model, weight) or (model, weight, style). The weight is a
-    number, one number per frame, a text such as 0.2@0-10,0.8@10-20 (seconds), or None for an equal
-    share of the remaining weight, which this model has too."""
+    number, one number per frame, a string such as 0.2@0-10,0.8@10-20 (seconds), or None. The
+    remaining weight is shared equally by this model and all experts with None."""
     change: float = 0.5
-    """Share of `like` that may change, above 0 and up to 1: the noise level from which SDEdit
+    """How much of `like` may change, above 0 and up to 1: the noise level from which SDEdit
     starts."""
     solver: Solver | None = None
     """Solver of the reverse diffusion: ancestral (as published), ddim, or dpm (second order). The
-    default is ancestral for all steps and dpm for fewer."""
+    default is ancestral if all steps are used, and dpm otherwise."""
     steps: int | None = None
     """Number of denoising steps; by default all that the model was trained with."""
     batch: int = 1
-    """Number of samples to generate at once. Larger batches are faster on a GPU; the last digits
-    then differ from those of samples generated one by one."""
+    """Number of samples to generate at once. Larger batches are faster on a GPU; results then
+    differ in the last digits from samples generated one by one."""
 
 
 class DiffusionControlArguments(ControlArguments, total=False):

@@ -39,6 +39,4 @@ def check_event(event: Event, known: Sequence[str]) -> None:
     """Raise ModelError for an event of an unknown name."""
     if event.name not in known:
         hint = did_you_mean(event.name, known, "did you mean {}? ")
-        raise ModelError(
-            f"event {event.name!r}: {hint}the model knows {', '.join(known) or 'none'}"
-        )
+        raise ModelError(f"event {event.name!r}: {hint}the model has {', '.join(known) or 'none'}")

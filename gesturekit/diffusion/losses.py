@@ -1,4 +1,4 @@
-"""Losses of the diffusion system: pure functions of standardised motion, a value for each clip."""
+"""Losses of the diffusion system: pure functions that return one value per clip."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def denoising_error(predicted: Tensor, target: Tensor) -> Tensor:
     """Return the squared error of the network's prediction, eq. 4 of Alexanderson et al. 2023.
 
     Args:
-        predicted: (B, T, X) noise, velocity or clean motion as the network predicts it.
+        predicted: (B, T, X) noise, velocity or clean motion, as predicted by the network.
         target: (B, T, X), its target.
 
     Returns:
@@ -24,10 +24,10 @@ def denoising_error(predicted: Tensor, target: Tensor) -> Tensor:
 
 
 def change_error(predicted: Tensor, target: Tensor, spread: Tensor) -> Tensor:
-    """Return the squared error of the change from frame to frame; not in the paper.
+    """Return the squared error of frame-to-frame changes; not in the paper.
 
     Args:
-        predicted: (B, T, X) clean motion as the network predicts it.
+        predicted: (B, T, X) clean motion, as predicted by the network.
         target: (B, T, X) clean motion.
         spread: (X,) standard deviation of the recordings' changes, the unit of the error.
 
@@ -38,17 +38,19 @@ def change_error(predicted: Tensor, target: Tensor, spread: Tensor) -> Tensor:
 
 
 def foot_sliding(predicted: Tensor, recorded: Tensor) -> Tensor:
-    """Return how fast feet slide that stand in the recording; not in the paper.
+    """Return the sliding speed of feet that are planted in the recording; not in the paper.
 
     The foot contact loss of Tevet et al. 2023 (MDM), with bounded gradients: a speed s, in units of
-    `SLIDING`, counts as 2 (sqrt(1 + s^2) - 1), which is s^2 below the unit and 2 s far above it.
+    `SLIDING`, gives the loss 2 (sqrt(1 + s^2) - 1), which is about s^2 for small s and 2 s for
+    large s.
 
     Args:
         predicted: (B, T, F, 3) velocity of F foot points, m/s on the reference body.
-        recorded: (B, T, F, 3), of the recorded motion. Below `CONTACT_SPEED`, a point stands.
+        recorded: (B, T, F, 3), of the recorded motion. A point slower than `CONTACT_SPEED` is
+            planted.
 
     Returns:
-        (B,), the mean over frames and points of each clip; 0 for a point that does not stand.
+        (B,), the mean over frames and points of each clip; points that are not planted count as 0.
     """
     stands = recorded.norm(dim=-1) < CONTACT_SPEED
     squared = (predicted / SLIDING).square().sum(dim=-1)

@@ -36,7 +36,8 @@ _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 
 
 class DiffusionModel(TrainedModel):
-    """Motion by denoising diffusion, from speech or music, a style, a path, events, or nothing."""
+    """Model that generates motion by denoising diffusion, from speech or music, a style, a path,
+    events, or nothing."""
 
     @gesturekit_errors()
     def generate(
@@ -197,7 +198,8 @@ class DiffusionModel(TrainedModel):
 
         Args:
             folder: as written by `save`.
-            weights: path of the encoder's weights of training; {kind: path} for several encoders.
+            weights: path of the encoder weights used in training; {kind: path} for several
+                encoders.
             device: where the denoiser and WavLM compute: auto, cpu, cuda, cuda:1 ...
             dtype: precision of the denoiser. `bf16` halves memory and is faster on processors
                 that support it; predictions then differ by about 1 %.
@@ -205,7 +207,7 @@ class DiffusionModel(TrainedModel):
         Raises:
             ModelError: a part is missing, damaged, or of a newer format; an unknown dtype; a GPU's
                 memory ran out.
-            WeightsError: weights are needed, or are not those of training.
+            WeightsError: weights are missing, or differ from those used in training.
             ConfigError: there is no such device.
         """
         if dtype not in _DTYPES:

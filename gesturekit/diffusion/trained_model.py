@@ -1,4 +1,4 @@
-"""A trained denoiser together with everything that gives its numbers a meaning."""
+"""A trained denoiser, with the conversions between its tensors and motion and conditions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ frames take about 35 MB, one hour 4 GB; the time per frame does not depend on th
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class TrainedModel(BaseModel):
-    """Everything that a model folder holds; `DiffusionModel` adds generation.
+    """Contents of a model folder; `DiffusionModel` adds generation.
 
     Attributes:
         standardiser: mean and scale of motion vectors.

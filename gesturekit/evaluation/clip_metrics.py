@@ -65,7 +65,7 @@ class ReferenceStatistics:
                 motion = load_recording(path, fps)
                 joints = joints or body_joints(motion.skeleton)
                 if not set(joints) <= set(motion.skeleton.names):
-                    raise EvaluationError("another rig than the first recording's")
+                    raise EvaluationError("its rig differs from that of the first recording")
                 speed = rhythm.central_speed(motion, joints)
             except GestureKitError as error:
                 statistics.excluded.append(Excluded(key, str(error), "the set of recordings"))

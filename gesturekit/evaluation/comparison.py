@@ -144,7 +144,7 @@ def evaluate(
     reference = _recordings(reference, chosen.split)
     split = reference.split or None if isinstance(reference, Items) else None
     if split and chosen.audio is not None:
-        raise EvaluationError(f"{reference.path} says where the sound is: leave audio out")
+        raise EvaluationError(f"{reference.path} already gives the sound: leave audio out")
     found = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(found.values())))
     found |= baseline_pairs(chosen.baselines, found, reference, fps)

@@ -1,4 +1,4 @@
-"""Cheap metrics of motion in memory, computed now and then during training."""
+"""Cheap metrics of motion in memory, computed at intervals during training."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class MetricResult:
         mismatched: mean over other recordings' sounds or motion, or None.
         note: "" or a remark on how to read the value.
         informative: False where the recordings' own value is at its chance level, or they are too
-            short, so that the metric says nothing about these recordings.
+            short, so that the metric is not informative for these recordings.
     """
 
     key: str

@@ -3,7 +3,7 @@
 If the rest pose (all rotations zero) stands upright, it shows the axes: up from legs and spine,
 forward from hips and toes; without legs, both from spine, neck and shoulders. If it stands on four
 legs, up comes from these and forward from pelvis to chest. The direction in which a body walks or
-looks says nothing about the axes. Many rigs have a rest pose that does not stand (bones along their
+looks is no evidence of the axes. Many rigs have a rest pose that does not stand (bones along their
 own x axes): up is then the axis along which the body stands in most frames, and forward the usual
 axis for that up.
 """

@@ -1,4 +1,4 @@
-"""Conversion of motion files between formats; a broken file never stops the others."""
+"""Conversion of motion files between formats; a broken file does not stop the others."""
 
 from __future__ import annotations
 
@@ -212,7 +212,9 @@ class Conversion:
         self._task: MotionTask | None = None
         if is_file_name(self._out, self._sources, self.formats):
             if self.execution.shard[1] > 1:
-                raise ConfigError(f"{self.out} is a file, which has no shards; give a folder")
+                raise ConfigError(
+                    f"{self.out} is a file, which cannot be split into shards; give a folder"
+                )
             (self._task,) = self._find()
             self._converter = self._converter_into(self._out.parent, [self._out.suffix[1:]])
             self._targets = without_existing([self._out], self.existing)

@@ -52,7 +52,7 @@ class Changes:
             start, end = self.trim
             if start >= motion.duration:
                 raise MotionError(
-                    f"nothing is left of it: trim begins at {start:g} s, the motion lasts "
+                    f"trim leaves nothing: it begins at {start:g} s, the motion lasts "
                     f"{motion.duration:g} s"
                 )
             motion = motion.trim(start, min(end, motion.duration))
@@ -72,8 +72,8 @@ class Changes:
                 set(motion.joint_translations) - set(before.joint_translations)
             ):
                 warnings.warn(
-                    f"{', '.join(now_moving)}: a joint above was cut that turns, so they move by "
-                    "position channels, which some programs pass over",
+                    f"{', '.join(now_moving)}: a parent joint that rotates was removed, so these "
+                    "joints get position channels, which some programs ignore",
                     stacklevel=2,
                 )
         if self.fps is not None and self.fps != motion.fps:

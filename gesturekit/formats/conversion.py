@@ -160,7 +160,7 @@ def without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
     """Return the formats that can be written without a body model."""
     if "obj" not in (formats or [out.suffix.lower()[1:]]):
         return formats
-    needs = "obj holds the skin of a body model: give it as --body-model SMPLX_NEUTRAL.npz"
+    needs = "an obj needs the mesh of a body model: give --body-model SMPLX_NEUTRAL.npz"
     others = [name for name in formats if name != "obj"]
     if not others:
         raise ConfigError(needs)

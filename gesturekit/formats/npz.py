@@ -107,7 +107,7 @@ def write_npz(
 
     Raises:
         FormatError: an unknown rig or axis.
-        MotionError: a rig that cannot be retargeted to the one asked for.
+        MotionError: a rig that cannot be retargeted to the requested one.
     """
     if up not in ("y", "z"):
         raise FormatError(f"up axis {up!r}; expected y or z")

@@ -33,7 +33,7 @@ def write_obj(
     """
     if body_model is None:
         raise FormatError(
-            f"{path}: an .obj file holds a body's skin, which a motion has not: name a body model "
+            f"{path}: an .obj file holds a body mesh, which a motion has not: name a body model "
             "(--body-model SMPLX_NEUTRAL.npz)"
         )
     if not -motion.n_frames <= frame < motion.n_frames:

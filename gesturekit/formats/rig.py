@@ -45,7 +45,7 @@ class Rig:
         name, parts = os.fspath(name), parts or {}
         if name in RIGS:
             if parts:
-                raise MotionError(f"the parts of {name} are known; {', '.join(parts)} is in vain")
+                raise MotionError(f"the parts of {name} are fixed; leave out {', '.join(parts)}")
             return cls(name, smpl_skeleton(RIGS[name]))
         if not Path(name).exists():
             raise FormatError(

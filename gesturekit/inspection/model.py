@@ -18,7 +18,7 @@ from gesturekit.training.model_folder import rates, reduction
 from gesturekit.wording import counted, listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
-# The README of an older model has "Hears" in the place of "Speech features".
+# The README of an older model has "Hears" instead of "Speech features".
 _SHOWN_ABOVE = {"Kind", "Motion", "Hears", "Speech features", "Reduced features", "Styles"}
 _OF_CONFORMERS = {
     "layers",

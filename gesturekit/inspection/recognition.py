@@ -117,7 +117,7 @@ def kind_of(path: str | Path) -> str:
     if suffix in _JSON and what in (None, A_JSON_FILE):
         return _JSON[suffix]  # its reader says what it is where it is something else
     if what is None:
-        raise FormatError(f"{path}: not known; gesturekit inspects {_KNOWN}")
+        raise FormatError(f"{path}: not recognised; gesturekit inspects {_KNOWN}")
     return "other"
 
 
@@ -144,6 +144,4 @@ def _kind_of_folder(folder: Path) -> str:
     found, _ = scan(folder)
     if found:
         return "corpus"
-    raise FormatError(
-        f"{folder}: a folder with nothing of gesturekit in it; gesturekit inspects {_KNOWN}"
-    )
+    raise FormatError(f"{folder}: not a folder that gesturekit recognises; it inspects {_KNOWN}")

@@ -1,1 +1,2 @@
-"""Long work on many items: plan, journal, leases and worker processes. Knows nothing of motion."""
+"""Long work on many items: plan, journal, leases and worker processes. It does not depend on
+motion."""

@@ -1,4 +1,4 @@
-"""Work on many tasks: plan, leases, journal, processes; a broken input never stops the others."""
+"""Work on many tasks: plan, leases, journal, processes; a broken input does not stop the others."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gesturekit.jobs.state import state_folder
 from gesturekit.jobs.targets import EXISTING, refuse_existing, refuse_leaving
 from gesturekit.jobs.work import Done, Inputs, Outcome, Processor, Task, Work, digest_of
 
-_SUSPICIOUS = 2  # times that a run was killed with an item in hand
+_SUSPICIOUS = 2  # times that a run was killed while it processed an item
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Execution:
     Attributes:
         workers: number of processes; 1 works in this process.
         shard: number of the shard to do, counted from 1, and the number of all shards, which
-            hold about the same seconds of sound or motion. Runs of different shards share a plan:
-            the first makes it, and the others use it even if files were added since.
-        replan: look for the inputs again, instead of using the plan of another shard's run.
-        retry_failed: try items again that were put aside after three failures.
-        deadline: seconds after which an item is given up; such items count as failed.
+            have about the same total duration. Runs of different shards share a plan:
+            the first one writes it, and the others use it even if files were added since.
+        replan: list the inputs again, instead of using the plan of another shard's run.
+        retry_failed: retry items that are skipped because they failed three times.
+        deadline: seconds after which an item is abandoned; such items count as failed.
     """
 
     workers: int = 1
@@ -267,21 +267,21 @@ class Batch:
 
 
 class _Shard:
-    """The shard in work: its journal, its lease, and the tasks in hand."""
+    """The shard being processed: its journal, its lease, and the tasks in progress."""
 
     def __init__(self, batch: Batch, journal: Journal, lease: Lease) -> None:
         self._batch, self._journal, self._lease = batch, journal, lease
-        self._out, self._in_hand = batch.out, dict[str, Work]()
+        self._out, self._in_progress = batch.out, dict[str, Work]()
 
     def begin(self, work: Work) -> None:
-        """Record that a task is in hand, and remove what a killed run left of it."""
+        """Record that a task is in progress, and remove what a killed run left of it."""
         self._lease.check()
         name = work.task.name
         if self._batch.history.unfinished(name):
             self._remove_temporary(work)
         with _journaling(self._out):
             self._journal.start(name)
-        self._in_hand[name] = work
+        self._in_progress[name] = work
 
     def call_inside(self, work: Work) -> Done:
         """Work in this process."""
@@ -311,10 +311,10 @@ class _Shard:
         done = self._lost(work, result) if isinstance(result, Failure) else result
         with _journaling(self._out):
             self._journal.finish(done.entry)
-        del self._in_hand[work.task.name]
+        del self._in_progress[work.task.name]
         if done.is_full:
             raise OutputError(
-                f"{done.outcome.error}; stopped: nothing that is done is lost, and the same "
+                f"{done.outcome.error}; stopped: finished results are kept, and the same "
                 "command continues"
             )
         return done.outcome
@@ -332,12 +332,12 @@ class _Shard:
         return Done(Outcome(task.source, kept=work.kept, error=error), entry)
 
     def _drop(self) -> None:
-        """Record that the tasks in hand were stopped by the user, and remove what is half done."""
-        for work in self._in_hand.values():
+        """Record that the user stopped the tasks in progress, and remove their partial results."""
+        for work in self._in_progress.values():
             self._remove_temporary(work)
             with suppress(OSError):
                 self._journal.finish(Entry("dropped", work.task.name))
-        self._in_hand.clear()
+        self._in_progress.clear()
 
     def _remove_temporary(self, work: Work) -> None:
         for file in self._batch.processor.targets(work.task):
@@ -351,7 +351,7 @@ def _journaling(out: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise OutputError(
-            f"{out}: {error.strerror}; stopped: nothing that is done is lost, and the same command "
+            f"{out}: {error.strerror}; stopped: finished results are kept, and the same command "
             "continues"
         ) from None
 
@@ -365,6 +365,6 @@ def _make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         writable = os.access(out, os.W_OK | os.X_OK)
     except OSError as error:
-        raise ConfigError(f"{out}: cannot be made ({error.strerror})") from None
+        raise ConfigError(f"{out}: cannot be created ({error.strerror})") from None
     if not writable:
         raise ConfigError(f"{out}: cannot be written to; give another folder")

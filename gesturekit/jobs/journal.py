@@ -3,10 +3,10 @@
 Kinds of lines, by their first field:
 
 - `{"run": NAME, ...}`: a process begins, with the settings that its results have in common;
-- `{"started": ID, "run": ..., "time": ...}`: an item is in hand;
+- `{"started": ID, "run": ..., "time": ...}`: an item is in progress;
 - `{"status": ..., "id": ..., ...}`: the result of an attempt, see `Entry`.
 
-An item that is started and has no result was in hand when a process was killed. Damaged lines,
+An item that was started and has no result was in progress when a process was killed. Damaged lines,
 which a killed process or a full disk may leave, are ignored.
 """
 
@@ -24,7 +24,7 @@ from gesturekit.errors import FormatError
 from gesturekit.jobs.state import FORMAT, parse_line, read_lines, shard_name
 
 ATTEMPTS = 3
-"""Failures with the same input and settings after which an item is put aside."""
+"""Failures with the same input and settings after which an item is skipped."""
 FIRST_FIELDS = ("status", "id", "time", "seconds", "sound", "key")
 """Fields with which the line of a result begins, in this order."""
 _STARTED, _STATUS = b'{"started"', b'{"status"'
@@ -103,7 +103,7 @@ class Journal:
             raise
 
     def start(self, name: str) -> None:
-        """Record that an item is in hand, before any of its files is written."""
+        """Record that an item is in progress, before any of its files is written."""
         self._append({"started": name, "run": self.run, "time": time.time()})
         os.fsync(self._file)
 
@@ -165,7 +165,8 @@ class History:
         return sorted(found, key=lambda entry: entry.time)
 
     def killed(self, name: str) -> list[str]:
-        """Return the runs that were killed with this item in hand, since its last result."""
+        """Return the runs that were killed while they processed this item, since its last
+        result."""
         starts = self._started.get(name)
         if not starts:
             return []

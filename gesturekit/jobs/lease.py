@@ -50,18 +50,20 @@ class Lease:
         for other in live_leases(state):
             if other.get("run") != run:
                 raise ConfigError(
-                    f"{state.parent}: another run, with other inputs or settings, writes there, "
-                    f"{_owner(other)}; wait for it, or give another --out"
+                    f"{state.parent}: another run, with other inputs or settings, is writing "
+                    f"there, {_owner(other)}; wait for it, or give another --out"
                 )
             if other["file"] == self.path.name:
                 raise ConfigError(
-                    f"{state.parent}: shard {shard} of {shards} is in work, {_owner(other)}; "
-                    "wait for it, or end that process"
+                    f"{state.parent}: shard {shard} of {shards} is being processed, "
+                    f"{_owner(other)}; wait for it, or end that process"
                 )
         try:
             self._lock.acquire(blocking=False)
         except Timeout:
-            raise ConfigError(f"{state.parent}: shard {shard} of {shards} is in work") from None
+            raise ConfigError(
+                f"{state.parent}: shard {shard} of {shards} is being processed"
+            ) from None
         about = {"host": socket.gethostname(), "pid": os.getpid(), "since": time.time()}
         self._about = {**about, "run": run}
         try:
@@ -83,7 +85,7 @@ class Lease:
         """
         if self.is_lost:
             raise ConfigError(
-                f"{self.path}: this process gave no sign of life for too long, and another one has "
+                f"{self.path}: this process sent no heartbeat for too long, and another one has "
                 "taken its shard over; stopped"
             )
 

@@ -48,7 +48,7 @@ class Plan:
 
     Attributes:
         path: the file.
-        request: SHA-256 of what was asked for: two runs with the same request share a plan.
+        request: SHA-256 of the request: two runs with the same request share a plan.
         sha256: SHA-256 of the lines of all items.
         shards: (number of items, seconds of sound) of each shard.
         made: time of writing, seconds since 1970.
@@ -103,9 +103,7 @@ class Plan:
                 raise
             raise FormatError(f"{path}: damaged header; delete it for a new plan") from None
         if plan.sha256 != body or not plan.shards:
-            raise FormatError(
-                f"{path}: its lines are not those that were written; delete it for a new plan"
-            )
+            raise FormatError(f"{path}: its lines were changed; delete it for a new plan")
         return plan
 
     def items(self, shard: int | None = None) -> Iterator[PlanItem]:

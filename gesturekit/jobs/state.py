@@ -27,7 +27,7 @@ def state_folder(out: Path) -> Path:
     inside = [*state.iterdir(), *state.glob("*/*")] if state.is_dir() else []
     for path in (state, *inside):
         if path.is_symlink():
-            raise ConfigError(f"{path} is a link, and would lead out of {out}: remove it")
+            raise ConfigError(f"{path} is a link that leads out of {out}: remove it")
     return state
 
 

@@ -36,7 +36,7 @@ _STARTED = re.compile(rb'\{"started": ' + _TEXT)
 _PLANNED = re.compile(rb'\{"shard": (\d{1,9}), "id": ' + _TEXT)
 _DIGITS = re.compile(r"(?<![A-Za-z\d])\d+([.,]\d+)*")
 _BLOCK = 1 << 24
-_TAIL = 1 << 17  # bytes at the end of a journal in which the start of an item in hand is found
+_TAIL = 1 << 17  # bytes at the end of a journal in which the start of an item in progress is found
 
 
 @dataclass(frozen=True)

@@ -40,5 +40,5 @@ def refuse_existing(there: Sequence[Path], reason: str = "") -> NoReturn:
     verb, object_ = ("exists", "it") if len(there) == 1 else ("exist", "them")
     raise ConfigError(
         f"{', '.join(map(str, there[:_SHOWN]))}{more} {verb} already{reason}; --existing replace "
-        f"writes over {object_}, --existing skip leaves {object_}"
+        f"overwrites {object_}, --existing skip leaves {object_}"
     )

@@ -48,7 +48,7 @@ class Inputs:
     """Inputs of a batch.
 
     Attributes:
-        request: what is asked for, as JSON values; shards with equal requests share a plan.
+        request: the request, as JSON values; shards with equal requests share a plan.
         find: looks for the inputs, and returns the tasks in their order.
         from_plan: returns the task of an item of a plan.
     """

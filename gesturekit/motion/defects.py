@@ -40,12 +40,12 @@ _STILL_DISTANCE = 1e-6  # metres
 
 @dataclass(frozen=True)
 class Jumps:
-    """Frames reached by some joint faster than a person can move."""
+    """Frames at which some joint has moved faster than a person can."""
 
     frames: tuple[int, ...]
     joint: str
     speed: float
-    """The fastest jump of all, in m/s, and the joint that makes it."""
+    """Speed of the fastest jump, in m/s; `joint` is the joint that makes it."""
     limit: float
     """m/s; the speed above which a joint of this body jumps."""
 
@@ -57,12 +57,13 @@ class Pops:
     frames: tuple[int, ...]
     joint: str
     angle: float
-    """The largest pop of all, in radians off the middle between its neighbours (0 if the joint
-    pops in place, not in rotation), and the joint that makes it."""
+    """Largest pop, in radians from the mean of the neighbouring frames (0 if the joint pops in
+    position, not in rotation); `joint` is the joint that makes it."""
 
 
 def find_jumps(motion: Motion) -> Jumps | None:
-    """Return the frames reached faster than `MAX_SPEED` in world space, or None."""
+    """Return the frames at which a joint has moved faster than `MAX_SPEED` in world space, or
+    None."""
     steps, limit = _steps(motion)
     frames = np.flatnonzero((steps > limit).any(axis=1)) + 1
     if len(frames) == 0:

@@ -82,7 +82,7 @@ class Motion:
             bad = np.argwhere(~(np.isfinite(length) & (length >= 1e-6)))[0]
             raise MotionError(
                 f"the rotation of joint {self.skeleton.names[bad[1]]!r} in frame {bad[0]} is "
-                f"{rotations[bad[0], bad[1]].tolist()}, no quaternion"
+                f"{rotations[bad[0], bad[1]].tolist()}, not a quaternion"
             )
         # Unit quaternions are not normalised again, so that a file round trip is bit-exact.
         if (off := np.abs(length - 1) > 1e-12).any():
@@ -90,7 +90,7 @@ class Motion:
         moving = {}
         for name, values in self.joint_translations.items():
             if self.skeleton.index(name) == 0:
-                raise MotionError(f"{name!r} is the root: its place is the motion's translation")
+                raise MotionError(f"{name!r} is the root: its position is the motion's translation")
             moving[name] = _positions(values, n_frames, f"translation of joint {name!r}")
         fps = checked_fps(self.fps)
         translation = _positions(self.translation, n_frames, "translation")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.wording import did_you_mean
+from gesturekit.wording import did_you_mean, listed
 
 SKELETON_FORMAT = 1
 ROTATION_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
@@ -111,7 +111,7 @@ class Skeleton:
             return self._index[name]
         except KeyError:
             hint = did_you_mean(name, self.names, most=3, cutoff=0.4)
-            hint = hint or f"it has {_listing(self.names)}"
+            hint = hint or f"it has {listed(self.names, 12)}"
             raise MotionError(f"the skeleton has no joint {name!r}; {hint}") from None
 
     @cached_property
@@ -237,8 +237,3 @@ def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
             raise MotionError(
                 f"joint {names[j]!r} (index {j}) has parent {parent}; parents come before children"
             )
-
-
-def _listing(names: Sequence[str], most: int = 12) -> str:
-    shown = ", ".join(names[:most])
-    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

@@ -12,11 +12,11 @@ from gesturekit.multires.config import BackendName
 from gesturekit.multires.network.torch_backend import TorchBackend
 
 VARIABLE = "GESTUREKIT_BACKEND"
-"""Environment variable that replaces the configured backend."""
+"""Environment variable that overrides the configured backend."""
 
 
 def requested_backend(configured: BackendName = "auto") -> BackendName:
-    """Return the backend asked for: that of GESTUREKIT_BACKEND if it is set, else `configured`.
+    """Return the requested backend: GESTUREKIT_BACKEND if it is set, else `configured`.
 
     Raises:
         ConfigError: the variable names no backend.
@@ -24,7 +24,7 @@ def requested_backend(configured: BackendName = "auto") -> BackendName:
     name = os.environ.get(VARIABLE) or configured
     if name not in get_args(BackendName):
         known = ", ".join(get_args(BackendName))
-        raise ConfigError(f"{VARIABLE}: {name!r} is none of {known}; correct or unset it")
+        raise ConfigError(f"{VARIABLE}: {name!r} is not one of {known}; correct or unset it")
     return name
 
 
@@ -35,7 +35,7 @@ def choose_backend(requested: BackendName, *networks: nn.Module) -> TorchBackend
     these modules, and plain torch otherwise. The backend's `reason` says why.
 
     Raises:
-        ModelError: numba is asked for, and the engine is missing or cannot compute a module.
+        ModelError: numba is requested, but the engine is missing or does not support a module.
     """
     if requested == "torch":
         return TorchBackend("as requested")

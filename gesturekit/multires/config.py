@@ -16,30 +16,31 @@ from gesturekit.training.run_config import RunConfig, check_not_negative, check_
 BackendName = Literal["auto", "torch", "numba"]
 
 _MARGIN_COARSE = 2
-"""Frames of the first level that are generated before and after a motion. Fixed, because a trained
-model must be sampled with the margin that it was measured with."""
+"""Frames of the first level that are generated before and after a motion and then discarded. Fixed,
+because a model must be sampled with the margin with which it was evaluated."""
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """The pyramid and its networks (section 3 of the paper)."""
+    """The pyramid of generators and discriminators (section 3 of the paper)."""
 
     levels: int = 10
-    """L; each level has 3/4 of the frames of the next."""
+    """Number of levels L; each level has 3/4 as many frames as the next finer one."""
     channels: tuple[int, ...] = (6, 9, 9)
-    """Hidden channels per joint of each layer; the output layer follows."""
+    """Channels per joint after each hidden layer; an output layer follows."""
     kernel: int = 5
     """Kernel size of the convolutions over time, in frames; odd."""
     neighbour_distance: int = 2
-    """Largest distance, in bones, between two joints that a convolution connects."""
+    """A skeleton convolution connects joints that are at most this many bones apart."""
     film: Literal["input", "all"] = "all"
-    """Layers that FiLM modulates: the input of each level (the paper), or all hidden layers too."""
+    """Layers that FiLM modulates: only the input of each level (the paper), or also all hidden
+    layers."""
     embedding: int = 64
     """Dimension of y_i, the embedding of the condition (eq. 8)."""
     rectify_embedding: bool = True
     """Apply a leaky ReLU to y_i; the paper's fully connected layer (eq. 8) has none."""
     modulate: Literal["upper", "all"] | tuple[str, ...] = "upper"
-    """Joints that the condition modulates: the upper body, all, or names."""
+    """Joints whose channels FiLM modulates: the upper body, all, or a list of joint names."""
 
     def __post_init__(self) -> None:
         check_positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
@@ -53,9 +54,8 @@ class NetworkConfig:
     def margin(self) -> int:
         """Return how many frames are generated before and after a motion, and then removed.
 
-        A generated motion moves less at its ends: upsampling repeats the end frames, and
-        convolutions pad by reflection. With a margin this happens outside of the motion that is
-        kept.
+        Generated motion moves less near its ends, because upsampling repeats the end frames and
+        convolutions pad by reflection. The margin keeps this outside of the returned motion.
         """
         return round(_MARGIN_COARSE * (4 / 3) ** (self.levels - 1))
 
@@ -64,7 +64,7 @@ class NetworkConfig:
 class LossConfig:
     """Weights of the losses (eq. 11) and their variants; a weight of 0 turns a loss off.
 
-    Losses on 'random steps' compare motion generated from random noise and unpaired speech.
+    Losses 'on random steps' apply to motion generated from random noise and unpaired speech.
     """
 
     adversarial: float = 1.0
@@ -72,42 +72,45 @@ class LossConfig:
     gradient_penalty: float = 1.0
     """Gradient penalty of the discriminators (eq. 13)."""
     reconstruction: float = 50.0
-    """L1 between a recording and its reconstruction from z* (eq. 15)."""
+    """L1 distance between a recording and its reconstruction from z* (eq. 15)."""
     contact: float = 5.0
-    """Speed of feet with a contact label on random steps (eq. 14)."""
+    """Speed of feet that have a contact label, on random steps (eq. 14)."""
     smoothness: float = 5.0
-    """Second difference of the joints' positions on random steps, at half the full rate or more
-    (eq. 16)."""
+    """Second difference of the joint positions on random steps, at levels with at least half the
+    full frame rate (eq. 16)."""
     arm_speed: float = 3.0
-    """L1 between the generated log arm speed and its prediction from speech by ridge regression,
-    on random steps. Not in the paper, where it is 0."""
+    """L1 distance between the log arm speed of generated motion and its prediction from speech by
+    ridge regression, on random steps. Not in the paper; 0 gives the paper's losses."""
     arm_acceleration: float = 0.0
-    """The same for arm acceleration, which distinguishes trembling from swinging at equal speed."""
+    """The same for arm acceleration, which tells trembling arms from swinging arms of equal
+    speed."""
     arm_floors: tuple[float, ...] = (1.0, 10.0)
     """Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm in the losses on
-    them. The higher, the less a pause counts."""
+    them. Higher values give pauses less weight."""
     detail: float = 0.0
-    """Energy distance between generated and recorded amounts of detail at each joint, on random
-    steps. Detail is what the frame rate of the level below cannot represent. Not in the paper."""
+    """Energy distance between the distributions of detail in generated and recorded motion, at each
+    joint, on random steps. Detail is movement too fast for the frame rate of the next coarser
+    level. Not in the paper."""
     coarse: float = 0.0
-    """L1 between a level's input and its output resampled to the frames of the level below, on
-    random steps: finer levels add detail and keep the rest. Not in the paper."""
+    """L1 distance between a level's input and its output, resampled to the frame rate of the next
+    coarser level, on random steps, so that finer levels only add detail. Not in the paper."""
     rec_input: Literal["generated", "real"] = "generated"
-    """Input of each level on reconstruction steps: the output of the level below, from z* on, or
-    the recorded motion as in eq. 15."""
+    """Input of each level on reconstruction steps: the output of the next coarser level, generated
+    from z*, or the recorded motion at the coarser level, as eq. 15 is printed."""
     contact_speed: Literal["squared", "norm"] = "squared"
-    """Foot speed in the contact loss: squared (eq. 14), or not (GANimator)."""
+    """Foot speed in the contact loss: squared (eq. 14), or plain (GANimator)."""
     contact_slope: float = 10.0
-    """Slope of the sigmoid over contact labels in eq. 14; 12 in GANimator."""
+    """Slope of the sigmoid of the contact labels in eq. 14; GANimator has 12."""
     discriminator_scale: float = 1.0
-    """Factor of eq. 12 in the discriminators' loss, beside the penalty; 1/2 in GANimator."""
+    """Factor on the Wasserstein terms (eq. 12) of the discriminators' loss, but not on the gradient
+    penalty; GANimator has 1/2."""
     penalty_on: Literal["window", "frame", "printed"] = "window"
-    """Gradient norm that the penalty draws to 1.
+    """Definition of the gradient whose norm the gradient penalty pulls towards 1.
 
-    - `window`: of the mean score by a whole window, times the square root of its frames, so that
-      the penalty does not depend on the window's length.
-    - `frame`: of the sum of scores by each frame (GANimator).
-    - `printed`: of the mean score by a whole window, as eq. 13 is printed.
+    - `window`: gradient of the mean score with respect to a whole window, times the square root of
+      its number of frames, so that the penalty does not depend on the length of the window.
+    - `frame`: gradient of the sum of scores with respect to each frame (GANimator).
+    - `printed`: gradient of the mean score with respect to a whole window, as eq. 13 is printed.
     """
 
     def __post_init__(self) -> None:
@@ -125,32 +128,33 @@ class TrainingConfig:
     further_stages: int = 25000
     """Iterations of each further stage."""
     discriminator_steps: int = 5
-    """Discriminator steps of an iteration."""
+    """Discriminator steps per iteration."""
     generator_steps: int = 1
-    """Random-generation steps of an iteration, from unpaired speech."""
+    """Random-generation steps per iteration, with unpaired speech."""
     reconstruction_steps: int = 1
-    """Reconstruction steps of an iteration."""
+    """Reconstruction steps per iteration, with paired speech."""
     learning_rate: float = 1e-4
     """Learning rate of Adam, for generators and discriminators."""
     betas: tuple[float, ...] = (0.9, 0.999)
-    """Betas of Adam. With lower ones a single large gradient moves the weights less far."""
+    """Betas of Adam. Lower values limit how far a single large gradient moves the weights."""
     decay_at: float = 1.0
-    """Share of a stage's iterations after which the learning rate falls to a tenth."""
+    """Fraction of a stage's iterations after which the learning rate drops to a tenth; 1 for
+    never."""
     batch: int = 4
-    """Windows of a step, over all processes; 1 with `window: null`."""
+    """Windows per step, over all processes; always 1 with `window: null`."""
     window: float | None = 10.0
-    """Length of the training windows in seconds; null takes whole recordings, one at a time."""
+    """Length of the training windows in seconds; null trains on whole recordings, one at a time."""
     window_cache: int | None = 64
-    """Number of windows whose coarser levels are generated ahead and reused; null draws new noise
-    and speech at every step, as both papers do."""
+    """Number of windows for which the coarser levels are generated in advance and reused; null
+    draws new noise and speech at every step, as both papers do."""
     renew_every: int = 50
-    """Iterations after which the window cache is filled anew."""
+    """Iterations after which the window cache is regenerated."""
     margins: bool = False
-    """Generate random motions with the margins that `generate` removes, and compute losses without
-    them. Otherwise training motions move less at their ends than the model's output does. Not in
-    the papers."""
+    """Generate the motions of random steps with the margins that `generate` cuts off, and compute
+    the losses without them. Otherwise motions in training move less near their ends than the
+    model's output does. Not in the papers."""
     silence: float = 0.1
-    """Share of random windows whose speech is replaced by silence."""
+    """Fraction of windows on random steps whose speech is replaced by silence."""
 
     def __post_init__(self) -> None:
         check_positive(
@@ -171,7 +175,9 @@ class TrainingConfig:
         }
         check_not_negative(**steps, decay_at=self.decay_at)
         if not self.generator_steps and not self.reconstruction_steps:
-            raise ConfigError("generator_steps and reconstruction_steps are both 0: nothing learns")
+            raise ConfigError(
+                "generator_steps and reconstruction_steps are both 0: nothing would be trained"
+            )
         if len(self.betas) != 2 or not all(0 <= beta < 1 for beta in self.betas):
             raise ConfigError(f"betas: {list(self.betas)} must be two numbers from 0 to below 1")
         if not 0 <= self.silence < 1:
@@ -186,10 +192,11 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class PyramidFeatureConfig(FeatureConfig):
-    """Speech features of the model, and their distribution over levels."""
+    """Speech features of the model, and how each level receives them."""
 
     residual: bool = True
-    """Condition finer levels on the residual of the coarser features (section 5 of the paper)."""
+    """Condition each finer level on the residual of the features (what the coarser levels lack),
+    instead of the features themselves (section 5 of the paper)."""
 
 
 @dataclass(frozen=True)
@@ -197,10 +204,11 @@ class StyleConfig:
     """Label mode: the `style` of each manifest item is a condition."""
 
     mixing: float = 0.9
-    """Share of random motions with one style up to a random level and another above it."""
+    """Fraction of motions on random steps that have one style up to a random level and another
+    style at the finer levels."""
     condition_discriminator: bool = True
-    """Condition discriminators on the style of a motion, and compare it with recordings of that
-    style; in the paper they are unconditional."""
+    """Condition the discriminators on the style, with recordings of the same style as real samples;
+    in the paper discriminators are unconditional."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.mixing <= 1:
@@ -221,20 +229,20 @@ class RecallConfig:
     """
 
     level: int = 6
-    """Level that is replaced, counted from 1 (coarsest); even, as levels are trained in pairs. The
-    finest level gives recorded motion alone (retrieval)."""
+    """Level whose output is replaced, counted from 1 (coarsest); even, because levels are trained
+    in pairs. With the finest level, the result is recorded motion only (retrieval)."""
     piece: float = 2.0
-    """Length of a piece, seconds."""
+    """Length of a piece in seconds."""
     overlap: float = 0.4
-    """Length of the cross-fade between two pieces, seconds; at most half of a piece."""
+    """Length of the cross-fade between two pieces in seconds; at most half of a piece."""
     parts: Literal["arms", "body"] = "arms"
     """Choose pieces for each arm and for the rest of the body separately, or for the whole body."""
     stretch: float = 0.0
-    """Share by which the pieces of an arm are played faster or slower, so that they move when the
-    speech asks for it; from 0.05 to 0.5, or 0 to play them as recorded."""
+    """Largest fraction by which pieces of an arm are played faster or slower, so that they move at
+    the times predicted from the speech; from 0.05 to 0.5, or 0 to play them as recorded."""
     own_movement: float = 0.9
-    """Share of the recalled pieces' own arm movement in the targets of `losses.arm_speed` and
-    `losses.arm_acceleration`; the rest is what the speech predicts."""
+    """Weight, from 0 to 1, of the recalled pieces' own arm movement in the targets of
+    `losses.arm_speed` and `losses.arm_acceleration`; the rest is the prediction from speech."""
 
     def __post_init__(self) -> None:
         check_positive(level=self.level, piece=self.piece, overlap=self.overlap)
@@ -254,36 +262,37 @@ class MultiresConfig(RunConfig):
     """Settings of a multires training run, with or without speech and style conditions."""
 
     system: Literal["multires"]
-    """System that is trained; `multires` for these settings."""
+    """Name of the system; always `multires` here."""
     out: Path = field(default_factory=lambda: Path("runs/multires"))
     """Run folder."""
     fps: float = 25.0
     """Frame rate of the finest level; recordings are resampled to it."""
     normalise: bool = True
-    """Normalise motion to zero mean and comparable spread; GANimator does not."""
+    """Normalise motion vectors to zero mean and comparable spread; GANimator does not."""
     face_forward: bool = True
     """Turn each recording about the vertical so that its mean heading is +Z; the papers do not."""
     contact_threshold: float = 0.2
-    """Speed below which a foot point is in contact (eq. 1), m/s on a body of 1.7 m. The paper gives
-    none; GANimator has 0.54, which is 0.018 a frame at 30 fps."""
+    """Speed below which a foot point is in contact (eq. 1), in m/s for a body of 1.7 m. The paper
+    does not give its value; GANimator has 0.54 (0.018 m per frame at 30 fps)."""
     z_star: Literal["shared", "full"] = "shared"
-    """Noise of reconstructions: one channel scaled by sigma like all noise, or unscaled noise for
-    each channel (GANimator)."""
+    """Reconstruction noise z*: one sequence shared by all channels and scaled by sigma, like all
+    other noise, or unscaled noise for each channel (GANimator)."""
     z_star_shuffle: int = 0
-    """Longest patch, in coarsest frames, of z* from which level-1 noise of random motions is put
-    together in random order, within the requested style; 0 draws new noise (both papers)."""
+    """Longest patch of z*, in frames of level 1. Level-1 noise of random steps and of generation is
+    then made of patches of z* in random order, taken from recordings of the requested style; 0
+    draws new noise (both papers)."""
     noise_levels: int = 1
-    """Number of coarsest levels that get noise in generation (GANimator: the first only). In
-    training all levels get noise (both papers)."""
+    """Number of levels, from the coarsest, that get noise in generation (GANimator: only the
+    first). In training all levels get noise (both papers)."""
     features: PyramidFeatureConfig | None = field(default_factory=PyramidFeatureConfig)
     """Speech features; null trains a model without speech input."""
     styles: StyleConfig | None = None
-    """Style conditions; null trains a model without."""
+    """Style condition; null trains a model without styles."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Generators and discriminators."""
     recall: RecallConfig | None = None
-    """Recall by speech; null generates all levels, as in the papers. The model folder then holds
-    the training motion at that level."""
+    """Recall by speech; null generates all levels, as in the papers. With recall, the model folder
+    contains the training motion at the frame rate of `recall.level`."""
     losses: LossConfig = field(default_factory=LossConfig)
     """Weights of the losses."""
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -293,14 +302,14 @@ class MultiresConfig(RunConfig):
     eval_every: int = 0
     """Iterations between cheap evaluations (`quick_metrics`) on the training speech, written to
     metrics.jsonl with `kind: evaluation`, each with a sample in samples/; 0 for none. The best
-    model of the last stage by these metrics is kept in best/. They do not change the training, and
-    model/ always has the weights of the last step."""
+    model of the last stage by these metrics is kept in best/. Evaluations do not change the
+    training, and model/ always has the weights of the last step."""
     precision: Literal["float32", "bfloat16"] = "float32"
-    """Precision of convolutions in training; bfloat16 is for GPUs that are fast with it."""
+    """Precision of convolutions in training; bfloat16 is for GPUs that support it in hardware."""
     backend: BackendName = "auto"
     """Implementation of convolutions and discriminator gradients in training: plain torch, or numba
-    (compiled for CPUs, float32). auto takes numba on a CPU where it can. The environment variable
-    GESTUREKIT_BACKEND replaces this setting, and applies to generation too."""
+    (compiled for CPUs, float32). auto uses numba on a CPU if possible. The environment variable
+    GESTUREKIT_BACKEND overrides this setting, and also applies to generation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -319,7 +328,7 @@ class MultiresConfig(RunConfig):
 
     @property
     def random_margin(self) -> int:
-        """Return how many frames random motions are longer at either end in training."""
+        """Return the margin in frames at each end of the motions of random steps in training."""
         return self.network.margin if self.training.margins else 0
 
     @property

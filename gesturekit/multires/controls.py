@@ -18,8 +18,8 @@ class MultiresControls(Controls):
     """Controls that multires models take beside those of every system.
 
     Without a style, each sample gets a random one. At most one of `path`, `keyframes`, `like` and
-    `keep` can be given; each of them sets the length where neither speech nor seconds does, `like`
-    excepted.
+    `keep` can be given; each of them except `like` sets the length if neither speech nor seconds is
+    given.
     """
 
     level_style: str | None = None
@@ -30,10 +30,10 @@ class MultiresControls(Controls):
     edited and passed back as keyframes. Only style, level_style and speech can be combined with
     it."""
     keyframes: str | Path | Motion | None = None
-    """A motion that replaces the output of a coarse level; the finer levels add detail and keep
-    its slow movement. If it was edited from a motion made with levels and the same seed, unedited
-    frames stay as they were generated. A motion on another rig is retargeted. The result has the
-    model's own frame rate, unless fps is given."""
+    """A motion that replaces the output of a coarse level; the finer levels add detail and keep its
+    slow movement. If it is an edited copy of a motion generated with levels and the same seed,
+    unedited frames are reproduced as generated. A motion on another rig is retargeted. The result
+    has the model's own frame rate, unless fps is given."""
     keyframe_level: int = 1
     """The level that keyframes or like replaces, counted from 1 (coarsest)."""
     keep: Mapping[float, str | Path | Motion] | None = None
@@ -41,10 +41,10 @@ class MultiresControls(Controls):
     position; the model generates the motion before, between and after them (in-betweening)."""
     recall: bool | None = None
     """Recall pieces of the training recordings, chosen by the speech (--no-recall: generate all
-    levels from noise). By default a model recalls if it was trained to."""
+    levels from noise). By default a model uses recall if it was trained with it."""
     liveliness: float = 1.0
-    """Amount of hand movement that is asked for: below 1 calmer, above 1 livelier than the speech
-    asks for, about from 0.5 to 1.5. For models that recall."""
+    """Amount of hand movement relative to the prediction from speech, about 0.5 (calmer) to 1.5
+    (livelier). For models with recall."""
 
 
 class MultiresControlArguments(ControlArguments, total=False):

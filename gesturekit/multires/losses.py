@@ -1,7 +1,7 @@
 """Losses of the multires system (section 3.4 of Moreno-Villamarin et al. 2024): pure functions.
 
-Equations are those of the paper. `losses` weighs the generators' losses by `LossConfig`; each has
-one name as a function, as a setting and in the log.
+Equation numbers are those of the paper. `losses` weights the generators' losses by `LossConfig`;
+each loss has the same name as a function, as a setting and in the log.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ class Batch:
         scores: (B,) discriminator scores of the generated motions.
         foot_velocity: (B, T - 1, F, 3) of the generated foot points, m/s.
         contact_labels: (B, T - 1, F) as generated, about 0 or 1.
-        bend: (B, K, 3, T - 2) second differences of the generated joints' positions, metres.
+        bend: (B, K, 3, T - 2) second differences of the generated joint positions, metres.
         arms: (B, 2, T) log arm speed and acceleration, as generated.
         arm_target: (B, 2, T) the same, predicted from speech.
-        downsampled: (B, D, T') generated motion, resampled to the frames of the level below.
-        coarser: (B, D, T') motion of the level below.
+        downsampled: (B, D, T') generated motion, resampled to the frames of the next coarser level.
+        coarser: (B, D, T') motion of the next coarser level.
         detail: () energy distance between generated and recorded detail, see `DetailTarget`.
         generated: (B, D, T) normalised motion of a reconstruction step.
         recorded: (B, D, T) the recording that it should reproduce.
@@ -51,7 +51,7 @@ def losses(batch: Batch, weights: LossConfig) -> dict[str, Tensor]:
     """Return the weighted losses of one level by name; the generators minimise their sum (eq. 11).
 
     Args:
-        batch: generated tensors, and those that they are compared with.
+        batch: generated tensors, and the tensors with which they are compared.
         weights: one for each loss.
     """
     values: dict[str, Tensor] = {}
@@ -85,7 +85,7 @@ def adversarial(scores: Tensor) -> Tensor:
     """Return the generator's part of eq. 12: minus the mean score of generated motions.
 
     Args:
-        scores: (B,); a high score means that the discriminator takes the motion for recorded.
+        scores: (B,); a high score means that the discriminator classifies the motion as recorded.
     """
     return -scores.mean()
 
@@ -132,7 +132,7 @@ def contact(velocity: Tensor, labels: Tensor, slope: float = 10.0, squared: bool
         velocity: (B, T, F, 3) of the foot points, m/s.
         labels: (B, T, F) as generated, about 0 or 1.
         slope: of the sigmoid on labels, which is 1/2 at a label of 1/2; 12 in GANimator.
-        squared: False takes the speed without squaring it, as GANimator does.
+        squared: whether to square the speed; GANimator does not.
     """
     speed = velocity.square().sum(dim=-1)
     if not squared:
@@ -166,7 +166,7 @@ def movement(generated: Tensor, wanted: Tensor) -> Tensor:
 
 
 def coarse(generated: Tensor, given: Tensor) -> Tensor:
-    """Return the mean absolute change of the coarser motion by a level; not in the paper.
+    """Return how much a level changes the coarser motion (mean absolute change); not in the paper.
 
     Args:
         generated: (B, D, T) motion of the level, resampled to the rate of the coarser one.

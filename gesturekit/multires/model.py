@@ -30,7 +30,8 @@ from gesturekit.training.seeds import checked_seed
 
 
 class MultiresModel(TrainedModel):
-    """Motion by a pyramid of small generators, from speech, a style, both or nothing."""
+    """Model that generates motion by a pyramid of small GANs, from speech, a style, both or
+    nothing."""
 
     @gesturekit_errors()
     def generate(
@@ -187,13 +188,14 @@ class MultiresModel(TrainedModel):
 
         Args:
             folder: as written by `save`.
-            weights: path of the encoder's weights of training; {kind: path} for several encoders.
+            weights: path of the encoder weights used in training; {kind: path} for several
+                encoders.
             device: where WavLM computes: auto, cpu, cuda, cuda:1 ... The pyramid stays on the CPU.
-            dtype: precision of the pyramid; there is one only.
+            dtype: precision of the pyramid; only fp32.
 
         Raises:
             ModelError: a part is missing, damaged, or of a newer format; another dtype.
-            WeightsError: weights are needed, or are not those of training.
+            WeightsError: weights are missing, or differ from those used in training.
             ConfigError: there is no such device.
         """
         if dtype != "fp32":

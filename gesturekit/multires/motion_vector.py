@@ -2,9 +2,9 @@
 
 A frame is `[K x 6 | C | 3]`: the first two columns of the rotation matrix of each modelled joint
 (Zhou et al. 2019), a contact label for each foot point (eq. 1 of Moreno-Villamarin et al. 2024),
-and three numbers of the root: its displacement since the frame before along the world's x and z,
-and between them its height, all in metres of the reference body (`ModelJoints.scale`). On SMPL with
-six foot points that is 24 x 6 + 6 + 3 = 153 numbers.
+and three numbers of the root, in this order: displacement along the world's x axis since the
+previous frame, height, and displacement along z, all in metres of the reference body
+(`ModelJoints.scale`). On SMPL with six foot points that is 24 x 6 + 6 + 3 = 153 numbers.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class MultiresRepresentation(ModelJoints):
     """Conversion between motions of one rig and motion vectors.
 
     Attributes:
-        contact_speed: m/s on the reference body; a slower foot point is in contact (eq. 1).
+        contact_speed: speed below which a foot point is in contact (eq. 1), m/s on the reference
+            body.
     """
 
     contact_speed: float = field(default=CONTACT_SPEED, kw_only=True)
@@ -86,7 +87,7 @@ class MultiresRepresentation(ModelJoints):
 
     @classmethod
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> MultiresRepresentation:
-        """Return the inverse of `to_json`; values of older models have no contact speed."""
+        """Return the inverse of `to_json`; older models do not store a contact speed."""
         speed = float(values.get("contact_speed", CONTACT_SPEED))
         return cls(**cls.fields_from_json(skeleton, values), contact_speed=speed)
 

@@ -1,4 +1,4 @@
-"""Everything that a multires model folder holds."""
+"""Contents of a multires model folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gesturekit.training.trained_model import BaseModel
 
 @dataclass(frozen=True)
 class TrainedSequence:
-    """A training sequence, as its reconstruction needs it.
+    """Data of a training sequence that its reconstruction needs.
 
     Attributes:
         frames: its length at the full rate.
@@ -34,7 +34,7 @@ class TrainedSequence:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrainedNoise:
-    """Noise of a trained model: scales, z*, and how random noise is drawn.
+    """Noise of a trained model: scales, z*, and settings for drawing random noise.
 
     Attributes:
         sigma: (N, L) noise scale of each training sequence and level.
@@ -64,7 +64,7 @@ class TrainedNoise:
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class TrainedModel(BaseModel):
-    """Everything that a model folder holds; `MultiresModel` adds generation.
+    """Contents of a model folder; `MultiresModel` adds generation.
 
     Attributes:
         normaliser: mean and scale of motion vectors.
@@ -72,7 +72,7 @@ class TrainedModel(BaseModel):
         network: the generators.
         noise: the model's noise.
         library: recordings that are recalled; None for a model without recall.
-        fastest: m/s over the ground in the fastest second of the training; None if unknown.
+        fastest: ground speed in the fastest second of the training motion, m/s; None if unknown.
     """
 
     kind: ClassVar[str] = "multires"

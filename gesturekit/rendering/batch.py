@@ -92,10 +92,10 @@ def iter_render(
     """Generate motion for each input and write it as NAME.bvh (NAME_s1.bvh ... for samples).
 
     NAME is the stem of a sound file, the path within its folder for one found in a folder, and
-    the id of a manifest's item. Faults of a sound (`Wave.faults`) are logged as warnings, and it
-    is rendered all the same. A hidden folder beside the results has the plan of the work and a
-    journal of what was done with which model, settings and input, so that an interrupted run can
-    be continued.
+    the id of a manifest's item. Faults of a sound (`Wave.faults`) are logged as warnings, and it is
+    rendered nevertheless. A hidden folder beside the results has the plan of the work and a journal
+    of what was done with which model, settings and input, so that an interrupted run can be
+    continued.
 
     Args:
         model: model from `gesturekit.load`.

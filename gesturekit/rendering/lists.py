@@ -6,9 +6,9 @@
 | `NAME.scp` (Kaldi's wav.scp) | id and path of a sound; commands (`sox ... \\|`) are never run |
 | `NAME.jsonl` | object with `audio`, and optionally the fields of `FIELDS` |
 
-Paths are relative to the list's folder, or where there is no such file to the working folder.
-Results are named by the id; without one, by the path as it is written in the list, or by the stem
-of a path that is absolute or has `..`.
+Paths are relative to the list's folder or, if there is no such file, to the working folder. Results
+are named by the id; without one, by the path as it is written in the list, or by the stem of a path
+that is absolute or has `..`.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def matches_of_glob(pattern: str, suffixes: Sequence[str]) -> Iterator[tuple[Pat
     found = (Path(path) for path in sorted(glob.glob(pattern, recursive=True)))  # noqa: PTH207
     sounds = [path for path in found if path.suffix.lower() in suffixes and path.is_file()]
     if not sounds:
-        raise ConfigError(f"{pattern}: no audio file of this pattern")
+        raise ConfigError(f"{pattern}: no audio file matches this pattern")
     for path in sounds:
         yield path, path.relative_to(base).with_suffix("").as_posix()
 
@@ -87,7 +87,7 @@ def read_list(path: Path) -> Iterator[Entry]:
         yield (None if audio is None else _placed(audio, path.parent)), name, options
         is_empty = False
     if is_empty:
-        raise ConfigError(f"{path}: an empty list")
+        raise ConfigError(f"{path}: the list is empty")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

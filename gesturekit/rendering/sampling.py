@@ -60,7 +60,7 @@ def sample_multires(
     sounds = {} if audio is None else files_by_key(audio, SPEECH_SUFFIXES, "sound")
     missing = [stem for stem in sequences if audio is not None and stem not in sounds]
     if missing:
-        raise ConfigError(f"{audio}: no sound of the name of {', '.join(missing[:3])}")
+        raise ConfigError(f"{audio}: no sound file named {', '.join(missing[:3])}")
     for stem, path in sequences.items():
         if stem in sounds:
             wave = af.Wave.load(sounds[stem])

@@ -11,7 +11,7 @@ class Metrics:
     """Counters of one service.
 
     Args:
-        admitted: function that returns the number of requests in the queue or in work.
+        admitted: function that returns the number of requests that are queued or being processed.
     """
 
     def __init__(self, admitted: Callable[[], int]) -> None:

@@ -44,7 +44,7 @@ class Worker:
 
     @property
     def admitted(self) -> int:
-        """Number of requests that are received, wait or are in work."""
+        """Number of requests that are being received, queued or processed."""
         return self._admitted
 
     @contextlib.contextmanager

@@ -283,8 +283,8 @@ def _policy(post_url: str | None) -> str:
 def _bundle() -> str:
     if not _BUNDLE.is_file():
         raise GestureKitError(
-            f"the script of study pages is not there: {_BUNDLE} is made when gesturekit is set up. "
-            "In a checkout run `make setup`; an installed package holds it already."
+            f"the script of the study pages is missing: {_BUNDLE} is made when gesturekit is set "
+            "up. In a checkout run `make setup`; an installed package holds it already."
         )
     # The HTML parser ends a script at these letters wherever they stand.
     return re.sub(r"</(?=script)", r"<\\/", _BUNDLE.read_text(encoding="utf-8"), flags=re.I)

@@ -27,7 +27,7 @@ class Segment:
         name: path of its clips without suffix; `input_code` in the answers.
         clips: {system: file}.
         sound: the speech, for motions; None if silent.
-        style: the style that its question asks for; "" in other designs.
+        style: the style in its question; "" in other designs.
     """
 
     name: str
@@ -130,9 +130,9 @@ def _sounds(config: StudyConfig, keys: Iterable[str]) -> dict[str, Path]:
     missing = [key for key, path in found.items() if path is None]
     if len(missing) == len(found):
         raise ConfigError(
-            f"audio: {config.audio} has no sound of the clips' names, such as {missing[0]}.wav: "
-            "give the folder of wavs that the clips were rendered from; the parts of recordings "
-            "that render --corpus makes (NAME@START-END) have none"
+            f"audio: {config.audio} has no sound named like the clips, such as {missing[0]}.wav: "
+            "give the folder of wavs that the clips were rendered from; clips rendered with "
+            "--corpus from parts of recordings (NAME@START-END) have none"
         )
     _warn(f"left out, as {config.audio} has no sound of them:", missing)
     return {key: path for key, path in found.items() if path is not None}

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from gesturekit.errors import ConfigError
 from gesturekit.training.config import load_config
-from gesturekit.viewer.worn import BODIES, is_body
+from gesturekit.viewer.drawn_body import BODIES, is_body
 
 INTRODUCTION = """You will see pairs of short clips of a moving figure. Play both clips of a pair \
 to the end, then answer the question below them. There are no right or wrong answers: we want to \
@@ -88,7 +88,7 @@ class StudyConfig:
         for name in ("post_url", "completion_url"):
             url = getattr(self, name)
             if url is not None and not _is_web_address(url):
-                raise ConfigError(f"{name}: {url!r} is not an address; expected https://...")
+                raise ConfigError(f"{name}: {url!r} is not a web address; expected https://...")
         self._check_styles()
 
     def _check_systems(self) -> None:

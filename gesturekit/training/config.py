@@ -27,7 +27,7 @@ Schema = TypeVar("Schema")
 
 
 _MAX_BYTES = 2 << 20
-_MAX_VALUES = 200_000  # in a file, where an alias counts as all that it stands for
+_MAX_VALUES = 200_000  # in a file; an alias counts as many as the value that it refers to
 _MAX_DIGITS = 40
 
 
@@ -86,7 +86,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
-            raise ConfigError(f"{path}: over {_MAX_BYTES >> 20} MB; no configuration is so large")
+            raise ConfigError(f"{path}: over {_MAX_BYTES >> 20} MB; too large for a configuration")
         values = yaml.load(data.decode("utf-8"), Loader=_Loader)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such configuration file") from None
@@ -155,7 +155,7 @@ def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, 
     if base is None:
         return values
     if depth == 0:
-        raise ConfigError(f"{path}: its base files go on and on; is one its own parent?")
+        raise ConfigError(f"{path}: too many nested base files; does one include itself?")
     if not isinstance(base, str):
         raise ConfigError(f"{path}: base: {base!r} is not a file name")
     parent = path.parent / base
@@ -203,7 +203,7 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         leaf = full.rsplit(".", 1)[-1]
         same = [name for name in _settings(schema) if name.rsplit(".", 1)[-1] == leaf]
         # A section's name may be misspelt; a setting that another section has is in the wrong one.
-        # A plural for a singular is near beyond doubt; other settings of the name come after it.
+        # A plural of the given name is the best match; the same name in other sections comes next.
         plural = [name for name in error.near if name == f"{full}s"]
         meant = (error.near or same) if error.inner else (plural or same or error.near)
         hint = (

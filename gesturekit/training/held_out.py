@@ -34,7 +34,7 @@ MOST_SECONDS = 20.0
 EVERY_SECONDS = 300.0
 """Seconds between measurements of a training without `eval_every`."""
 MOST_SHARE = 0.05
-"""Largest share of the training time spent on measurements, which are made less often if needed."""
+"""Largest share of the training time spent on evaluations; they become less frequent if needed."""
 _PATCH_FRAMES = 30
 
 
@@ -87,7 +87,7 @@ class HeldOut:
                 if not self.styles or item.style in self.styles
             ]
         except GestureKitError as error:
-            log.warning("No figures on held-out recordings: %s", error)
+            log.warning("No metrics on held-out recordings: %s", error)
             return ()
         kept = [item for item in fitting if item.split != "train"] or fitting
         return tuple(kept[:: -(-len(kept) // MOST_CLIPS) or 1])
@@ -128,7 +128,7 @@ class HeldOut:
         try:
             figures = self._figures(generate, controls)
         except (GestureKitError, af.AudioFeaturesError, OSError) as error:
-            log.warning("Step %d: no figures on %s: %s", step, self.what, error)
+            log.warning("Step %d: no metrics on %s: %s", step, self.what, error)
             figures = {}
         self._measured = time.monotonic()
         self._took = self._measured - began

@@ -125,7 +125,7 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
     if missing := unidentified(model.skeleton):
         locked = "feet are not locked, and " if missing.startswith("legs") else ""
         log.warning(
-            "%s: %s of the rig cannot be identified: %sno upper body is smoothed",
+            "%s: %s of the rig cannot be identified: %sthe upper body is not smoothed",
             folder,
             missing,
             locked,

@@ -43,7 +43,7 @@ def check_share(**values: float) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """Settings that the systems share; each adds its own and may have other defaults."""
+    """Settings that both systems share; each system adds its own and may change defaults."""
 
     corpus: Path
     """Manifest written by `gesturekit prepare`."""
@@ -54,33 +54,33 @@ class RunConfig:
     fps: float
     """Frame rate of the model; recordings are resampled to it."""
     joints: Literal["body", "all"] | tuple[str, ...] = "body"
-    """Joints that the model moves: the body without fingers and end joints, all, or names. Others
-    stay at their mean rotation."""
+    """Joints that are modelled: the body without fingers and end joints, all, or a list of joint
+    names. Other joints stay at their mean rotation."""
     start_from: Path | None = None
-    """A model to fine-tune (its folder, or its run folder): its weights, rig, modelled joints,
-    features and normalisation are kept. Null starts from random weights."""
+    """Model or run folder of a model to fine-tune: its weights, rig, modelled joints, features and
+    normalisation are kept. Null starts from random weights."""
     parts: dict[str, str] = field(default_factory=dict)
-    """Joints of body parts, such as {left_elbow: Joint12}, for rigs whose parts cannot be
-    identified by names and shape."""
+    """Joints of body parts, such as {left_elbow: Joint12}, for rigs whose body parts cannot be
+    identified by joint names and shape."""
     smooth: float | None = None
     """Smooth generated movements of the upper body that are shorter than this many seconds, except
-    beats (`gesturekit.postprocess.smooth_motion`); null for none. Stored with the model; it does
-    not change the training."""
+    beats (`gesturekit.postprocess.smooth_motion`); null for none. Applied in generation, and stored
+    with the model; it does not affect training."""
     checkpoint_every: int
     """Steps between checkpoints."""
     log_every: int = 10
     """Steps between log lines."""
     eval_every: int = 0
     """Steps between cheap evaluations (`quick_metrics`) on the training recordings, written to
-    metrics.jsonl with `kind: evaluation`; 0 for none. They do not change the training.
-    Independent of this, the model is measured on held-out recordings at the end and every few
-    minutes (`kind: held_out`)."""
+    metrics.jsonl with `kind: evaluation`; 0 for none. Evaluations do not change the training.
+    Independently of this setting, the model is evaluated on held-out recordings at the end and
+    every few minutes (`kind: held_out`)."""
     threads: int | None = None
     """CPU threads; null leaves the choice to torch."""
     device: str = "auto"
-    """cpu, cuda, cuda:1 ..., or auto, which takes a GPU if there is one."""
+    """cpu, cuda, cuda:1 ..., or auto, which uses a GPU if there is one."""
     notes: dict[str, Any] = field(default_factory=dict)
-    """Free text for the model's README: data, licence."""
+    """Free text for the model's README, such as data and licence."""
 
     @property
     def began_with(self) -> str:

@@ -1,7 +1,7 @@
 """Random numbers that depend on their purpose, not on earlier draws.
 
 A trainer that asks for `rng_for(seed, "pair", 2, "iteration", 417)` needs no random state in its
-checkpoints: a resumed run asks for the same numbers again.
+checkpoints: a resumed run draws the same numbers again.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class BaseModel:
 
     @property
     def styles(self) -> tuple[str, ...]:
-        """Names of the styles it knows; empty for a model without styles."""
+        """Names of its styles; empty for a model without styles."""
         return self.conditions.styles
 
     def first_values(self) -> dict[str, Any]:

@@ -24,11 +24,11 @@ from gesturekit.atomic import atomic_write
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer import tracks
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import COLOURS
 from gesturekit.viewer.page_skin import add_skins, base64_text, packed
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
-from gesturekit.viewer.worn import Worn
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -57,7 +57,7 @@ def write_html(
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         title: the page's heading; the file's stem by default.
         body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
-            `gesturekit.viewer.worn`.
+            `gesturekit.viewer.drawn_body`.
         body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs;
             the motion is put on its rig.
 
@@ -115,7 +115,7 @@ def player_data(
     if not motions:
         raise MotionError("no motion to show: the mapping of motions is empty")
     model = None if body_model is None else BodyModel.of(body_model)
-    shown = {label: Worn.of(motion, body, model) for label, motion in motions.items()}
+    shown = {label: DrawnBody.of(motion, body, model) for label, motion in motions.items()}
     page = _page(shown, None if audio is None else as_sound(audio))
     for figure in page["figures"]:
         if colours is not None and figure["label"] in colours:
@@ -129,7 +129,7 @@ def player_data(
 def _player() -> str:
     if not _BUNDLE.is_file():
         raise GestureKitError(
-            f"the HTML player is not there: {_BUNDLE} is made when gesturekit is set up. "
+            f"the HTML player is missing: {_BUNDLE} is made when gesturekit is set up. "
             "In a checkout run `make setup`; an installed package holds it already."
         )
     # The HTML parser ends a script at these letters wherever they stand.
@@ -146,11 +146,11 @@ def _json(page: dict[str, Any]) -> str:
     return json.dumps(page, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def _page(shown: Mapping[str, Worn], audio: Any) -> dict[str, Any]:
+def _page(shown: Mapping[str, DrawnBody], audio: Any) -> dict[str, Any]:
     page: dict[str, Any] = {
         "format": 1,
-        "height": max(worn.figure.extent for worn in shown.values()),
-        "figures": [_figure(label, worn.motion, worn.figure) for label, worn in shown.items()],
+        "height": max(drawn.figure.extent for drawn in shown.values()),
+        "figures": [_figure(label, drawn.motion, drawn.figure) for label, drawn in shown.items()],
     }
     add_skins(page, list(shown.values()))
     if audio is not None:

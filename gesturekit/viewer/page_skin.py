@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human.body import TOPS, palette_of
 from gesturekit.viewer.skin import Skin, steady_turns
-from gesturekit.viewer.worn import Worn
 
 _LEVELS = 2
 """Skins of the human body on a page: the finest one, and one for playing on slow machines."""
 _FULL = 32_767
 
 
-def add_skins(page: dict[str, Any], shown: Sequence[Worn]) -> None:
+def add_skins(page: dict[str, Any], shown: Sequence[DrawnBody]) -> None:
     """Add the skins of all figures to a page that has its figures already.
 
     The human body is there once, whatever the number of figures; the skins of a body model share
     everything but the vertices.
     """
-    skins = next((worn.skins for worn in shown if worn.skins), None)
+    skins = next((drawn.skins for drawn in shown if drawn.skins), None)
     if skins is None:
         return
     skin = skins[0]
@@ -36,13 +36,13 @@ def add_skins(page: dict[str, Any], shown: Sequence[Worn]) -> None:
         }
     else:
         page["skin"] = {"levels": [_level(each) for each in skins[:_LEVELS]]}
-    for k, (figure, worn) in enumerate(zip(page["figures"], shown)):
-        if not worn.skins:
+    for k, (figure, drawn) in enumerate(zip(page["figures"], shown)):
+        if not drawn.skins:
             continue
-        skin = worn.skins[0]
+        skin = drawn.skins[0]
         figure["skin"] = {
-            "joints": base64_text((worn.scale * skin.rest).astype("<f4").tobytes()),
-            "turns": base64_text(packed(np.rint(steady_turns(worn.motion) * _FULL))),
+            "joints": base64_text((drawn.scale * skin.rest).astype("<f4").tobytes()),
+            "turns": base64_text(packed(np.rint(steady_turns(drawn.motion) * _FULL))),
         }
         if skin.regions is None:
             figure["skin"]["vertices"] = base64_text(skin.vertices.astype("<f4").tobytes())
@@ -51,7 +51,7 @@ def add_skins(page: dict[str, Any], shown: Sequence[Worn]) -> None:
             if colours is None:
                 colours = palette_of(TOPS[k % len(TOPS)]).values()
             palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours]
-            figure["skin"] |= {"scale": worn.scale, "palette": palette}
+            figure["skin"] |= {"scale": drawn.scale, "palette": palette}
 
 
 def _level(skin: Skin) -> dict[str, Any]:

@@ -18,10 +18,10 @@ from audio_features import LogMel, Wave
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import MotionError
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.sound import as_sound
 from gesturekit.viewer.video.still import Stills
-from gesturekit.viewer.worn import Worn
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -60,7 +60,7 @@ def write_picture(
         path: the .png, .svg or .pdf file to write.
         audio: the speech that belongs to it, a file or a `Wave`.
         body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
-            `gesturekit.viewer.worn`.
+            `gesturekit.viewer.drawn_body`.
 
     Raises:
         AudioError: `audio` is not sound.
@@ -74,7 +74,9 @@ def write_picture(
     motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
     if not motions:
         raise MotionError("no motion to draw: the mapping of motions is empty")
-    _write({label: Worn.of(each, body) for label, each in motions.items()}, wave, path, 10, None)
+    _write(
+        {label: DrawnBody.of(each, body) for label, each in motions.items()}, wave, path, 10, None
+    )
 
 
 def contact_sheet(
@@ -92,7 +94,7 @@ def contact_sheet(
         frames: how many times the figure is drawn.
         title: the heading; the file's stem by default.
     """
-    _write({"": Worn.of(motion)}, None, path, frames, title)
+    _write({"": DrawnBody.of(motion)}, None, path, frames, title)
 
 
 def speech_and_motion(
@@ -107,18 +109,18 @@ def speech_and_motion(
 
     The speech starts with the motion; other arguments as in `contact_sheet`.
     """
-    _write({"": Worn.of(motion)}, wave, path, frames, title)
+    _write({"": DrawnBody.of(motion)}, wave, path, frames, title)
 
 
 def _write(
-    shown: Mapping[str, Worn],
+    shown: Mapping[str, DrawnBody],
     wave: Wave | None,
     path: str | os.PathLike[str],
     frames: int,
     title: str | None,
 ) -> None:
-    figures = {label: worn.figure for label, worn in shown.items()}
-    seconds = max(worn.motion.duration for worn in shown.values())
+    figures = {label: drawn.figure for label, drawn in shown.items()}
+    seconds = max(drawn.motion.duration for drawn in shown.values())
     seconds = max(seconds, wave.duration if wave else 0.0)
     bodies = [_ROW_INCHES] * len(figures)
     heights = [1.1, 1.2, *bodies] if wave else [*bodies, 1.0]
@@ -142,9 +144,9 @@ def _write(
     if wave:
         _speech(rows.pop(0), wave, seconds)
     _speed(rows.pop(0 if wave else -1), figures, wave, seconds)
-    for k, (axes, (label, worn)) in enumerate(zip(rows, shown.items(), strict=True)):
-        stills = Stills(worn, _STILL, k) if worn.skins else None
-        _figures(axes, worn.figure, label, (frames, seconds), stills)
+    for k, (axes, (label, drawn)) in enumerate(zip(rows, shown.items(), strict=True)):
+        stills = Stills(drawn, _STILL, k) if drawn.skins else None
+        _figures(axes, drawn.figure, label, (frames, seconds), stills)
     kind = Path(path).suffix[1:].lower()
     with atomic_write(path) as temporary, matplotlib.rc_context(_REPRODUCIBLE):
         canvas.savefig(temporary, format=kind, metadata=_METADATA[kind])

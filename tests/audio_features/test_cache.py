@@ -37,7 +37,7 @@ def wave() -> af.Wave:
     return af.Wave(np.random.default_rng(0).uniform(-0.5, 0.5, 16_000), 16_000)
 
 
-def test_what_comes_back_is_bit_for_bit_what_was_extracted(tmp_path, wave):
+def test_cached_features_equal_extracted_ones_bit_for_bit(tmp_path, wave):
     slow, cache = Slow(), af.FeatureCache(tmp_path)
     first = cache.extract(slow, wave)
     again = af.FeatureCache(tmp_path).extract(slow, wave)
@@ -115,7 +115,7 @@ def test_a_damaged_entry_is_made_again(tmp_path, wave, fault, caplog):
         assert slow.asked == 2
 
 
-def test_what_was_not_used_for_longest_makes_room(tmp_path):
+def test_the_least_recently_used_entries_are_removed_first(tmp_path):
     waves = [af.Wave(np.full(16_000 + i, 0.1), 16_000) for i in range(8)]
     slow, cache = Slow(), af.FeatureCache(tmp_path)
     cache.extract(slow, waves[0])

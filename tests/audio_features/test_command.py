@@ -42,7 +42,7 @@ def test_one_bad_file_is_listed_and_the_others_are_done(folder):
     assert made == [".gesturekit", "a.npz", "silent.npz"]
 
 
-def test_what_cannot_start_says_why(folder):
+def test_commands_that_cannot_start_give_a_reason(folder):
     from click import UsageError
 
     from audio_features import WeightsError
@@ -126,7 +126,7 @@ def test_features_that_exist_are_refused_skipped_or_replaced(folder, speech):
     assert not (folder / "out" / "b.npz").exists()
     for option in (["--existing", "skip"], ["--skip-existing"]):
         result = run("a.wav", "b.wav", "--out", "out", *option)
-        assert result.return_value == 0 and "a.wav: left as it is" in result.output
+        assert result.return_value == 0 and "a.wav: skipped, its outputs exist" in result.output
     assert (folder / "out" / "b.npz").is_file()
     assert (folder / "out" / "a.npz").stat().st_mtime_ns == made
     others = ("--fps", "25", "--existing", "replace")

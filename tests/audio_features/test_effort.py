@@ -39,7 +39,7 @@ def test_pitch_is_in_semitones_above_60_hz(hertz):
     np.testing.assert_allclose(values[:, :2], expected, atol=0.15)
 
 
-def test_a_voice_that_rises_has_a_median_and_a_high_pitch():
+def test_effort_has_median_and_high_pitch_of_a_rising_voice():
     glide = np.where(np.arange(4 * RATE) < 3.2 * RATE, 120.0, 240.0)
     values = effort(harmonic(glide, 4.0), seconds=120)
     np.testing.assert_allclose(values[:, 0], 12.0, atol=0.3)

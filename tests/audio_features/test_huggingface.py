@@ -228,7 +228,7 @@ def test_the_same_weights_in_other_files_have_the_same_fingerprint(copy):
         af.HuggingFace(copy)
 
 
-def test_broken_folders_are_told_by_name(copy, tmp_path):
+def test_broken_folders_are_errors_that_name_the_file(copy, tmp_path):
     from safetensors.torch import load_file, save_file
 
     with pytest.raises(af.WeightsError, match="nowhere: no such folder"):

@@ -103,7 +103,7 @@ except af.FeatureError as error:
 """
 
 
-def test_a_broken_torchaudio_on_the_path_harms_nothing(tmp_path):
+def test_a_broken_torchaudio_does_no_harm(tmp_path):
     package = tmp_path / "site" / "torchaudio"
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("raise OSError('libtorch_cuda.so: cannot open')")

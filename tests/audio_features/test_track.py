@@ -89,7 +89,7 @@ def test_length_ratio_is_torchs_interpolation_with_aligned_corners(n_in, n_out):
     at=st.floats(0.05, 0.95),
     base=st.sampled_from(["light", "WavLM's"]),
 )
-def test_frame_law(n, rate, fps, at, base):
+def test_frame_count_and_frame_times(n, rate, fps, at, base):
     """Rows follow from the sample count alone, and a click is in the row of its time."""
     samples = np.zeros(n, np.float32)
     click = round(at * n) / rate

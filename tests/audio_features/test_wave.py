@@ -139,7 +139,7 @@ def test_a_header_that_contradicts_itself_is_refused(tmp_path):
         ("a.aac", b"\xff\xf1" + bytes(20)),
     ],
 )
-def test_what_libsndfile_cannot_decode_comes_with_the_ffmpeg_line(tmp_path, name, head):
+def test_formats_that_libsndfile_cannot_decode_give_the_ffmpeg_command(tmp_path, name, head):
     (tmp_path / name).write_bytes(head + bytes(1000))
     with pytest.raises(AudioError, match="ffmpeg -i ") as caught:
         Wave.load(tmp_path / name)
@@ -286,7 +286,7 @@ def test_rms_does_not_depend_on_the_blocks_it_is_computed_in(monkeypatch):
     np.testing.assert_allclose(wave.rms(times), whole, rtol=1e-9)
 
 
-def test_activity_and_level_do_not_see_pauses_gain_or_offset(speech):
+def test_activity_and_level_do_not_depend_on_pauses_gain_or_offset(speech):
     pause = np.zeros(20 * 16_000, np.float32)
     sparse = Wave(np.concatenate([pause, speech.samples, pause]), 16_000)
     assert sparse.active_level() == pytest.approx(speech.active_level(), abs=0.3)

@@ -155,7 +155,7 @@ def test_the_front_end_gives_the_same_in_blocks_of_any_size(network, block):
     assert distance(ours.numpy(), theirs.numpy()) < 1e-5
 
 
-def test_what_enters_the_transformer_is_exact_in_chunks(network):
+def test_inputs_of_the_transformer_are_exact_in_chunks(network):
     """Convolutions, normalisation over the whole sound, positions: no seam, no drift."""
     folder, model, large = network
     samples = sound(7.3)
@@ -197,7 +197,7 @@ def test_chunked_values_come_near_the_whole_as_chunks_grow(network):
     assert errors[2] < 1e-5  # one chunk holds everything
 
 
-def test_a_batch_of_chunks_is_what_they_are_alone(network):
+def test_chunks_in_a_batch_equal_single_chunks(network):
     from audio_features.wavlm.encoder import Encoder
     from audio_features.wavlm.weights import read_weights
 
@@ -260,7 +260,7 @@ def test_settings_that_make_no_sense_are_refused(tmp_path, write_wavlm, settings
         af.WavLM(tmp_path, **settings)
 
 
-def test_bf16_is_near_and_says_so(network):
+def test_bf16_is_close_and_changes_the_spec(network):
     wave = af.Wave(sound(2.0), 16_000)
     exact, quick = (af.WavLM(network[0], dtype=dtype) for dtype in ("fp32", "bf16"))
     assert 1e-5 < distance(quick.extract(wave).values, exact.extract(wave).values) < 0.05
@@ -286,7 +286,7 @@ def test_a_spec_makes_the_same_features_again(network, speech, settings):
     np.testing.assert_array_equal(again.extract(speech).values, extractor.extract(speech).values)
 
 
-def test_a_spec_asks_for_its_own_weights(network, tmp_path, speech, write_wavlm):
+def test_a_spec_requires_the_weights_of_its_fingerprint(network, tmp_path, speech, write_wavlm):
     extractor = af.WavLM(network[0], layer=2)
     # As written before there were other settings.
     spec = {"kind": "wavlm", "layer": 2, "fingerprint": extractor.fingerprint}

@@ -129,7 +129,7 @@ def test_utf_16_as_praat_writes_it(tmp_path):
         ("a.doc", "", "not a word list"),
     ],
 )
-def test_a_broken_list_is_told_by_name(tmp_path, name, text, complaint):
+def test_a_broken_word_list_is_an_error_that_names_the_file(tmp_path, name, text, complaint):
     (tmp_path / name).write_text(text)
     with pytest.raises(af.FeatureError, match=f"{name}.*{complaint}"):
         af.load_words(tmp_path / name)

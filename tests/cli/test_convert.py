@@ -34,7 +34,7 @@ def takes(gesture, tmp_path) -> Path:
     return folder
 
 
-def test_the_choices_are_those_of_the_readers():
+def test_choices_of_the_options_match_the_readers():
     assert set(UNITS) == set(units.METRES) and set(AXES) == set(axes.AXES)
 
 
@@ -60,11 +60,11 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
     assert failed.startswith("Failed: ") and "broken.bvh:1" in failed and count == "1 of 3 failed."
     assert {path.name for path in out.rglob("*.html")} == {"a.html", "für später.html"}
     again = gesturekit("convert", takes, out, "--format", "npz,html")
-    assert again.status == 1 and again.out.count("left as it is") == 2
+    assert again.status == 1 and again.out.count("skipped, its outputs exist") == 2
     other = gesturekit("convert", takes, out, "--format", "npz,html", "--mirror")
     assert other.status == 2 and "another mirror (4 refused" in other.err and other.out == ""
     skipped = gesturekit("convert", takes, out, "--format", "npz,html", "--existing", "skip")
-    assert skipped.status == 1 and skipped.out.count("left as it is") == 2
+    assert skipped.status == 1 and skipped.out.count("skipped, its outputs exist") == 2
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_folder_lists_what_failed_and_does_the_rest(gesturekit, takes, tmp_pat
         (["a.bvh", "x.npz", "--in-unit", "yard"], "--in-unit"),
         (["a.bvh", "x.npz", "--part", "elbow"], "PART=JOINT"),
         (["a.bvh", "x.npz", "--part", "tail=Hips"], "PART=JOINT"),
-        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "names joints of --rig"),
+        (["a.bvh", "x.npz", "--rig-part", "head=Hips"], "--rig-part requires --rig"),
         (["a.bvh", "sub", "--format", "bhv"], "format bhv"),
         (["a.bvh", "sub"], "--format npz"),
         (["a.bvh", "sub/für später.npz", "x.npz"], "2 inputs cannot become one file"),
@@ -161,7 +161,11 @@ def test_a_page_that_exists_is_replaced_unless_asked(gesturekit, takes, tmp_path
     refused = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "refuse")
     assert refused.status == 2 and "--existing replace" in refused.err
     skipped = gesturekit("view", takes / "a.bvh", "--out", page, "--existing", "skip")
-    assert skipped.status == 0 and "left as it is" in skipped.err and page.read_text() == "mine"
+    assert (
+        skipped.status == 0
+        and "skipped, exists already" in skipped.err
+        and page.read_text() == "mine"
+    )
     assert gesturekit("view", takes / "a.bvh", "--out", page).status == 0
     assert page.read_text() != "mine"
 

@@ -21,7 +21,7 @@ def test_a_machine_that_works_is_usable(gesturekit, write_wavlm, tmp_path):
     assert "makes motion: 30 frames" in done.out and "3 layers of 32" in done.out
 
 
-def test_what_is_needed_and_broken_ends_in_1(gesturekit, tmp_path):
+def test_a_broken_requirement_gives_exit_code_1(gesturekit, tmp_path):
     done = gesturekit("doctor", "--weights", tmp_path / "none")
     assert done.status == 1
     assert f"BROKEN WavLM         {tmp_path / 'none'}" in done.out

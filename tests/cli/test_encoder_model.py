@@ -94,7 +94,10 @@ def test_a_model_takes_a_speech_and_a_text_encoder(
     for given, complaint in (
         (("--weights", wavlm), "(--weights wavlm=PATH --weights words=PATH)"),
         (named[:2], "weights of the text encoder bert with fingerprint"),
-        (("--weights", wavlm, *named[2:]), f"--weights {wavlm}: of several, each is KIND=PATH"),
+        (
+            ("--weights", wavlm, *named[2:]),
+            f"--weights {wavlm}: with several encoders, give KIND=PATH",
+        ),
         ((*named, *named[2:]), "words is given twice"),
         (("--weights", f"wavml={wavlm}", *named[2:]), "'wavml' is not an encoder"),
         (("--weights", f"wavlm={text}", "--weights", f"words={wavlm}"), "text"),

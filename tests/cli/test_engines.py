@@ -103,7 +103,7 @@ def test_a_job_that_is_preempted_is_requeued_and_goes_on(render, tmp_path):
 
 
 @pytest.mark.stress
-def test_ray_loses_a_node_and_nothing_else(render, tmp_path, monkeypatch):
+def test_shards_of_a_lost_ray_node_are_run_again(render, tmp_path, monkeypatch):
     ray = pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 

@@ -85,19 +85,19 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["ours", "recordings", "--compare", "baseline", "b c"], "--compare 'b c'"),
         (["a=ours", "recordings", "--compare", "a=baseline"], "two models are named a"),
         (["ours", "recordings", "--baseline", "median"], "it is one of mean_pose, other"),
-        (["ours", "recordings", "--compare", "ours"], "is named twice"),
+        (["ours", "recordings", "--compare", "ours"], "is given twice"),
         (["ours", "recordings", "--audio", "ours"], "no sound files"),
         (["ours", "recordings", "--features", "ours"], "ours"),
         (["demo", "recordings"], "demo is a model"),
         (["made", "recordings", "--out", "recordings/clip0.bvh/r.html"], "cannot be written"),
         (["demo", "recordings", "--protocol", "lda"], "give --audio"),
-        (["--sanity", "recordings", "ours"], "a folder of recordings alone"),
+        (["--sanity", "recordings", "ours"], "only a folder of recordings"),
         (["--sanity", "empty"], "empty: no motion files"),
         (["--sanity", "recordings", "--body", "human"], "does not use --body; leave it out"),
         (["--sanity", "recordings", "--csv", "t.csv"], "does not use --csv; leave it out"),
     ],
 )
-def test_what_cannot_start_is_one_line_and_exit_2(
+def test_usage_errors_are_one_line_and_exit_code_2(
     gesturekit, folders, monkeypatch, arguments, said
 ):
     monkeypatch.chdir(folders)
@@ -186,7 +186,7 @@ def test_held_out_items_are_cut_as_the_manifest_says(gesturekit, held_out, tmp_p
     assert by_hand == pytest.approx(own, rel=1e-4, abs=1e-4)
 
 
-def test_retrieval_and_a_model_that_hears_other_speech_are_peers(gesturekit, held_out, tmp_path):
+def test_retrieval_and_speech_blind_are_compared(gesturekit, held_out, tmp_path):
     root, items = held_out
     about = ["--corpus", root / "corpus.jsonl"]
     made = gesturekit(
@@ -221,7 +221,7 @@ def test_baselines_that_cannot_be_made_are_refused_first(gesturekit, folders, ar
     assert done.status == 2 and message in done.err
 
 
-def test_a_model_that_is_not_known_cannot_hear_other_speech(gesturekit, held_out):
+def test_speech_blind_needs_a_folder_written_by_render(gesturekit, held_out):
     root, _ = held_out
     done = gesturekit(
         "evaluate",
@@ -231,10 +231,10 @@ def test_a_model_that_is_not_known_cannot_hear_other_speech(gesturekit, held_out
         "--baseline",
         "speech_blind",
     )
-    assert done.status == 2 and "only known of what gesturekit render wrote" in done.err
+    assert done.status == 2 and "only known for folders written by gesturekit render" in done.err
 
 
-def test_what_was_trained_on_is_warned_about(gesturekit, held_out, tmp_path):
+def test_evaluating_on_training_recordings_is_warned_about(gesturekit, held_out, tmp_path):
     root, items = held_out
     train = ("evaluate", root / "rendered", "--corpus", root / "corpus.jsonl", "--split", "train")
     done = gesturekit(*train)
@@ -268,7 +268,7 @@ def test_an_item_without_a_clip_is_left_out(gesturekit, held_out, tmp_path):
     done = gesturekit("evaluate", made, *corpus)
     assert done.status == 2 and "of 1 clip (other) none has a recording" in done.err
     both = gesturekit("evaluate", made, root / "recordings", *corpus)
-    assert both.status == 2 and "has its own --compare" in both.err
+    assert both.status == 2 and "with its own --compare" in both.err
 
 
 def test_a_rig_without_limbs_gets_one_line_of_what_was_left_out(gesturekit, tmp_path):
@@ -324,7 +324,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(gesturekit, folders, tmp
 
     monkeypatch.setattr(Work, "clip", counted)
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
-    assert done.status == 130 and "What was measured is kept" in done.err
+    assert done.status == 130 and "Finished measurements are cached" in done.err
     done_clips[:] = [None]  # room for one more clip
     done = gesturekit("evaluate", folders / "ours", folders / "recordings")
     assert done.status == 0, done.err

@@ -33,7 +33,7 @@ def test_joints_by_name(gesturekit, recordings, tmp_path):
     assert done.status == 0 and len(FeatureModel.load(tmp_path).windows.bones) == 3
 
 
-def test_files_that_cannot_be_read_are_told_and_left_out(gesturekit, recordings, tmp_path):
+def test_unreadable_files_are_listed_and_left_out(gesturekit, recordings, tmp_path):
     broken = tmp_path / "broken.bvh"
     broken.write_text("HIERARCHY\nROOT", encoding="utf-8")
     done = gesturekit("fit-features", recordings, broken, "--out", tmp_path / "m", "--steps", 2)
@@ -44,7 +44,7 @@ def test_files_that_cannot_be_read_are_told_and_left_out(gesturekit, recordings,
     assert not (tmp_path / "n").exists()
 
 
-def test_what_makes_no_sense_is_one_line(gesturekit, recordings, tmp_path):
+def test_invalid_options_are_one_line(gesturekit, recordings, tmp_path):
     for options, message in (
         (["--frames", 3], "windows of 3 frames"),
         (["--joints", "Wing"], "no joint 'Wing'"),

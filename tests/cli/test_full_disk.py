@@ -71,7 +71,7 @@ def test_a_disk_that_becomes_full(gesturekit, recordings, small_disk, tmp_path, 
     stopped = gesturekit(*command(recordings, out))
     assert stopped.status == 1
     (line,) = [line for line in stopped.err.splitlines() if line.startswith("Error: ")]
-    assert "No space left on device; stopped: nothing that is done is lost" in line
+    assert "No space left on device; stopped: finished results are kept" in line
     assert "Traceback" not in stopped.err and stopped.err.count("No space left") == 1
     made = content(out)
     assert 1 <= len(done(out)) < 12 and set(done(out)) <= set(made)

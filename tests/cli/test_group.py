@@ -39,14 +39,14 @@ def test_features_that_cannot_be_written_or_made(gesturekit, write_speech, tmp_p
     done = gesturekit("features", wav, "--out", tmp_path / "speech.wav" / "out")
     assert done.status == 2
     target = tmp_path / "speech.wav" / "out"
-    assert done.err == f"Error: {target}: cannot be made (Not a directory)\n"
+    assert done.err == f"Error: {target}: cannot be created (Not a directory)\n"
     for fps in ("0", "1e9", "fast"):
         done = gesturekit("features", wav, "--out", tmp_path / "out", "--fps", fps)
         assert done.status == 2 and "--fps" in done.err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_reader_that_leaves_early_is_no_error(model, write_speech, tmp_path):
+def test_a_reader_that_closes_the_pipe_early_is_not_an_error(model, write_speech, tmp_path):
     """gesturekit render ... | head -1"""
     for i in range(3):
         write_speech(tmp_path / "in" / f"{i}.wav", 0.5)
@@ -109,7 +109,7 @@ VERBS_OF_MANY = {
 
 
 @pytest.mark.parametrize("verb", VERBS_OF_MANY)
-def test_ctrl_c_names_how_to_go_on(gesturekit, write_pair, tmp_path, monkeypatch, verb):
+def test_ctrl_c_prints_how_to_continue(gesturekit, write_pair, tmp_path, monkeypatch, verb):
     import audio_features as af
 
     monkeypatch.chdir(tmp_path)

@@ -49,7 +49,7 @@ def test_the_state_of_a_run_is_shown_at_any_time(gesturekit, model, sounds, tmp_
     assert text.count("<img") == 6 and "cannot be read as sound" in text
 
 
-def test_numbers_stand_in_a_reason_where_all_its_items_have_them(gesturekit, model, tmp_path):
+def test_differing_numbers_in_a_reason_are_shown_as_n(gesturekit, model, tmp_path):
     for name, samples in (("a", 100), ("b", 200)):
         (tmp_path / "in").mkdir(exist_ok=True)
         soundfile.write(tmp_path / "in" / f"{name}.wav", np.zeros(samples), 16000)
@@ -97,7 +97,7 @@ def test_names_from_a_journal_cannot_write_to_the_terminal(gesturekit, tmp_path)
     for arguments in (["--failed", "--left"], ["--page", tmp_path / "page.html"]):
         shown = gesturekit("jobs", tmp_path, *arguments)
         assert shown.status == 0 and "\x1b" not in shown.out and "a?[2J?" in shown.out
-    assert "in hand when a run was killed: b?" in shown.out
+    assert "in progress when a run was killed: b?" in shown.out
 
 
 def test_large_numbers_of_the_page_are_written_out():

@@ -64,7 +64,7 @@ def test_shards_in_any_order_give_the_same_files(run, gesturekit, tmp_path, verb
     shown = gesturekit("jobs", tmp_path / "out")
     assert "done 5, failed 0, left 0" in shown.out and "shards: 3 of 3 finished" in shown.out
     again = run("out")
-    assert again.status == 0 and again.out.count("left as it is") == 5
+    assert again.status == 0 and again.out.count("skipped, its outputs exist") == 5
 
 
 @pytest.mark.stress
@@ -152,7 +152,10 @@ def test_one_motion_leaves_no_state_beside_it(gesturekit, folder, tmp_path):
     assert gesturekit("convert", folder / "a.bvh", tmp_path / "x.npz").status == 0
     assert not (tmp_path / STATE).exists()
     refused = gesturekit("convert", folder / "a.bvh", tmp_path / "y.npz", "--shard", "1/2")
-    assert refused.status == 2 and "is a file, which has no shards; give a folder" in refused.err
+    assert (
+        refused.status == 2
+        and "is a file, which cannot be split into shards; give a folder" in refused.err
+    )
 
 
 def test_a_list_of_sounds_with_intervals(gesturekit, folder, tmp_path):

@@ -30,14 +30,14 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_all_used(recordings, tmp_path):
+def test_all_recordings_are_used(recordings, tmp_path):
     done = run(recordings, "--out", tmp_path / "corpus.jsonl", "--style", "calm")
     assert (done.returncode, done.stderr) == (0, "")
     assert "paired        3 recordings, 6.0 s: train 2 (4.0 s), test 1 (2.0 s)" in done.stdout
     assert (tmp_path / "corpus.jsonl").is_file()
 
 
-def test_some_left_out(recordings, tmp_path):
+def test_some_files_are_left_out(recordings, tmp_path):
     (recordings / "a.wav").write_text("no sound")
     (recordings / "alone.wav").write_bytes((recordings / "b.wav").read_bytes())
     done = run(recordings, "--out", tmp_path / "corpus.jsonl", "--holdout", "0")

@@ -100,7 +100,7 @@ def test_a_copy_replaces_nothing(gesturekit, tmp_path):
         (["ls", "demo", "there"], "ls takes one recipe at most"),
     ],
 )
-def test_mistakes(gesturekit, arguments, says):
+def test_usage_errors(gesturekit, arguments, says):
     done = gesturekit("recipes", *arguments)
     assert done.status == 2 and says in done.err
 

@@ -132,7 +132,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
         assert one != other, kind
 
 
-def test_what_is_rendered_beside_changes_nothing(gesturekit, model, wav, tmp_path):
+def test_other_items_do_not_change_a_rendering(gesturekit, model, wav, tmp_path):
     second = make_sound(tmp_path / "in" / "second.wav", 50_001, 22_050)
     runs = {
         "alone": [wav],
@@ -219,7 +219,7 @@ def test_a_broken_file_never_stops_the_others(model, wav, broken, tmp_path):
     ] + [str(out / f"speech.{k}") for k in ("bvh", "npz", "html", "png")]
 
 
-def test_one_speaker_of_two_is_heard(gesturekit, model, tmp_path, caplog):
+def test_channel_selects_one_of_two_speakers(gesturekit, model, tmp_path, caplog):
     rng = np.random.default_rng(0)
     two = 0.1 * rng.standard_normal((32_000, 2)) * [[1.0, 0.5]] + [[0.0, 0.1]]
     soundfile.write(tmp_path / "two.wav", two, 16_000)
@@ -272,7 +272,7 @@ def test_files_with_difficult_names(gesturekit, model, wav, tmp_path):
     )
 
 
-def test_a_name_that_is_no_text_fails_alone(gesturekit, model, wav, tmp_path):
+def test_only_the_file_with_an_undecodable_name_fails(gesturekit, model, wav, tmp_path):
     odd = tmp_path / "in" / os.fsdecode(b"\xff\xfe.wav")
     try:
         shutil.copy(wav, odd)
@@ -303,11 +303,11 @@ def test_a_file_named_twice_is_rendered_once(gesturekit, model, wav, tmp_path):
         (["in/other/speech.flac"], "speech.flac would both be written as"),
         (["in/nothing"], "in/nothing: the folder holds no audio files"),
         (["--out", "in/speech.wav"], "is a file"),
-        (["--out", "in/speech.wav/out"], "in/speech.wav/out: cannot be made"),
+        (["--out", "in/speech.wav/out"], "in/speech.wav/out: cannot be created"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_what_cannot_start_is_said_before_anything_is_done(
+def test_usage_errors_are_reported_before_any_work(
     gesturekit, model, wav, tmp_path, monkeypatch, arguments, says
 ):
     monkeypatch.chdir(tmp_path)
@@ -466,7 +466,7 @@ def test_a_split_of_a_corpus(gesturekit, model, corpus, tmp_path):
     assert done.status == 2 and "--corpus" in done.err
 
 
-def test_another_rate_than_the_models_is_said_once(gesturekit, model, wav, tmp_path):
+def test_an_output_rate_other_than_the_models_is_reported_once(gesturekit, model, wav, tmp_path):
     make_sound(tmp_path / "in" / "more.wav", 16_000, 16_000)
     made = ("render", wav.parent, "--model", model, "--out", tmp_path / "out")
     rate = "Written at 30 fps; the model's own rate is 25 fps (change it with --fps)."
@@ -506,7 +506,7 @@ def test_the_splits_to_choose_from_are_those_of_a_manifest():
     assert set(split.type.choices) == set(SPLITS)
 
 
-def test_a_mistake_about_the_model_is_said_once(gesturekit, model, wav, tmp_path):
+def test_a_wrong_control_is_reported_once(gesturekit, model, wav, tmp_path):
     for name in "bc":
         shutil.copy(wav, wav.with_name(f"{name}.wav"))
     done = gesturekit(

@@ -49,7 +49,7 @@ def error_line(done) -> str:
         ("training.discriminator_steps=-1", "discriminator_steps: -1"),
         ("losses.contact=-5", "contact: -5"),
         ("threads=0", "threads: 0"),
-        ("network.levels=40", "take fewer levels"),
+        ("network.levels=40", "use fewer levels"),
         ("corpus=", "corpus may not be empty"),
         ("corpus=typo.jsonl", "typo.jsonl: cannot open the manifest"),
         ("corpus=.", "cannot open the manifest"),
@@ -72,7 +72,7 @@ def test_wrong_settings(train, override, says):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("system: multires\nbase: mine.yaml\n", "base files go on and on"),
+        ("system: multires\nbase: mine.yaml\n", "too many nested base files"),
         ("system: multires\nbase: gone.yaml\n", "gone.yaml: no such configuration file"),
         ("system: multires\n", "corpus is missing"),
         ("corpus: corpus.jsonl\n", "system: None"),
@@ -150,7 +150,7 @@ def test_a_run_that_was_stopped_before_its_folder_begins(train, tmp_path, caplog
     caplog.set_level("INFO")
     done = train("--resume")
     assert done.status == 0, error_line(done)
-    assert f"{tmp_path / 'run'}: no run to resume yet, so it begins." in caplog.text
+    assert f"{tmp_path / 'run'}: no run to resume yet; starting a new one." in caplog.text
     caplog.clear()
     assert train("--resume").status == 0 and "begins" not in caplog.text
 
@@ -181,7 +181,7 @@ def test_an_interrupted_run_says_how_to_go_on(gesturekit, train, tmp_path, monke
     monkeypatch.setattr(Stage, "iterate", interrupted)
     assert train().status == 130
     command = f"gesturekit train --resume {tmp_path / 'run'}"
-    assert f"Go on with: {command}" in caplog.text
+    assert f"Continue with: {command}" in caplog.text
     monkeypatch.undo()
     assert gesturekit(*command.split()[1:]).status == 0
 
@@ -199,7 +199,7 @@ def test_before_the_first_step_it_says_what_it_will_do(train, tmp_path, caplog):
     assert train().status == 0
     taken = train("--plan")
     assert taken.status == 0
-    assert "holds a run already; add --resume to go on with it, or out=OTHER" in caplog.text
+    assert "holds a run already; add --resume to continue it, or out=OTHER" in caplog.text
 
 
 @pytest.fixture
@@ -226,7 +226,9 @@ def test_it_ends_with_figures_on_held_out_speech(train, one_recording, tmp_path,
     assert f"render --corpus {one_recording} --split test" in done.out
 
 
-def test_measuring_all_the_time_changes_no_weight(train, one_recording, tmp_path, monkeypatch):
+def test_frequent_evaluation_does_not_change_the_weights(
+    train, one_recording, tmp_path, monkeypatch
+):
     corpus = f"corpus={one_recording}"
     assert train(corpus).status == 0
     monkeypatch.setattr(HeldOut, "is_due", lambda self: True)
@@ -238,7 +240,7 @@ def test_measuring_all_the_time_changes_no_weight(train, one_recording, tmp_path
     assert one == other
 
 
-def test_a_corpus_that_is_gone_by_the_end_costs_figures_only(
+def test_a_corpus_deleted_during_training_only_costs_the_metrics(
     gesturekit, train, one_recording, tmp_path, caplog
 ):
     assert train(f"corpus={one_recording}").status == 0
@@ -246,7 +248,7 @@ def test_a_corpus_that_is_gone_by_the_end_costs_figures_only(
     one_recording.rename(tmp_path / "elsewhere.jsonl")
     done = gesturekit("train", "--resume", tmp_path / "run")
     assert done.status == 0, done.err
-    assert "No figures on held-out recordings" in caplog.text
+    assert "No metrics on held-out recordings" in caplog.text
 
 
 def test_a_model_without_speech_is_rendered_for_so_many_seconds(
@@ -260,7 +262,7 @@ def test_a_model_without_speech_is_rendered_for_so_many_seconds(
     assert json.loads(lines[-1])["recorded/speed_ratio"] > 0
 
 
-def test_a_mistyped_configuration_is_met_by_the_nearest(gesturekit, light, monkeypatch):
+def test_a_mistyped_configuration_suggests_the_nearest(gesturekit, light, monkeypatch):
     monkeypatch.chdir(light.parents[2])
     done = gesturekit("train", "recipes/multires_speach/lite.yaml")
     assert "did you mean recipes/multires_speech/light.yaml?" in error_line(done)
@@ -283,7 +285,7 @@ def test_a_mistyped_configuration_is_met_by_the_nearest(gesturekit, light, monke
         (["recipes/speech/light.yaml", "window=3"], "did you mean training.window?"),
     ],
 )
-def test_what_newcomers_name_in_place_of_a_run_a_recipe_or_a_setting(
+def test_common_mistakes_in_naming_a_run_a_recipe_or_a_setting(
     gesturekit, corpus, tmp_path, monkeypatch, arguments, says
 ):
     monkeypatch.chdir(tmp_path)

@@ -57,7 +57,9 @@ def test_from_weights_to_motion(gesturekit, corpus, write_speech, write_wavlm, t
     assert Motion.load(tmp_path / "out" / "speech.bvh").n_frames == 39
 
 
-def test_training_asks_for_the_weights_before_it_listens(gesturekit, corpus, tmp_path, tiny):
+def test_missing_weights_are_reported_before_features_are_extracted(
+    gesturekit, corpus, tmp_path, tiny
+):
     done = gesturekit("train", CONFIG, f"corpus={corpus}", f"out={tmp_path / 'run'}", *tiny)
     assert done.status == 2
     assert done.err.startswith("Error: weights of WavLM are needed")
@@ -95,7 +97,7 @@ def test_a_model_of_components(
     assert done.status == 0, done.err
     assert f"32 of {dim - count + 32} speech features reduced to {count}" in caplog.text
     # Recall weighs the components against the other features.
-    assert ("Hand movement predicted from speech" in caplog.text) == recalls
+    assert ("Hand movement predicted from held-out speech" in caplog.text) == recalls
     tensors = load_file(run / "model" / "model.safetensors")
     assert tensors["features.components"].shape == (32, count)
     reduction = f"32 features reduced to {count} components"

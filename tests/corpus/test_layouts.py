@@ -115,7 +115,7 @@ def test_beat2(beat2, tmp_path):
     assert item.load_wave().words == item.conditions["words"]
 
 
-def test_what_beat2_lacks_and_what_is_broken_in_it_is_told_by_name(beat2):
+def test_missing_and_broken_beat2_files_are_listed(beat2):
     (beat2 / "wave16k" / "2_scott_0_1_1.wav").unlink()
     (beat2 / "smplxflame_30" / "1_wayne_0_103_103.npz").write_bytes(b"no npz")
     write(beat2 / "sem" / "1_wayne_0_86_87.txt", "beat\tx\n")
@@ -409,9 +409,12 @@ def test_hold_outs_by_name(tmp_path, write_pair):
     assert held(hold_out_pattern=r"1$", hold_out_speakers=["bob"]) == {"ann/a1", "bob/b1", "bob/b2"}
     names.write_text("a1\nc9\n")
     for options, complaint in (
-        ({"hold_out_list": names}, "1 name of no usable recording: c9"),
+        ({"hold_out_list": names}, "1 name without a usable recording: c9"),
         ({"hold_out_list": tmp_path / "none"}, "none: cannot read"),
-        ({"hold_out_speakers": "carl"}, "no recording of speaker 'carl'; there: ann, bob"),
+        (
+            {"hold_out_speakers": "carl"},
+            "no recording of speaker 'carl'; the speakers are ann, bob",
+        ),
         ({"hold_out_speakers": "ann,bob"}, "all 4 recordings would be held out"),
         ({"hold_out_pattern": "x"}, "matches none of 4 recordings"),
         ({"hold_out_pattern": "("}, "not a regular expression"),

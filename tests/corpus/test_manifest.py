@@ -128,7 +128,7 @@ def test_an_id_used_twice_names_both_lines(tmp_path):
         (b'{"schema": 1}\n' + b" " * 3_000_000, "m.jsonl:2: line longer"),
     ],
 )
-def test_what_is_not_a_manifest_says_so(tmp_path, content, message):
+def test_files_that_are_not_manifests_are_refused(tmp_path, content, message):
     path = tmp_path / "m.jsonl"
     path.write_bytes(content)
     with pytest.raises(CorpusError, match=message):
@@ -176,14 +176,14 @@ def test_a_mirrored_item_swaps_left_and_right(tmp_path, write_pair, gesture):
     assert abs(mirrored[:, left] - expected).max() < 1e-4
 
 
-def test_an_item_longer_than_its_motion_says_what_is_there(tmp_path, write_pair):
+def test_an_item_longer_than_its_motion_is_an_error_with_both_lengths(tmp_path, write_pair):
     audio, motion = write_pair(tmp_path, "a", 2.0)
     item = Item(id="a", audio=audio, motion=motion, motion_start=1.0, duration=2.0)
     with pytest.raises(CorpusError, match=r"frames 30 to 90 of .*a\.bvh, which has 60 frames"):
         item.load_motion()
 
 
-def test_what_an_item_does_not_have_cannot_be_loaded(tmp_path):
+def test_loading_missing_audio_or_motion_is_an_error(tmp_path):
     item = Item(id="a", audio=tmp_path / "a.wav", motion=None, duration=1.0)
     with pytest.raises(CorpusError, match="speech alone"):
         item.load_motion()

@@ -97,7 +97,7 @@ def test_a_file_that_was_shortened_after_prepare_is_named(tmp_path, write_pair, 
     write_speech(tmp_path / "a.wav", 3.95)  # as another decoder may read it
     assert item.load_wave().duration == pytest.approx(3.95, abs=1e-3)
     write_speech(tmp_path / "a.wav", 3.0)
-    with pytest.raises(CorpusError, match=r"'a' is 4.00 s .*a\.wav, which has 3.00 s.*prepare"):
+    with pytest.raises(CorpusError, match=r"'a' is 4.00 s of .*a\.wav .*only 3.00 s.*prepare"):
         item.load_wave()
 
 
@@ -224,7 +224,7 @@ def test_unidentified_parts_are_reported_and_can_be_specified(tmp_path, write_sp
     (note,) = texts(report, "note")
     assert len(report.manifest) == 1
     assert re.search(
-        r"a.bvh: cannot identify the arms.*where is forward.*parts: \{left_elbow:", note
+        r"a.bvh: cannot identify the arms.*which way is forward.*parts: \{left_elbow:", note
     )
     by_hand = {
         f"{side}_{part}": names[rig.index(side.title() + joint)]
@@ -479,7 +479,7 @@ def test_a_single_pair_that_is_split_is_counted_as_one_recording_in_two_parts(tm
     assert paired == "1 recording in 2 parts, 6.0 s: train 1 (4.8 s), test 1 (1.2 s)"
 
 
-def test_what_is_said_of_a_files_unit_and_height_reaches_those_who_load_its_items(
+def test_reading_options_for_unit_and_height_are_stored_with_the_items(
     tmp_path, write_speech, gesture, save_as_others
 ):
     big = gesture(4.0).with_height(3.4)
@@ -587,7 +587,7 @@ def test_a_file_that_is_left_out_gets_no_warnings_of_its_motion(
     assert len(errors(report)) == 2 and not texts(report, "warning")
 
 
-def test_the_rate_may_be_what_makes_motion_jump(tmp_path, gesture):
+def test_jumps_from_a_wrong_frame_rate_suggest_checking_it(tmp_path, gesture):
     replace(gesture(20.0), fps=900.0).save(tmp_path / "a.npz")
     warning = texts(prepare([], unpaired_motion=[tmp_path]), "warning")[0]
     assert "--in-fps" in warning

@@ -65,7 +65,7 @@ def test_livelier_speech_stays_livelier(conditioner):
         assert wide > 1.3 * narrow, name
 
 
-def test_a_strangers_timbre_is_taken_out(conditioner):
+def test_the_timbre_of_an_unseen_speaker_is_removed(conditioner):
     wave = voice(4.0)
     # A microphone that loses the high half of the band.
     dull = np.convolve(wave.samples, np.ones(6) / 6, mode="same").astype(np.float32)
@@ -126,7 +126,7 @@ class Encoder:
     names = ("encoder_0", "encoder_1", "encoder_2")
 
 
-def test_components_lie_along_what_varies():
+def test_components_span_the_columns_that_vary():
     axis, rng = np.array([2.0, -1.0, 2.0]) / 3, np.random.default_rng(0)
     plain = SpeechConditioner(Encoder(), 25.0, "mean", np.zeros(3), np.ones(3), "none")
     said = [level + 5.0 * rng.standard_normal((n, 1)) for level, n in ((40.0, 300), (42.0, 200))]

@@ -35,7 +35,7 @@ def test_training_stays_on_the_device(gpu):
         (lambda x: torch.randn(2, generator=torch.Generator(), device="cuda"), "generator"),
     ],
 )
-def test_what_a_gpu_refuses(gpu, wrong, message):
+def test_the_simulated_gpu_refuses_mixed_devices(gpu, wrong, message):
     with pytest.raises(RuntimeError, match=message):
         wrong(torch.ones(2, 3, device="cuda"))
 

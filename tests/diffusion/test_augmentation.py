@@ -78,7 +78,7 @@ def test_standardised_columns_stretch_as_raw_ones_do(walk, factor):
     assert made * scale + mean == pytest.approx(raw)
 
 
-def test_a_window_is_the_part_of_the_stretched_whole_that_it_says(walk):
+def test_a_window_equals_the_same_part_of_the_stretched_recording(walk):
     representation = DeltaRepresentation.fit([walk])
     values = representation.encode(walk)
     maps, steps = slice(0, representation.height_column), representation.root_columns
@@ -94,7 +94,7 @@ def test_a_window_is_the_part_of_the_stretched_whole_that_it_says(walk):
     assert (stretch(values, 7.0, 20, 1.0, maps=maps, steps=steps) == values[7:27]).all()
 
 
-def test_a_glitch_is_not_blended_into_a_rotation_that_never_was():
+def test_a_glitch_is_not_interpolated_into_an_unrecorded_rotation():
     values = np.zeros((10, 6))
     values[5:, :3] = [0.0, 2.0, 2.6]
     values[5:, 3:] = [0.0, 1.0, 0.0]

@@ -56,7 +56,7 @@ def test_each_part_stands_in_its_columns(conditions):
     assert np.allclose(rows[:, columns["styles"]], style)
 
 
-def test_what_is_not_given_or_dropped_is_zeros(conditions):
+def test_missing_and_dropped_conditions_are_zeros(conditions):
     speech = np.ones((5, 4), np.float32)
     style = np.tile([1.0, 0.0, 0.0], (5, 1))
     rows = conditions.encode(5, FPS, speech=speech, style=style)
@@ -76,8 +76,8 @@ def test_a_model_without_conditions_has_no_columns():
     assert Conditions().encode(4, FPS).shape == (4, 0)
 
 
-def test_what_does_not_fit_is_one_clear_error(conditions):
-    with pytest.raises(ModelError, match=r"event 'kik': did you mean kick\? the model knows kick"):
+def test_invalid_conditions_are_one_clear_error(conditions):
+    with pytest.raises(ModelError, match=r"event 'kik': did you mean kick\? the model has kick"):
         conditions.encode(3, FPS, events=[Event(0.0, "kik")])
     with pytest.raises(ModelError, match=r"speech of shape \(3, 5\); expected \(3, 4\)"):
         conditions.encode(3, FPS, speech=np.zeros((3, 5)))

@@ -49,7 +49,7 @@ def idle(tmp_path, gesture, skeleton):
     return str(tmp_path / "idle.jsonl")
 
 
-def test_rows_are_windows_of_recordings_with_what_is_told_of_them(make_config):
+def test_rows_are_windows_of_recordings_with_their_conditions(make_config):
     config = make_config(augmentation=PLAIN)
     data = load_training_data(config)
     assert [r.n_frames for r in data.recordings] == [180, 75]
@@ -208,7 +208,7 @@ def test_short_recordings_give_short_windows(make_config):
     assert lengths == {120, 60}  # of 6 s, and of 2.5 s: 120 frames less a fifth, thrice
 
 
-def test_a_resumed_run_reads_what_it_read(make_config, styled, tmp_path):
+def test_a_resumed_run_reads_the_same_data(make_config, styled, tmp_path):
     config = make_config(corpus=styled, styles={}, path=True)
     data = load_training_data(config)
     data.save(tmp_path / "data")

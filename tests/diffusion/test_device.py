@@ -45,7 +45,7 @@ def run(make_config, tmp_path):
 
 
 @pytest.mark.parametrize("kind", RUNS)
-def test_a_gpu_trains_what_the_cpu_does(gpu, run, kind):
+def test_a_gpu_trains_the_same_model_as_the_cpu(gpu, run, kind):
     assert apart(run("cuda", **RUNS[kind]), run("cpu", **RUNS[kind])) < 1e-3
 
 
@@ -157,7 +157,7 @@ def rendered(out: Path, *sounds: Path, **options) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in out.glob("*.npz")}
 
 
-def test_a_sound_does_not_depend_on_those_beside_it(gpu, spoken):
+def test_other_sounds_do_not_change_a_result(gpu, spoken):
     sounds = sorted((spoken / "sounds").iterdir())
     whole = rendered(spoken / "whole", *sounds)
     assert len(whole) == 4 and rendered(spoken / "last", sounds[-1])["3.npz"] == whole["3.npz"]

@@ -37,7 +37,7 @@ def velocity_of(representation, fps):
     )
 
 
-def test_feet_are_as_fast_as_the_motion_core_says(walker):
+def test_foot_velocity_matches_that_of_motion(walker):
     representation = DeltaRepresentation.fit([walker])
     standardiser, velocity = velocity_of(representation, walker.fps)
     values = torch.from_numpy(representation.encode(walker)).float()

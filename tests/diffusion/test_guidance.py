@@ -103,7 +103,7 @@ def test_weights_over_time_are_static_ones_where_they_are_constant():
     assert (varying[:, 21:] - static[:, 21:]).abs().max() > 1e-2
 
 
-def test_an_expert_of_another_mean_gives_what_it_would_give_by_itself():
+def test_an_expert_with_another_mean_predicts_the_same_as_alone():
     """From one noise, a model and the same one told of another mean make one motion, shifted."""
     shift = torch.linspace(-1, 1, MOTION)
     alone = expert(1)
@@ -124,7 +124,7 @@ def test_noise_and_velocity_networks_mix_as_noise():
     torch.testing.assert_close(ProductOfExperts(experts, [0.5, 0.5]).predict(noise(), 10), expected)
 
 
-def test_what_a_network_has_not_learnt_does_not_blow_up():
+def test_clipping_bounds_the_errors_of_an_imperfect_network():
     """A network that tells nine tenths of the noise, and nothing of it in one number."""
 
     def tell(noisy: torch.Tensor, step: int) -> torch.Tensor:
@@ -138,7 +138,7 @@ def test_what_a_network_has_not_learnt_does_not_blow_up():
     torch.testing.assert_close(right, noise())
 
 
-def test_what_cannot_be_mixed_is_refused():
+def test_experts_that_do_not_fit_are_refused():
     one, two = expert(1), expert(2)
     with pytest.raises(ModelError, match=r"weights 0\.5, 0\.25 add up to 0\.75"):
         ProductOfExperts([one, two], [0.5, 0.25])

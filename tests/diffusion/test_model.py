@@ -139,7 +139,7 @@ def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
         walker.generate(path=np.zeros((3, 2)))
     with pytest.raises(FormatError, match="no such file"):
         walker.generate(path=tmp_path / "none.csv")
-    with pytest.raises(ModelError, match="follows no path"):
+    with pytest.raises(ModelError, match="cannot follow a path"):
         untrained().generate(path=straight)
 
 
@@ -317,7 +317,7 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
 def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
     plain = untrained()
     for asked, told in [
-        ({"style": "odl"}, "style 'odl': the model knows old, angry"),
+        ({"style": "odl"}, "style 'odl': unknown; the model has old, angry"),
         ({"style": "old:0.5,angry:0.6"}, r"weights add up to 1\.1"),
         ({"samples": 0}, "samples=0"),
         ({"batch": 0}, "batch=0"),
@@ -325,7 +325,7 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
         ({"guidance": float("nan")}, "give a finite number"),
         ({"solver": "euler"}, "solver: 'euler' is unknown"),
         ({"steps": 1000}, "steps: 1000 must be between 1 and 100"),
-        ({"unconditional": plain}, "needs guidance"),
+        ({"unconditional": plain}, "only used with guidance"),
         ({"experts": [()]}, r"expected \(model, weight\)"),
     ]:
         with pytest.raises(ModelError, match=told):

@@ -113,7 +113,7 @@ def test_a_rig_without_legs_and_with_odd_frames(tmp_path):
     )
 
 
-def test_a_map_goes_on_where_its_angle_passes_pi():
+def test_an_exponential_map_is_continuous_where_its_angle_passes_pi():
     angles = np.concatenate([np.linspace(0, 9, 90), np.linspace(9, -5, 140)])
     axis = np.array([0.6, 0.0, 0.8])
     wobble = 0.05 * np.sin(np.arange(230))[:, None] * [0.0, 1.0, 0.0]
@@ -223,7 +223,7 @@ def test_a_path_that_does_not_fit_is_refused(gesture):
         driven.encode(motion, path.slice(0, 40))
 
 
-def test_it_comes_back_from_json(gesture):
+def test_a_representation_survives_json(gesture):
     motion = gesture(2.0)
     for root in (True, False):
         representation = DeltaRepresentation.fit([motion], root=root)

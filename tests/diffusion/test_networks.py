@@ -180,7 +180,7 @@ def test_no_condition_at_all(shaken):
     assert network.for_condition(noisy[..., :0], [2])(noisy, 2).shape == noisy.shape
 
 
-def test_faults_are_told():
+def test_invalid_arguments_are_refused():
     with pytest.raises(ModelError, match="6 numbers a frame, but the network was made for 5"):
         Denoiser(7, 5, DIFFWAVE).for_condition(torch.zeros(1, 4, 6), [0])
     with pytest.raises(ConfigError, match="dilations: .* at least 1 for architecture diffwave"):

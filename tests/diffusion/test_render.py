@@ -121,7 +121,7 @@ def test_a_path_gives_the_length(render, folders, tmp_path):
     [
         ("plain", ["--levels", "2"], "diffusion models have no control levels"),
         ("plain", ["--style", "old"], "this model has no styles"),
-        ("styled", ["--style", "odl"], "style 'odl': the model knows old, angry"),
+        ("styled", ["--style", "odl"], "style 'odl': unknown; the model has old, angry"),
         ("styled", ["--style", "old:0.5,angry:0.6"], "weights add up to 1.1"),
         ("styled", ["--expert", "{walker}"], "only one of the two follows a path"),
         ("styled", ["--expert", "{plain}:much"], "'much' is not a weight"),
@@ -148,12 +148,12 @@ def test_what_a_model_cannot_do_is_one_line(render, folders, name, options, told
     ("name", "options", "says"),
     [
         ("styled", ["--events", "kik@beats"], "did you mean kick?"),
-        ("styled", ["--style", "young"], "the model knows old, angry"),
+        ("styled", ["--style", "young"], "unknown; the model has old, angry"),
         ("styled", ["--steps", "100000"], "steps: 100000 must be between"),
         ("plain", ["--events", "kick@1.0"], "this model has no events"),
     ],
 )
-def test_a_mistake_about_the_model_is_said_once_for_all_sounds(
+def test_a_wrong_control_is_reported_once_for_all_sounds(
     render, folders, write_speech, tmp_path, name, options, says
 ):
     sounds = [write_speech(tmp_path / "in" / f"{stem}.wav", 1.0) for stem in "ab"]

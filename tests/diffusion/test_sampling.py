@@ -198,7 +198,7 @@ def test_min_snr_weighs_the_error_of_the_clean_motion_by_the_clipped_ratio(predi
     assert schedule.loss_weight(step, None).tolist() == [1, 1, 1]
 
 
-def test_faults_are_told():
+def test_invalid_arguments_are_refused():
     def noise_at(k: int) -> torch.Tensor:
         return torch.zeros(1, D, dtype=torch.float64)
 

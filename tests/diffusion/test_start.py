@@ -30,7 +30,7 @@ def apart(one: Motion, other: Motion) -> float:
     return float(np.linalg.norm(one.positions() - other.positions(), axis=-1).mean())
 
 
-def test_it_stays_as_near_as_it_is_told(model, given):
+def test_smaller_changes_stay_nearer_to_the_given_motion(model, given):
     made = [model.generate(like=given, change=change, **ASKED) for change in (0.01, 0.1, 0.5, 1)]
     assert made[0].n_frames == given.n_frames
     distances = [apart(motion, given) for motion in made]
@@ -41,7 +41,7 @@ def test_it_stays_as_near_as_it_is_told(model, given):
     assert distances[-1] > 0.5 * apart(from_elsewhere, given) > 4 * distances[0]
 
 
-def test_seconds_cut_it_off_or_let_it_stand(model, given):
+def test_seconds_shorten_or_extend_the_given_motion(model, given):
     for seconds in (1.0, 3.0):
         made = model.generate(like=given, seconds=seconds, change=0.01, **ASKED)
         assert apart(made, given.resample(30.0, made.n_frames)) < 0.05
@@ -56,7 +56,7 @@ def test_all_steps_are_taken_from_there_on(model, given):
     assert not np.array_equal(whole.rotations, other.rotations)
 
 
-def test_another_rig_is_put_on_the_models_own_and_on_its_floor(model, given):
+def test_a_motion_on_another_rig_is_retargeted_and_stands_on_the_floor(model, given):
     rig = given.skeleton
     other = Motion(
         Skeleton(
@@ -82,7 +82,7 @@ def test_a_model_that_follows_a_path_takes_that_of_the_motion(untrained, gesture
     assert apart(made, walk) < 0.1
 
 
-def test_what_cannot_be_begun_from_is_told(model, given, tmp_path):
+def test_motions_that_cannot_be_a_start_are_errors(model, given, tmp_path):
     for change in (0.0, 1.5, float("nan")):
         with pytest.raises(ModelError, match="change="):
             model.generate(like=given, change=change)
@@ -90,5 +90,5 @@ def test_what_cannot_be_begun_from_is_told(model, given, tmp_path):
         model.generate(like=tmp_path / "none.bvh")
     chain = Skeleton(("a", "b"), (-1, 0), np.array([[0.0, 0, 0], [0, 1, 0]]))
     stick = Motion(chain, np.tile([0.0, 0, 0, 1], (30, 2, 1)), np.zeros((30, 3)), 30.0)
-    with pytest.raises(ModelError, match="cannot be put on the model's rig"):
+    with pytest.raises(ModelError, match="cannot be retargeted to the model's rig"):
         model.generate(like=stick)

@@ -38,14 +38,14 @@ def test_mixtures_in_spans_become_one_another():
 @pytest.mark.parametrize(
     ("wanted", "told"),
     [
-        ("odl", "style 'odl': the model knows old, angry"),
+        ("odl", "style 'odl': unknown; the model has old, angry"),
         ("old:0.25,angry:0.5", r"weights add up to 0\.75"),
         ("old:0.5@0-4,angry@4-8", r"weights add up to 0\.5"),
         ("old:0.5,angry", "some styles have a weight and some have none"),
         ("old@0-4,angry", "some styles have a span"),
         ("old,old", "named twice"),
         ("old@4-0", "the span ends before it begins"),
-        ("old:x,angry:0.5", "the model knows"),
+        ("old:x,angry:0.5", "unknown; the model has"),
     ],
 )
 def test_invalid_styles_are_refused(wanted, told):

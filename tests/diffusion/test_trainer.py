@@ -45,7 +45,7 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
     assert motion.n_frames == 60 and motion.skeleton.n_joints == 19
 
 
-def test_training_learns_to_tell_noise(make_config):
+def test_training_learns_to_predict_noise(make_config):
     config = make_config(
         network={"channels": 64},
         training={"updates": 120, "learning_rate": 5e-3, "window": 1.0},
@@ -65,7 +65,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(make_confi
     assert any(not torch.equal(one[name], value) for name, value in other.items())
 
 
-def test_looking_at_a_run_changes_nothing_in_it(make_config, tmp_path):
+def test_evaluation_does_not_change_the_weights(make_config, tmp_path):
     plain = weights(train(make_config()))
     watched = weights(train(make_config(eval_every=1, out=str(tmp_path / "watched"))))
     assert all(torch.equal(plain[name], value) for name, value in watched.items())
@@ -139,9 +139,7 @@ def test_the_model_is_the_average_of_the_weights(make_config, monkeypatch):
     assert torch.allclose(made, expected, atol=1e-7) and not torch.equal(made, seen[-1][1])
 
 
-def test_what_is_no_number_stops_the_run_and_the_last_good_checkpoint_stays(
-    make_config, monkeypatch
-):
+def test_nan_stops_the_run_and_the_last_good_checkpoint_stays(make_config, monkeypatch):
     loss = trainer._Trainer._loss
 
     def broken(self, batch):

@@ -9,7 +9,7 @@ from gesturekit.diffusion.composition.weights import weight_track, weights_over_
 from gesturekit.errors import ModelError
 
 
-def test_spans_become_one_another_and_an_expert_takes_no_part_outside_of_them():
+def test_spans_are_cross_faded_and_weights_are_zero_outside_of_them():
     found = weight_track("-0.5@4-8, 1.5@8-12", 480, 30.0)
     np.testing.assert_array_equal(found[:104], 0)
     np.testing.assert_allclose(found[140:220], -0.5)
@@ -20,7 +20,7 @@ def test_spans_become_one_another_and_an_expert_takes_no_part_outside_of_them():
     assert apart[[0, 30, 120, 210]].tolist() == [1, 1, 0, 1]
 
 
-def test_who_is_given_no_weight_shares_what_is_left():
+def test_experts_without_a_weight_share_the_remaining_weight():
     prior, half, own = weights_over_time(["0.5@0-4", 0.25, None], 240, 30.0)
     assert half.tolist() == [0.25]
     np.testing.assert_allclose(own, 0.75 - prior)

@@ -104,7 +104,7 @@ def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
     assert [a.score for a in found.kept] == [2, -1, 0]
 
 
-def test_what_is_left_out_or_guessed_is_said(tmp_path):
+def test_excluded_raters_and_guessed_columns_are_reported(tmp_path):
     text = ",".join(GENEA_COLUMNS) + "\nu,c,a,a,model_a,True,{},\nu,c,a,b,model_b,,{},\n"
     found = read_answers([write(tmp_path / "x.csv", text)])
     assert [a.score for a in found.kept] == [-1]
@@ -124,11 +124,11 @@ def test_what_is_left_out_or_guessed_is_said(tmp_path):
         (HEAD + "u,c,,b,model_a,True,,\n", "line 2: model_a is empty"),
         (HEAD + "u,c,a,b,model_a,True,,\nu,c,a\n", "line 3: 3 cells, but the header has 8"),
         (HEAD.strip() + ",checks,checks_failed\nu,c,a,b,tie,,,,2,x\n", "checks_failed is 'x'"),
-        (HEAD + 'u,c,a,b,model_a,True,"open', "no CSV file in UTF-8"),
+        (HEAD + 'u,c,a,b,model_a,True,"open', "not a CSV file in UTF-8"),
         ("\x00\x01" * 50, "no column user"),
     ],
 )
-def test_what_is_no_table_of_answers_is_refused_with_its_place(tmp_path, text, message):
+def test_invalid_tables_of_answers_are_refused_with_their_place(tmp_path, text, message):
     with pytest.raises(EvaluationError, match="x.csv") as refused:
         read_answers([write(tmp_path / "x.csv", text)])
     assert message in str(refused.value)
@@ -144,6 +144,6 @@ def test_missing_files_empty_folders_and_other_encodings_are_refused(tmp_path):
         read_answers([tmp_path])
 
 
-def test_a_nest_of_brackets_is_no_reason(tmp_path):
+def test_deeply_nested_json_reasons_are_ignored(tmp_path):
     text = HEAD + f"u,c,a,b,model_a,True,{'[' * 100_000},\n"
     assert read_answers([write(tmp_path / "x.csv", text)]).kept[0].reasons == ()

@@ -60,7 +60,7 @@ APART, FAST_RIGHT, FAST_LEFT, KNEE_RIGHT, LIES = 8, 12, 13, 19, 28
 LOW_RIGHT, LOW_LEFT, FAST_ROOT = 29, 30, 31
 
 
-def test_poses_one_can_picture(skeleton):
+def test_features_of_simple_poses(skeleton):
     def features(**degrees):
         return geometric_features(standing(skeleton, degrees))
 

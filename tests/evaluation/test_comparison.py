@@ -92,7 +92,7 @@ def test_one_recording_has_no_intervals_however_many_samples(folders, tmp_path):
     assert model.by_recording["clip0"]["coverage"].low is not None
 
 
-def test_the_same_seed_gives_the_same_json_whatever_lies_beside(folders, tmp_path):
+def test_the_same_seed_gives_the_same_json_whatever_other_files_exist(folders, tmp_path):
     def written(name: str, models) -> dict:
         found = evaluate(models, folders / "recordings", audio=folders / "sound", seed=3)
         found.write_json(tmp_path / name)
@@ -131,7 +131,7 @@ def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture
     assert model.figures["fid_k"].recording is not None
 
 
-def test_the_multires_protocol_asks_for_its_samples(folders):
+def test_the_multires_protocol_notes_missing_samples(folders):
     found = evaluate(folders / "samples", folders / "recordings", protocol="multires")
     (model,) = found.models
     assert "takes 200 samples of each recording; clip0: 2" in model.notes[0]

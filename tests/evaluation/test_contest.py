@@ -77,13 +77,13 @@ def test_equal_models_are_hardly_ever_bold():
     assert reports_with_bold(20)[0] <= 0.1 and reports_with_bold(20, bias=0.6)[0] <= 0.1
 
 
-def test_a_model_with_less_reach_is_found_with_ten_recordings():
+def test_less_reach_is_significant_with_ten_recordings():
     assert reports_with_bold(15, reach=0.8, bias=0.95)[1] >= 0.8
 
 
 @pytest.mark.stress
 @pytest.mark.parametrize("bias", [1.0, 0.6])
-def test_two_hundred_reports(bias):
+def test_rates_of_false_and_missed_bold_figures_in_200_reports(bias):
     assert reports_with_bold(200, bias=bias)[0] <= 0.05
     assert reports_with_bold(200, reach=0.8, bias=0.95)[1] >= 0.8
 
@@ -123,7 +123,7 @@ def test_the_recordings_own_value_is_the_goal():
     assert sliding.direction == "lower" and sliding.best is None
 
 
-def test_beyond_other_recordings_there_is_no_merit():
+def test_values_better_than_other_recordings_count_as_equal():
     assert distance("coverage", 90.0, 40.0) == 0.0 and distance("coverage", 30.0, 40.0) == 10.0
     assert distance("raw_fgd", 3.0, 5.0) == 0.0 and distance("raw_fgd", 8.0, 5.0) == 3.0
     assert distance("reach", 0.2, 0.3) == pytest.approx(0.1)

@@ -49,7 +49,7 @@ def test_frame_rate_does_not_change_foot_skate(standing):
     )
 
 
-def test_feet_below_where_they_stand_are_as_deep_as_they_are(standing):
+def test_penetration_is_the_depth_below_the_standing_height(standing):
     heights = standing_heights(standing)
     assert floor_penetration(moved(standing, np.array([0, -0.03, 0])), heights) == pytest.approx(
         0.03
@@ -62,7 +62,7 @@ def test_one_frame_has_no_speed(standing):
         foot_skate(standing.slice(0, 1))
 
 
-def test_joints_beyond_what_was_recorded_count_by_frame(turning):
+def test_joints_beyond_recorded_limits_are_counted_per_frame(turning):
     def elbow(speed: float) -> Motion:
         return turning({"LeftForeArm": np.full(101, speed)}, 50.0)
 

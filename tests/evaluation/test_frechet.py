@@ -39,7 +39,7 @@ def test_fewer_samples_than_dimensions():
 
 
 @pytest.mark.parametrize("shape", [(400, 32), (20, 300), (2, 1)])
-def test_equal_samples_are_not_apart(shape):
+def test_equal_samples_have_distance_zero(shape):
     features = 1e3 + 50 * np.random.default_rng(2).normal(size=shape)
     assert 0 <= frechet_distance(features, features[::-1]) < 1e-12 * features.var(axis=0).sum()
 

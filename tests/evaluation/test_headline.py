@@ -59,7 +59,7 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
     assert states(clips())["in_time"][0] == "not measured"
 
 
-def test_what_differs_is_named():
+def test_the_aspects_that_differ_are_named():
     like = result("likeness", 0.95, 0.9)
     assert states(clips(), likeness=like)["likeness"] == ("yes", "Moves like this speaker.")
     state, sentence = states(clips(reach=0.3), likeness=like)["likeness"]
@@ -67,7 +67,7 @@ def test_what_differs_is_named():
     assert states(clips(jerk=9.0), likeness=result("likeness", 0.3, 0.9))["likeness"][0] == "no"
 
 
-def test_what_is_not_measured_says_why():
+def test_values_that_are_not_measured_have_a_reason():
     state, words = states(clips())["novelty"]
     assert state == "not measured" and "too short, or the rig's arms and legs" in words
 
@@ -86,4 +86,4 @@ def test_copies_are_named():
     state, words = states(clips(), novelty=figure)["novelty"]
     assert state == "not informative here" and "the same as the recordings" in words
     found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
-    assert found["novelty"][0] == "partly" and "now and then" in found["novelty"][1]
+    assert found["novelty"][0] == "partly" and "occasionally" in found["novelty"][1]

@@ -389,8 +389,8 @@ def result(key: str, value: float, recording: float, **levels: float) -> dict[st
         (result("rest", 20.0, 32.0), "Seldom at rest."),
         (result("rest", 60.0, 32.0), "At rest more often than the speaker."),
         (result("rest", 0.0, 1.0), ""),
-        (result("copying_low", 0.05, 0.1), "Copied from recordings now and then."),
-        (result("calm_lively_r", 0.1, 1.0), "Calm and lively in other places than the speaker."),
+        (result("copying_low", 0.05, 0.1), "Occasionally copied from recordings."),
+        (result("calm_lively_r", 0.1, 1.0), "Calm and lively at other times than the speaker."),
         (result("calm_lively_r", 0.1, 1.0, informative=False), ""),
         (result("hand_q90", 1.0, 1.0), ""),
     ],
@@ -399,7 +399,7 @@ def test_the_verdict_goes_by_named_thresholds(figures, said):
     assert verdict(figures).startswith(said) and bool(verdict(figures)) == bool(said)
 
 
-def test_a_training_split_is_what_copies_are_copies_of(talker, tmp_path):
+def test_copies_are_measured_against_the_training_split(talker, tmp_path):
     items = []
     for name, seed in (("day", 0), ("night", 1), ("held", 2)):
         talker(seed).save(tmp_path / f"{name}.npz")

@@ -45,7 +45,7 @@ def test_recordings_without_sound_are_reported_once(touch):
     assert len(found.pairs) == 3
 
 
-def test_what_has_no_recording_is_excluded_with_a_reason(touch):
+def test_clips_without_a_recording_are_excluded_with_a_reason(touch):
     recordings = touch("recordings", "anna/b.bvh", "ben/b.bvh", "speech.bvh")
     found = find_pairs(touch("made", "b.npz", "speach.npz", "speech.npz"), recordings)
     assert [pair.name for pair in found.pairs] == ["speech"]

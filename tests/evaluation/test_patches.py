@@ -149,7 +149,7 @@ def test_a_motion_covers_itself_and_adds_nothing(gesture, variant):
     assert intra_diversity(np.tile(features[:1], (40, 1))) == 0.0
 
 
-def test_pasted_pieces_cost_nothing_and_shorter_ones_do():
+def test_pasted_pieces_have_no_distance_but_shorter_ones_do():
     reference = np.random.default_rng(1).normal(size=(60, 4))
     pasted = np.concatenate([reference[20:50], reference[3:40]])  # 30 and 37 frames
     assert global_diversity(pasted, reference, 30) == 0.0

@@ -51,7 +51,7 @@ def page(evaluation, tmp_path_factory) -> Path:
 
 
 @pytest.mark.skipif(not is_baked(), reason="the human body is not baked (make setup)")
-def test_the_human_body_wears_the_colours_of_the_models(evaluation, tmp_path):
+def test_the_human_body_has_the_colours_of_the_models(evaluation, tmp_path):
     write_report(evaluation, tmp_path / "human.html", body="human")
     text = (tmp_path / "human.html").read_text(encoding="utf-8")
     clips = json.loads(re.search(r'id="clips">(.*?)</script>', text, re.S)[1])
@@ -81,7 +81,7 @@ def test_it_says_all_that_is_needed_to_read_a_figure(page, evaluation):
     assert "gesturekit evaluate model recordings" in text
 
 
-def test_chance_stands_with_the_model_it_was_taken_of(page, evaluation):
+def test_each_model_is_shown_with_its_own_chance_level(page, evaluation):
     text = html.unescape(re.sub(r"<[^>]+>", " ", markup(page)))
     for model in evaluation.models:
         assert f"chance {number(model.figures['bc'].chance)}" in text
@@ -136,7 +136,7 @@ def test_the_same_evaluation_gives_the_same_page(page, evaluation, tmp_path):
     assert (tmp_path / "r.html").read_bytes() == page.read_bytes()
 
 
-def test_no_folder_of_this_machine_is_in_a_report_made_to_be_mailed(evaluation, tmp_path):
+def test_a_report_contains_no_absolute_paths(evaluation, tmp_path):
     models = list(evaluation.models)
     models[0] = replace(
         models[0],

@@ -61,7 +61,7 @@ def test_beat_consistency_by_hand(pulsing):
 
 
 @pytest.mark.parametrize("measure", [beat_alignment, beat_consistency])
-def test_chance_is_the_mean_over_shifts_and_z_tells_a_match_from_none(pulsing, measure):
+def test_chance_is_the_mean_over_shifts_and_z_detects_a_match(pulsing, measure):
     motion = pulsing()
     together = measure(motion, np.array([0.5, 2.5, 3.5, 6.5, 8.5]))
     assert together.score > 0.95 and together.z > 1.0

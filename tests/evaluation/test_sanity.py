@@ -30,7 +30,7 @@ def spoken(shared_data, tmp_path_factory):
     return run_sanity(folder)
 
 
-def test_all_bad_motion_is_noticed_and_ranks_behind_the_recording(spoken):
+def test_all_bad_motion_is_detected_and_ranks_behind_the_recording(spoken):
     found = noticed_by(spoken)
     assert set(found) == ALL and all(found.values()), found
     assert ranking(spoken.evaluation)[0][0] == RECORDING
@@ -65,9 +65,7 @@ def test_the_table_says_what_metrics_are_blind_to(spoken):
 
 @pytest.mark.stress
 @pytest.mark.parametrize("name", ["bandai", "reactidle"])
-def test_with_speech_that_does_not_belong_only_another_utterance_passes(
-    shared_data, tmp_path, name
-):
+def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_path, name):
     sounds = sorted(shared_data.glob("speech/librispeech*/*.flac"))
     for i, path in enumerate(sorted(shared_data.glob(f"motion/{name}/*.bvh"))):
         shutil.copy(path, tmp_path)
@@ -81,7 +79,7 @@ def test_with_speech_that_does_not_belong_only_another_utterance_passes(
     assert ranking(done.evaluation)[0][0] in (RECORDING, "another utterance")
 
 
-def test_bad_motions_are_what_they_are_called(gesture):
+def test_bad_motions_match_their_names(gesture):
     recording, other, training = (gesture(4.0, 25.0, seed=i) for i in range(3))
     made = {n: make(Source(recording, other, training, 0)) for n, make in BAD_MOTION.items()}
     assert all(m.n_frames == 100 and m.fps == 25.0 for m in made.values())

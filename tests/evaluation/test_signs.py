@@ -136,7 +136,7 @@ def measured(request) -> dict[str, dict[str, float]]:
     return rows
 
 
-def test_a_set_is_no_distance_from_itself(measured):
+def test_a_set_has_distance_zero_to_itself(measured):
     itself = measured["itself"]
     assert itself["coverage"] == itself["coverage, paper"] == 1.0
     for name in ("global diversity", "local diversity"):

@@ -51,7 +51,7 @@ def test_cca_finds_what_two_sequences_share():
     assert cca(ours, rng.normal(size=(400, 4))) < 0.3
 
 
-def test_what_cca_cannot_compare_is_an_error():
+def test_cca_refuses_other_lengths_and_motion_that_does_not_move():
     moving = np.random.default_rng(0).normal(size=(9, 2))
     with pytest.raises(MotionError, match="9 and 8 frames"):
         cca(moving, moving[:8])

@@ -89,7 +89,7 @@ def test_curves_do_not_jump(tmp_path):
         lambda text: text.replace("5 11 21", "5\u00a011 21"),
     ],
 )
-def test_what_writers_do_differently(write, change):
+def test_variants_of_other_writers_are_read(write, change):
     plain, other = read_bvh(write(SMALL)), read_bvh(write(change(SMALL)))
     assert other.skeleton.names == ("Hips", "Chest")
     np.testing.assert_array_equal(plain.end_positions()["Chest"], other.end_positions()["Chest"])
@@ -139,7 +139,7 @@ def test_broken_files_are_named_with_their_line(write, old, new, line, says):
 
 
 @pytest.mark.parametrize("value", ["0", "-0.03", "x", "nan", "inf", ""])
-def test_frame_time_that_is_none(write, value):
+def test_an_invalid_frame_time_is_an_error_unless_fps_is_given(write, value):
     path = write(SMALL.replace("0.0333333", value))
     with pytest.raises(FormatError, match="Frame Time.*--in-fps"):
         read_bvh(path)
@@ -161,7 +161,7 @@ def test_a_file_cut_anywhere_is_a_format_error(write):
             read_bvh(write(SMALL[:cut]))
 
 
-def test_files_that_are_none(write, tmp_path):
+def test_files_that_are_not_bvh_are_refused(write, tmp_path):
     with pytest.raises(FormatError, match="HIERARCHY"):
         read_bvh(write(bytes(range(256)) * 50))
     with pytest.raises(FormatError, match="over 1048576"):
@@ -184,7 +184,7 @@ def test_repeated_names_are_told_apart_and_reported(write):
     assert motion.info["renamed"] == {"Hips_2": "Hips"}
 
 
-def test_a_new_name_is_no_other_joints(write):
+def test_a_renamed_joint_gets_an_unused_name(write):
     end = "End Site\n\t\t{\n\t\t\tOFFSET 0 30 0\n\t\t}"
     body = "{0} Hips{1}\n{{\nOFFSET 0 9 0\nCHANNELS 1 Xrotation\n"
     text = SMALL.replace(end, body.format("JOINT", "") + body.format("JOINT", "_2") + "}}")
@@ -205,7 +205,7 @@ def test_end_sites_that_are_joints(write):
 
 @pytest.mark.parametrize("long_ones", [0.0, 0.05, 0.5])
 @pytest.mark.parametrize("no_point", [False, True])
-def test_numbers_are_what_python_takes_them_for(write, long_ones, no_point):
+def test_numbers_are_parsed_as_by_python(write, long_ones, no_point):
     rng = np.random.default_rng(0)
     plain = ("%.6f", "%.1f", "%.3f", "%+.4f", "%08.2f", "%.0f.", "%.12f")
     odd = ("%.15f", "%.17f", "%.30f", "%040.6f")

@@ -122,7 +122,7 @@ def test_a_body_that_lies_down_is_not_stood_up(facing_z, tmp_path, save_as_other
     same_places(motion, lying)
 
 
-def test_a_rest_pose_that_is_none_says_so(shared_data):
+def test_an_implausible_rest_pose_makes_the_axes_a_guess(shared_data):
     motion = read_bvh(shared_data / "motion/bandai/dataset-1_bow_active_001.bvh")
     assert (motion.info["up"], motion.info["forward"]) == ("y", "z")
     assert motion.info["guessed"] == ("forward",)

@@ -81,7 +81,7 @@ def test_a_file_that_another_program_wrote_anew_is_detected_again(gesture, tmp_p
     assert read_bvh(tmp_path / "b.bvh").info["guessed"] == ("unit",)
 
 
-def test_what_the_caller_names_wins_over_the_mark(gesture, tmp_path):
+def test_arguments_override_the_mark(gesture, tmp_path):
     motion = of_height(gesture(0.3), 0.34)
     write_bvh(motion, tmp_path / "a.bvh", unit="cm")
     inches = read_bvh(tmp_path / "a.bvh", unit="inch")

@@ -96,7 +96,7 @@ def same_motion(one: Motion, two: Motion) -> None:
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_real_files_stand_where_bvhio_and_the_book_have_them(shared_data, tmp_path, file):
+def test_real_files_have_the_positions_of_bvhio_and_the_reference(shared_data, tmp_path, file):
     path = shortened(shared_data / file, tmp_path / "short.bvh")
     motion = read_bvh(path)
     write_bvh(motion, tmp_path / "again.bvh")
@@ -115,7 +115,7 @@ def test_real_files_stand_where_bvhio_and_the_book_have_them(shared_data, tmp_pa
         np.testing.assert_allclose(ours, book * scale, atol=2e-6)
 
 
-def test_what_we_write_stands_where_bvhio_has_it(gesture, tmp_path):
+def test_written_files_have_the_same_positions_in_bvhio(gesture, tmp_path):
     motion = gesture(0.5)
     orders = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX") * 4
     skeleton = replace(motion.skeleton, rotation_orders=orders[: motion.skeleton.n_joints])
@@ -153,7 +153,7 @@ def test_every_motion_here_loads(shared_data):
         assert motion.info["up"] in ("y", "z")
 
 
-def test_what_is_found_in_real_files(shared_data):
+def test_units_and_axes_detected_in_real_files(shared_data):
     zeggs, sample, idle, _, bandai = (read_bvh(shared_data / file) for file in FILES)
     assert (zeggs.n_frames, zeggs.skeleton.n_joints, zeggs.fps) == (2065, 75, 30.0)
     assert (sample.fps, idle.fps, bandai.fps) == (40.0, 24.0, 30.0)
@@ -230,7 +230,7 @@ def bvh_texts(draw):
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(text_fps=bvh_texts())
-@pytest.mark.filterwarnings("ignore:joint names with blanks")
+@pytest.mark.filterwarnings("ignore:joint names with spaces")
 def test_files_of_all_sorts_are_read_by_the_book_and_survive(tmp_path, text_fps):
     text, fps = text_fps
     path = tmp_path / "a.bvh"

@@ -126,7 +126,7 @@ def test_poses_of_every_length(tmp_path, width, n_joints):
 
 
 @pytest.mark.parametrize(("width", "n_joints"), [(78, 52), (87, 55)])
-def test_hands_as_pca_are_left_at_rest_and_told(tmp_path, width, n_joints):
+def test_pca_hands_are_left_at_rest_with_a_warning(tmp_path, width, n_joints):
     person = recorded(width=width)
     motion = Motion.load(write(tmp_path, [person]))
     names = motion.skeleton.names

@@ -39,7 +39,7 @@ def test_events_come_in_order_of_time_whatever_the_order_of_rows_and_columns(tmp
         (b"time,name\n" + b"0,a\n" * (1 << 21) + b"0,a\n", "over 8 MB"),
     ],
 )
-def test_what_is_no_table_of_events_is_one_clear_error(tmp_path, text, told):
+def test_an_invalid_table_of_events_is_one_clear_error(tmp_path, text, told):
     file = tmp_path / "bad.csv"
     file.write_bytes(text)
     with pytest.raises(FormatError) as caught:

@@ -95,7 +95,7 @@ def test_bombs_are_not_unpacked(tmp_path):
     assert peak < 10 * MEGABYTE
 
 
-def test_what_stays_within_the_allowance_stays_within_memory(tmp_path):
+def test_members_within_the_limit_need_bounded_memory(tmp_path):
     poses = zeros((20_000, 165))  # 25 MiB
     members = amass_members() | {"poses": poses, "trans": zeros((20_000, 3))}
     path = pack(tmp_path / "a.npz", members, zipfile.ZIP_DEFLATED)

@@ -48,7 +48,7 @@ def test_faces_look_outwards(body_file):
     assert np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() > 0
 
 
-def test_what_cannot_be_written_leaves_no_file(tmp_path, body_file):
+def test_a_failed_obj_leaves_no_file(tmp_path, body_file):
     with pytest.raises(FormatError, match="--body-model"):
         a_motion(24).save(tmp_path / "a.obj")
     with pytest.raises(FormatError, match="frame 5 of a motion of 5"):

@@ -27,7 +27,7 @@ def test_a_table_with_headings(tmp_path):
     assert np.degrees(path.headings) == pytest.approx(np.arange(170.0, 201.0), abs=1e-3)
 
 
-def test_headings_that_jump_from_180_to_minus_180_go_on(tmp_path):
+def test_headings_are_unwrapped_from_180_to_minus_180(tmp_path):
     text = "time,x,z,heading\n0,0,0,170\n0.5,0,0,-170\n1,0,0,-150\n"
     path = load_root_path(table(tmp_path, text)).resample(30.0)
     assert np.degrees(np.ptp(path.headings)) == pytest.approx(40.0, abs=1e-6)
@@ -88,7 +88,7 @@ def test_a_motion_file_is_a_path_too(tmp_path, gesture):
         (b"time,x,z\n0,1,1\n1,\x002,2\n", "line 3"),
     ],
 )
-def test_a_broken_table_gives_one_line_that_says_where(tmp_path, text, said):
+def test_a_broken_table_is_a_one_line_error_with_its_place(tmp_path, text, said):
     with pytest.raises(FormatError) as caught:
         load_root_path(table(tmp_path, text))
     message = str(caught.value)

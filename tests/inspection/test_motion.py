@@ -37,7 +37,7 @@ def test_a_gesture(gesture, tmp_path):
     assert 1.2 < facts["height"] < 2.2 and facts["contact_share"].keys() == {"left", "right"}
 
 
-def test_the_heading_of_a_file_that_is_turned_is_told_in_the_axes_it_is_read_in(gesture, tmp_path):
+def test_the_heading_of_a_rotated_file_is_reported_in_our_axes(gesture, tmp_path):
     gesture(1.0).save(tmp_path / "take.bvh")
     axes = row(inspect(tmp_path / "take.bvh", read={"up": "z"}), "axes")
     assert "Z up" in axes and ", read as Y up, Z forward, the body faces " in axes
@@ -71,7 +71,7 @@ def test_parts_can_be_named_by_hand(gesture, tmp_path):
     assert "'RightFoot'" in wrong.problems[0] and wrong.facts["parts"]["Head"] == "head"
 
 
-def test_a_rig_that_is_no_body_is_told_as_it_is(tmp_path, save_as_others):
+def test_a_rig_that_is_not_a_body_is_described(tmp_path, save_as_others):
     names = ("rope", "rope1", "rope2", "tail")
     rope = Skeleton(names, (-1, 0, 1, 0), [[0, 0, 0], [0, 0.5, 0], [0, 0.5, 0], [0.1, 0, 0]])
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (5, 4, 1))
@@ -119,7 +119,7 @@ def test_a_rig_as_deep_as_a_file_may_be():
     assert len(tree(comb, {})) == 3001
 
 
-def test_what_a_reader_warns_of_is_a_problem_told(tmp_path):
+def test_warnings_of_a_reader_are_listed_as_problems(tmp_path):
     person = {"Rh": [[0.0] * 3], "Th": [[0.0] * 3], "poses": [[0.01] * 72]}
     for k in range(8):
         people = [person | {"id": 1}, person | {"id": 2}]
@@ -129,7 +129,7 @@ def test_what_a_reader_warns_of_is_a_problem_told(tmp_path):
     assert any("several people" in problem for problem in inspect(tmp_path).problems)
 
 
-def test_every_recording_is_told(shared_data):
+def test_every_recording_is_described(shared_data):
     for path in sorted((shared_data / "motion").rglob("*.bvh"))[::6]:
         summary = inspect(path)
         assert summary.facts["frames"] == Motion.load(path).n_frames
@@ -150,7 +150,7 @@ def with_frame_time(motion: Motion, path: Path, text: str) -> Path:
         ("0.0000333", "30030 fps: is Frame Time 1000 times too small? --in-fps 30 sets the rate"),
     ],
 )
-def test_a_rate_that_nobody_records_at_is_doubted(gesture, tmp_path, frame_time, says):
+def test_an_implausible_frame_rate_is_questioned(gesture, tmp_path, frame_time, says):
     path = with_frame_time(gesture(2.0), tmp_path / "a.bvh", frame_time)
     assert inspect(path).problems[0] == says
     assert not any("fps" in problem for problem in inspect(path, read={"fps": 30.0}).problems)
@@ -160,7 +160,7 @@ def test_a_rate_that_nobody_records_at_is_doubted(gesture, tmp_path, frame_time,
     assert says in [problem.message for problem in report.problems]
 
 
-def test_bones_without_length_are_doubted(gesture, tmp_path):
+def test_bones_without_length_are_reported(gesture, tmp_path):
     motion = gesture(2.0)
     flat = replace(motion.skeleton, offsets=np.zeros((motion.skeleton.n_joints, 3)))
     replace(motion, skeleton=flat).save(tmp_path / "a.npz")
@@ -177,14 +177,14 @@ def test_bones_without_length_are_doubted(gesture, tmp_path):
         ({"up": "z"}, "--in-up z lays the body down"),
     ],
 )
-def test_an_option_that_cannot_be_meant_is_doubted(gesture, tmp_path, read, says):
+def test_implausible_options_are_reported(gesture, tmp_path, read, says):
     gesture(2.0).save(tmp_path / "a.bvh")
     assert any(says in problem for problem in inspect(tmp_path / "a.bvh", read=read).problems)
     usual = {"height": 1.2, "unit": "cm", "up": "y"}
     assert inspect(tmp_path / "a.bvh", read=usual).problems == ()
 
 
-def test_a_body_is_as_tall_as_it_was_asked_to_be(gesture, tmp_path):
+def test_height_scales_the_body(gesture, tmp_path):
     """Nothing but its feet tells the parts of this rig, and an exporter made up their ends."""
     motion = gesture(1.0)
     usual = motion.skeleton

@@ -182,7 +182,7 @@ def make_run(folder):
     return folder
 
 
-def test_a_run_that_goes_on_and_one_that_is_done(tmp_path):
+def test_running_and_finished_runs_are_described(tmp_path):
     run = make_run(tmp_path / "run")
     summary = inspect(run)
     assert row(summary, "state").startswith("running") and row(summary, "step") == "20"
@@ -204,9 +204,9 @@ def test_unknown_files_are_reported_in_one_line(gesture, tmp_path):
     shutil.copy(tmp_path / "a.bvh", tmp_path / "a.txt")
     (tmp_path / "b.xyz").write_bytes(b"\x00\x01")
     for name, says in (
-        ("empty", "nothing of gesturekit in it"),
+        ("empty", "not a folder that gesturekit recognises"),
         ("none", "no such file or folder, and no bundled model"),
-        ("b.xyz", "not known"),
+        ("b.xyz", "not recognised"),
     ):
         with pytest.raises(FormatError, match=says) as told:
             inspect(tmp_path / name)
@@ -221,7 +221,7 @@ def test_unknown_files_are_reported_in_one_line(gesture, tmp_path):
     assert "inspect its folder" in inspect(run / "metrics.jsonl").title
 
 
-def test_every_kind_of_file_around_is_named_for_what_it_is(gesture, tmp_path):
+def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
     np.savez(tmp_path / "foreign.npz", clips=np.zeros(3), rate=np.zeros(1))
     (tmp_path / "report.json").write_text('{"reference": "a", "models": [], "definitions": {}}')
     (tmp_path / "settings.json").write_text('{"colour": "red"}')

@@ -34,7 +34,7 @@ def odd_motion() -> Motion:
     return script("tests/interop/interop.py").odd_motion()
 
 
-@pytest.mark.filterwarnings("ignore:joint names with blanks")
+@pytest.mark.filterwarnings("ignore:joint names with spaces")
 @pytest.mark.parametrize("suffix", ["bvh", "npz"])
 def test_joints_rotations_and_places_are_those_of_the_file(reading, odd_motion, suffix, tmp_path):
     path = tmp_path / f"odd.{suffix}"

@@ -24,7 +24,7 @@ def done(name, key="k", **fields):
     return Entry("done", name, key, files={f"{name}.bvh": {"sha256": "x"}}, **fields)
 
 
-def test_what_was_done_is_known_to_the_next_run(open_journal, tmp_path):
+def test_the_next_run_reads_what_was_done(open_journal, tmp_path):
     for run in ("a", "b"):
         journal = open_journal(run)
         for name in ("one", "two"):
@@ -39,7 +39,7 @@ def test_what_was_done_is_known_to_the_next_run(open_journal, tmp_path):
     assert History(tmp_path, {"one a"}).names() == ["one a"]
 
 
-def test_items_in_hand_when_a_run_was_killed(open_journal, tmp_path):
+def test_items_in_progress_when_a_run_was_killed(open_journal, tmp_path):
     journal = open_journal()
     for name in ("x", "y", "z"):
         journal.start(name)

@@ -30,7 +30,7 @@ time.sleep(60)
 
 def test_a_shard_is_leased_once_and_another_shard_of_the_run_beside_it(tmp_path):
     one = Lease(tmp_path, 1, 2, RUN)
-    with pytest.raises(ConfigError, match="shard 1 of 2 is in work, by process"):
+    with pytest.raises(ConfigError, match="shard 1 of 2 is being processed, by process"):
         Lease(tmp_path, 1, 2, RUN)
     with pytest.raises(ConfigError, match="another run, with other inputs or settings"):
         Lease(tmp_path, 2, 2, {"plan": "q"})
@@ -69,7 +69,7 @@ def test_a_lock_that_outlives_its_process_for_a_moment_is_waited_for(tmp_path):
     Lease(tmp_path, 1, 1, RUN).release()
 
 
-def test_a_process_of_another_host_lives_by_its_heartbeat(tmp_path):
+def test_a_lease_of_another_host_expires_without_heartbeats(tmp_path):
     path = tmp_path / "leases" / "00001-of-00001.json"
     path.parent.mkdir()
     path.write_text(json.dumps({"host": "elsewhere", "pid": 1, "since": 0.0, "run": RUN}))

@@ -14,7 +14,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.jobs.pool import Failure, Pool
 
 
-def test_dead_and_late_workers_cost_their_own_task_only():
+def test_dead_and_late_workers_fail_only_their_own_task():
     tasks = [partial(abs, -n) for n in range(4)]
     tasks.insert(1, partial(os._exit, 3))
     tasks.insert(3, partial(time.sleep, 60))
@@ -33,6 +33,6 @@ def test_log_messages_of_a_worker_arrive(caplog):
     assert result is None and "a.wav is odd" in caplog.text
 
 
-def test_what_cannot_be_handed_over_is_refused():
+def test_functions_that_cannot_be_pickled_are_refused():
     with pytest.raises(ConfigError, match="use 1 worker"):
         Pool(lambda task: task, 2)

@@ -206,7 +206,7 @@ def test_files_that_are_no_body_model(saved, change, says):
     assert str(path) in str(caught.value) and says in str(caught.value)
 
 
-def test_what_else_is_refused(saved, body, tmp_path):
+def test_missing_pickled_and_other_models_are_refused(saved, body, tmp_path):
     with pytest.raises(FormatError, match="no such body model"):
         BodyModel.of(tmp_path / "absent.npz")
     (tmp_path / "SMPL.pkl").write_bytes(b"\x80\x04.")

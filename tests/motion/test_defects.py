@@ -25,7 +25,7 @@ def turned(motion: Motion, joint: str, angles: np.ndarray) -> Motion:
     return replace(motion, rotations=rotations)
 
 
-def test_a_good_motion_has_none(moving_person):
+def test_a_good_motion_has_no_defects(moving_person):
     assert find_jumps(moving_person) is None and find_pops(moving_person) is None
     assert jitter_share(moving_person) == 0 and frozen_runs(moving_person) == []
     for n in (1, 2, 3):
@@ -35,7 +35,7 @@ def test_a_good_motion_has_none(moving_person):
 
 
 @pytest.mark.parametrize("fps", [30.0, 120.0])
-def test_a_joint_that_is_off_for_one_frame(moving_person, fps):
+def test_a_joint_displaced_for_one_frame(moving_person, fps):
     motion = moving_person.resample(fps)
     off = np.zeros(motion.n_frames)
     off[[20, 41]] = [0.5, -0.6]
@@ -64,7 +64,7 @@ def test_defects_are_those_of_the_joints_that_jump_or_pop(moving_person):
     assert found[30, names.index("LeftHand")] and not found[30, names.index("LeftLeg")]
 
 
-def test_what_people_can_do_is_no_pop(moving_person):
+def test_fast_human_movement_is_not_a_pop(moving_person):
     times = moving_person.times
     shaken = turned(moving_person, "LeftHand", np.radians(25) * np.sin(2 * np.pi * 5 * times))
     assert find_pops(shaken) is None
@@ -83,7 +83,7 @@ def test_jitter(moving_person):
     assert jitter_share(turned(moving_person, "Spine", noise / 20)) == 0
 
 
-def test_jitter_cannot_be_told_at_a_low_frame_rate(moving_person):
+def test_jitter_is_not_measured_at_low_frame_rates(moving_person):
     places = moving_person.translation.copy()
     places[::2] += [0.02, 0.0, 0.0]
     for fps, found in ((30.0, True), (15.0, True), (5.9, False)):

@@ -66,7 +66,7 @@ def test_the_ankle_reaches_its_target_and_bones_keep_their_lengths():
     np.testing.assert_array_equal(solved[:, [0, 2, 4]], rotations[:, [0, 2, 4]])
 
 
-def test_an_ankle_that_is_there_stays_as_it_is():
+def test_an_ankle_at_its_target_is_not_moved():
     for rotations in (bent(50), straight(3)):
         there = forward_kinematics(rotations, np.zeros((len(rotations), 3)), LEG)[:, 4]
         _, solved = solve(rotations, there)

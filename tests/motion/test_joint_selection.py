@@ -25,7 +25,7 @@ def check(motion: Motion, names: list[str]) -> Motion:
     return kept
 
 
-def test_leaves_leave_their_place_as_an_end_site(moving_person):
+def test_removed_leaf_joints_become_end_sites(moving_person):
     kept = check(moving_person, [n for n in moving_person.skeleton.names if "Toe" not in n])
     toe = moving_person.skeleton.index("LeftToeBase")
     ends = kept.end_positions()
@@ -35,7 +35,7 @@ def test_leaves_leave_their_place_as_an_end_site(moving_person):
     assert not kept.joint_translations
 
 
-def test_a_joint_whose_parent_is_cut_hangs_on_the_next_above(moving_person):
+def test_a_joint_whose_parent_is_removed_is_attached_to_the_next_ancestor(moving_person):
     names = [n for n in moving_person.skeleton.names if n not in ("Chest", "LeftArm")]
     kept = check(moving_person, names)
     assert kept.skeleton.names[kept.skeleton.parents[kept.skeleton.index("Neck")]] == "Spine"
@@ -54,7 +54,7 @@ def test_another_root_moves_as_it_did(moving_person):
     assert kept.skeleton.names[0] == "Spine" and not kept.joint_translations
 
 
-def test_what_cannot_be_cut_is_told(moving_person):
+def test_joints_that_cannot_be_removed_are_errors(moving_person):
     with pytest.raises(MotionError, match="keep 'Chest' too"):
         keep_joints(moving_person, ["LeftArm", "RightArm"])
     with pytest.raises(MotionError, match="did you mean LeftArm"):

@@ -56,7 +56,7 @@ def test_real_rigs(shared_data, file):
     check(Motion.load(shared_data / file))
 
 
-def test_a_rig_whose_names_say_nothing_is_mirrored_by_its_shape(moving_person):
+def test_a_rig_with_meaningless_names_is_mirrored_by_its_shape(moving_person):
     person = moving_person.skeleton
     names = tuple(f"Joint{j}" for j in range(person.n_joints))
     ends = {names[person.index(name)]: sites for name, sites in person.end_sites.items()}

@@ -31,7 +31,7 @@ def test_time(moving_person):
         ({"joint_translations": {"Hip": np.zeros((60, 3))}}, "did you mean Hips"),
     ],
 )
-def test_refuses_what_is_no_motion(moving_person, change, says):
+def test_invalid_motions_are_refused(moving_person, change, says):
     with pytest.raises(MotionError) as caught:
         replace(moving_person, **change)
     assert says in str(caught.value)

@@ -301,7 +301,7 @@ def test_rigs_of_real_files(shared_data, kind):
 
 
 @pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig", "mixamorig9:", "Character1_"])
-def test_prefixes_do_not_matter(prefix):
+def test_prefixes_of_joint_names_are_ignored(prefix):
     plain = rig(MIXAMO)
     names = tuple(prefix + name for name in plain.names)
     skeleton = Skeleton(names, plain.parents, plain.offsets)
@@ -328,7 +328,7 @@ def test_body_and_upper_body_of_zeggs(shared_data):
     assert len(left_right_pairs(skeleton)) == 33
 
 
-def test_what_is_no_body_joint():
+def test_fingers_ends_and_face_are_not_body_joints():
     parts = find_parts(rig(ACCLAIM))
     assert parts.fingers == ("lfingers", "lthumb", "rfingers", "rthumb")  # "lhand" is a hand
     parts = find_parts(rig(MIXAMO))
@@ -359,7 +359,7 @@ def same_joints(found: BodyParts, expected: BodyParts, renamed: Skeleton, usual:
             assert told == vars(theirs[side])
 
 
-def test_names_that_say_nothing(mixamo):
+def test_meaningless_joint_names(mixamo):
     """The shape tells: legs and arms, left from right by the feet, the head from its top."""
     for usual in (mixamo, smpl_skeleton(24), smpl_skeleton(55)):
         renamed = nameless(usual)
@@ -376,7 +376,7 @@ def test_nameless_rigs_of_real_files(shared_data, kind):
     same_joints(find_parts(renamed), find_parts(usual), renamed, usual)
 
 
-def test_shapes_that_do_not_tell(mixamo, shared_data):
+def test_ambiguous_shapes_are_errors(mixamo, shared_data):
     heap = nameless(Motion.load(shared_data / FILES["bandai"]).skeleton)
     no_feet = np.where(np.abs(mixamo.offsets[:, 2:]) > 0.08, 0, mixamo.offsets)
     three_bones = mixamo.offsets.copy()
@@ -386,7 +386,7 @@ def test_shapes_that_do_not_tell(mixamo, shared_data):
     three_bones[knuckles, 0] *= 2.5
     for skeleton, says in (
         (heap, "1 pair of limbs"),
-        (replace(nameless(mixamo), offsets=no_feet), "where is forward"),
+        (replace(nameless(mixamo), offsets=no_feet), "which way is forward"),
         (replace(nameless(mixamo), offsets=three_bones), "no two bones"),
     ):
         with pytest.raises(MotionError, match=rf"arms.*{says}.*--part left_elbow=JOINT.*parts: "):
@@ -504,7 +504,7 @@ def test_fingers(mixamo, side):
     assert [unreal.names[j] for j in index] == [f"index_0{n}_{side[0]}" for n in (1, 2)]
 
 
-def test_what_is_worn_is_not_the_head(mixamo):
+def test_accessories_are_not_the_head(mixamo):
     names = {
         "mixamorig:Head": "skull",
         "mixamorig:HeadTop_End": "hat",

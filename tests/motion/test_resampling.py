@@ -31,7 +31,7 @@ def swing(motion: Motion) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("fps", [25.0, 30.0, 24.0])
-def test_what_a_rate_cannot_hold_is_taken_out(moving_person, fps):
+def test_frequencies_above_the_new_rate_are_filtered_out(moving_person, fps):
     fast = shaking(moving_person, hertz=22.0)
     folded = swing(fast.resample(fps))
     assert folded[0] > 0.2 and folded[1] > 0.08
@@ -39,7 +39,7 @@ def test_what_a_rate_cannot_hold_is_taken_out(moving_person, fps):
     assert filtered[0] < 0.03 and filtered[1] < 0.01
 
 
-def test_what_it_can_hold_is_kept(moving_person):
+def test_frequencies_below_the_new_rate_are_kept(moving_person):
     slow = shaking(moving_person, hertz=3.0)
     plain, filtered = slow.resample(30.0), slow.resample(30.0, antialias=True)
     inner = slice(15, -15)
@@ -57,7 +57,7 @@ def test_a_still_motion_and_a_rising_rate_are_left_alone(moving_person):
 
 
 @pytest.mark.parametrize("antialias", [False, True])
-def test_there_and_back_again(shared_data, antialias):
+def test_resampling_down_and_up_again_has_a_small_error(shared_data, antialias):
     """30 to 25 to 30 fps: the mean error of real gestures is below half a degree."""
     motion = Motion.load(shared_data / "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh")
     motion = motion.slice(0, 600)

@@ -32,7 +32,7 @@ def test_deltas_lead_back_to_the_path():
     assert np.abs(again.headings - path.headings).max() < 1e-9
 
 
-def test_deltas_say_what_the_body_does():
+def test_deltas_match_the_movement_of_the_body():
     turn, forward, lateral = circle().deltas().T
     assert turn == pytest.approx(1.2 / 2.0 / 30)
     assert np.abs(lateral).max() < 1e-9, "who walks a circle takes no side steps"
@@ -100,7 +100,7 @@ def test_smoothing_takes_out_what_is_shorter_than_ten_frames():
         path.smoothed(0)
 
 
-def test_headings_that_jump_by_a_turn_are_put_right():
+def test_headings_that_jump_by_a_turn_are_unwrapped():
     angles = np.linspace(0, 6 * np.pi, 300)
     wrapped = (angles + np.pi) % (2 * np.pi) - np.pi
     assert RootPath(np.zeros((300, 2)), wrapped, 30.0).headings == pytest.approx(angles)
@@ -170,7 +170,7 @@ def test_the_path_of_real_walks_has_no_jumps(shared_data):
         (np.zeros((4, 2)), np.zeros(4), 0.0, "fps"),
     ],
 )
-def test_what_is_no_path_is_refused(positions, headings, fps, said):
+def test_invalid_paths_are_refused(positions, headings, fps, said):
     with pytest.raises(MotionError, match=said):
         RootPath(positions, headings, fps)
 

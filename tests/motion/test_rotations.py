@@ -21,7 +21,7 @@ def same(a, b, atol=1e-7):
     np.testing.assert_allclose(r.rotation_angles(a, b), 0, atol=atol)
 
 
-def test_algebra_is_scipys():
+def test_quaternion_algebra_matches_scipy():
     q, p = Rotation.from_quat(Q), Rotation.from_quat(P)
     same(r.multiply_quaternions(Q, P), (q * p).as_quat())
     np.testing.assert_allclose(r.rotate_vectors(Q, V), q.apply(V), atol=1e-12)

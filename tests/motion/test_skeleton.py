@@ -29,7 +29,7 @@ def rig(names=("a", "b", "c"), parents=(-1, 0, 1), offsets=None, **more):
         ({"names": ("a", "b\n", "c")}, "b\\n"),
     ],
 )
-def test_refuses_what_is_no_tree_of_joints(change, says):
+def test_invalid_skeletons_are_refused(change, says):
     with pytest.raises(MotionError) as caught:
         rig(**change)
     assert says in str(caught.value)

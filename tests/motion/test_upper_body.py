@@ -166,7 +166,7 @@ def test_size_and_unit_are_those_of_the_whole_person(mixamo, zeggs, shared_data)
             assert guess_unit(rig.scaled(factor), rest) == (unit, True)
 
 
-def test_what_needs_feet_says_that_there_are_no_legs(zeggs):
+def test_functions_that_need_feet_report_missing_legs(zeggs):
     motion = without(zeggs)
     assert foot_points(motion.skeleton) == () and contact_labels(motion).shape == (300, 0)
     assert lock_feet(motion) is motion
@@ -196,7 +196,7 @@ def test_axes_are_seen_at_spine_neck_and_shoulders(zeggs, axes):
     assert ((found.up, found.forward), found.guessed) == (axes, ())
 
 
-def test_a_heap_of_bones_shows_its_axes_while_it_moves(shared_data):
+def test_axes_of_a_rig_without_a_plausible_rest_pose_are_detected_from_motion(shared_data):
     whole = Motion.load(shared_data / BANDAI)
     found = file_axes(without(whole))
     assert (found.up, found.guessed) == ("y", ("forward",)) == (file_axes(whole).up, ("forward",))

@@ -140,7 +140,7 @@ def in_double(generator, discriminator):
         (in_double, "float64 on cpu"),
     ],
 )
-def test_numba_refuses_what_it_was_not_written_for(engine, networks, change, named):
+def test_numba_refuses_unsupported_modules(engine, networks, change, named):
     network = change(*networks)
     with pytest.raises(ModelError, match=named):
         choose_backend("numba", network)

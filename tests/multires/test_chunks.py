@@ -81,7 +81,7 @@ def test_pieces_are_the_whole(network, n_frames, tile, residual, listening, back
     torch.testing.assert_close(pieces, whole, rtol=0, atol=1e-5)
 
 
-def test_changed_weights_are_heeded(network):
+def test_changed_weights_take_effect(network):
     """Layers keep their weights as they are multiplied; new ones take their place."""
     _, lengths, noises = draw(50, 0)
     before = sample(network, noises, lengths, None)

@@ -57,7 +57,7 @@ def test_neither_posture_nor_slow_movement_counts(target):
     torch.testing.assert_close(target(leaning, told), target(own, told), atol=0.02, rtol=0)
 
 
-def test_windows_shall_differ_as_the_recorded_ones_do(target):
+def test_generated_windows_should_differ_as_much_as_recorded_ones(target):
     own = windows(1)
     told = torch.ones(len(own), dtype=torch.long)
     strength = own.square().mean(dim=(1, 2)).log()
@@ -65,7 +65,7 @@ def test_windows_shall_differ_as_the_recorded_ones_do(target):
     assert float(target(own, told)) < float(target(alike, told)) - 0.02
 
 
-def test_one_of_its_kind_says_nothing(target):
+def test_a_style_with_a_single_motion_has_no_detail_loss(target):
     own = windows(1)[:1].requires_grad_()
     loss = target(own, torch.ones(1, dtype=torch.long))
     assert float(loss.detach()) == 0
@@ -73,7 +73,7 @@ def test_one_of_its_kind_says_nothing(target):
     assert not own.grad.any()
 
 
-def test_joints_that_all_keep_their_place_have_none():
+def test_joints_that_never_move_have_no_detail():
     """The places of a rig of one joint are zeros: no detail, and no logarithm of it."""
     detail = DetailTarget([recording(0, 1)], LEVEL, LEVELS, lambda x: 0 * places(x), 50, 1)
     made = windows(0).requires_grad_()

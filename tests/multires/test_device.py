@@ -55,7 +55,7 @@ def apart(one: Path, other: Path) -> list[float]:
 
 
 @pytest.mark.parametrize("kind", RUNS)
-def test_a_gpu_trains_what_the_cpu_does_and_the_same_again_after_a_kill(gpu, run, kind, tmp_path):
+def test_a_gpu_trains_the_same_model_as_the_cpu_and_again_after_a_kill(gpu, run, kind, tmp_path):
     again = {"out": str(tmp_path / "again"), "checkpoint_every": 3}
     whole = run(kind, "cuda", eval_every=2)
     # Adam makes whole steps of what rounding leaves of a gradient that is nearly zero.

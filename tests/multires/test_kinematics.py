@@ -35,7 +35,7 @@ def values(representation, walker):
     return torch.from_numpy(representation.encode(walker).T).float()[None]
 
 
-def test_feet_and_joints_are_where_the_motion_core_says(representation, walker, values):
+def test_feet_and_joints_have_the_positions_of_motion(representation, walker, values):
     kinematics = VectorKinematics(representation, walker.fps)
     joints = kinematics.places(values).permute(0, 3, 1, 2)
     feet = kinematics._positions(kinematics.feet, values)
@@ -65,7 +65,7 @@ def shaken(walker):
     return replace(walker, rotations=rotations)
 
 
-def test_trembling_is_no_arm_speed(representation, walker, values, shaken):
+def test_trembling_does_not_count_as_arm_speed(representation, walker, values, shaken):
     kinematics = VectorKinematics(representation, walker.fps)
     shaken_values = torch.from_numpy(representation.encode(shaken).T).float()[None]
     assert arm_speed(shaken).mean() > 1.8 * arm_speed(walker).mean()

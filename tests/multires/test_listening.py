@@ -39,7 +39,7 @@ def test_arm_speed_of_unpaired_speech_is_predicted(target):
         assert torch.corrcoef(torch.stack([ours, real]))[0, 1] > 0.8
 
 
-def test_calm_and_lively_speech_of_one_mean_ask_for_different_speeds(target):
+def test_calm_and_lively_speech_with_equal_means_predict_different_speeds(target):
     calm, lively = (predicted(target, loudness) for loudness in (1.2, 3.5))
     for both in (calm, lively):
         for ours, real in zip(*both, strict=True):
@@ -47,7 +47,7 @@ def test_calm_and_lively_speech_of_one_mean_ask_for_different_speeds(target):
     assert (lively[0].mean(dim=1) > 2 * calm[0].mean(dim=1)).all()
 
 
-def test_no_speech_asks_for_more_than_was_recorded(target):
+def test_predicted_movement_stays_within_the_recorded_range(target):
     ours, _ = predicted(target, 40.0)
     fastest = predicted(target, 4.0)[1].amax(dim=1)
     assert (ours.amax(dim=1) < 1.1 * fastest).all()
@@ -59,7 +59,7 @@ def test_a_clip_shorter_than_what_is_read_around_a_frame(target):
 
 
 @pytest.mark.parametrize("width", [3, 100])
-def test_features_that_predict_nothing_are_not_learnt_by_heart(width):
+def test_uninformative_features_are_not_overfitted(width):
     rng = torch.Generator().manual_seed(0)
     movements = [talk(300, 2.0, seed)[1] for seed in range(4)]
     target = ArmTarget(FRAME).fit(

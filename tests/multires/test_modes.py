@@ -133,12 +133,12 @@ def test_spans_hold_and_blend_over_a_second():
     [
         ("old@3", None, "old@0-10"),
         ("old@4-3", None, "before it begins"),
-        ("older", None, "knows angry, old"),
+        ("older", None, "the model has angry, old"),
         ("old", "1-9=old", "levels 1 .coarse. to 4"),
         ("old", "old", "1-4=describe"),
     ],
 )
-def test_what_cannot_be_asked_is_told(style, level_style, message):
+def test_invalid_style_requests_are_errors(style, level_style, message):
     with pytest.raises(ModelError, match=message):
         controls = MultiresControls(style=style, level_style=level_style)
         rng = torch.Generator()
@@ -174,7 +174,9 @@ def test_a_coarse_level_comes_back_as_keyframes(make_config, motions, tmp_path, 
     np.testing.assert_allclose(again.positions(), same.positions(), atol=1e-5)
 
 
-def test_keyframes_that_do_not_fit_are_said(make_config, motions, tmp_path, gesture, caplog):
+def test_keyframes_of_another_rate_or_length_cause_warnings(
+    make_config, motions, tmp_path, gesture, caplog
+):
     model = gk.load(train(make_config(corpus=str(motions(none=[4.0])), **SINGLE)))
     coarse = model.generate(seconds=6.0, seed=1, levels=1)
 
@@ -204,7 +206,7 @@ def test_keyframes_that_do_not_fit_are_said(make_config, motions, tmp_path, gest
     assert "the rig (19 joints) is not the model's (19 joints): retargeted" in said(other)[1]
 
 
-def test_a_motion_to_redo_that_is_too_short_is_told(make_config, motions, caplog):
+def test_a_like_motion_shorter_than_the_sound_causes_a_warning(make_config, motions, caplog):
     config = make_config(corpus=str(motions(none=[4.0])), **SINGLE)
     model = gk.load(train(config))
     clip = model.generate(seconds=2.0)
@@ -337,7 +339,7 @@ def test_styles_and_keyframes_from_the_command_line(make_config, motions, tmp_pa
     assert render("--like", str(tmp_path / "old_0.bvh"), "--style", "old") == 0
     capsys.readouterr()
     assert render("--seconds", "4", "--style", "sad") == 2
-    assert "the model knows angry, old" in capsys.readouterr().err
+    assert "unknown; the model has angry, old" in capsys.readouterr().err
     assert render("--keyframes", str(edit), "--like", str(edit)) == 2
 
 

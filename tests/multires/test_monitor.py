@@ -1,4 +1,4 @@
-"""Looking at a training now and then tells something and changes nothing."""
+"""The training monitor logs metrics and does not change the training."""
 
 from __future__ import annotations
 
@@ -84,13 +84,13 @@ def test_identical_samples_are_reported(make_config, caplog):
         torch.nn.init.zeros_(weight)
     figures = monitor.figures(network, 4)
     assert figures["patch_diversity_ratio"] < 0.01
-    assert monitor.warn_of_collapse(figures, 5) and "Step 5: samples collapse" in caplog.text
+    assert monitor.warn_of_collapse(figures, 5) and "Step 5: mode collapse" in caplog.text
     recorded = monitor._recorded(0)
     assert monitor._patch_spread([recorded]) > 0.5
     assert not monitor.warn_of_collapse({"patch_diversity_ratio": 0.9}, 5)
 
 
-def test_the_best_is_what_is_nearest_to_the_recordings():
+def test_the_best_model_is_nearest_to_the_recordings():
     near = {"jerk_ratio": 1.1, "arm_speed_ratio": 0.9, "foot_skate": 7.0}
     assert distance_from_recordings(near) < distance_from_recordings({"jerk_ratio": 0.5})
     twice, half = ({"jerk_ratio": ratio} for ratio in (2.0, 0.5))

@@ -92,7 +92,7 @@ def test_the_reference_skeleton_is_the_commonest_one(gesture):
     assert reference_skeleton([odd, motion, motion]) is motion.skeleton
 
 
-def test_the_speed_below_which_a_foot_stands_is_kept_with_the_model(gesture):
+def test_the_contact_threshold_is_stored_with_the_model(gesture):
     motion = gesture(2.0)
     motion.rotations[:] = motion.rotations[:1]
     motion.translation[:, 0] += 0.4 * motion.times  # a stiff body that slides at 0.4 m/s

@@ -62,7 +62,7 @@ def test_smooth_resampling_passes_through_the_samples_without_corners():
     assert torch.equal(resample_smoothly(few, 6), resample(few, 6))
 
 
-def test_reflection_is_torchs_own_and_goes_on_where_that_stops():
+def test_reflection_equals_torchs_and_also_pads_short_signals():
     x = torch.randn(1, 2, 9)
     torch.testing.assert_close(
         reflect(x, 2), torch.nn.functional.pad(x, (2, 2), mode="reflect"), rtol=0, atol=0
@@ -71,7 +71,7 @@ def test_reflection_is_torchs_own_and_goes_on_where_that_stops():
     assert reflect(x[..., :2], 4)[0, 0].tolist() == (x[0, 0, :2].tolist() * 5)
 
 
-def test_a_joint_sees_its_neighbourhood_and_nothing_else(representation):
+def test_a_joint_depends_only_on_its_neighbours(representation):
     near = block_neighbours(representation, distance=2)
     joints = list(representation.joints)
     hand = joints.index("LeftHand")

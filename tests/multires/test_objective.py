@@ -159,7 +159,7 @@ def test_recorded_arms_are_read_raw_for_speed_and_without_capture_noise_for_jerk
     assert set(read["arm_acceleration"]) == {CAPTURE_SECONDS}
 
 
-def test_the_penalty_and_the_critics_scale_count(stage_of):
+def test_gradient_penalty_and_discriminator_scale_take_effect(stage_of):
     def gradient(**changes):
         stage = stage_of(losses={**ALONE, **changes})
         n_frames = max(stage.batches.sequences)

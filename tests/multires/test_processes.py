@@ -19,7 +19,7 @@ from gesturekit.training.run.processes import Processes
 STEPS = {"first_stage": 2, "further_stages": 2, "discriminator_steps": 2}
 
 
-def test_two_processes_train_what_one_does(make_config, tmp_path, device):
+def test_two_processes_train_the_same_model_as_one(make_config, tmp_path, device):
     config = make_config(training=STEPS, out=str(tmp_path / "two"), device=device)
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(to_dict(config)))
     launch = ["torch.distributed.run", "--standalone", "--nproc_per_node", "2"]

@@ -323,9 +323,7 @@ def test_directions_are_upwards_and_away_from_the_body(data, config, rising):
         np.testing.assert_allclose(of_hand, expected if rising else -expected, atol=0.03)
 
 
-def test_the_second_arm_does_what_it_did_beside_such_movement_of_the_first(
-    data, config, model, speech
-):
+def test_the_second_arm_is_chosen_to_match_the_first(data, config, model, speech):
     library = build_library(data, config)
     features = model.conditions.conditioner(speech).T
     differences = []
@@ -413,7 +411,7 @@ def test_a_bad_liveliness_is_one_error(model, plain, speech, value):
             some.generate(speech, liveliness=value)
 
 
-def test_more_liveliness_asks_for_more_movement(model, speech):
+def test_more_liveliness_gives_more_movement(model, speech):
     """The movement asked for rises everywhere, and hands are faster on average."""
     searched = []
 
@@ -584,7 +582,7 @@ def recalled(model, speech, stretch: float, seed: int = 0):
     return library, library.recall(features, lambda _: torch.Generator().manual_seed(seed))
 
 
-def test_arms_move_more_closely_when_the_speech_asks_for_it(model, speech):
+def test_stretching_aligns_arms_with_the_predicted_movement(model, speech):
     """The movement of both arms comes nearer to what is asked; other parts stay as recorded."""
     asked = model.library.wanted(model.conditions.conditioner(speech).T)[0]
     apart = {}
@@ -645,7 +643,7 @@ def test_without_speech_nothing_is_stretched(model):
     assert [pieces.offsets for pieces in made.pieces] == [None] * 3
 
 
-def test_borders_lie_elsewhere_with_every_seed(model, speech):
+def test_joins_differ_between_seeds(model, speech):
     """Else the pieces that fit would be much the same in all of them."""
     seeds = range(100)
     firsts = np.array(
@@ -657,7 +655,7 @@ def test_borders_lie_elsewhere_with_every_seed(model, speech):
     assert again == firsts[7].tolist()
 
 
-def test_the_setting_travels_with_the_model(model, speech, tmp_path):
+def test_stretch_is_saved_with_the_model(model, speech, tmp_path):
     own = model.generate(speech, seed=1)
     other = copy.copy(model)
     other.library = replace(model.library, stretch=0.25)
@@ -765,7 +763,7 @@ def test_without_recall_nothing_of_it_is_stored(plain, folder):
     assert plain.library is None and plain.conditions.columns == [*range(7)]
 
 
-def test_the_network_does_not_hear_effort_where_it_is_for_recall(model):
+def test_vocal_effort_for_recall_is_not_an_input_of_the_network(model):
     assert model.conditions.columns == [*range(4)]
     assert model.conditions.conditioner.effort == (4, 5, 6)
     assert model.library.wanted.effort == (4, 5, 6)

@@ -181,7 +181,7 @@ def test_the_piece_with_the_same_movement_of_the_other_hand_is_chosen():
     assert placed(found.choose(rng(), np.tile([1.0, 1.0, 1.0, 1.0], (10, 1)))) == [(1, 0)]
 
 
-def test_unknown_movement_is_not_asked_for():
+def test_unknown_movement_matches_any_piece():
     wanted = profile_of(1)[:10].copy()
     wanted[:, 0] = ANYTHING
     assert placed(search([60, 60]).choose(rng(), wanted)) == [(1, 0)]
@@ -196,7 +196,7 @@ def test_continuity_prefers_what_came_next_in_the_recording():
     assert apart[1] != (apart[0][0], apart[0][1] + 8), "nothing else would have done this"
 
 
-def test_what_came_next_is_a_candidate_among_hours():
+def test_the_next_recorded_piece_is_a_candidate_among_hours():
     """It is one even where thousands of pieces come nearer to what is wanted."""
     found = search([4000], ChoiceWeights(movement=0.01, continuity=9.0, used=0.0, chance=0.0))
     (_, start), *after = placed(found.choose(rng(), noise(42, 2, seed=1)))
@@ -334,7 +334,7 @@ def agreement(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.corrcoef(a, b)[0, 1])
 
 
-def test_movement_of_unseen_speech_is_foreseen(wanted):
+def test_movement_is_predicted_for_unseen_speech(wanted):
     speech, movement = talk(77)
     asked = wanted(speech)
     assert asked.shape == (2, len(movement))
@@ -346,12 +346,12 @@ def test_movement_of_unseen_speech_is_foreseen(wanted):
     assert asked[0].std() == pytest.approx(movement.std(), rel=0.35)
 
 
-def test_no_more_is_asked_for_than_was_recorded(wanted):
+def test_wanted_movement_stays_within_the_recorded_range(wanted):
     asked = wanted(5 * talk(77)[0])[0]
     assert wanted.recorded[0] <= asked.min() and asked.max() <= wanted.recorded[-1]
 
 
-def test_an_unusual_voice_asks_for_as_much_as_a_usual_one(wanted):
+def test_an_unusual_voice_predicts_as_much_movement_as_a_usual_one(wanted):
     speech = talk(77)[0]
     usual, *unusual = speech, speech.copy(), speech.copy()
     for other, shift in zip(unusual, (-50.0, 50.0), strict=True):
@@ -359,7 +359,7 @@ def test_an_unusual_voice_asks_for_as_much_as_a_usual_one(wanted):
         assert wanted(other)[1].mean() == pytest.approx(wanted(usual)[1].mean(), abs=0.25)
 
 
-def test_long_speech_asks_for_the_same_in_parts(wanted, monkeypatch):
+def test_long_speech_gives_the_same_prediction_in_parts(wanted, monkeypatch):
     speech = talk(77)[0]
     whole = wanted(speech)
     monkeypatch.setattr("gesturekit.multires.recall.wanted._FRAMES_AT_ONCE", 70)
@@ -385,12 +385,12 @@ def test_speech_without_effort_or_with_many_features_is_enough():
     assert agreement(asked[0], movement) > 0.6 and agreement(asked[0] - asked[1], fast) > 0.6
 
 
-def test_calm_voices_ask_for_less_than_lively_ones(wanted):
+def test_calm_voices_predict_less_movement_than_lively_ones(wanted):
     calm, usual, lively = (wanted(talk(50, lively=level)[0])[0].mean() for level in (-1, 0, 1))
     assert calm < usual - 0.2 < lively - 0.4
 
 
-def test_speech_that_tells_nothing_asks_for_the_mean(wanted):
+def test_uninformative_speech_predicts_the_mean(wanted):
     """The slow part is drawn to its mean as far as left-out recordings were missed."""
     speech = talk(77)[0]
     unrelated = fitted(heard=False, count=20)
@@ -403,7 +403,7 @@ def test_speech_that_tells_nothing_asks_for_the_mean(wanted):
 
 
 @pytest.mark.parametrize(("r", "share"), [(-0.4, 0.0), (0.0, 0.0), (0.15, 0.5), (0.9, 1.0)])
-def test_predictions_are_trusted_as_far_as_they_were_right(r, share):
+def test_predictions_are_scaled_by_their_correlation(r, share):
     recorded = np.linspace(-1.0, 3.0, 50)
     line = Regression(np.zeros(1), np.ones(1), 1.0, recorded, recorded, r)
     trusted = line.trusted(np.array([0.0, 1.0, 2.0, 9.0]))
@@ -417,7 +417,7 @@ def test_predictions_get_the_recorded_spread_and_stay_in_its_range():
     np.testing.assert_allclose(scaled, [-1.0, 0.5, 2.0, 3.5, 5.0])
 
 
-def test_an_unusual_voice_is_centred_and_a_usual_one_left_alone():
+def test_an_unusual_voice_is_centred_and_a_usual_one_unchanged():
     voices = np.array([[-1.0], [0.0], [1.0]])
 
     def heard(level: float) -> tuple[float, float]:

@@ -50,13 +50,13 @@ def test_a_defect_beside_a_piece_does_not_matter(curves, frame):
     assert chosen(curves, [flags]) == 20
 
 
-def test_a_recording_full_of_defects_is_recalled_all_the_same(curves):
+def test_a_recording_full_of_defects_is_still_recalled(curves):
     flags = np.zeros(40, bool)
     flags[::5] = True
     assert chosen(curves, [flags]) == 20
 
 
-def test_defects_belong_to_the_part_whose_joint_is_off(gesture):
+def test_defects_are_assigned_to_the_part_with_the_defective_joint(gesture):
     motion = gesture(4.0, fps=30.0)
     rotations = motion.rotations.copy()
     elbow = motion.skeleton.index("LeftForeArm")

@@ -29,7 +29,7 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("late", [-6, -3, 0, 2, 4])
-def test_a_gesture_comes_when_it_is_asked_for_within_two_fifths_of_a_second(late):
+def test_a_gesture_is_moved_to_the_wanted_time_by_up_to_two_fifths_of_a_second(late):
     """The bump of frame 30 is asked for `late` frames later; at 10 fps, 4 frames are the most."""
     offsets = time_offsets(bump(30)[None], bump(30 + late)[None], FPS, 0.25)
     middle = 30 + np.clip(late, -4, 4)

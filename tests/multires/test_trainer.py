@@ -217,7 +217,7 @@ def test_without_a_bank_every_random_window_is_drawn_anew(make_config, monkeypat
     assert (len(set(noises)) < 24) == repeats
 
 
-def test_with_margins_longer_motions_are_judged_by_their_middle(make_config, monkeypatch):
+def test_with_margins_losses_use_the_middle_of_longer_motions(make_config, monkeypatch):
     config = make_config(training={"margins": True, "window": 2.0, "first_stage": 1})
     seen = set()
     original = LevelDiscriminator.forward
@@ -254,7 +254,7 @@ def test_a_recording_of_one_frame_at_the_coarsest_level_trains(make_config, writ
     assert (train(config) / "config.yaml").is_file()
 
 
-def test_no_checkpoint_is_written_of_what_is_no_number(make_config, monkeypatch):
+def test_no_checkpoint_is_written_after_nan(make_config, monkeypatch):
     step = Stage._random_step
 
     def broken(self, n_frames, rng):

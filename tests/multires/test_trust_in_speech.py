@@ -27,7 +27,7 @@ def recordings(predictable: bool, seed: int = 0):
     return speeches, movements
 
 
-def test_an_encoder_that_says_nothing_leaves_the_choice_to_acoustic_features():
+def test_an_uninformative_encoder_is_replaced_by_acoustic_features():
     speeches, movements = recordings(predictable=True)
     fitted = WantedMovement.fit(speeches, movements, FPS, EFFORT, ACOUSTIC)
     alone = WantedMovement.fit([speech[:3] for speech in speeches], movements, FPS, EFFORT)
@@ -50,7 +50,7 @@ def test_few_features_are_used_where_they_predict_as_well_as_many():
     assert useless.fast.r > 0.5 and useless.basis.shape == (11, 2)
 
 
-def test_an_encoder_that_tells_when_the_hands_move_is_heard():
+def test_an_informative_encoder_is_used():
     speeches, movements = recordings(predictable=True)
     for speech in speeches:
         speech[[1, 5]] = speech[[5, 1]]
@@ -58,7 +58,7 @@ def test_an_encoder_that_tells_when_the_hands_move_is_heard():
     assert fitted.basis is None and fitted.fast.r > 0.5
 
 
-def test_speech_that_predicts_nothing_is_told_from_speech_that_does():
+def test_uninformative_speech_is_distinguished_from_informative_speech():
     # Whether chance predicts left-out parts a little depends on the seed.
     by_chance = [
         WantedMovement.fit(*recordings(False, seed), FPS, EFFORT, ACOUSTIC) for seed in range(8)

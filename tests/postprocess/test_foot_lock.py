@@ -94,7 +94,7 @@ def test_predicted_labels_decide_what_stands(with_toes):
     assert locked[:, 2:].mean() == pytest.approx(before[:, 2:].mean(), rel=0.2)
 
 
-def test_labels_on_a_foot_that_flies_are_not_believed(with_toes):
+def test_contact_labels_of_a_moving_foot_are_ignored(with_toes):
     motion = standing(with_toes)
     running = moved(motion, motion.times[:, None] * [0.0, 0.0, 3.0])
     assert lock_feet(running, np.ones((motion.n_frames, 4))) is running
@@ -232,6 +232,6 @@ def test_a_recording_that_drifts_stands_again(shared_data):
         assert slid.mean() < 0.01
 
 
-def test_a_runner_runs(shared_data):
+def test_foot_lock_does_not_change_running(shared_data):
     motion = Motion.load(shared_data / "smpl/glamr_running_smpl.npz")
     assert np.abs(lock_feet(motion).positions() - motion.positions()).max() < 0.02

@@ -80,7 +80,7 @@ def test_short_motions(beating, n_frames):
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
-def test_no_length_of_time(beating, seconds):
+def test_invalid_durations_are_refused(beating, seconds):
     with pytest.raises(MotionError, match="smooth"):
         smooth_motion(beating, seconds)
 

@@ -92,7 +92,7 @@ def test_walks_that_tremble_stand_with_locked_feet(walks):
         assert skate[1] > 3 * skate[0] and skate[2] < 1.7 * skate[0]
 
 
-def test_who_goes_faster_makes_more_steps(walks):
+def test_faster_walkers_take_more_steps(walks):
     found = [
         stepping_rates(Motion.load(file), load_root_path(file.with_suffix(".path.csv")))
         for file in walks.glob("*.bvh")

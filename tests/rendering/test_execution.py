@@ -86,7 +86,7 @@ def test_a_live_run_is_never_mixed_with_another(model, sounds, tmp_path):
     going = iter_render(model, sounds, out)
     next(going)
     before = results(out)
-    with pytest.raises(ConfigError, match="shard 1 of 1 is in work, by process"):
+    with pytest.raises(ConfigError, match="shard 1 of 1 is being processed, by process"):
         list(iter_render(model, sounds, out))
     with pytest.raises(ConfigError, match="another run, with other inputs or settings"):
         run(model, sounds / "day", out)
@@ -191,7 +191,9 @@ def test_a_worker_that_dies_costs_one_item(model, sounds, tmp_path, whole, monke
 
 
 @pytest.mark.stress
-def test_a_deadline_and_what_comes_after_it(model, sounds, tmp_path, write_speech):
+def test_a_slow_item_fails_at_the_deadline_and_is_retried_after_a_change(
+    model, sounds, tmp_path, write_speech
+):
     write_speech(sounds / "b.wav", 1200.0)
     outcomes = run(model, sounds, tmp_path / "out", deadline=1.0)
     (late,) = [outcome for outcome in outcomes if outcome.error]
@@ -201,7 +203,7 @@ def test_a_deadline_and_what_comes_after_it(model, sounds, tmp_path, write_speec
     assert not [outcome for outcome in run(model, sounds, tmp_path / "out") if outcome.error]
 
 
-def test_an_item_that_kills_its_process_is_found_out(model, sounds, tmp_path):
+def test_an_item_in_progress_in_two_killed_runs_is_rendered_last(model, sounds, tmp_path):
     """After two killed runs it is rendered last, in a process of its own."""
     out = tmp_path / "out"
     run(model, sounds / "day", out)
@@ -253,7 +255,7 @@ def test_a_read_only_folder_is_refused(model, sounds, tmp_path):
         run(model, sounds, out)
 
 
-def test_a_journal_that_names_files_elsewhere_reads_nothing_there(model, sounds, tmp_path):
+def test_files_outside_the_output_folder_in_a_journal_are_not_read(model, sounds, tmp_path):
     from gesturekit.rendering.summary import write_summary
 
     out = tmp_path / "out"

@@ -40,7 +40,7 @@ def test_globs_keep_the_folders_below_their_fixed_part(folder, tmp_path, pattern
 def test_a_file_with_the_name_of_a_pattern_is_that_file(folder, tmp_path, write_speech):
     write_speech(folder / "[b].wav", 0.5)
     assert found(str(folder / "[b].wav"), tmp_path) == {"[b]": "in/[b].wav"}
-    with pytest.raises(ConfigError, match="no audio file of this pattern"):
+    with pytest.raises(ConfigError, match="no audio file matches this pattern"):
         find_tasks("in/*.flac", tmp_path)
 
 
@@ -83,7 +83,7 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
         ("l.scp", "/etc/x in/a.wav\n", "cannot be used"),
         ("l.scp", "alone\n", "expected an id and a path"),
         ("l.scp", ".gesturekit/plan in/a.wav\n", "holds the journal"),
-        ("l.txt", "\n\n", "an empty list"),
+        ("l.txt", "\n\n", "the list is empty"),
         ("l.txt", "a\0b\n", "l.txt:1: this is not a list"),
         ("l.txt", "x" * 70_000, "not a list"),
         ("l.txt", "in/a.wav\nother/../in/a.wav\nout/day/a.wav\nin/a.flac", "both be written as"),

@@ -406,7 +406,9 @@ def test_sampling_for_an_evaluation_goes_on_where_it_was(model, tmp_path, write_
     assert files[0].stat().st_mtime_ns == before and files[1].is_file()
 
 
-def test_what_a_killed_run_left_is_removed_by_the_next(model, sounds, tmp_path, monkeypatch):
+def test_temporary_files_of_a_killed_run_are_removed_by_the_next(
+    model, sounds, tmp_path, monkeypatch
+):
     def killed(self, path, **options):
         (path.parent / f".{path.stem}-a1b2_c3d{path.suffix}").write_text("half")
         (path.parent / f".{path.stem}-of-mine{path.suffix}.keep").write_text("mine")

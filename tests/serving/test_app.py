@@ -83,7 +83,7 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
         ("?smooth=nan", wav(), 422, "smooth"),
     ],
 )
-def test_what_cannot_be_used_is_refused_with_a_reason(client, query, body, status, says):
+def test_invalid_requests_are_refused_with_a_reason(client, query, body, status, says):
     one = client(megabytes=0.5, seconds=10)
     answer = one.post(f"/motion{query}", content=body)
     assert (answer.status_code, says in answer.json()["error"]) == (status, True), answer.text

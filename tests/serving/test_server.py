@@ -115,7 +115,7 @@ def malicious(port: int) -> str:
     return "malicious"
 
 
-def test_fifty_at_once(port):
+def test_fifty_requests_at_once(port):
     """Every good request is answered, whatever the others do."""
     kinds = [good] * 20 + [huge] * 8 + [slow] * 8 + [malicious] * 14
     random.Random(0).shuffle(kinds)

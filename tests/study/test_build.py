@@ -77,8 +77,14 @@ def test_mismatched_motion_is_another_clip_of_the_same_folder():
         ("title: x\nsystems: {a: x, b: y}\ndesign: prefer", "'prefer' is not one of"),
         ("title: x\nsystems: {a: x, b: y}\ndesign: style", "needs styles"),
         ("title: x\nsystems: {a: x, b: y}\nanswers: [better, worse]", "five are expected"),
-        ('title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"', "is not an address"),
-        ('title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"', "not an address"),
+        (
+            'title: x\nsystems: {a: x, b: y}\npost_url: "javascript:alert(1)"',
+            "is not a web address",
+        ),
+        (
+            'title: x\nsystems: {a: x, b: y}\npost_url: "https://h; script-src *"',
+            "not a web address",
+        ),
         ("title: x\nsystems: {a: x, b: y}\npairs: 0", "at least 1"),
         ("title: x\nsystems: {a: x, b: y}\nattention_check: 3", "attention_checks"),
     ],
@@ -145,7 +151,7 @@ def setup_of(page: Path) -> dict:
     return json.loads(re.search(r'id="setup">(.*?)</script>', text, re.S)[1])
 
 
-def test_the_page_tells_no_system_by_the_names_of_its_clips(tmp_path):
+def test_clip_names_do_not_reveal_the_system(tmp_path):
     names = [f"speaker/clip {k}.mp4" for k in range(4)]
     config = video_study(tmp_path, {"ours": names, "baseline": names})
     built = build_study(config, tmp_path / "out")

@@ -69,7 +69,7 @@ def test_random_answers_allow_no_conclusion(simulate, answers_of, tmp_path, run)
     assert "No difference was found between" in out and "not show that they are equally good" in out
 
 
-def test_small_studies_come_with_reservations(tmp_path, run):
+def test_small_studies_are_reported_with_caveats(tmp_path, run):
     path = write(tmp_path / "x.csv", [Answer("u", "c", "a", "b", 2)] * 3, {})
     code, _, err = run("analyse", path)
     assert code == 0
@@ -124,7 +124,7 @@ def test_a_page_is_built_and_not_overwritten(tmp_path, run):
             (tmp_path / system / f"{k}.mp4").write_bytes(b"video")
     (tmp_path / "study.yaml").write_text("title: x\nsystems: {a: a, b: b}\nlists: 2\n")
     code, out, _ = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
-    assert code == 0 and "3 comparisons a rater, 3 segments, 6 clips, 2 lists" in out
+    assert code == 0 and "3 comparisons per rater, 3 segments, 6 clips, 2 lists" in out
     before = (tmp_path / "out" / "index.html").read_bytes()
     code, _, err = run("build", tmp_path / "study.yaml", "--out", tmp_path / "out")
     assert code == 2 and "index.html" in err

@@ -181,7 +181,7 @@ def test_motions_are_shown_in_3d_on_a_phone_without_controls(
 
 
 @pytest.mark.skipif(not is_baked(), reason="the human body is not baked (make setup)")
-def test_both_sides_wear_the_body_of_the_study(tmp_path, gesture, open_browser):
+def test_both_sides_show_the_body_of_the_study(tmp_path, gesture, open_browser):
     for k, system in enumerate(("ours", "base")):
         for name in ("x", "y"):
             gesture(0.4, seed=k).save(tmp_path / system / f"{name}.bvh")
@@ -262,7 +262,7 @@ def test_answers_are_posted_and_never_lost(videos, tmp_path, open_browser, statu
     assert answer.matched in videos and answer.score == 2
 
 
-def test_a_video_that_cannot_be_played_is_said(tmp_path, open_browser):
+def test_a_video_that_cannot_be_played_is_reported(tmp_path, open_browser):
     for system in ("a", "b"):
         (tmp_path / system).mkdir()
         (tmp_path / system / "x.mp4").write_text("no video")

@@ -143,7 +143,7 @@ def test_forty_raters_find_the_known_order(simulate, answers_of, seed):
     assert elo[0].low > elo[1].high and elo[1].low > elo[2].high
 
 
-def test_random_raters_find_none(simulate, answers_of):
+def test_random_answers_give_no_significant_difference(simulate, answers_of):
     p_values = []
     for seed in range(6):
         found = analyse_preference(answers_of(simulate([0, 0, 0], seed=seed)), rounds=10, seed=0)
@@ -252,7 +252,7 @@ def test_the_power_is_that_of_simulated_studies():
     assert (p < 0.05).mean() == pytest.approx(0.8, abs=0.04)
 
 
-def test_alike_answers_of_a_rater_need_more_raters():
+def test_correlated_answers_of_a_rater_need_more_raters():
     needed = [raters_needed(Expected(agreement=share), answers=6) for share in (0.0, 0.1, 0.5)]
     assert needed == sorted(needed) and needed[2] > 2 * needed[0]
 

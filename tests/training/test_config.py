@@ -71,7 +71,7 @@ def test_settings_are_python_values_by_name(tmp_path, monkeypatch):
         load_config(path, Outer, settings={"inner": {"rat": 1}})
 
 
-def test_what_is_written_reads_back_the_same(tmp_path):
+def test_a_written_configuration_reads_back_the_same(tmp_path):
     config = load_config(write(tmp_path, "a.yaml", "corpus: c\ninner: {mode: [Hips]}"), Outer)
     assert build(Outer, to_dict(config)) == config
 
@@ -89,7 +89,7 @@ def test_what_is_written_reads_back_the_same(tmp_path):
         ("- a list", [], "expected key: value lines"),
         ("corpus: [unclosed", [], "not valid YAML"),
         ("corpus: !!python/object/apply:os.getcwd []", [], "not valid YAML"),
-        ("base: a.yaml", [], "its own parent"),
+        ("base: a.yaml", [], "include itself"),
     ],
 )
 def test_mistakes_are_named(tmp_path, text, overrides, says):

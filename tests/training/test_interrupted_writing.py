@@ -21,7 +21,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("save", WRITERS.values(), ids=WRITERS)
-def test_the_next_save_removes_what_a_kill_left(tmp_path, save):
+def test_the_next_save_removes_temporary_files_of_a_killed_run(tmp_path, save):
     save(tmp_path)
     whole = sorted(path.name for path in tmp_path.iterdir())
     (tmp_path / ".mine-of_mine.txt").touch()

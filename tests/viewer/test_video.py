@@ -17,10 +17,10 @@ from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer import write_video
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.video import raster
 from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
-from gesturekit.viewer.worn import Worn
 
 RATE, JUMP = 16_000, 0.5
 
@@ -106,7 +106,7 @@ def test_without_the_extra_the_error_names_it(tmp_path, gesture, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_cannot_be_used_is_refused_and_leaves_no_file(tmp_path, gesture):
+def test_invalid_sounds_and_sizes_are_refused_and_leave_no_file(tmp_path, gesture):
     (tmp_path / "x.wav").write_text("no sound")
     with pytest.raises(AudioError):
         write_video(gesture(0.2), tmp_path / "x.mp4", audio=tmp_path / "x.wav")
@@ -137,15 +137,15 @@ def test_limbs_reach_from_point_to_point(gesture):
             assert gap.min() <= radius * limb.width + 0.02 * figure.height
 
 
-def test_a_body_model_is_worn(tmp_path, capsule_body):
+def test_a_body_model_is_drawn(tmp_path, capsule_body):
     np.savez(tmp_path / "BODY.npz", **capsule_body(24))
     body = BodyModel.load(tmp_path / "BODY.npz")
     angles = 0.3 * np.sin(np.arange(20)[:, None, None] / 5 + np.arange(24)[:, None])
     turns = np.concatenate([np.repeat(np.sin(angles), 3, axis=2) / 3**0.5, np.cos(angles)], axis=2)
     path = np.linspace([0, 0.9, 0], [1, 0.9, 2], 20)
     motion = fit_body(Motion(smpl_skeleton(24), turns, path, 20.0), body)
-    worn = Worn.of(motion, body_model=body)
-    skinned = SkinnedBody(worn, worn.skins[0])
+    drawn = DrawnBody.of(motion, body_model=body)
+    skinned = SkinnedBody(drawn, drawn.skins[0])
     # The corrections for the pose, millimetres here, are left out.
     np.testing.assert_allclose(placed(skinned, 0.5), body.vertices(motion)[10], atol=0.01)
     motion.trim(0, 0.2).save(tmp_path / "x.mp4", body_model=tmp_path / "BODY.npz")

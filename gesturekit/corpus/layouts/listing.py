@@ -24,7 +24,7 @@ class Listing:
         fps: published frame rate of the motion.
         recordings: with files, published split, speaker, style and side files.
         problems: missing files, and files that the published rules leave out.
-        left_over: sound and motion files that belong to no recording.
+        left_over: sound and motion files without a recording.
     """
 
     fps: float

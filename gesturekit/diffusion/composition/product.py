@@ -80,9 +80,9 @@ class ModelProduct:
     Attributes:
         models: of one rig. The first is the model of the request; the last is the unconditional
             model, if that is another one.
-        weights: of all models but the unconditional one; None for an equal share of what the
-            others leave of 1.
-        styles: of the same models; None for a random style.
+        weights: of all models but the unconditional one; models with None share the remaining
+            weight equally.
+        styles: style of each of these models; None for a random style.
         guidance: gamma of classifier-free guidance for the first model; None for no guidance.
         unconditional: the unconditional model; None for the first model with conditions dropped.
     """
@@ -97,8 +97,8 @@ class ModelProduct:
     def build(cls, first: TrainedModel, controls: DiffusionControls) -> ModelProduct:
         """Collect and check the models of a request.
 
-        An expert without a style gets the style of the first model if it knows it, and a random
-        one otherwise.
+        An expert without a style gets the style of the first model if it has that style, and a
+        random one otherwise.
 
         Raises:
             ModelError: models that cannot be combined, weights over time that cannot be read, or
@@ -113,7 +113,7 @@ class ModelProduct:
                 weight_track(expert[1], 1, first.fps)
         if unconditional is not None:
             if controls.guidance is None:
-                raise ModelError("unconditional: needs guidance, which extrapolates from it")
+                raise ModelError("unconditional: only used with guidance; give guidance too")
             _check_compatible(first, unconditional, "unconditional")
         _check_guidance(first, controls.guidance, unconditional)
         experts = [(*expert, None, None)[:3] for expert in controls.experts]
@@ -133,7 +133,7 @@ class ModelProduct:
         )
 
     def check_styles(self) -> None:
-        """Raise ModelError if a model does not know the style that it is given."""
+        """Raise ModelError if a model does not have its requested style."""
         for model, style in zip(self.models, self.styles, strict=False):
             if model.styles and style is not None:
                 style_weights(model.styles, style, 1, model.fps)
@@ -215,7 +215,7 @@ def _check_compatible(first: TrainedModel, other: TrainedModel, who: str) -> Non
     """Raise ModelError if the numbers of two models' motion vectors differ in meaning."""
     kind = getattr(other, "kind", type(other).__name__)
     if kind != first.kind:
-        raise ModelError(f"{who}: a {kind} model; only diffusion models can be multiplied")
+        raise ModelError(f"{who}: a {kind} model; only diffusion models can be combined")
     if other.device != first.device:
         raise ModelError(
             f"{who}: is on {other.device}, this model on {first.device}; load both on one device"
@@ -228,8 +228,8 @@ def _check_compatible(first: TrainedModel, other: TrainedModel, who: str) -> Non
         raise ModelError(f"{who}: another rig: {different}")
     if theirs.joints != own.joints:
         raise ModelError(
-            f"{who}: it models {len(theirs.joints)} joints, this model {len(own.joints)}, or "
-            "others; experts of a product need the same joints"
+            f"{who}: its {len(theirs.joints)} joints are not the {len(own.joints)} of this model; "
+            "experts of a product need the same joints"
         )
     if theirs.makes_root != own.makes_root:
         raise ModelError(f"{who}: only one of the two follows a path")

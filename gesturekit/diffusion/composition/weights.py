@@ -57,8 +57,8 @@ def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) 
     """Return the weight of each expert: (1,) if it is constant, else (T,).
 
     Args:
-        given: numbers, arrays (T,), texts (see `weight_track`), or None for an equal share of what
-            the others leave of 1.
+        given: numbers, arrays (T,), texts (see `weight_track`), or None for an equal share of the
+            remaining weight.
         n_frames: T.
         fps: frames per second.
 

@@ -72,7 +72,10 @@ class Request:
         path, events = controls.path, controls.events
         follows = models[0].path
         if path is not None and not follows:
-            raise ModelError(f"path={path!r}: this model moves its root itself and follows no path")
+            raise ModelError(
+                f"path={path!r}: this model generates the root motion itself and cannot follow a "
+                "path"
+            )
         if path is None and follows:
             raise ModelError(
                 "path: this model follows a path and needs one: a .csv with columns "
@@ -114,7 +117,7 @@ def check_events(events: str | Path, models: Sequence[Conditions]) -> None:
     """Check the names of requested events without their sound.
 
     Raises:
-        ModelError: a text that cannot be read, or a name that none of the models knows.
+        ModelError: a text that cannot be read, or an event that none of the models has.
         FormatError: a table that cannot be read.
     """
     if not any(model.events for model in models):

@@ -55,7 +55,7 @@ class SDEditStart:
             FormatError: a file that cannot be read.
         """
         if not 0 < change <= 1:
-            raise ModelError(f"change={change:g}: give more than 0 (all stays) and at most 1")
+            raise ModelError(f"change={change:g}: give more than 0 (no change) and at most 1")
         given = like if isinstance(like, Motion) else Motion.load(like)
         motion, lift = on_rig(model.representation, given), 0.0
         if motion is not given:

@@ -73,7 +73,7 @@ class TrainingData:
     start: Mapping[str, Tensor] = field(default_factory=dict)
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
-        """Decode a motion from values (T, X), not standardised, and its condition (T, C)."""
+        """Decode a motion from unstandardised motion vectors (T, X) and its condition (T, C)."""
         path = None
         if not self.representation.makes_root:
             scaled = condition[:, self.conditions.columns["path"]].astype(np.float64)

@@ -27,7 +27,8 @@ STEPS = 10
 class Monitor:
     """Metrics of motion generated from the training recordings' conditions.
 
-    It has its own random numbers, so that a run gives the same weights with and without it.
+    It draws from its own random generator, so that training gives the same weights with and without
+    it.
     """
 
     def __init__(self, data: TrainingData, config: DiffusionConfig) -> None:

@@ -40,7 +40,7 @@ log = logging.getLogger(__name__)
 
 
 def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
-    """Train a diffusion model and write it.
+    """Train a diffusion model and save it.
 
     Args:
         config: settings of the run.
@@ -179,7 +179,8 @@ class _Trainer:
         return f"from {' and '.join(names)}" if names else "no condition"
 
     def seconds_needed(self) -> float:
-        """Estimate the duration of training from a few updates, which change the network."""
+        """Estimate the duration of training from a few updates; they change the network's
+        weights."""
         float(self._update(0))  # warm-up; reading the loss waits for the GPU
         began = time.monotonic()
         for update in (1, 2, 3):
@@ -207,7 +208,7 @@ class _Trainer:
         return self.folder.folder / "model"
 
     def _update(self, update: int) -> Tensor:
-        """Make one update on this process's share of the batch and return its loss."""
+        """Do one update on this process's share of the batch, and return the loss."""
         training = self.config.training
         rows = self.processes.share(training.batch)
         share = (rows.stop - rows.start) / training.batch

@@ -37,7 +37,7 @@ OWN_COLUMNS = (
 )
 """Columns that our pages write after GENEA's."""
 MISMATCHED = "_Mismatched"
-"""Ending of the name of a system whose motion belongs to other speech."""
+"""Ending of the name of a system that shows motion of other speech."""
 
 _REQUIRED = GENEA_COLUMNS[:6]
 _STRONG = ("true", "1", "yes", "strong", "1.0")
@@ -203,7 +203,7 @@ def _rows(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
     except FileNotFoundError:
         raise EvaluationError(f"{path}: no such file") from None
     except (UnicodeDecodeError, csv.Error) as error:
-        raise EvaluationError(f"{path}: no CSV file in UTF-8 ({error})") from None
+        raise EvaluationError(f"{path}: not a CSV file in UTF-8 ({error})") from None
 
 
 def _check_header(path: Path, header: list[str]) -> None:

@@ -103,7 +103,7 @@ def _mean_pose(every: _Recordings, source: _Recordings, fps: float) -> Loader:
     def load(pair: Pair, n_frames: int) -> Motion:
         recording = load_recording(pair.reference, fps)
         if recording.skeleton.names != rig:
-            raise MotionError(f"{pair.stem}: another rig than the one of the mean pose")
+            raise MotionError(f"{pair.stem}: its rig differs from that of the mean pose")
         return Motion(
             recording.skeleton,
             np.tile(pose, (n_frames, 1, 1)),
@@ -141,7 +141,7 @@ BASELINES: Mapping[str, Callable[[_Recordings, _Recordings, float], Loader]] = {
 
 
 def _pair(pair: Pair, load: Loader, fps: float) -> Pair:
-    """Return the pair with the baseline's motion in the place of the model's."""
+    """Return the pair with the baseline's motion instead of the model's."""
     name = pair.stem if pair.window is None else f"{pair.stem}_w{pair.window:03d}"
 
     def made() -> Motion:

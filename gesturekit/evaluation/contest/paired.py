@@ -23,7 +23,7 @@ from gesturekit.evaluation.intervals import LEVEL, draws, holm, means_by, standa
 from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
 
 NEARER = 0.75
-"""Share of resamples in which the best model is nearer to the recordings, at least."""
+"""Smallest share of resamples in which the best model must be nearer to the recordings."""
 SEED = 0
 """Seed of the bootstrap: reports of the same figures have the same bold."""
 

@@ -1,8 +1,8 @@
-"""Likeness: how far a motion moves like the speaker, as one figure between 0 and 1.
+"""Likeness: one figure between 0 and 1 for how much a motion moves like the speaker.
 
-Eight aspects count alike: hand speed (four quantiles), rests, reach, range, jerk, feet, 1-NN test
-and the direction of time. An aspect that is measured as a ratio to the recording has the credit 1
-within 0.8 to 1.25, 0 beyond 0.4 and 2.5, and falls linearly in the logarithm between.
+Eight aspects have equal weight: hand speed (four quantiles), rests, reach, range, jerk, feet, 1-NN
+test and the direction of time. An aspect that is measured as a ratio to the recording has the
+credit 1 within 0.8 to 1.25, 0 beyond 0.4 and 2.5, and falls linearly in the logarithm between.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from collections.abc import Mapping
 import numpy as np
 
 ALIKE, UNLIKE = np.log(1.25), np.log(2.5)
-"""Logarithms of the ratios up to which the credit is 1, and from which it is 0."""
+"""Logarithms of the largest ratio with credit 1, and of the smallest ratio with credit 0."""
 USUAL_ONE_NN = 0.6
-"""1-NN accuracy that costs nothing: a speaker's recordings have it among each other."""
+"""1-NN accuracy with full credit: that between recordings of one speaker."""
 FORWARD = 30.0
-"""Share of windows, %, that are nearest to motion played forwards, from which the credit is 1."""
+"""Percentage of windows that are nearest to motion played forwards, above which the credit is 1."""
 
 RATIOS = {
     "hand_q10": 0.02,
@@ -30,8 +30,8 @@ RATIOS = {
     "jerk": 0.1,
     "foot_skate": 0.01,
 }
-"""Measures that are compared as ratios; the number is added to both sides, so that a ratio of two
-values next to nothing is 1. Units as in `definitions`."""
+"""Measures that are compared as ratios; the number is added to both values, so that the ratio of
+two tiny values is 1. Units as in `definitions`."""
 ASPECTS = {
     "hand speed": ("hand_q10", "hand_q50", "hand_q90", "hand_q99"),
     "rests": ("rest", "near_still"),
@@ -43,7 +43,7 @@ ASPECTS = {
     "direction of time": ("forward",),
 }
 MEASURES = tuple(key for keys in ASPECTS.values() for key in keys)
-"""Keys of `definitions` that likeness is made of."""
+"""Keys of `definitions` from which likeness is computed."""
 
 
 def credits(
@@ -53,8 +53,8 @@ def credits(
 
     Args:
         ours: {measure: values (...)} of the motion.
-        own: the same of the recordings; needed of `RATIOS` alone.
-        own_one_nn: 1-NN accuracy that costs nothing.
+        own: the same of the recordings; only those in `RATIOS` are needed.
+        own_one_nn: 1-NN accuracy with full credit.
     """
     found: dict[str, list[np.ndarray]] = {}
     for aspect, keys in ASPECTS.items():

@@ -28,7 +28,7 @@ ALIKE, PARTLY = 0.85, 0.6
 """Likeness for yes; and for partly, relative to that of the speaker's other recordings."""
 COPIED, NEAR, NOW_AND_THEN = 0.5, 0.8, 0.6
 """Ratios to the distance of held-out recordings below which a model mostly copies, is nearer than
-they are (medians), or copies now and then (5 % quantile)."""
+they are (medians), or copies occasionally (5 % quantile)."""
 NOTICED = 0.6
 """Credit of an aspect below which it is named."""
 
@@ -164,7 +164,7 @@ def _novelty(figures: Figures) -> Answer:
         text = f"Nearer to {among} than other recordings are: partly copied, or less lively"
         return Answer(NEW, "novelty", "no", f"{text}{_seeds(figures)}.")
     if now_and_then:
-        text = f"New, but copied from {among} now and then{_seeds(figures)}."
+        text = f"New, but occasionally copied from {among}{_seeds(figures)}."
         return Answer(NEW, "novelty", "partly", text)
     return Answer(
         NEW, "novelty", "yes", f"New: as far from {among} as other recordings{_seeds(figures)}."

@@ -19,19 +19,21 @@ RESTS_ALIKE = (0.7, 1.4)
 HARDLY_EVER = 0.35
 """Below this ratio to the recording's share of rests, hands hardly ever rest."""
 FEW_RESTS = 2.0
-"""Recordings with a smaller share of rests, %, say nothing about rests."""
+"""Percentage of rests in the recordings below which rests are not reported."""
 FROZEN = 5.0
-"""Hands that are nearly still in this share of frames, %, more than the recording's are frozen."""
+"""Hands count as frozen if they are nearly still in this many more percent of frames than the
+recording's."""
 MOTIONLESS = 90.0
-"""From this share of frames with hands that are nearly still, %, nothing else is worth saying."""
+"""Percentage of frames with nearly still hands above which the verdict reports nothing else."""
 IN_TIME = 0.7
-"""Share of the recording's sync above chance from which motion is in time with the speech."""
+"""Motion with at least this share of the recording's sync above chance is in time with the
+speech."""
 BY_CHANCE = 0.3
-"""Share of the recording's sync above chance below which motion is not in time."""
+"""Motion with less than this share of the recording's sync above chance is not in time."""
 LEAST_SYNC = 0.1
-"""Sync above chance of a recording below which its speech says nothing about its movement."""
+"""Recordings with less sync above chance than this do not move with their speech."""
 FOLLOWS = 0.4
-"""Correlation of calm and lively stretches from which they are where the speaker's are."""
+"""Correlation of calm and lively stretches above which they count as those of the speaker."""
 
 _RATIOS = {
     0.1: "a tenth of",
@@ -98,7 +100,7 @@ def _rests(figures: Mapping[str, MetricResult]) -> Iterator[str]:
 def _timing(figures: Mapping[str, MetricResult]) -> Iterator[str]:
     calm, sync = figures.get("calm_lively_r"), figures.get("sync")
     if calm is not None and calm.informative and calm.interval.value < FOLLOWS:
-        yield "calm and lively in other places than the speaker"
+        yield "calm and lively at other times than the speaker"
     if sync is None or sync.recording is None:
         return
     levels = [level for level in (sync.mismatched, sync.chance) if level is not None]
@@ -125,7 +127,7 @@ def _copying(figures: Mapping[str, MetricResult]) -> Iterator[str]:
     elif median is not None and median < NEAR:
         yield "partly copied from recordings"
     elif low is not None and low < NOW_AND_THEN:
-        yield "copied from recordings now and then"
+        yield "occasionally copied from recordings"
 
 
 def _ratio(figures: Mapping[str, MetricResult], key: str) -> float | None:

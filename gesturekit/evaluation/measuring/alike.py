@@ -31,8 +31,8 @@ def keep_common_recordings(found: Mapping[str, Pairs]) -> None:
     if not common:
         counts = "; ".join(f"{key}: {_some(seen)}" for key, seen in windows.items())
         raise EvaluationError(
-            f"no recording, or window of one, has clips of all models ({counts}): what they have "
-            "in common is nothing to compare them by; evaluate each alone, or render the same files"
+            f"no recording, or window of one, has clips of all models ({counts}), so they cannot "
+            "be compared; evaluate each alone, or render the same files"
         )
     for label, pairs in found.items():
         apart = [pair for pair in pairs.pairs if (pair.stem, pair.window) not in common]

@@ -33,7 +33,7 @@ class Measured:
 def measure_all(work: Work, workers: int, progress: Progress) -> Measured:
     """Return the measurements of all clips and sets, the same for any number of workers.
 
-    Each is stored when it is done, so that an interrupted evaluation goes on where it was.
+    Each result is stored as soon as it is computed, so that an interrupted evaluation can continue.
 
     Args:
         work: what to measure.

@@ -73,7 +73,8 @@ def _finish(
 
 @compiled()
 def lower_to_nearest(nearest: np.ndarray, bounds: np.ndarray, a: np.ndarray, b: np.ndarray) -> None:
-    """Lower `nearest` (L,) to the distances of the rows of `a` (L, D) to the nearest rows of `b`.
+    """Lower `nearest` (L,) to the distances of the rows of `a` (L, D) from their nearest rows of
+    `b`.
 
     Only distances are computed whose lower bound, `bounds` (L, N), is below the nearest so far;
     bounds may be too large by their rounding errors.

@@ -1,7 +1,7 @@
 """Joint limits, learned from recordings.
 
-Rigs differ in their joint axes, so that anatomical tables of Euler angles do not apply. The limits
-are ranges of each axis of the rotation vector from a joint's mean rotation.
+Rigs differ in their joint axes, so anatomical tables of Euler angles do not apply. Instead, limits
+are ranges of each component of the rotation vector relative to a joint's mean rotation.
 """
 
 from __future__ import annotations

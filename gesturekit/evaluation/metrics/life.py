@@ -1,4 +1,4 @@
-"""Measures of life: does the motion move like the speaker, not only in time with the speech?
+"""Measures of life: metrics that compare how much, how far and how variedly the hands move.
 
 All of them use body-centred motion: positions of upper-body joints relative to the pelvis, turned
 in each frame so that the shoulders face +Z, at 25 fps, in metres. The hands are the wrist joints.
@@ -6,7 +6,7 @@ Thresholds in m/s are for a body of 1.7 m and grow with `body_scale`, like those
 all other lengths are the body's own. A rig that ends at the elbows has its hands at the forearms'
 end sites.
 
-Several motions are pooled: frames of all clips count alike.
+Several motions are pooled: frames of all clips have equal weight.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SIGMA = 1.0
 REST = 0.1
 """A hand rests below this speed, m/s on the reference body."""
 STILL = 0.02
-"""A hand stands nearly still below this speed, m/s on the reference body."""
+"""A hand is nearly still below this speed, m/s on the reference body."""
 RANGE_WINDOW, RANGE_HOP = 2.0, 1.0
 """Windows of `HandMovement.range`, seconds."""
 CALM_WINDOW, CALM_HOP = 5.0, 2.5

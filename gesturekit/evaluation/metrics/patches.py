@@ -2,7 +2,7 @@
 
 Coverage, global and local diversity of Li et al. 2022 (GANimator), eqs. 17 to 20 of
 Moreno-Villamarin et al. 2024, and the inter- and intra-diversity of Raab et al. 2024 (SinMDM).
-All compare arrays (T, D) of frames, which `patch_features` makes from motions. Two variants:
+All compare arrays (T, D) of frames, which `patch_features` computes from motions. Two variants:
 
 - "ganimator", the published code: the distance of two frames is their L2 distance, that of two
   windows its mean over the frames. Query windows start at 0 ... L - w - 1, without the last one;
@@ -68,7 +68,7 @@ def coverage(
         reference: (N, D) frames.
         window: frames of a window.
         threshold: a window is found if its nearest one is closer than this. 2.0 in the variant
-            "ganimator"; "paper" has no default, as its authors chose theirs by eye.
+            "ganimator"; "paper" has no default, because its authors chose theirs by eye.
         variant: see the module docstring.
 
     Raises:
@@ -130,7 +130,8 @@ def patch_scores(
     threshold: float | None = None,
     variant: str = "ganimator",
 ) -> PatchScores:
-    """Return all three from one matrix of distances; NaN for those whose window is None.
+    """Return coverage, global and local diversity from one distance matrix; NaN if its window is
+    None.
 
     Args:
         generated: (L, D) frames.
@@ -142,7 +143,7 @@ def patch_scores(
         variant: see the module docstring.
 
     Raises:
-        EvaluationError: as each of the three.
+        EvaluationError: see the three functions.
     """
     _check_variant(variant)
     generated, reference = _frames(generated, "generated"), _frames(reference, "reference")

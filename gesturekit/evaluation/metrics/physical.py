@@ -16,8 +16,8 @@ from gesturekit.motion.parts import SIDES, arm_joints, body_joints, find_parts
 def arm_speed(motion: Motion) -> np.ndarray:
     """Return the summed local angular speed of both shoulder and elbow joints for each frame.
 
-    A frame gets the mean of the steps before and after it, so that the speed has no delay of half
-    a frame. The first and last frames have one step each.
+    The value of a frame is the mean of the steps before and after it, so that the speed is not
+    delayed by half a frame. The first and last frames have only one step.
 
     Returns:
         (T,) radians per second.

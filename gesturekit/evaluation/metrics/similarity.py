@@ -47,7 +47,7 @@ def cca(generated: np.ndarray, reference: np.ndarray) -> float:
 
     Fitted and measured on the same frames, as in genea_numerical_evaluations (scikit-learn's CCA
     with one component and up to 1,500 iterations). It is high for any two sequences with many
-    columns and few frames: compare it with the value of mismatched pairs.
+    columns and few frames: compare it with the value for mismatched pairs.
 
     Args:
         generated: (T, D).

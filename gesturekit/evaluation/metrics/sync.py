@@ -1,8 +1,8 @@
 """Sync: correlation of arm speed with speech energy.
 
-Pearson's r at the best lag within ±0.3 s, with its chance level. A loss that optimises it inflates
-it: report it with the recording's value and with arm-speed and jerk ratios. One clip is not enough;
-average over several.
+Pearson's r at the best lag within ±0.3 s, with its chance level. Training with a loss that
+optimises sync inflates it: report it with the recording's value and with the ratios of arm speed
+and jerk. One clip is not enough; average over several.
 """
 
 from __future__ import annotations

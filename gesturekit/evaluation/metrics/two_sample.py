@@ -29,7 +29,7 @@ from gesturekit.motion.parts import left_right_pairs
 WINDOW, HOP = 1.0, 0.5
 """Length of windows, and the time between their starts, seconds."""
 VELOCITY_SECONDS = 0.2
-"""Seconds that velocities are multiplied by, to weigh them against positions."""
+"""Factor on velocities, in seconds, that weights them against positions."""
 APART = 3.0
 """Windows of one clip that begin at most this many seconds apart are not independent."""
 STRETCHES = (0.9, 1.0, 1.1)
@@ -46,7 +46,7 @@ _BLOCK = 2000  # windows that are in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class MotionWindows:
-    """Windows of motion, cut out of the frames when they are needed.
+    """Windows of motion, cut from the frames when needed.
 
     Attributes:
         frames: (T, D') positions and velocities of each clip, scaled.
@@ -107,7 +107,7 @@ class Copying:
 
     @property
     def low_ratio(self) -> float:
-        """`low` over `held_out_low`; far below 1 the model copies now and then."""
+        """`low` over `held_out_low`; far below 1 the model copies occasionally."""
         return self.low / self.held_out_low
 
 
@@ -136,9 +136,9 @@ def motion_windows(motions: Motions, joints: Sequence[str] | None = None) -> Mot
 def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int = 0) -> float:
     """Return the leave-one-out accuracy of a 1-nearest-neighbour classifier of two sets (1-NN).
 
-    0.5: the sets are indistinguishable; 1: no window resembles the other set. Well below 0.5 one
-    set copies the other: the nearest window is the one it was copied from. The larger set is
-    subsampled to the size of the smaller one; the accuracy is the mean over 20 seeded draws.
+    0.5: the sets are indistinguishable; 1: no window resembles the other set. Values well below 0.5
+    mean that one set copies the other: the nearest window of a copy is its original. The larger set
+    is subsampled to the size of the smaller one; the accuracy is the mean over 20 seeded draws.
     (Lopez-Paz and Oquab 2017.)
 
     Raises:
@@ -187,7 +187,7 @@ def forward_votes(
 ) -> np.ndarray:
     """Return (N,) 1 for windows nearer to recordings than to recordings played backwards, else 0.
 
-    A tie is 0.5. It notices a recording that is played backwards; other motion has about 0.5.
+    A tie is 0.5. It detects recordings that are played backwards; other motion has about 0.5.
 
     Args:
         generated: N windows.
@@ -212,7 +212,7 @@ def forward_votes(
 
 
 def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int = 0) -> float:
-    """Return the share of recorded windows that the generated motion comes near to.
+    """Return the share of recorded windows that have a generated window nearby.
 
     Near is below the median distance of a recorded window to its nearest recorded neighbour that
     begins more than 3 s away or is of another clip. If there are more generated than recorded
@@ -257,16 +257,16 @@ def copying(
 ) -> Copying:
     """Measure whether generated motion copies training motion.
 
-    The distance of each generated window to the nearest training window, beside the same for
-    recorded windows that the model was not trained on. Training windows begin at every frame.
+    Compute the distance of each generated window to the nearest training window, and the same for
+    recorded windows on which the model was not trained. Training windows begin at every frame.
     Mirrored and time-stretched (0.9 and 1.1 times the duration) training motion counts as training
     motion.
 
     Args:
         generated: the model's motion.
-        held_out: recordings of the same speaker that are not in `training`; `generated` itself
-            if only its distances are wanted.
-        training: recordings that the model was trained on.
+        held_out: recordings of the same speaker that are not in `training`; pass `generated` if
+            only its distances are needed.
+        training: recordings on which the model was trained.
         joints: as for `motion_windows`; None for those of the first training motion.
         seed: seed of the subsample, if there are more than 2,000 windows.
 

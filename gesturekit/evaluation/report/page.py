@@ -42,7 +42,7 @@ def write_report(
         title: the heading; by default the models and the reference.
         command: the command line that made the report.
         body: of the figures in the player: "mannequin" (by default), "human", "skeleton" or the
-            path of a VRM avatar; see `gesturekit.viewer.worn`.
+            path of a VRM avatar; see `gesturekit.viewer.drawn_body`.
 
     Raises:
         GestureKitError: the player has not been bundled.

@@ -43,7 +43,7 @@ class Shown:
 def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Shown]:
     """Return best and worst clips of the first model, with other models' clips of the same name.
 
-    Files that no longer exist are skipped. `body` is as in `gesturekit.viewer.worn`.
+    Files that no longer exist are skipped. `body` is as in `gesturekit.viewer.drawn_body`.
     """
     model = evaluation.models[0]
     key = next((k for k in _RANKED_BY if all(k in c.figures for c in model.clips)), None)

@@ -1,1 +1,1 @@
-"""Known-bad motion made from recordings, and what each metric notices of it."""
+"""Known-bad motion made from recordings, and which of it each metric detects."""

@@ -25,7 +25,7 @@ SWAY, SWAY_RATE = 0.2, 0.4
 
 @dataclass(frozen=True)
 class Source:
-    """Recordings that bad motion is made from.
+    """Recordings from which bad motion is made.
 
     Attributes:
         recording: the recording that a clip is evaluated with.

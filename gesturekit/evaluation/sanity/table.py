@@ -17,11 +17,12 @@ LEGEND = (
     "published); blank: not measured, or not informative on these recordings"
 )
 CHANGE = 0.2
-"""Change relative to the recordings' own value from which a metric notices."""
+"""A metric detects bad motion if its value differs from the recordings' own by more than this
+ratio."""
 TIMED = 0.5
-"""Share of the recordings' own value above chance below which a metric of speech notices."""
+"""A speech metric detects bad motion below this share of the recordings' own value above chance."""
 UNLIKE, NEAR = 0.05, 0.8
-"""Loss of likeness, and ratio of distances to training motion, that count."""
+"""Loss of likeness, and ratio of distances to training motion, that count as detection."""
 
 
 def marks(sanity: Sanity) -> dict[str, dict[str, str]]:
@@ -116,8 +117,9 @@ def noticed_by(sanity: Sanity) -> dict[str, list[str]]:
 def ranking(evaluation: Evaluation) -> list[tuple[str, float]]:
     """Return models with their distance to the recordings over the three questions, nearest first.
 
-    The distance is the sum of what sync above chance is off the recordings' own, as a share of it
-    (at most 1), of 1 - likeness, and of how much nearer to training motion than other recordings.
+    The distance is the sum of three terms: the relative difference of sync above chance from the
+    recordings' own (at most 1), 1 - likeness, and how much nearer the motion is to training motion
+    than other recordings are.
     """
     scores = {}
     for model in evaluation.models:

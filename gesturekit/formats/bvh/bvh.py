@@ -115,7 +115,7 @@ def write_bvh(
             raise FormatError(f"{path}: a BVH file cannot hold the joint name {name!r}")
     if split := [name for name in motion.skeleton.names if " " in name]:
         warnings.warn(
-            f"joint names with blanks ({listed(split, 3)}): they are kept, but some readers of "
+            f"joint names with spaces ({listed(split, 3)}): they are kept, but some readers of "
             "BVH, bvhio among them, split them",
             stacklevel=2,
         )

@@ -183,7 +183,10 @@ def _block(
     if len(blocks) >= _MOST_JOINTS:
         raise lines.error(f"over {_MOST_JOINTS} joints")
     if len(rest) > _LONGEST_NAME:
-        raise lines.error(f"a joint name of {len(rest)} characters; over {_LONGEST_NAME} is damage")
+        raise lines.error(
+            f"a joint name of {len(rest)} characters; over {_LONGEST_NAME} means that the file is "
+            "damaged"
+        )
     if not rest.isprintable():
         raise lines.error(f"joint name {rest[:40]!r} holds characters that cannot be shown")
     if is_end := keyword.startswith("END"):

@@ -45,9 +45,9 @@ def from_amass(archive: Archive, up: str) -> Motion:
     if lacking := [key for key in ("poses", "trans") if key not in archive]:
         held = [ascii(key)[1:-1][:40] for key in archive]
         raise FormatError(
-            f"{archive.path}: no motion that is read here: there is no key {lacking[0]!r}. An npz "
-            "of motion is gesturekit's own or has the keys poses, trans and mocap_frame_rate of "
-            f"AMASS and BEAT2; this one has {listed(held, 8) or 'none'}"
+            f"{archive.path}: not a motion: there is no key {lacking[0]!r}. An npz of motion is in "
+            "gesturekit's own format or has the keys poses, trans and mocap_frame_rate of AMASS "
+            f"and BEAT2; this one has {listed(held, 8) or 'none'}"
         )
     poses = archive.numbers("poses")
     if poses.ndim == 3:  # some keep the joints apart: (T, J, 3)
@@ -173,7 +173,7 @@ def _rate(archive: Archive) -> float:
         raise FormatError("no key 'mocap_frame_rate' or 'mocap_framerate' in the archive")
     if len(values) > 1:
         said = ", ".join(f"key {key!r} {value.item():g}" for key, value in rates.items())
-        raise FormatError(f"the frame rates differ, {said}; leave the right one in the file")
+        raise FormatError(f"the frame rates differ, {said}; keep only the right one in the file")
     return values.pop()
 
 
@@ -184,6 +184,6 @@ def _text(archive: Archive, key: str) -> str:
     try:
         texts = archive.texts(key)
     except FormatError as error:
-        warnings.warn(f"{error}; it is passed over", stacklevel=2)
+        warnings.warn(f"{error}; it is ignored", stacklevel=2)
         return ""
     return texts[0] if texts and len(texts[0]) < 100 else ""

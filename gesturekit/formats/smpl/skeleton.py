@@ -64,7 +64,7 @@ N_JOINTS = (22, 24, 52, 55)
 """Sizes of rigs: body, SMPL (with hand stubs), SMPL-H (with fingers), SMPL-X (with face too)."""
 
 RIGS = {"smpl": 24, "smplh": 52, "smplx": 55}
-"""Joints of the rigs that a file can be asked for in."""
+"""Joints of the rigs in which a file can be requested."""
 
 _MODEL_PELVIS = {22: (0.0, -0.22, 0.03), 24: (0.0, -0.22, 0.03), 52: (0.0, -0.22, 0.03)}
 _SMPLX_PELVIS = (0.0, -0.35, 0.01)
@@ -144,7 +144,7 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
         if name in old.names:
             rotations[:, j] = motion.rotations[:, old.index(name)]
     info = dict(motion.info)
-    # Expressions belong to SMPL-X; other rigs keep them for a conversion back.
+    # Only SMPL-X has expressions; other rigs keep them for a conversion back.
     expressions = None if old.n_joints == 55 else motion.expressions
     if (old.n_joints == 55) != (n_joints == 55):
         for key in ("betas", "model", "rest_pelvis"):
@@ -163,7 +163,9 @@ def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> 
     """
     body = BodyModel.of(body_model)
     if body.n_joints not in N_JOINTS or body.parents != smpl_skeleton(body.n_joints).parents:
-        raise FormatError(f"{body.source}: a model of {body.n_joints} joints, not of SMPL's family")
+        raise FormatError(
+            f"{body.source}: a model of {body.n_joints} joints, not of the SMPL family"
+        )
     motion = as_smpl(motion, body.n_joints)
     info = motion.info | {"body_model": body.source}
     rig = body.rig(motion.skeleton, info.get("betas"))

@@ -21,7 +21,7 @@ _COLUMNS = ("time", "x", "z", "heading")
 _MEGABYTES = 32
 _MAX_FRAMES = 10_000_000  # a day at 120 fps
 _EVEN = 0.02
-"""Largest deviation of even times (rounded digits), as a share of a step."""
+"""Largest deviation from evenly spaced times (due to rounding), as a share of a step."""
 
 
 def as_root_path(path: str | os.PathLike[str] | RootPath | Motion, scale: float = 1.0) -> RootPath:

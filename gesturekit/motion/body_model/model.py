@@ -144,7 +144,7 @@ class BodyModel:
         if skeleton.parents != self.parents:
             raise MotionError(
                 f"the body model has {self.n_joints} joints and the rig {skeleton.n_joints}, or "
-                "they hang on one another in another way"
+                "their hierarchies differ"
             )
         joints = self.joints_at_rest(betas)
         offsets = joints - joints[np.maximum(self.parents, 0)]
@@ -165,8 +165,8 @@ class BodyModel:
     ) -> np.ndarray:
         """(T, N, 3) world positions of vertices under a motion, metres.
 
-        Only those asked for are computed. Face expressions are not applied, and fingers turn from
-        the model's flat hand.
+        Only the requested ones are computed. Face expressions are not applied, and fingers turn
+        from the model's flat hand.
 
         Args:
             motion: on a rig with the model's joints; its own offsets do not matter.

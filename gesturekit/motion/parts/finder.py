@@ -331,7 +331,7 @@ class PartFinder:
         if by_hand is not None:
             if by_hand in in_limbs or chest not in self.skeleton.ancestors(by_hand):
                 raise MotionError(
-                    f"{self.skeleton.names[by_hand]!r} cannot be the head: it does not hang on "
+                    f"{self.skeleton.names[by_hand]!r} cannot be the head: it is not attached to "
                     f"{self.skeleton.names[chest]!r} beside the arms"
                 )
             return by_hand

@@ -79,7 +79,7 @@ class _Shape:
             raise MotionError(f"{counted(len(forks), 'pair')} of limbs of equal length, not 2")
         (pelvis, legs), (chest, arms) = forks
         if pelvis not in self.skeleton.ancestors(chest):
-            raise MotionError("the two pairs of limbs do not hang on one trunk")
+            raise MotionError("the two pairs of limbs are not attached to one trunk")
         leg_chains = [self._chain(joint) for joint in legs]
         arm_chains = [self._chain(joint) for joint in arms]
         hips, arm_starts = (self._two_bones(chains) for chains in (leg_chains, arm_chains))
@@ -167,7 +167,9 @@ class _Shape:
         upper, lower = bones[start], bones[start + 1]
         others = np.delete(bones, [start, start + 1])
         if others.size and others.max() * _CLEARLY > min(upper, lower):
-            raise MotionError(f"no two bones of the limb at {self._name(first[0])!r} stand out")
+            raise MotionError(
+                f"no two bones of the limb at {self._name(first[0])!r} are clearly the longest"
+            )
         if max(upper, lower) > _CLEARLY**2 * min(upper, lower):
             raise MotionError(f"the limb at {self._name(first[0])!r} has one long bone, not two")
         return start
@@ -185,7 +187,7 @@ class _Shape:
             foot = max(ends, key=np.linalg.norm)
             ahead += foot - (foot @ up) * up
         if np.linalg.norm(ahead) < _FORWARD * self.reach[0]:
-            raise MotionError("its feet do not say where is forward")
+            raise MotionError("its feet do not show which way is forward")
         return np.cross(up, ahead / np.linalg.norm(ahead))
 
     def _head(self, chest: int, arms: tuple[int, int]) -> int | None:

@@ -64,8 +64,8 @@ def standing_pose(motion: Motion, parts: BodyParts | None = None) -> np.ndarray:
         knee = f"left knee {parts.legs['left'].knee!r}, " if parts.legs else ""
         raise MotionError(
             "the body stands upright neither at rest nor in any frame; are its parts right? "
-            f"Pelvis {parts.pelvis!r}, {knee}left elbow {parts.arms['left'].elbow!r}; name them by "
-            "hand where they are not"
+            f"Pelvis {parts.pelvis!r}, {knee}left elbow {parts.arms['left'].elbow!r}; if "
+            "not, name them by hand"
         )
     return pose
 

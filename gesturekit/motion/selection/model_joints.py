@@ -248,8 +248,8 @@ def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
 def first_moving_joint(motions: Sequence[Motion]) -> int:
     """Return the first joint, from the root, whose position or rotation changes in any motion.
 
-    Where the legs do not hang on it (somebody who moves above the waist only), it is the nearest
-    joint above it on which they do.
+    If the legs are not attached below it (somebody who only moves above the waist), it is the
+    nearest ancestor to which they are.
     """
     skeleton = motions[0].skeleton
     joint, legs = _first_that_moves(motions), find_legs(skeleton)

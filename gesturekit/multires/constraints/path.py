@@ -24,7 +24,7 @@ from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.training.data import Normaliser
 
 _SWAY = 0.03
-"""Largest sway of the hips about a path, metres of the reference body."""
+"""Largest sway of the hips to either side of a path, metres of the reference body."""
 _SWAY_SECONDS = 0.3
 """Standard deviation of the Gaussian that separates sway from progress along the path, and fast
 turns of the body from its heading."""

@@ -36,7 +36,7 @@ _PARTS = {
     SkeletonConv1d: {"weight", "bias"},
     nn.Conv1d: {"weight", "bias"},
 }
-"""Modules that the engine was written for: class to the names of its children and parameters."""
+"""Modules that the engine supports: class to the names of its children and parameters."""
 
 
 def unsupported(*networks: nn.Module) -> str | None:

@@ -22,8 +22,8 @@ from gesturekit.multires.network.skeleton_conv import (
 class LevelDiscriminator(nn.Module):
     """Patch discriminator D_i of one level; it has no speech input.
 
-    With styles, a style adds a score of its own on the last features (projection discriminator,
-    Miyato and Koyama 2018).
+    With styles, each style adds a learnt projection of the last features to the score (projection
+    discriminator, Miyato and Koyama 2018).
     """
 
     def __init__(
@@ -58,7 +58,8 @@ class LevelDiscriminator(nn.Module):
     def forward(
         self, x: Tensor, style: Tensor | None = None, convolve: Convolve = convolve_dense
     ) -> Tensor:
-        """Return the mean score of all patches of each motion, (B,); one patch around each frame.
+        """Return the mean score of all patches of each motion, (B,). There is one patch around each
+        frame.
 
         Args:
             x: (B, D, T).

@@ -47,7 +47,7 @@ class Film(nn.Module):
 def modulated_blocks(representation: MultiresRepresentation, config: NetworkConfig) -> np.ndarray:
     """Return (blocks,) bool, True for blocks that the condition modulates.
 
-    Contacts and the root's displacement are modulated by `modulate: all` only. If the upper body
+    Contacts and the root's displacement are modulated only with `modulate: all`. If the upper body
     of a rig cannot be identified, `upper` modulates every block too.
     """
     skeleton, n_blocks = representation.skeleton, len(representation.block_sizes)

@@ -1,4 +1,4 @@
-"""Skeleton-aware convolution: each joint sees the joints near it on the rig's own tree.
+"""Skeleton-aware convolution: each joint is connected to the joints near it in the skeleton's tree.
 
 Aberman et al. 2020, in the form of Li et al. 2022 (GANimator). The channels of a frame are split
 into blocks: one for each modelled joint and each foot contact, and one for the root's displacement.
@@ -26,8 +26,9 @@ SLOPE = 0.2
 def block_neighbours(representation: MultiresRepresentation, distance: int) -> np.ndarray:
     """Return (blocks, blocks) bool, True where one block sees another.
 
-    Joints see each other if they are at most `distance` bones apart. A contact has the place of
-    its foot's joint. The root's displacement has that of the root, and sees all contacts.
+    Joints are connected if they are at most `distance` bones apart. A contact label counts as
+    located at its foot joint, and the root's displacement as located at the root; it is also
+    connected to all contacts.
     """
     skeleton = representation.skeleton
     # Distances on the whole rig: a joint that is not modelled still lies between its neighbours.
@@ -46,10 +47,10 @@ def block_neighbours(representation: MultiresRepresentation, distance: int) -> n
 
 
 class SkeletonConv1d(nn.Module):
-    """Convolution over time whose output blocks see only the input blocks near them.
+    """Convolution over time in which each output block depends only on the input blocks near it.
 
-    Only weights between neighbours are parameters. Some 80 % of the dense kernel are always zero
-    and take no memory in the optimiser or the model file.
+    Only weights between neighbours are parameters. About 80 % of the dense kernel is always zero,
+    and takes no memory in the optimiser or the model file.
 
     Args:
         neighbours: (blocks, blocks) bool, see `block_neighbours`.
@@ -100,7 +101,7 @@ def convolve_dense(
     """Apply layers one after another with leaky rectifiers between them, in plain torch.
 
     Args:
-        layers: each takes the output blocks of the one before.
+        layers: each takes the output of the previous one.
         x: (B, channels in, T).
         slope: negative slope of the rectifiers between layers.
         last_slope: that of the rectifier after the last layer; 1 for none.

@@ -47,7 +47,7 @@ class TorchBackend:
         """Set the parameters' `grad` to the gradients of the discriminator loss (eqs. 12 and 13).
 
         Args:
-            discriminators: one for each level; the sequences that follow have one entry each.
+            discriminators: one per level; all following arguments have one entry per discriminator.
             reals: (B, D, T_i).
             fakes: (B, D, T_i).
             mixes: (B, 1, 1) uniform in [0, 1], interpolation weights of the gradient penalty.

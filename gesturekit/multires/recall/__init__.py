@@ -1,1 +1,2 @@
-"""Recall by speech: recorded motion, chosen piece by piece, in the place of a coarse level."""
+"""Recall by speech: recorded motion, chosen piece by piece, replaces the output of a coarse
+level."""

@@ -1,4 +1,4 @@
-"""Building of the recall library from the training recordings."""
+"""Build the recall library from the training recordings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gesturekit.multires.training.data import TrainingData
 log = logging.getLogger(__name__)
 
 _HIGHEST = 0.8
-"""Correlation of both hands above which the second arm follows no more closely."""
+"""Correlation of the two hands above which the weight of the first hand no longer grows."""
 
 
 def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary | None:
@@ -40,7 +40,7 @@ def build_library(data: TrainingData, config: MultiresConfig) -> RecallLibrary |
     places = [joint_places(representation, fps, own) for own in values]
     defects = [defects_of_parts(parts, representation, fps, own) for own in values]
     moved = [movements(parts, joints, fps, own) for own in places]
-    # Speech is asked for the movement of the hands: that of both arms, or of the only part.
+    # Speech predicts the movement of the hands: that of both arms, or of the only part.
     asked = [i for i, part in enumerate(parts) if part.is_arm] or [0]
     every = [np.mean([of_parts[i] for i in asked], axis=0) for of_parts in moved]
     goals = [np.concatenate(curves) for curves in _with_slow(every, fps)]
@@ -100,7 +100,7 @@ def _wanted(
     wanted = WantedMovement.fit(speeches, movement, fps, data.conditioner.effort, smaller)
     if wanted.predicts:
         return wanted
-    log.info("Speech does not predict hand movement: recorded pieces do not depend on it.")
+    log.info("Speech does not predict hand movement here: recalled pieces are chosen without it.")
     return None
 
 
@@ -112,10 +112,10 @@ def _with_slow(
 
 
 def _weighted(first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Scale the directions (2, T_k) of the first hand by how much they tell of the second one.
+    """Scale the directions (2, T_k) of the first hand by how well they predict the second hand.
 
-    With a correlation r of both hands, a row has the standard deviation r^2 / (1 - r^2): the
-    variance that it predicts of the second hand, relative to the variance that it does not.
+    If the hands have correlation r, a row gets the standard deviation r^2 / (1 - r^2): the ratio of
+    explained to unexplained variance of the second hand.
     """
     both = np.stack([np.concatenate(first, axis=1), np.concatenate(second, axis=1)])
     factors = []

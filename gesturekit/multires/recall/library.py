@@ -1,4 +1,5 @@
-"""Recall library: training recordings at one level, and the choice of their pieces for speech."""
+"""Recall library: training recordings at one level, and the selection of pieces for given
+speech."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from gesturekit.multires.recall.timing import time_offsets
 from gesturekit.multires.recall.wanted import WantedMovement
 
 _REST = 0.1
-"""A part of a recalled piece rests below this speed, m/s on the reference body."""
+"""Speed below which a part of the body rests, m/s on the reference body."""
 _REST_SECONDS = 0.08
 """Standard deviation of the Gaussian that smooths the change between rest and movement."""
 
@@ -34,8 +35,8 @@ class RecalledRecording:
         motion: (D, T_l) normalised motion vectors at the recalled level.
         passive: (X, T_l) of the library's `PassiveChannels`.
         profiles: (2 P, T_l) movement of each part and its slow part, in standard deviations.
-        directions: (2, T_l) how the first arm's hand moves, see `hand_directions`, scaled by how
-            much it tells of the second one; (0, T_l) if the second arm does not follow it.
+        directions: (2, T_l) movement of the first arm's hand, see `hand_directions`, scaled by how
+            well it predicts the second hand; (0, T_l) if the second arm is chosen independently.
         speaker: its speaker; None if the corpus names none.
         style: number of its style; 0 without styles.
         defective: (P, T_l) bool, the frames in which each part jumps or pops; None in older models.
@@ -65,7 +66,10 @@ class RecalledMotion:
     lengths: tuple[int, ...]
 
     def vectors(self, motions: Sequence[Tensor], n_frames: int) -> Tensor:
-        """Return vectors (D, n_frames) from those of the recordings, (D, T_k) at any rate."""
+        """Return the motion vectors (D, n_frames) of the pieces.
+
+        `motions` are the vectors of all recordings, (D, T_k) at any rate.
+        """
         return self.channels(motions, [part.columns for part in self.parts], n_frames)
 
     def channels(
@@ -75,7 +79,7 @@ class RecalledMotion:
         n_frames: int,
         part: slice = slice(None),
     ) -> Tensor:
-        """Return any recorded channels (X, n_frames), each with the pieces of its body part.
+        """Return other recorded channels (X, n_frames), each from the pieces of its body part.
 
         Args:
             curves: (X, T_k) of each recording, at any rate.
@@ -93,7 +97,7 @@ class RecalledMotion:
 
 @dataclass(frozen=True, eq=False)
 class RecallLibrary:
-    """Training recordings at the recalled level, and what speech asks for.
+    """Training recordings at the recalled level, and the prediction of movement from speech.
 
     Attributes:
         level: that is recalled, counted from 1 (coarsest).
@@ -108,8 +112,8 @@ class RecallLibrary:
         wanted: prediction of movement from speech; None for a model without speech input.
         passive: joints and face channels that are recalled but not modelled.
         weights: of the choice.
-        stretch: share by which the pieces of an arm are played faster or slower, so that they move
-            when the speech asks for it; 0 plays them as recorded.
+        stretch: largest fraction by which pieces of an arm are played faster or slower, so that
+            they move at the predicted times; 0 plays them as recorded.
     """
 
     level: int
@@ -158,9 +162,9 @@ class RecallLibrary:
         return self.recordings[0].defective is None
 
     def _profile(self, recording: RecalledRecording, i: int) -> Tensor:
-        """Return what counts in the choice of a part's pieces: its movement and its slow part.
+        """Return the profile by which a part's pieces are chosen: its movement, and its slow part.
 
-        For the second arm, what the other hand did at the same time counts as well.
+        For the second arm, it also has the movement of the first hand at the same time.
         """
         own = recording.profiles[2 * i : 2 * i + 2]
         return torch.cat([own, recording.directions]) if i == 1 else own
@@ -179,8 +183,8 @@ class RecallLibrary:
         Args:
             speech: (S, T) features at the finest level; S is 0 without speech input.
             rng_of: random generator of a part, by its name.
-            liveliness: factor of the hand speed that is asked for; 1 for what the speech predicts.
-            speaker: of whose recordings pieces are taken, if there are any; None for all.
+            liveliness: factor on the hand speed that is predicted from the speech.
+            speaker: use only this speaker's recordings, if there are any; None for all recordings.
             styles: (T_l,) number of the style in each frame of the level; None for any.
         """
         n_frames = af.level_lengths(speech.shape[1], self.levels)[self.level - 1]
@@ -208,9 +212,10 @@ class RecallLibrary:
         return RecalledMotion(self.parts, tuple(pieces), self.lengths)
 
     def _stretched(self, pieces: Pieces, i: int, wanted: np.ndarray) -> Pieces:
-        """Play an arm's pieces faster and slower, so that they meet the profile `wanted` (C, T_l).
+        """Play an arm's pieces faster or slower, to match the profile `wanted` (C, T_l).
 
-        What counts is what they were chosen for, but for the slow part, which hardly changes.
+        They are matched by the profile with which they were chosen, without its slow part, which
+        hardly changes.
         """
         counting = np.delete(np.arange(len(wanted)), 1)
         curves = [self._profile(recording, i)[counting] for recording in self.recordings]
@@ -222,8 +227,8 @@ class RecallLibrary:
     def detail(self, choice: RecalledMotion, n_frames: int) -> np.ndarray:
         """Return how much detail finer levels may add to each column, (D, n_frames), 0 to 1.
 
-        It is 0 in the calmed columns of a part while its recalled pieces rest, so that rests stay
-        rests, and 1 while they move fast and in all other columns.
+        It is 0 in the `calmed` columns of a part while its recalled pieces rest, so that rests are
+        kept, and 1 while they move fast, and in all other columns.
         """
         rows = [np.array([2 * i, 2 * i + 1]) for i in range(len(self.parts))]
         curves = [recording.profiles for recording in self.recordings]
@@ -241,8 +246,8 @@ class RecallLibrary:
     ) -> np.ndarray | None:
         """Return (T, K) the recordings allowed for a piece at each frame; None for all.
 
-        A style without a recording as long as a piece is any style, and then a speaker without
-        one in that style is any speaker.
+        If no recording of the style is as long as a piece, all styles are allowed; then, if the
+        speaker has none in that style, all speakers are allowed.
         """
         long_enough = np.array(self.lengths) >= piece
         allowed = np.ones((n_frames, len(self.recordings)), bool)
@@ -260,10 +265,10 @@ class RecallLibrary:
 
 
 def _from_any_frame(search: PieceSearch, rng: torch.Generator, *rows: np.ndarray | None) -> Pieces:
-    """Choose pieces for `rows` (T, ...) of `PieceSearch.choose`, from within the first one on.
+    """Choose pieces for `rows` (T, ...) by `PieceSearch.choose`, beginning inside the first piece.
 
-    Where the first piece begins is drawn: borders lie elsewhere with every seed, and which pieces
-    fit depends on them.
+    The offset into the first piece is random, so that the joins, and with them the chosen pieces,
+    differ between seeds.
     """
     first = int(torch.randint(search.hop, (), generator=rng))
     earlier = ((first, 0), (0, 0))

@@ -143,7 +143,7 @@ def _check_values(values: Mapping[str, Any], levels: int) -> None:
 
 
 def _check_shapes(library: RecallLibrary, n_features: int, speech_size: int) -> None:
-    """Raise ValueError for tensors that `RecallLibrary.recall` would trip over."""
+    """Raise ValueError for tensors with which `RecallLibrary.recall` would fail."""
     passive = library.passive
     n_passive = 6 * len(passive.joints) + passive.expressions
     sizes = {"motion": n_features, "passive": n_passive, "profiles": 2 * len(library.parts)}

@@ -1,4 +1,4 @@
-"""Parts of the body that are recalled separately, and how much each moves."""
+"""Parts of the body that are recalled separately, and measures of their movement."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _SMOOTHING_SECONDS = 0.1
 _DIRECTION_SECONDS, _DIRECTION_SPEED = 0.067, 0.1
 """Smoothing of `hand_directions`, and the speed in m/s above which they are compressed."""
 _ARM_DETAIL, _TRUNK_DETAIL = 0.35, 1.0
-"""`MotionPart.full_detail` of an arm and of the trunk. Profiles give the trunk's movement as the
-hand speed of the same quantile."""
+"""`MotionPart.full_detail` of an arm and of the trunk. In profiles, the trunk's movement is mapped
+to the hand speed of the same quantile."""
 _REST_LENGTH = 2.0
-"""`MotionPart.length` of all but the arms: feet slide where pieces of different stances meet, and
-only arms have to follow every word."""
+"""`MotionPart.length` of all parts but the arms. They are longer because feet slide at the joins of
+pieces with different stances, and only arms have to follow every word."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class MotionPart:
         columns: (C,) columns of the motion vector.
         joints: names of all the rig's joints that belong to it.
         moving: names of the modelled joints whose speed is the part's movement.
-        calmed: (C',) columns that finer levels leave alone while the part rests.
+        calmed: (C',) columns that finer levels do not change while the part rests.
         full_detail: speed from which finer levels add all their detail to them, m/s on the
             reference body.
         length: of its pieces, as a multiple of the library's.
@@ -111,7 +111,7 @@ def _hands(representation: MultiresRepresentation) -> tuple[str, ...]:
 
 
 def _limb(skeleton: Skeleton, arms: Mapping[str, Arm], side: str) -> tuple[str, ...]:
-    """Return the joints of an arm: from the last joint that both arms hang on, downwards."""
+    """Return the joints of an arm: all below the last common ancestor of both arms."""
     other = next(s for s in SIDES if s != side)
     both = skeleton.ancestors(skeleton.index(arms[other].shoulder))
     top = skeleton.index(arms[side].shoulder)

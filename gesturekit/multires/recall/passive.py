@@ -38,7 +38,7 @@ class PassiveChannels:
 
     @classmethod
     def find(cls, motions: Sequence[Motion], modelled: Sequence[str]) -> PassiveChannels:
-        """Return what moves in the motions of one rig beside the modelled joints."""
+        """Find the channels that move in the motions of one rig but are not modelled."""
         moving = []
         for j, name in enumerate(motions[0].skeleton.names):
             if name not in modelled:
@@ -58,7 +58,7 @@ class PassiveChannels:
         return torch.from_numpy(np.ascontiguousarray(rows.T)).float()
 
     def columns(self, parts: Sequence[MotionPart]) -> list[np.ndarray]:
-        """Return the rows of `encode` that each part of the body has; the face has the last."""
+        """Return the rows of `encode` for each part of the body; the last rows are the face."""
         owner = {name: i for i, part in enumerate(parts) for name in part.joints}
         own = np.repeat([owner[name] for name in self.joints], 6).astype(int)
         own = np.concatenate([own, np.full(self.expressions, len(parts) - 1, int)])
@@ -69,7 +69,7 @@ class PassiveChannels:
 
         Args:
             motion: on the rig.
-            values: gives the channels (6 F + E, N) of a part of its frames.
+            values: returns the channels (6 F + E, N) of a range of its frames.
         """
         rotations = motion.rotations.copy()
         index = [motion.skeleton.index(name) for name in self.joints]

@@ -1,4 +1,4 @@
-"""Pieces of recordings, in the order and at the times at which they make up a motion."""
+"""Sequence of pieces of recordings that makes up a motion."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Pieces:
         overlap: frames of the cross-fade between two pieces.
         n_frames: length of the motion, at most `N * hop + overlap - first`.
         first: frame of the first piece with which the motion begins.
-        offsets: (n_frames,) each frame shows the pieces at its time plus this; None if they are
-            played as recorded.
+        offsets: (n_frames,) time shift of each frame into the pieces; None if they are played as
+            recorded.
     """
 
     recordings: np.ndarray
@@ -40,7 +40,8 @@ class Pieces:
         return replace(self, first=first, n_frames=self.n_frames - first)
 
     def borders(self) -> np.ndarray:
-        """Return (N - 1,) frames, fractional, in the middle of each cross-fade, as recorded."""
+        """Return the fractional frame (N - 1,) at the middle of each cross-fade, before
+        stretching."""
         return np.arange(1, len(self.starts)) * self.hop + self.overlap / 2 - self.first
 
     def blend(
@@ -72,9 +73,10 @@ class Pieces:
         return result
 
     def recorded_frames(self, lengths: Sequence[int]) -> np.ndarray:
-        """Return (n_frames,) the frame that each shows, counted through all recordings.
+        """Return (n_frames,) the recorded frame that each frame shows, numbered across all
+        recordings.
 
-        In a cross-fade it is that of the later piece.
+        In a cross-fade it is the frame of the later piece.
         """
         piece, into = self._shown(self.n_frames, slice(None))
         return np.cumsum([0, *lengths])[self.recordings[piece]] + self.starts[piece] + into
@@ -107,7 +109,8 @@ class Pieces:
 def _interpolated(curve: Tensor, at: np.ndarray) -> Tensor:
     """Return the curve (C, T) at fractional frames (M,), from 0 to T - 1, as (C, M).
 
-    By Catmull-Rom splines: lines between frames would take the top off fast gestures.
+    Interpolation is by Catmull-Rom splines, because linear interpolation would flatten the peaks of
+    fast gestures.
     """
     low, last = at.astype(int), curve.shape[-1] - 1
     part = torch.from_numpy(at - low).to(curve.dtype)

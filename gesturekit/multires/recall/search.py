@@ -11,30 +11,33 @@ import torch
 from gesturekit.multires.recall.pieces import Pieces
 
 BEAM = 48
-"""Sequences of pieces that the search follows at a time."""
+"""Width of the beam: number of sequences of pieces that are kept."""
 _STEPS_AT_ONCE = 64
 """Pieces whose distances to all recorded frames are in memory at once."""
 _SHRINKAGE = 0.8
-"""Weight of the recorded square in the squared difference from what is wanted. A plain difference
-prefers pieces that vary little, because what speech asks for is only a prediction."""
+"""Weight of the square of the recorded movement in the squared difference from the wanted movement.
+The plain squared difference (weight 1) prefers pieces that vary little, because the wanted movement
+is only a prediction."""
 _FORGETTING = 0.95
-"""Factor of the use counts after each piece, so that long motions may repeat what is long ago."""
+"""Decay of the use counts after each piece, so that long motions may reuse pieces after some
+time."""
 
 
 @dataclass(frozen=True)
 class ChoiceWeights:
-    """Weights of what counts in the choice of a piece.
+    """Weights of the cost terms in the choice of pieces.
 
     Attributes:
         movement: squared difference of wanted and recorded movement, in standard deviations.
         slow: the same for its slow part.
-        together: the same for the first hand's directions, in the choice of the second arm: what
-            it did beside a piece, and what it does now.
+        together: in the choice of the second arm, squared difference between the first hand's
+            directions in the recording of a piece and in the motion so far.
         continuity: mean squared difference of the normalised vectors over the cross-fade.
-        used: how often the recorded frames were used shortly before.
-        copied: share of a piece in which all other parts show the same moment of a recording.
-        defective: 1 for a piece with defects of the capture. Where all pieces have some, they are
-            recalled all the same.
+        used: number of recent uses of the same recorded frames.
+        copied: fraction of a piece in which all other parts show the same moment of the same
+            recording.
+        defective: 1 for a piece with motion-capture errors. If all pieces have errors, they are
+            used nevertheless.
         chance: scale of the Gumbel noise that makes seeds differ.
     """
 
@@ -117,10 +120,10 @@ class PieceSearch:
 
         Args:
             rng: random numbers.
-            wanted: (T, 2) or (T, 4) as `profiles`; NaN: anything fits.
+            wanted: (T, 2) or (T, 4) like `profiles`; NaN matches anything.
             allowed: (T, K) bool, the recordings that may be used in each frame; None for all.
-            others: (T, P) `Pieces.recorded_frames` of the other parts, which are not to be joined
-                to a copy of the recording; None if there are none.
+            others: (T, P) `Pieces.recorded_frames` of the other parts, so that the parts do not
+                together copy a recording; None if there are none.
         """
         n_frames = len(wanted)
         count = max(1, -(-(n_frames - self.overlap) // self.hop))
@@ -158,10 +161,10 @@ class PieceSearch:
         return Pieces(self.recording[chosen], self.start[chosen], self.hop, self.overlap, n_frames)
 
     def _copied(self, others: np.ndarray) -> np.ndarray:
-        """Return, for each start (S,), in which share of a piece it shows what all others show.
+        """Return the share (S,) of a piece in which all other parts show the same moment as it.
 
-        The same moment is one at most an eighth of a piece away. `others` (T, P) begin with the
-        piece; where they end, nothing is copied.
+        It is given for each start. Moments are the same if they are at most an eighth of a piece
+        apart. `others` (T, P) begin with the piece; after their end, nothing is copied.
         """
         others = others[: self.piece]
         # The start with which each frame of the piece would show what each other part does.

@@ -1,4 +1,5 @@
-"""Timing of recalled pieces: played faster or slower, so that they move when speech asks for it."""
+"""Timing of recalled pieces: played faster or slower, so that they move at the times predicted from
+speech."""
 
 from __future__ import annotations
 
@@ -16,19 +17,20 @@ _FRAMES_AT_ONCE = 1024
 
 
 def time_offsets(own: np.ndarray, asked: np.ndarray, fps: float, stretch: float) -> np.ndarray:
-    """Return the offsets with which recalled movement comes closest to what the speech asks for.
+    """Return the offsets with which recalled movement is closest to the movement predicted from
+    speech.
 
     Dynamic time warping with three tempos: as recorded, and `stretch` faster and slower. The
     offsets are those with the lowest sum of squared differences and costs of changes of tempo.
-    Recorded speeds are compared as they are, whatever the tempo: pieces are to move at other times,
+    Recorded speeds are compared as they are, whatever the tempo: the aim is to move at other times,
     not faster.
 
     Args:
-        own: (C, T) profile of the pieces: their movement, in standard deviations, and whatever
-            else is to come at the right time.
-        asked: (C, T) profile that is asked for.
+        own: (C, T) profile of the pieces: their movement, in standard deviations, and any other
+            curves to be aligned.
+        asked: (C, T) profile predicted from speech.
         fps: frames per second of both.
-        stretch: share by which pieces may be played faster or slower, above 0.
+        stretch: fraction by which pieces may be played faster or slower, above 0.
 
     Returns:
         (T,) frames: frame t shows the pieces at t plus this offset.

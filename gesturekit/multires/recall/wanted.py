@@ -5,9 +5,9 @@ effort, its fast part (when the hands move) from the speech features around each
 ridge regression. Predictions vary less than the recordings. So the fast part is scaled to the
 recorded spread, and the sum of both is mapped to the recorded distribution, quantile by quantile.
 
-Predictions of left-out recordings tell how far speech is trusted: a few features are used in the
-place of many that predict hardly better, since few hold for unknown voices, and no prediction
-counts for more than it is worth.
+Cross-validation determines how much the predictions are trusted. A few features replace many that
+predict hardly better, since few features generalise better to unseen voices, and predictions with a
+low correlation are scaled down.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 _FOLDS = 4
 _GAP_SECONDS = 1.0
 _CREDIBLE = 0.3
-"""Correlation of left-out predictions from which they are trusted in full."""
+"""Out-of-fold correlation above which predictions are used without scaling down."""
 _HARDLY_BETTER = 0.03
-"""A larger set of speech features has to raise the correlation of left-out predictions by more."""
+"""A larger set of speech features has to raise the out-of-fold correlation by more than this."""
 _QUANTILES = np.linspace(0.01, 0.99, 50)
 
 
@@ -49,16 +49,16 @@ def slow_part(movement: np.ndarray, fps: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """Ridge regression of one curve, with the distribution of its left-out predictions.
+    """Ridge regression of one curve, with the distribution of its out-of-fold predictions.
 
     Attributes:
         mean: (P,) of the inputs.
         weights: (P,).
         offset: mean of the curve.
-        predicted: (Q,) quantiles of the left-out predictions.
+        predicted: (Q,) quantiles of the out-of-fold predictions.
         recorded: (Q,) the same quantiles of the recordings.
-        r: correlation of left-out predictions and recordings.
-        left_out: (T,) the left-out predictions of all recordings, one after another; empty in a
+        r: correlation of out-of-fold predictions and recordings.
+        left_out: (T,) the out-of-fold predictions of all recordings, one after another; empty in a
             loaded model.
     """
 
@@ -197,8 +197,8 @@ class WantedMovement:
             movements: (T_k,).
             fps: frames per second of both.
             effort: columns of vocal effort.
-            smaller: sets of columns to use in the place of all, the largest first, where they
-                predict about as well.
+            smaller: smaller sets of columns, the largest first; one is used instead of all columns
+                if it predicts about as well.
         """
         slow = [slow_part(movement, fps) for movement in movements]
         fast = [movement - part for movement, part in zip(movements, slow, strict=True)]
@@ -215,7 +215,7 @@ class WantedMovement:
         of_fast, basis = [each for each in fitted if each[0].r >= enough][-1]
         if len(fitted) > 1:
             log.info(
-                "Hand movement predicted from speech in left-out passages: r %s; %d are used.",
+                "Hand movement predicted from held-out speech: r = %s; %d features are used.",
                 ", ".join(
                     f"{regression.r:.2f} with {len(regression.mean) // _BINS} features"
                     for regression, _ in fitted
@@ -249,7 +249,7 @@ class WantedMovement:
         return self.fast.trust > 0 or self.slow.trust > 0
 
     def __call__(self, speech: np.ndarray) -> np.ndarray:
-        """Return the movement that speech features (S, T) ask for, and its slow part, (2, T)."""
+        """Return the movement predicted from speech features (S, T), and its slow part, (2, T)."""
         speech = usual_voice(speech, self.effort, self.voices)
         slow = self.slow.trusted(self.slow(slow_inputs(speech, self.effort, self.basis, self.fps)))
         inputs = _bins(speech, self.effort, self.basis, self.fps)

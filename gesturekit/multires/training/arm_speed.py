@@ -1,8 +1,8 @@
 """Prediction of arm speed and acceleration from speech: a ridge regression on paired recordings.
 
-It is the target of random-generation steps, whose speech has no recorded motion. Speed alone could
-be matched by arms that tremble, so acceleration has a target too. Not in the paper; unused with
-`losses.arm_speed` and `losses.arm_acceleration` at 0.
+The prediction is the target on random-generation steps, whose speech has no recorded motion.
+Trembling arms could match a speed target alone, so acceleration has a target too. Not in the paper;
+unused if `losses.arm_speed` and `losses.arm_acceleration` are 0.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from gesturekit.multires.training.kinematics import (
 _CONTEXT_SECONDS = 0.2
 _RIDGE = 30.0
 _RIDGE_FEATURES = 32
-"""Up to this many features the penalty is the same; it grows with the number of further ones."""
+"""Number of features up to which the ridge penalty is constant; it grows with the number of further
+features."""
 _SPREAD_SECONDS = 3.0
 _SPREAD_WEIGHT = 5.0
 
@@ -78,9 +79,10 @@ def arm_targets(
 ) -> list[ArmTarget]:
     """Fit a regression for each level, from the paired speech to the recorded arm movement.
 
-    Recorded speed is raw and generated speed smoothed (`VectorKinematics.arm_speed`): generated
-    arms have to move as fast as the recorded ones without trembling. For acceleration it is the
-    other way round: recorded without capture noise, generated with all trembling.
+    Recorded speed is unfiltered and generated speed is smoothed (`VectorKinematics.arm_speed`), so
+    that generated arms have to move as fast as the recorded ones without trembling. Acceleration is
+    filtered the other way round: recordings without capture noise, generated motion with all its
+    trembling.
 
     Args:
         sequences: recordings.
@@ -112,8 +114,8 @@ class ArmTarget(nn.Module):
     """Ridge regression from the speech of one level to log arm speed and log arm acceleration.
 
     Inputs are the features within 0.2 s of each frame, which predict when the arms move, and the
-    standard deviation of each feature within 3 s, which predicts how lively the speaker is:
-    features that are centred clip by clip have no other sign of it.
+    standard deviation of each feature within 3 s, which predicts how lively the speaker is.
+    Features that are centred per clip carry no other information about that.
 
     Args:
         frame_seconds: time between two frames of the level.

@@ -36,15 +36,16 @@ from gesturekit.training.seeds import rng_for
 from gesturekit.training.trained_model import read_speakers, rig_values
 
 _SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
-"""Smallest scale of each kind of channel (6D entries, label, m, m; on the reference body). Fixed:
-they keep noise of still channels from being amplified."""
+"""Smallest scale of each kind of channel (6D entries, label, m, m; on the reference body). Fixed,
+so that the noise of channels without movement is not amplified."""
 
 
 @dataclass(frozen=True)
 class Normaliser:
-    """Normalisation of motion vectors to zero mean and comparable spread, in any unit of the rig.
+    """Normalisation of motion vectors to zero mean and comparable spread, whatever the rig's units.
 
-    The six numbers of a joint share one scale, so that its rotation keeps its shape.
+    The six numbers of a joint share one scale, so that distances between its rotations are kept up
+    to that factor.
 
     Attributes:
         mean: (D,).
@@ -173,8 +174,8 @@ class TrainingData:
         unpaired: (S, T) speech without motion; that of `paired` if the corpus has none.
         silence: (S, T) speech features of silence, one window long.
         conditioner: converts waves to speech features; None without speech input.
-        styles: names of the styles, in alphabetical order; empty outside label mode. Those of a
-            model to start from may be more than the recordings have.
+        styles: names of the styles, in alphabetical order; empty outside label mode. A model to
+            start from may have more styles than the recordings.
         speakers: reference skeleton of each named speaker.
         window: frames of a training window; None for whole sequences.
         sources: recordings from which `paired` was read.

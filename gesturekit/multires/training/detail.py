@@ -1,8 +1,9 @@
 """Loss on the amount of fine detail that a level adds, compared with recordings.
 
-Detail is joint movement that the frame rate of the level below cannot represent. Discriminators
-respond to the size of an error, and detail is a hundredth of a pose: with them alone, fine levels
-add next to nothing. Not in the paper; unused with `losses.detail` at 0.
+Detail is joint movement that the frame rate of the next coarser level cannot represent.
+Discriminators respond to the size of an error, and detail is only a hundredth of the size of a
+pose: without this loss, fine levels add almost nothing. Not in the paper; unused if `losses.detail`
+is 0.
 """
 
 from __future__ import annotations
@@ -18,19 +19,20 @@ from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 
 _FLOOR = 0.1
-"""Share of the RMS detail of all styles, below which a joint counts as still. Fixed: it keeps the
-logarithm finite."""
+"""Fraction of the RMS detail over all styles below which a joint counts as still. Fixed; it keeps
+the logarithm finite."""
 _LEAST = 1e-12
-"""Smallest floor, m^2, for rigs whose joints all keep their place, such as a root alone."""
+"""Smallest floor, m^2, for rigs whose joints never move relative to the root, such as a single
+joint."""
 _WINDOWS = 64
-"""Recorded windows per style, evenly chosen. Fixed: it bounds the cost of a step."""
+"""Number of recorded windows per style, evenly spaced. Fixed; it bounds the cost of a step."""
 
 
 class DetailTarget(nn.Module):
     """Distribution over windows of the detail of each joint, for one level and each style.
 
     The loss is the energy distance (Szekely and Rizzo 2013) between generated and recorded
-    distributions; a distance from the mean would make all windows alike. Positions are compared,
+    distributions; a distance from the mean would make all windows the same. Positions are compared,
     not rotations, because rotations along an arm can compensate each other.
 
     Args:
@@ -71,7 +73,7 @@ class DetailTarget(nn.Module):
             self.register_buffer(f"recorded{style}", logs[few])
 
     def _power(self, places: Tensor) -> Tensor:
-        """Return the mean square (B, K), m^2, of movement finer than the level below."""
+        """Return the mean square (B, K), m^2, of movement too fast for the next coarser level."""
         n_frames = places.shape[-1]
         coarser = resample(places, af.level_lengths(n_frames, 2)[0])
         return (places - resample(coarser, n_frames)).square().mean(dim=(2, 3))
@@ -105,7 +107,8 @@ def detail_targets(
     places: Callable[[Tensor], Tensor],
     device: torch.device,
 ) -> dict[int, DetailTarget]:
-    """Return the targets of these levels by index; the first level has none below it."""
+    """Return {index: target} of these levels; the first level has none, as there is no coarser
+    level."""
     styles = max(1, len(data.styles))
     return {
         i: DetailTarget(data.paired, i, levels, places, data.window, styles).to(device)

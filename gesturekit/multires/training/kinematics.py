@@ -25,7 +25,7 @@ class VectorKinematics(nn.Module):
     """Positions and speeds of motion vectors (B, D, T) in their own units.
 
     Lengths are in metres of the reference body (`ModelJoints.scale`), so that losses do not depend
-    on body size. Displacements are per full-rate frame at every level: `stride` is the number of
+    on body size. At every level, displacements are per full-rate frame: `stride` is the number of
     full-rate frames between two frames of the level.
     """
 
@@ -70,7 +70,7 @@ class VectorKinematics(nn.Module):
         return torch.stack([dx, torch.zeros_like(dx), dz], dim=-1)
 
     def foot_velocity(self, values: Tensor, stride: float) -> Tensor:
-        """Return (B, T - 1, F, 3) the velocity of the foot points, m/s, over the floor included."""
+        """Return the velocity (B, T - 1, F, 3) of the foot points in the world, m/s."""
         feet = self._positions(self.feet, values)
         drift = self._root_displacement(values)
         return ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
@@ -80,10 +80,10 @@ class VectorKinematics(nn.Module):
         return values[:, self.layout.contacts, 1:].transpose(1, 2)
 
     def bend(self, values: Tensor, places: Tensor, stride: float) -> Tensor:
-        """Return (B, K, 3, T - 2) the second difference of the joints' places, metres.
+        """Return the second difference (B, K, 3, T - 2) of the joint positions in the world,
+        metres.
 
-        It counts per full-rate frame, movement over the floor included. `places` are those of
-        `values`.
+        It is per full-rate frame. `places` are the joint positions of `values`.
         """
         drift = self._root_displacement(values).transpose(1, 2)[:, None]
         bend = places[..., 2:] - 2 * places[..., 1:-1] + places[..., :-2]

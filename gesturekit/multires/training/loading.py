@@ -158,8 +158,8 @@ def _representation(
             find_parts(representation.skeleton)
         except MotionError as error:
             raise ConfigError(
-                "network.modulate: speech moves the upper body, which cannot be identified: "
-                f"{error}; or let speech move all joints (network.modulate=all)"
+                "network.modulate: the upper body, which speech modulates, cannot be identified: "
+                f"{error}; or modulate all joints (network.modulate=all)"
             ) from None
     return representation
 
@@ -216,7 +216,7 @@ def _longest(config: MultiresConfig, paired: Sequence[PairedSequence]) -> int:
     if af.level_lengths(longest, config.network.levels)[0] < 2:
         raise ConfigError(
             f"network.levels: {config.network.levels} levels leave one frame of the longest "
-            f"recording ({longest / config.fps:.1f} s) at the coarsest; take fewer levels"
+            f"recording ({longest / config.fps:.1f} s) at the coarsest; use fewer levels"
         )
     return longest
 

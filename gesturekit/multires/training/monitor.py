@@ -78,9 +78,10 @@ class Monitor:
         if ratio >= COLLAPSED:
             return False
         log.warning(
-            "Step %d: samples collapse: their patches differ %.2f times as much from one another "
-            "as the recordings' do. If this continues, try a lower training.learning_rate, more "
-            "training.discriminator_steps, or fewer training.reconstruction_steps.",
+            "Step %d: mode collapse: patches of the samples differ from one another %.2f times as "
+            "much as those of the recordings. If this continues, try a lower "
+            "training.learning_rate, more training.discriminator_steps, or fewer "
+            "training.reconstruction_steps.",
             step,
             ratio,
         )

@@ -71,6 +71,6 @@ def groups(wins: np.ndarray) -> list[list[int]]:
 def is_bounded(wins: np.ndarray) -> bool:
     """Return whether finite strengths maximise the likelihood (Ford's condition).
 
-    It fails where some systems never lost, or tied, against all others.
+    It fails if a group of systems never lost to, or tied with, the others.
     """
     return connected_components(wins > 0, connection="strong")[0] == 1

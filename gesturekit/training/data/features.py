@@ -25,23 +25,23 @@ class FeatureConfig:
     """Speech features of a model."""
 
     extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
-    """Extractors by name and settings; their features are concatenated."""
+    """Feature extractors, each with its `kind` and settings; their features are concatenated."""
     weights: Path | None = None
-    """Folder or file of the WavLM weights, or folder of a Hugging Face encoder that does not name
-    its own as `path` or `encoder`."""
+    """Folder or file of WavLM weights, or folder of a Hugging Face encoder whose extractor has no
+    `path` or `encoder` of its own."""
     align: Literal["mean", "gaussian", "linear"] = "mean"
     """Resampling of features to motion frames: the mean over each frame, those means smoothed by a
     Gaussian of one frame, or linear interpolation."""
     normalise: Normalisation = "clip"
-    """Normalisation of features. `clip` normalises the loudness of speech, and the features of each
-    clip to zero mean and comparable spread; `corpus` normalises features to zero mean and unit
+    """Normalisation of features. `clip` normalises the loudness of the speech, and the features of
+    each clip to zero mean and comparable spread; `corpus` normalises features to zero mean and unit
     variance over all training speech; `none` does neither. Without `clip`, loudness changes the
     motion."""
     components: int | None = None
-    """Number of principal components of the training speech to which each clip's features are
-    reduced. Vocal effort and extractors with no more columns than that are left as they are, so
-    that WavLM is reduced but prosody is not; null reduces none. Minutes of motion are too few for
-    the 768 columns of an encoder."""
+    """Number of principal components (fitted to the training speech) to which wide features are
+    reduced; null for no reduction. Extractors with no more columns than this, and vocal effort, are
+    not reduced: WavLM is, prosody is not. Minutes of motion are too few for the 768 columns of an
+    encoder."""
 
     def __post_init__(self) -> None:
         if self.components is not None:

@@ -23,7 +23,7 @@ def on_rig(model: ModelJoints, motion: Motion) -> Motion:
     try:
         return retarget(motion, rig, pose=_upright(model))
     except MotionError as error:
-        raise ModelError(f"the motion cannot be put on the model's rig: {error}") from None
+        raise ModelError(f"the motion cannot be retargeted to the model's rig: {error}") from None
 
 
 def _upright(model: ModelJoints) -> np.ndarray | None:

@@ -46,7 +46,7 @@ def check_settings(
 def check_conditions(folder: Path, known: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     """Check that a model to start from has the conditions of a run.
 
-    A corpus may lack some of the styles and events (lists of names) that the model knows.
+    A corpus may lack some of the model's styles and events (lists of names).
 
     Args:
         folder: of the model.

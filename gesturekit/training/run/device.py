@@ -39,7 +39,7 @@ def prepare_device(name: str, threads: int | None = None) -> torch.device:
         # It would fill every new tensor, for programs that read memory before they write it.
         torch.utils.deterministic.fill_uninitialized_memory = False
         # By default a GPU rounds the inputs of float32 convolutions to TF32, 10 bits, but not those
-        # of matrix products. Who wants speed asks for bfloat16.
+        # of matrix products. bfloat16 is the setting for speed.
         torch.backends.cudnn.allow_tf32 = False
     return device
 

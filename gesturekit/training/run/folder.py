@@ -68,7 +68,7 @@ class Run:
             return
         if config_file.exists():
             raise ConfigError(
-                f"{folder}: holds a run already; add --resume to go on with it, or out=OTHER"
+                f"{folder}: holds a run already; add --resume to continue it, or out=OTHER"
             )
 
     @property

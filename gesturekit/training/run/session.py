@@ -54,7 +54,7 @@ def session(
             yield run, device, processes
         except KeyboardInterrupt:
             if processes.is_first and folder is None and run.has_begun:
-                log.warning("Stopped. Go on with: %s", resume_command(run.folder, processes))
+                log.warning("Stopped. Continue with: %s", resume_command(run.folder, processes))
             raise
         except torch.cuda.OutOfMemoryError as error:
             raise ModelError(
@@ -93,7 +93,7 @@ def plan(config: RunConfig, trainer: Callable[..., Any]) -> None:
     except ConfigError as error:
         if not (config.out / "config.yaml").is_file():
             raise
-        log.warning("Before this can be trained: %s.", error)
+        log.warning("This cannot be trained yet: %s.", error)
     with (
         TemporaryDirectory() as folder,
         session(config, resume=False, folder=Path(folder)) as (run, device, processes),

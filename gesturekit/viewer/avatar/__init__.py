@@ -1,1 +1,1 @@
-"""Avatars: a user's own VRM file, worn by motions like the human body."""
+"""Avatars: a user's own VRM file, to which motion is retargeted, as to the human body."""

@@ -123,7 +123,7 @@ def _bones(glb: Glb) -> tuple[dict[int, str], bool]:
     is_new = "VRMC_vrm" in extensions
     if not is_new and "VRM" not in extensions:
         raise glb.error(
-            "no VRM avatar: it does not say which node is which bone. Export it as VRM (VRoid "
+            "not a VRM avatar: it does not say which node is which bone. Export it as VRM (VRoid "
             "Studio, UniVRM, the VRM add-on for Blender)"
         )
     humanoid = glb.object(glb.object(extensions, "VRMC_vrm" if is_new else "VRM"), "humanoid")

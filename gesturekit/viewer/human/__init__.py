@@ -1,1 +1,1 @@
-"""Human body that any rig can wear: MakeHuman's CC0 base mesh, baked at set-up by `bake.py`."""
+"""Human body for motion of any rig: MakeHuman's CC0 base mesh, baked at set-up by `bake.py`."""

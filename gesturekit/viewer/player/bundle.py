@@ -1,7 +1,7 @@
 """Bundle the scripts of our pages: player.js with three.js, and study.js with jsPsych.
 
 They become `gesturekit/viewer/player.bundle.js` and `gesturekit/study/study.bundle.js`. Run by
-`make setup` and by the build hook, with nothing but the standard library:
+`make setup` and by the build hook, with only the standard library:
 
     python gesturekit/viewer/player/bundle.py                # bundle what is not up to date
     python gesturekit/viewer/player/bundle.py --check-node   # exit 1 where Node.js is wanting
@@ -51,7 +51,7 @@ class Script(NamedTuple):
         return digest.hexdigest()
 
     def is_current(self) -> bool:
-        """Tell whether the bundle exists and was made from the sources as they are now."""
+        """Return whether the bundle exists and was made from the current sources."""
         if not self.bundle.is_file():
             return False
         with self.bundle.open(encoding="utf-8") as lines:

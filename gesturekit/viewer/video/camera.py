@@ -14,7 +14,7 @@ _TURN, _LOOK_DOWN = 0.32, 0.16
 _CALM = 0.5
 """Standard deviation of the Gaussian that the camera's path is smoothed with, seconds."""
 _FILLED = 0.86
-"""Share of the view that the figure may take."""
+"""Largest share of the view that the figure fills."""
 _USUAL = 0.98
 """Share of frames that is framed whole; the others may be a broken recording's."""
 _MOST_FRAMES = 600

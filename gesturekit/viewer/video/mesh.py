@@ -8,10 +8,10 @@ import numpy as np
 
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure, Head, Limb
 from gesturekit.viewer.human.body import palette_of
 from gesturekit.viewer.skin import INFLUENCES, Skin, steady_turns
-from gesturekit.viewer.worn import Worn
 
 COLOURS = {MIDDLE: (233, 228, 218), LEFT: (232, 138, 98), RIGHT: (93, 151, 191)}
 """Colours of the sides of the body, RGB, as in the page."""
@@ -100,10 +100,12 @@ class SkinnedBody:
         mesh: part k is joint k.
     """
 
-    def __init__(self, worn: Worn, skin: Skin, top: tuple[int, int, int] | None = None) -> None:
-        """Prepare one of the skins of `worn`; `top` is the colour of its clothes."""
-        self._figure, self._turns = worn.figure, steady_turns(worn.motion)
-        self._rest = worn.scale * skin.rest
+    def __init__(
+        self, drawn: DrawnBody, skin: Skin, top: tuple[int, int, int] | None = None
+    ) -> None:
+        """Prepare one of the skins of `drawn`; `top` is the colour of its clothes."""
+        self._figure, self._turns = drawn.figure, steady_turns(drawn.motion)
+        self._rest = drawn.scale * skin.rest
         palette = np.array([COLOURS[MIDDLE]])
         if skin.palette is not None:
             palette = skin.palette
@@ -111,7 +113,7 @@ class SkinnedBody:
             palette = np.array(list(palette_of(top).values()))
         regions = np.zeros(len(skin.vertices), int) if skin.regions is None else skin.regions
         self.mesh = Mesh(
-            (worn.scale * skin.vertices).astype(np.float32),
+            (drawn.scale * skin.vertices).astype(np.float32),
             skin.normals().astype(np.float32),
             palette[regions].astype(np.float32),
             skin.joints.astype(np.int32),

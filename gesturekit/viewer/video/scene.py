@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human.body import TOPS
 from gesturekit.viewer.video import raster
 from gesturekit.viewer.video.camera import Camera
 from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
-from gesturekit.viewer.worn import Worn
 
 _SUN = np.array([1.0, 2.6, 1.0])
 """Direction to the sun from a body that faces +Z."""
@@ -48,22 +48,22 @@ class Scene:
         duration: seconds of its motion.
     """
 
-    def __init__(self, worn: Worn, aspect: float, level: int = 0, index: int = 0) -> None:
+    def __init__(self, drawn: DrawnBody, aspect: float, level: int = 0, index: int = 0) -> None:
         """Prepare a motion on its body.
 
         Args:
-            worn: the motion.
+            drawn: the motion.
             aspect: width by height of the panel.
             level: of the skin, the last one if there are fewer.
             index: of the panel; clothes have another colour in each.
         """
-        figure = worn.figure
-        self.duration = worn.motion.duration
+        figure = drawn.figure
+        self.duration = drawn.motion.duration
         self._figure = figure
         self._body: Mannequin | SkinnedBody = Mannequin(figure)
-        if worn.skins:
-            skin = worn.skins[min(level, len(worn.skins) - 1)]
-            self._body = SkinnedBody(worn, skin, TOPS[index % len(TOPS)])
+        if drawn.skins:
+            skin = drawn.skins[min(level, len(drawn.skins) - 1)]
+            self._body = SkinnedBody(drawn, skin, TOPS[index % len(TOPS)])
         self._camera = Camera(figure, aspect)
         cos, sin = np.cos(figure.front), np.sin(figure.front)
         turned = np.array(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.video import raster
 from gesturekit.viewer.video.mesh import SkinnedBody
 from gesturekit.viewer.video.scene import TOPS
-from gesturekit.viewer.worn import Worn
 
 _AWAY = 200.0
 """Distance of the camera in body heights, from where there is next to no perspective."""
@@ -18,10 +18,10 @@ _LIGHT = np.array([0.34, 0.87, 0.34])
 class Stills:
     """Pictures of one motion."""
 
-    def __init__(self, worn: Worn, n_pixels: int, index: int = 0) -> None:
+    def __init__(self, drawn: DrawnBody, n_pixels: int, index: int = 0) -> None:
         """Prepare pictures of up to (n_pixels, n_pixels); `index` chooses the clothes' colour."""
-        self._body = SkinnedBody(worn, worn.skins[0], TOPS[index % len(TOPS)])
-        self._figure, self._size = worn.figure, n_pixels
+        self._body = SkinnedBody(drawn, drawn.skins[0], TOPS[index % len(TOPS)])
+        self._figure, self._size = drawn.figure, n_pixels
 
     def at(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the body's picture at a frame, and its place.

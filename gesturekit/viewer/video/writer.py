@@ -17,11 +17,11 @@ from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.resampling import checked_fps
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.sound import as_sound
 from gesturekit.viewer.video import caption
 from gesturekit.viewer.video.encoder import encode, require_encoder
 from gesturekit.viewer.video.scene import Buffers, Scene
-from gesturekit.viewer.worn import Worn
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -57,7 +57,7 @@ def write_video(
         audio: the speech that belongs to it, a file or a `Wave`; it starts with the motion.
         title: written in the corner of a single motion; the file's stem by default.
         body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
-            `gesturekit.viewer.worn`.
+            `gesturekit.viewer.drawn_body`.
         body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs.
         size: "720p" or "1080p".
         fps: frames per second; by default the fastest motion's, at most 30.
@@ -85,8 +85,8 @@ def write_video(
         audio = as_sound(audio)
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
     model = None if body_model is None else BodyModel.of(body_model)
-    worn = {label: Worn.of(motion, body, model) for label, motion in motions.items()}
-    picture = _Picture(worn, SIZES[size])
+    drawn = {label: DrawnBody.of(motion, body, model) for label, motion in motions.items()}
+    picture = _Picture(drawn, SIZES[size])
     seconds = max(picture.duration, wave.duration if wave else 0.0)
     n_frames = max(1, int(seconds * fps + 0.5))
     with atomic_write(path) as temporary:
@@ -108,7 +108,7 @@ class _Picture:
         duration: of the longest motion, seconds.
     """
 
-    def __init__(self, shown: Mapping[str, Worn], size: tuple[int, int]) -> None:
+    def __init__(self, shown: Mapping[str, DrawnBody], size: tuple[int, int]) -> None:
         self.size = size
         n_columns = min(len(shown), 3 if len(shown) != 4 else 2)
         n_rows = -(-len(shown) // n_columns)
@@ -118,11 +118,11 @@ class _Picture:
             for whole, n in zip(size, (n_columns, n_rows), strict=True)
         )
         self._panels = []
-        for k, (label, worn) in enumerate(shown.items()):
+        for k, (label, drawn) in enumerate(shown.items()):
             row, column = divmod(k, n_columns)
             area = (slice(rows[row], rows[row + 1]), slice(columns[column], columns[column + 1]))
             aspect = (area[1].stop - area[1].start) / (area[0].stop - area[0].start)
-            self._panels.append(_Panel(label, Scene(worn, aspect, level, k), area))
+            self._panels.append(_Panel(label, Scene(drawn, aspect, level, k), area))
         self.duration = max(panel.scene.duration for panel in self._panels)
         # An empty panel is like the background.
         self._blank = np.full((size[1], size[0], 3), 245, np.uint8)

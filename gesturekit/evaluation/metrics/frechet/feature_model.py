@@ -1,6 +1,6 @@
 """A feature extractor for the Fréchet gesture distance, fitted on a reference set.
 
-Published extractors are bound to their rigs or were never released, so that values of different
+Published extractors only work for their own rigs or were never released, so values of different
 papers cannot be compared. Two values of this one can be compared if `fingerprint` is the same.
 """
 
@@ -190,7 +190,7 @@ class FeatureModel:
             raise EvaluationError(f"{folder}: the feature model is damaged ({text})") from None
         if model.fingerprint != values.get("fingerprint"):
             raise EvaluationError(
-                f"{folder}: {_TENSORS} is not what {_JSON} was written with; fit it again"
+                f"{folder}: {_TENSORS} does not belong to {_JSON}; fit the model again"
             )
         return model
 
@@ -251,7 +251,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _LARGEST_JSON:
             raise EvaluationError(
-                f"{path}: {path.stat().st_size} bytes; no feature model is so big"
+                f"{path}: {path.stat().st_size} bytes; too large for a feature model"
             )
         values = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -263,7 +263,7 @@ def _read_json(path: Path) -> dict[str, Any]:
             raise
         raise EvaluationError(f"{path}: cannot be read ({error})") from None
     if not isinstance(values, dict) or values.get("kind") != "feature model":
-        raise EvaluationError(f"{path}: no feature model")
+        raise EvaluationError(f"{path}: not a feature model")
     if values.get("format") != FORMAT:
         raise EvaluationError(
             f"{path}: format {values.get('format')!r}; this gesturekit reads format {FORMAT}. "

@@ -1,4 +1,4 @@
-"""Bodies that a motion can wear in pages, videos and pictures."""
+"""Body with which a motion is drawn in pages, videos and pictures."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def is_body(name: str) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Worn:
-    """A motion on the body that is drawn.
+class DrawnBody:
+    """A motion, retargeted to the body with which it is drawn.
 
     Attributes:
         motion: on the rig of the body.
         figure: its points, limbs and curves.
         skins: meshes drawn in place of limbs, from the finest to the coarsest; empty if the limbs
             are drawn.
-        scale: the size of the skins' vertices and joints at rest is to be multiplied by.
+        scale: factor on the skins' vertices and joints at rest.
     """
 
     motion: Motion
@@ -47,21 +47,21 @@ class Worn:
     @classmethod
     def of(
         cls, motion: Motion, body: str | None = None, body_model: BodyModel | None = None
-    ) -> Worn:
-        """Put a body on a motion.
+    ) -> DrawnBody:
+        """Retarget a motion to a body.
 
         Args:
             motion: what to show.
             body: of BODIES, or the path of an avatar; "mannequin" by default. A mannequin and a
                 skeleton have the joints of the motion's own rig; for "human" and avatars the motion
-                is retargeted. Where that cannot be had, the mannequin is worn.
-            body_model: its skin is worn instead.
+                is retargeted. If that is not possible, the mannequin is drawn.
+            body_model: draw its skin instead.
 
         Raises:
             FormatError: an unknown body, an avatar that cannot be read, or both a body and a model.
 
         Warns:
-            UserWarning: the human body was not baked, or a body cannot be put on this rig.
+            UserWarning: the human body was not baked, or the motion cannot be retargeted to a body.
         """
         if body is not None and not is_body(body):
             raise FormatError(f"body is {body!r}; expected {', '.join(BODIES)} or a .vrm file")
@@ -75,8 +75,8 @@ class Worn:
             avatar = None if body == "human" else load_avatar(body)
             try:
                 human = avatar or Human.load()
-                moved, scale = human.wear(motion)
+                moved, scale = human.retargeted(motion)
                 return cls(moved, Figure.of(moved), human.skins, scale)
             except GestureKitError as error:
-                warnings.warn(f"the mannequin is drawn in place of {body}: {error}", stacklevel=2)
+                warnings.warn(f"the mannequin is drawn instead of {body}: {error}", stacklevel=2)
         return cls(motion, Figure.of(motion, plain=body == "skeleton"))
