@@ -20,9 +20,9 @@ from gesturekit.evaluation import arm_speed
 from gesturekit.evaluation.metrics.sync import speech_envelope
 from gesturekit.motion import Motion
 from gesturekit.systems import bundled_speech
+from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.video import caption
 from gesturekit.viewer.video.scene import Buffers, Scene
-from gesturekit.viewer.drawn_body import DrawnBody
 
 WIDTH, HEIGHT, STRIP = 720, 400, 80
 """Pixels of the picture's width, of the part with the body, and of the curves below it."""
@@ -61,7 +61,8 @@ def frames() -> list[Image.Image]:
     model, wave = gk.load("demo"), af.Wave.load(bundled_speech())
     motions = {seed: model.generate(wave, seed=seed) for seed in SEEDS}
     panel = WIDTH // len(SEEDS)
-    scenes = [Scene(DrawnBody.of(motion, "mannequin"), panel / HEIGHT) for motion in motions.values()]
+    bodies = [DrawnBody.of(motion, "mannequin") for motion in motions.values()]
+    scenes = [Scene(body, panel / HEIGHT) for body in bodies]
     buffers, strip = Buffers(HEIGHT, panel), curves(motions, wave)
     images = []
     for k in range(round(SECONDS * FPS)):
