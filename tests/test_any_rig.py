@@ -17,7 +17,7 @@ import gesturekit as gk
 from gesturekit.corpus import prepare
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.training.trainer import train as train_diffusion
-from gesturekit.errors import ConfigError, ModelError
+from gesturekit.errors import ModelError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import unidentified
@@ -241,21 +241,21 @@ def test_repeated_joint_names_and_names_with_spaces_train(system, gesture, tmp_p
     assert model.generate(seconds=0.5).n_frames == 15
 
 
-def test_speech_modulation_without_an_identified_upper_body_suggests_a_setting(
-    write_speech, tmp_path
+def test_speech_modulates_all_joints_of_a_rig_without_an_identified_upper_body(
+    write_speech, tmp_path, caplog
 ):
     moving(crab(), 3.0).save(tmp_path / "a.bvh")
     write_speech(tmp_path / "a.wav", 3.0)
     corpus = tmp_path / "corpus.jsonl"
     report = prepare([tmp_path], corpus, holdout=0.0)
     notes = " ".join(str(problem) for problem in report.problems)
-    assert "network.modulate=all" in notes and "--part" in notes
+    assert "speech moves all joints" in notes and "--part" in notes
     values = {"features": {}}
-    with pytest.raises(ConfigError, match=r"parts: .*network\.modulate=all"):
-        trained("multires", corpus, tmp_path / "run", **values)
-    network = {**TINY["multires"]["network"], "modulate": "all"}
-    folder = trained("multires", corpus, tmp_path / "all", **values, network=network)
-    assert gk.load(folder).generate(tmp_path / "a.wav").n_frames == 90
+    folder = trained("multires", corpus, tmp_path / "run", **values)
+    assert caplog.text.count("The upper body cannot be identified") == 1
+    model = gk.load(folder)
+    assert model.generate(tmp_path / "a.wav").n_frames == 90
+    assert all(film.index.all() for film in model.network.levels[0].films)
     folder = trained("diffusion", corpus, tmp_path / "diffusion", **values)
     assert gk.load(folder).generate(tmp_path / "a.wav").n_frames == 90
 

@@ -146,10 +146,8 @@ def _loaded(
     found: list[Path], clips: tuple[Path, ...], options: Mapping[str, Any], parts: tuple[str, ...]
 ) -> tuple[dict[str, Motion], int]:
     """Load motions; return {label: motion} and how many files not named in `clips` failed."""
-    import warnings
-
     from gesturekit.errors import GestureKitError
-    from gesturekit.formats.conversion import load
+    from gesturekit.formats.conversion import load_with_warnings
     from gesturekit.formats.plausibility import plausibility_warnings
     from gesturekit.motion.parts import parse_parts
 
@@ -158,22 +156,16 @@ def _loaded(
     repeated = len({clip.stem for clip in found}) < len(found)
     motions, n_failed = {}, 0
     for clip in found:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("always", UserWarning)
-            try:
-                motion = load(clip, options, named)
-            except GestureKitError as error:
-                if clip in clips:
-                    raise
-                click.echo(f"Failed: {error}", err=True)
-                n_failed += 1
-                continue
-        lines = [str(warning.message) for warning in caught]
-        for line in [
-            *lines,
-            *(f"{clip}: {doubt}" for doubt in plausibility_warnings(motion, options)),
-        ]:
+        try:
+            motion, warnings = load_with_warnings(clip, options, named)
+        except GestureKitError as error:
+            if clip in clips:
+                raise
+            click.echo(f"Failed: {error}", err=True)
+            n_failed += 1
+            continue
+        doubts = plausibility_warnings(motion, options)
+        for line in [*warnings, *(f"{clip}: {doubt}" for doubt in doubts)]:
             click.echo(f"Warning: {line}", err=True)
         motions[str(clip) if repeated else clip.stem] = motion
     return motions, n_failed

@@ -1,8 +1,10 @@
-"""Pairing of sound and motion files: by relative path, then by unique stem."""
+"""Pairing of sound and motion files: by relative path, then by unique stem or similar stem."""
 
 from __future__ import annotations
 
 import os
+import re
+import unicodedata
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -103,8 +105,9 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
     """Pair the files of one or more folders (one scan per folder).
 
     Files are paired by relative path without extension within a folder, then across folders
-    (`wav/a/x.wav` with `bvh/a/x.bvh` for the folders `wav` and `bvh`), then by stem. A name of more
-    than one speech or motion file is a problem that lists them all; none of them is paired.
+    (`wav/a/x.wav` with `bvh/a/x.bvh` for the folders `wav` and `bvh`), then by stem, then by a stem
+    that differs in case and separators only, with a note. A name of more than one speech or motion
+    file is a problem that lists them all; none of them is paired.
     """
     result = Pairing()
     left: list[Found] = []
@@ -112,10 +115,22 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
         left += _match(list(files), lambda found: found.key, result)
     left = _match(left, lambda found: found.key, result)
     left = _match(left, lambda found: found.stem, result)
+    n_exact = len(result.pairs)
+    left = _match(left, lambda found: _plain(found.stem), result)
+    result.problems += [
+        Problem("note", speech.path, f"paired with {motion.path}, whose name is similar")
+        for speech, motion in result.pairs[n_exact:]
+    ]
     result.pairs.sort()
     result.speech = sorted(found for found in left if found.is_speech)
     result.motion = sorted(found for found in left if not found.is_speech)
     return result
+
+
+def _plain(stem: str) -> str:
+    """Return a stem without case, with one kind of separator and of accented letters."""
+    letters = unicodedata.normalize("NFKC", stem).casefold()
+    return re.sub(r"[\s_.-]+", " ", letters).strip()
 
 
 def recording_ids(found: Sequence[Found]) -> list[str]:

@@ -354,7 +354,7 @@ def _missing_parts(recordings: list[Recording]) -> list[Problem]:
     except MotionError as error:
         what = "training leaves out what needs these parts"
         if any(one.audio and one.motion for one in recordings):
-            what += "; multires by speech needs them, or network.modulate=all"
+            what += ", and in multires speech moves all joints"
         return [Problem("note", first.motion, f"{error}. Without them {what}")]
     if not parts.legs:
         text = "the rig has no legs: foot contacts, foot locking and foot metrics are left out"

@@ -17,7 +17,7 @@ from gesturekit.corpus import checks
 from gesturekit.corpus.item import CONDITIONS
 from gesturekit.corpus.problem import Problem
 from gesturekit.errors import FormatError, GestureKitError, MotionError
-from gesturekit.formats.conversion import load
+from gesturekit.formats.conversion import load_with_warnings
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path
@@ -154,7 +154,11 @@ def _loaded(
             problems.append(Problem("error", recording.audio, str(error)))
     if recording.motion is not None:
         try:
-            motion = load(recording.motion, recording.reading, parts)
+            motion, warnings = load_with_warnings(recording.motion, recording.reading, parts)
+            prefix = f"{recording.motion}: "
+            problems += [
+                Problem("warning", recording.motion, text.removeprefix(prefix)) for text in warnings
+            ]
         except GestureKitError as error:
             problems.append(Problem("error", recording.motion, str(error)))
     return wave, motion

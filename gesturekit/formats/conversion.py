@@ -106,6 +106,17 @@ def load(
     return replace(motion, fps=options["fps"]) if "fps" in options else motion
 
 
+def load_with_warnings(
+    source: Path, options: Mapping[str, Any], parts: Mapping[str, str] | None = None
+) -> tuple[Motion, list[str]]:
+    """Read a motion as `load` does; return it with the warnings of its reader."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        motion = load(source, options, parts)
+    return motion, [str(warning.message) for warning in caught]
+
+
 def applicable_read_options(source: Path, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the `options` of `load` that have an effect on this source."""
     known = (*_OF_ANY_FORMAT, *_READS.get(_format(source), ()))

@@ -25,7 +25,14 @@ def frame_rate(text: str) -> float:
     common = min(COMMON_RATES, key=lambda rate: abs(1 / Decimal(rate) - seconds))
     # The most likely rate whose frame time differs by less than the last digit written.
     digit = Decimal(1).scaleb(seconds.as_tuple().exponent)
-    rates = ((whole, digit / 1000), (common, digit), (whole, digit), (whole / _NTSC, digit))
+    exact = (1 / seconds).quantize(Decimal("0.01"))  # such as 12.5
+    rates = (
+        (whole, digit / 1000),
+        (common, digit),
+        (exact, Decimal("1e-20")),
+        (whole, digit),
+        (whole / _NTSC, digit),
+    )
     for rate, tolerance in rates:
         if rate and abs(1 / Decimal(rate) - seconds) < tolerance:
             return float(rate)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
-from gesturekit.formats.conversion import describe_axes, load
+from gesturekit.formats.conversion import describe_axes, load_with_warnings
 from gesturekit.formats.plausibility import plausibility_warnings
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.inspection.tree import tree
@@ -53,10 +52,7 @@ def inspect_motion(
         FormatError: it cannot be read.
         MotionError: `parts` names a missing joint.
     """
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", UserWarning)
-        motion = load(path, options, parts)
+    motion, warnings = load_with_warnings(path, options, parts)
     skeleton = motion.skeleton
     labels, unknown = known_part_labels(skeleton)
     figure = Figure.of(motion)
@@ -81,7 +77,7 @@ def inspect_motion(
         "upper_body_only": is_upper_body(skeleton),
     }
     problems = [
-        *(str(warning.message) for warning in said),
+        *warnings,
         *plausibility_warnings(motion, options),
     ]
     problems += [*([unknown] if unknown else []), *_defects(motion)]

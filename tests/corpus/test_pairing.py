@@ -40,6 +40,29 @@ def test_a_unique_stem_is_a_pair(tmp_path):
     assert [f.path.name for f in result.motion] == ["c.bvh"]
 
 
+def test_stems_that_differ_in_case_and_separators_are_paired_with_a_note(tmp_path):
+    # An umlaut as one letter, and as a letter and a mark, as file systems of Macs have it.
+    touch(
+        tmp_path,
+        "wav/S01_Take-1.wav",
+        "bvh/s01 take 1.bvh",
+        "a/M\u00fcller.wav",
+        "Mu\u0308ller.bvh",
+    )
+    touch(tmp_path, "b/S01_take-2.wav", "S01 take 3.bvh")
+    result, names = paired(tmp_path)
+    assert names == [("M\u00fcller.wav", "Mu\u0308ller.bvh"), ("S01_Take-1.wav", "s01 take 1.bvh")]
+    assert len(result.speech) == len(result.motion) == 1
+    assert {problem.severity for problem in result.problems} == {"note"}
+    shown = " ".join(str(problem) for problem in result.problems)
+    assert (
+        "S01_Take-1.wav: paired with" in shown and "s01 take 1.bvh, whose name is similar" in shown
+    )
+    touch(tmp_path, "S01 take_1.npz")
+    (error,) = [p for p in paired(tmp_path)[0].problems if p.severity == "error"]
+    assert "ambiguous" in error.message
+
+
 @pytest.mark.parametrize(
     "names",
     [

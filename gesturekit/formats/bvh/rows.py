@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import warnings
 from typing import TextIO
 
 import numpy as np
@@ -42,42 +42,63 @@ class Lines:
 
 
 def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
-    """(n_frames, n_channels) float64, one line per frame, to the end of the file.
+    """(T, n_channels) float64, one line per frame, to the end of the file.
+
+    T is `n_frames` or, with a warning, as many as the file has. A last line that is incomplete, in
+    a file with fewer frames than it declares, is left out.
 
     Raises:
-        FormatError: too few or too many rows or values, or a value that is not a finite number.
+        FormatError: no rows, too few or too many values, or a value that is not a finite number.
     """
     blocks: list[np.ndarray] = []
-    n_rows, rest = 0, ""
+    n_rows, rest, ending = 0, "", ""
     while True:
         read = lines.stream.read(_BLOCK)
         text = rest + read
-        end = text.rfind("\n") + 1 if read else len(text)
+        # The last line is parsed at the end of the file: it may have been cut.
+        end = text.rfind("\n", 0, len(text.rstrip())) + 1 if read else len(text)
         text, rest = text[:end], text[end:]
-        if len(rest) >= LONGEST_LINE:
+        if len(rest.rstrip()) >= LONGEST_LINE:
             lines.number += text.count("\n") + 1
             raise lines.error(f"a line of over {LONGEST_LINE} characters; not a BVH file")
+        if not read and _is_cut(text, n_frames - n_rows, n_channels) and n_rows:
+            text, ending = "", ", and its last line is incomplete"
         values = _bulk(text, n_channels)
         if values is None:
             values = _line_by_line(text, lines, n_rows, n_frames, n_channels)
-        if n_rows + len(values) > n_frames:
-            raise lines.error(
-                f"more rows than the {n_frames} that `Frames:` declares; correct `Frames:`, or "
-                "delete the rows that do not belong to it",
-                lines.number + _line_of_row(text, n_frames - n_rows) + 1,
-            )
         n_rows += len(values)
         blocks.append(values)
         lines.number += text.count("\n")
         if not read:
-            lines.number += bool(text)
             break
+    if not n_rows:
+        raise lines.error(f"the file declares {n_frames} frames and holds none")
     if n_rows < n_frames:
-        raise lines.error(
-            f"the file holds {n_rows} frames but declares {n_frames}; it was cut short, or "
-            "`Frames:` is wrong"
+        warnings.warn(
+            f"{lines.path}: the file declares {n_frames} frames and holds {n_rows}{ending}: "
+            "it was probably cut short",
+            stacklevel=2,
+        )
+    elif n_rows > n_frames:
+        warnings.warn(
+            f"{lines.path}: the file declares {n_frames} frames; all {n_rows} that it holds are "
+            "read",
+            stacklevel=2,
         )
     return np.concatenate(blocks)
+
+
+def _is_cut(line: str, missing: int, n_channels: int) -> bool:
+    """Return whether the file seems to end within its last line.
+
+    Args:
+        line: the last line.
+        missing: rows that are missing without this line.
+        n_channels: values that it needs.
+    """
+    is_short = 0 < len(line.split()) < n_channels
+    # The last number may have lost digits if more rows should follow.
+    return missing > 0 and (is_short or (missing > 1 and bool(line) and not line.endswith("\n")))
 
 
 def _bulk(text: str, n_channels: int) -> np.ndarray | None:
@@ -91,12 +112,6 @@ def _bulk(text: str, n_channels: int) -> np.ndarray | None:
     if values.shape[1] != n_channels or not (np.abs(values) <= LARGEST).all():
         return None
     return values
-
-
-def _line_of_row(text: str, row: int) -> int:
-    """Return the index of the line of a row; blank lines are not rows."""
-    filled = (index for index, line in enumerate(text.split("\n")) if line.strip())
-    return next(itertools.islice(filled, row, None))
 
 
 def _line_by_line(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -35,6 +36,8 @@ from gesturekit.training.data.recordings import (
     training_items,
 )
 from gesturekit.training.data.sources import Source
+
+log = logging.getLogger(__name__)
 
 
 def load_training_data(config: MultiresConfig, device: str = "cpu") -> TrainingData:
@@ -149,7 +152,7 @@ def _paired(
 def _representation(
     config: MultiresConfig, motions: Sequence[Motion], start: MultiresModel | None
 ) -> MultiresRepresentation:
-    """Fit the motion representation; raise ConfigError if speech has no upper body to modulate."""
+    """Fit the motion representation; warn if speech has no upper body to modulate."""
     if start is not None:
         return representation_on_bones_of(start, config, motions)
     representation = MultiresRepresentation.fit(motions, config.joints, config.contact_threshold)
@@ -157,10 +160,11 @@ def _representation(
         try:
             find_parts(representation.skeleton)
         except MotionError as error:
-            raise ConfigError(
-                "network.modulate: the upper body, which speech modulates, cannot be identified: "
-                f"{error}; or modulate all joints (network.modulate=all)"
-            ) from None
+            log.warning(
+                "The upper body cannot be identified, so that speech modulates all joints, and the "
+                "losses on arms are left out: %s",
+                error,
+            )
     return representation
 
 
