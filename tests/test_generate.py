@@ -60,6 +60,7 @@ def test_speech_can_be_an_array(model, wave):
     of_wave, rate = model.generate(wave), wave.sample_rate
     assert same(model.generate(wave.samples, rate), of_wave)
     assert same(model.generate(torch.from_numpy(wave.samples)[None], sample_rate=rate), of_wave)
+    assert same(model.generate((wave.samples, rate)), of_wave), "as torchaudio.load returns it"
     two = model.generate(wave.samples.astype(np.float64)[:, None], rate, samples=2)
     assert len(two) == 2 and same(two[0], of_wave)
     for speech, sample_rate, says in (

@@ -283,13 +283,16 @@ def as_speech(speech: Speech | None, sample_rate: int | None) -> str | Path | af
     """Return the speech given to a model, with an array of samples as a `Wave`; reads no file.
 
     Args:
-        speech: a file, a `Wave`, samples (N,) or (N, channels), or None.
+        speech: a file, a `Wave`, samples (N,) or (N, channels), (samples, rate in Hz), or None.
         sample_rate: Hz; only with an array.
 
     Raises:
         ModelError: a rate with speech that has its own, or without speech.
         AudioError: an array without rate, or one that is not sound.
     """
+    is_pair = isinstance(speech, tuple) and len(speech) == 2 and np.ndim(speech[1]) == 0
+    if is_pair and np.ndim(speech[0]) > 0 and sample_rate is None:
+        speech, sample_rate = speech
     if speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave)):
         return af.Wave.from_array(speech, sample_rate, "speech")
     if sample_rate is not None:

@@ -188,8 +188,9 @@ async def _answer(request: Request, asked: MotionRequest, service: _Service) -> 
             try:
                 return await service.worker.render(sound, asked)
             except (GestureKitError, AudioFeaturesError) as error:
-                reason = str(error).replace(str(sound), "the sound")
-                raise HTTPException(422, reason.replace(folder, "")) from None
+                # Only the beginning names the sound; a command further on takes its file name.
+                reason = str(error).replace(str(sound), "the sound", 1)
+                raise HTTPException(422, reason.replace(f"{folder}/", "")) from None
     except BusyError:
         raise HTTPException(503, "all workers are busy", {"Retry-After": "10"}) from None
     except (OSError, MemoryError, RuntimeError) as error:

@@ -138,16 +138,16 @@ def load_config(
         changes.append((key, value))
     given: dict[str, Any] = {}
     for key, value in [*changes, *(settings or {}).items()]:
-        for part in reversed(key.split(".")):
-            value = {part: value}
-        given = _merge(given, value)
+        given = _merge(given, _nested(key, value))
     given = with_new_keys(given, "command line")
     merged = _merge(merged, _resolve_paths(given, schema, Path.cwd()))
     return build(schema, merged, where=str(path))
 
 
 def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, Any]:
-    values = read_yaml(path)
+    values = {}
+    for key, value in read_yaml(path).items():
+        values = _merge(values, _nested(key, value))
     if schema is not None:
         values = with_new_keys(values, str(path))
     base = values.pop("base", None)
@@ -162,6 +162,13 @@ def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, 
     if not parent.exists():
         parent = recipe_config(base) or parent
     return _merge(_with_parents(parent, schema, depth - 1), values)
+
+
+def _nested(key: Any, value: Any) -> dict[Any, Any]:
+    """Return nested mappings for a dotted key: {"a": {"b": value}} for "a.b"."""
+    for part in reversed(key.split(".") if isinstance(key, str) else [key]):
+        value = {part: value}
+    return value
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

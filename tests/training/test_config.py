@@ -157,3 +157,10 @@ def test_both_names_of_a_setting_are_an_error(old, tmp_path):
     path.write_text("system: multires\ncorpus: a\n")
     with pytest.raises(ConfigError, match="old name of"):
         load_config(path, MultiresConfig, [f"{old}={value}", f"{new}={value}"])
+
+
+def test_a_file_may_have_the_dotted_keys_of_the_command_line(tmp_path):
+    write(tmp_path, "base.yaml", "corpus: c\ninner: {rate: 0.1, steps: [3]}")
+    text = "base: base.yaml\ninner.rate: 0.2\ninner: {mode: input}"
+    config = load_config(write(tmp_path, "a.yaml", text), Outer)
+    assert config.inner == Inner(rate=0.2, steps=(3,), mode="input")
