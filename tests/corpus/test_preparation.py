@@ -71,11 +71,13 @@ def test_each_bad_file_is_reported_once_and_the_others_are_prepared(
     write_speech(tmp_path / "apart.wav", 6.0)
     write_speech(tmp_path / "twice.flac", 4.0)
     report = prepare(tmp_path, holdout=0.0)
-    assert [item.id for item in report.manifest] == ["fine"]
+    assert [item.id for item in report.manifest] == ["cut", "fine"]
     assert not report.is_complete
+    (warning,) = [text for text in texts(report, "warning") if "cut" in text]
+    assert "declares 120 frames and holds 119, and its last line is incomplete" in warning
     told = "\n".join(problem.text for problem in errors(report))
-    assert len(errors(report)) == 5
-    for name in ("text.wav", "empty.wav", "cut.bvh", "apart.bvh", "twice.wav", "twice.flac"):
+    assert len(errors(report)) == 4
+    for name in ("text.wav", "empty.wav", "apart.bvh", "twice.wav", "twice.flac"):
         assert str(tmp_path / name) in told
     assert "6.00 s of sound and 4.00 s of motion differ by 2.00 s" in told
     assert all("\n" not in problem.message for problem in errors(report))

@@ -62,7 +62,7 @@ def test_the_environment_goes_before_the_configuration(monkeypatch):
     monkeypatch.setenv(VARIABLE, "torch")
     assert requested_backend("numba") == "torch"
     monkeypatch.setenv(VARIABLE, "jax")
-    with pytest.raises(ConfigError, match=f"{VARIABLE}: 'jax' is none of auto, torch, numba"):
+    with pytest.raises(ConfigError, match=f"{VARIABLE}: 'jax' is not one of auto, torch, numba"):
         requested_backend()
 
 
