@@ -19,6 +19,7 @@ from gesturekit.motion.parts import (
     upper_body,
 )
 from gesturekit.motion.parts.fingers import finger_chains
+from gesturekit.motion.parts.joint_names import bare_name
 
 MIXAMO = """
 Hips
@@ -478,6 +479,24 @@ def test_labels(mixamo):
     genea = part_labels(rig(GENEA))
     assert (genea["body_world"], genea["b_l_arm_twist"]) == ("root", "twist")
     assert genea["p_navel"] == "other"
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "bare"),
+    [
+        ("mixamorig:LeftForeArm", "left", "forearm"),
+        ("LeftForeArmRoll2", "left", "forearmroll"),
+        ("LeftBall", "left", "ball"),
+        ("RightFinger1", "right", "finger"),
+        ("upperarm_twist_01_l", "left", "upperarmtwist"),
+        ("HandL", "left", "hand"),
+        ("lfemur", "left", "femur"),
+        ("RHipJoint", "right", "hipjoint"),
+        ("Skull", "", "skull"),
+    ],
+)
+def test_a_name_without_its_side(name, side, bare):
+    assert bare_name(name, side) == bare
 
 
 def test_leg_length_counts_what_lies_between(mixamo):

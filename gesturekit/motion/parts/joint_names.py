@@ -52,10 +52,12 @@ def named_side(name: str) -> str:
 def bare_name(name: str, side: str) -> str:
     """Return a name in lower case without namespace, side, digits and signs: "forearm"."""
     name = name.rsplit(":", 1)[-1]
-    if side:
+    if side and side in name.lower():
+        name = re.sub(side, " ", name, flags=re.IGNORECASE)
+    elif side:
         letter = side[0]
-        marks = rf"{side}|(?<![A-Za-z])(?i:{letter})(?![a-z])|(?<=[a-z]){letter.upper()}(?![a-z])"
-        name, count = re.subn(marks, " ", name, flags=re.IGNORECASE if side in name.lower() else 0)
+        marks = rf"(?<![A-Za-z])(?i:{letter})(?![a-z])|(?<=[a-z]){letter.upper()}(?![a-z])"
+        name, count = re.subn(marks, " ", name)
         if not count:  # "lfemur", "LHipJoint"
             name = name[1:]
     return re.sub("[^a-z]", "", name.lower())
