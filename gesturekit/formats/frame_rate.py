@@ -17,8 +17,7 @@ def frame_rate(text: str) -> float:
     try:
         seconds = Decimal(text)
     except InvalidOperation:
-        hint = "; decimals need a point" if "," in text else ""
-        raise ValueError(f"Frame Time: {text[:40]!r} is not a number{hint}") from None
+        raise ValueError(f"Frame Time: {text[:40]!r} is not a number") from None
     if not seconds.is_finite() or not Decimal("1e-5") <= seconds <= 100_000:
         raise ValueError(f"Frame Time: {text[:40]!r} s; expected 0.00001 to 100000")
     whole = round(1 / seconds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -113,6 +114,8 @@ def _parse(path: Path, encoding: str, fps: float | None) -> ParsedBvh:
         if not n_channels:
             raise lines.error("no joint has CHANNELS: the file holds no motion")
         frames = parse_rows(lines, n_frames, n_channels)
+    if lines.has_decimal_commas:
+        warnings.warn(f"{path}: its decimal commas are read as points", stacklevel=2)
     return ParsedBvh(joints, frame_time, fps, frames, renamed, unit)
 
 
@@ -237,7 +240,7 @@ def _statements(lines: Lines) -> Iterator[str]:
 
 def _three_numbers(text: str, lines: Lines) -> tuple[float, float, float]:
     try:
-        x, y, z = (float(word) for word in text.split())
+        x, y, z = (float(word) for word in lines.with_points(text).split())
     except ValueError:
         raise lines.error(f"OFFSET {text[:60]!r}; expected three numbers") from None
     if not max(abs(x), abs(y), abs(z)) <= LARGEST or x != x or y != y or z != z:
@@ -276,9 +279,9 @@ def _parse_timing(lines: Lines, fps: float | None) -> tuple[int, str, float]:
                 raise lines.error(f"Frames: {value[:40]!r}; expected a whole number")
             n_frames = int(value)
         elif key:
-            frame_time = value
+            frame_time = lines.with_points(value)
             try:
-                fps = frame_rate(value) if fps is None else fps
+                fps = frame_rate(frame_time) if fps is None else fps
             except ValueError as error:
                 raise lines.error(f"{error}; --in-fps RATE sets the rate") from None
         else:

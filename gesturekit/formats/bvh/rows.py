@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from typing import TextIO
 
@@ -16,15 +17,21 @@ LARGEST = 1e9
 """Largest plausible offset, position or angle; larger ones could overflow."""
 
 _BLOCK = 1 << 21  # characters read at a time
+_DECIMAL_COMMA = re.compile(r"(?<=[0-9]),(?=[0-9])")
 
 
 class Lines:
-    """Text file with a line number for error messages."""
+    """Text file with a line number for error messages.
+
+    Attributes:
+        has_decimal_commas: True once `with_points` has replaced one.
+    """
 
     def __init__(self, stream: TextIO, path: object) -> None:
         self.stream = stream
         self.path = path
         self.number = 0
+        self.has_decimal_commas = False
 
     def next(self) -> str:
         """Return the next line that is not blank, stripped; "" at the end of the file."""
@@ -35,6 +42,14 @@ class Lines:
             if line := line.strip():
                 return line
         return ""
+
+    def with_points(self, text: str) -> str:
+        """Return numbers with decimal points in the place of decimal commas."""
+        if "," not in text:
+            return text
+        text, count = _DECIMAL_COMMA.subn(".", text)
+        self.has_decimal_commas |= count > 0
+        return text
 
     def error(self, message: str, line: int | None = None) -> FormatError:
         """Return an error about the current line, or about line number `line`."""
@@ -63,6 +78,7 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
             raise lines.error(f"a line of over {LONGEST_LINE} characters; not a BVH file")
         if not read and _is_cut(text, n_frames - n_rows, n_channels) and n_rows:
             text, ending = "", ", and its last line is incomplete"
+        text = lines.with_points(text)
         values = _bulk(text, n_channels)
         if values is None:
             values = _line_by_line(text, lines, n_rows, n_frames, n_channels)
@@ -149,5 +165,4 @@ def _number(word: str, lines: Lines, line: int) -> float:
             return float(word)
     except ValueError:
         pass
-    hint = "; decimals need a point" if "," in word else ""
-    raise lines.error(f"{word[:40]!r} is not a number{hint}", line)
+    raise lines.error(f"{word[:40]!r} is not a number", line)
