@@ -141,7 +141,14 @@ def load_config(
         given = _merge(given, _nested(key, value))
     given = with_new_keys(given, "command line")
     merged = _merge(merged, _resolve_paths(given, schema, Path.cwd()))
-    return build(schema, merged, where=str(path))
+    try:
+        return build(schema, merged, where=str(path))
+    except ConfigError as error:
+        problem = str(error).removeprefix(f"{path}: ")
+        key = re.match(r"(?:unknown key )?([\w.]*)", problem)[1]
+        if any(f"{one}.".startswith(f".{key}.") for one in _dotted(given)):
+            raise ConfigError(problem) from None  # an override is wrong, not the file
+        raise
 
 
 def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, Any]:

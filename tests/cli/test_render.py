@@ -523,3 +523,10 @@ def test_the_summary_counts_sounds_and_motions(gesturekit, model, wav, tmp_path)
     )
     assert done.status == 0
     assert re.search(r"^1 rendered \(3 motions\) in ", done.err, re.MULTILINE)
+
+
+@pytest.mark.parametrize("option", ["--like", "--path", "--keyframes", "--keep"])
+def test_a_missing_control_file_stops_before_the_first_item(gesturekit, wav, option, tmp_path):
+    done = gesturekit("render", wav, "--model", "demo", option, "no.bvh", "--out", tmp_path / "out")
+    assert done.status == 2 and f"{option[2:]}: no.bvh: no such file" in done.err
+    assert not (tmp_path / "out").exists()

@@ -164,3 +164,18 @@ def test_a_file_may_have_the_dotted_keys_of_the_command_line(tmp_path):
     text = "base: base.yaml\ninner.rate: 0.2\ninner: {mode: input}"
     config = load_config(write(tmp_path, "a.yaml", text), Outer)
     assert config.inner == Inner(rate=0.2, steps=(3,), mode="input")
+
+
+def test_an_error_in_an_override_does_not_blame_the_file(tmp_path):
+    path = write(tmp_path, "a.yaml", "corpus: c\ninner: {rate: 0.1}")
+    for override, says in (
+        ("inner.rat=1", "unknown key inner.rat"),
+        ("inner.rate=fast", "inner.rate: 'fast'"),
+        ("iner.rate=1", "unknown key iner"),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            load_config(path, Outer, [override])
+        assert str(caught.value).startswith(says)
+    broken = write(tmp_path, "b.yaml", "corpus: c\ninner: {rate: fast}")
+    with pytest.raises(ConfigError, match=r"b\.yaml: inner\.rate: 'fast'"):
+        load_config(broken, Outer, ["corpus=d"])
