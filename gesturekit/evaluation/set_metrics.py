@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 INTER_SAMPLES = 20
 """Samples of one recording that are compared with each other, at most."""
+ENOUGH_WINDOWS = 32
+"""Windows from which FGD is informative: from fewer, a covariance says so little that motion that
+hardly moves may be nearer to the recordings than other recordings are."""
 _WRISTS = 20_000
 _CCA_FRAMES = 50_000  # frames that the global CCA is fitted on, at most
 
@@ -244,4 +247,6 @@ def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None) -> Metric
         ours.n_generated,
         f"windows, against {ours.n_reference} of the recordings",
     )
-    return MetricResult(key, interval, recording=None if top is None else top.value, note=ours.note)
+    enough = key not in ("fgd", "raw_fgd") or ours.n_generated >= ENOUGH_WINDOWS
+    recording = None if top is None else top.value
+    return MetricResult(key, interval, recording, note=ours.note, informative=enough)

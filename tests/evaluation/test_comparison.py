@@ -257,3 +257,12 @@ def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gestu
         assert model.figures[key].interval.value == pytest.approx(0.0, abs=1e-6), key
     assert model.figures["div_k"].interval.value == pytest.approx(model.figures["div_k"].recording)
     assert "are not in the generated rig" in model.clips[0].notes[0]
+
+
+@pytest.mark.parametrize(("seconds", "enough"), [(14.0, False), (36.0, True)])
+def test_fgd_of_a_few_windows_is_not_informative(gesture, tmp_path, seconds, enough):
+    """Windows of 2 s begin every second."""
+    gesture(seconds, 30.0).save(_made(tmp_path / "recordings" / "clip.npz"))
+    gesture(seconds, 30.0, seed=1).save(_made(tmp_path / "made" / "clip.npz"))
+    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings").models
+    assert model.figures["raw_fgd"].informative == enough
