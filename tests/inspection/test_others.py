@@ -49,9 +49,10 @@ def test_sounds_with_something_wrong(tmp_path):
         ("shifted", noise + 0.2, "DC offset of 0.2"),
         ("half", noise * [1, 0], "channel 2 is silent"),
         ("zeros", 0 * noise, "silence: no speech above -75 dBFS"),
-        ("opposite", noise[:, :1] * [1, -1], "in which they cancel"),
+        ("opposite", noise[:, :1] * [1, -1], "the channels cancel each other"),
         ("quiet", 0.01 * noise, "quiet: speech is at -6"),
-        ("nan", np.where(rng.random((16_000, 2)) < 0.001, np.nan, noise), "nan"),
+        ("nan", np.where(rng.random((16_000, 2)) < 0.02, np.nan, noise), "nan"),
+        ("few_nan", np.where(rng.random((16_000, 2)) < 0.0001, np.nan, noise), "interpolated"),
     ):
         path = tmp_path / f"{name}.wav"
         soundfile.write(path, samples, 16_000, subtype="FLOAT")
