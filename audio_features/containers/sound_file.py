@@ -12,7 +12,7 @@ import numpy as np
 import soundfile
 
 from audio_features.containers import flac, mpeg, ogg, plain, wav
-from audio_features.containers.header import Header, ffmpeg_line
+from audio_features.containers.header import Header, copy_again, ffmpeg_line
 from audio_features.containers.samples import ChannelLevels
 from audio_features.errors import AudioError
 
@@ -178,7 +178,7 @@ def _read(
     if done < least:
         raise AudioError(
             f"{name}: truncated: the header declares {first + least} samples a channel, "
-            f"only {first + done} can be read: copy or export the file again"
+            f"only {first + done} can be read: {copy_again(name)}"
         )
     if digest is not None and digest.digest() != header.md5[0]:
         raise AudioError(

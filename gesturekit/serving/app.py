@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import re
 import tempfile
 import time
 from collections.abc import AsyncIterator
@@ -188,7 +189,8 @@ async def _answer(request: Request, asked: MotionRequest, service: _Service) -> 
             try:
                 return await service.worker.render(sound, asked)
             except (GestureKitError, AudioFeaturesError) as error:
-                reason = str(error).replace(str(sound), "the sound")
+                reason = re.sub("`ffmpeg [^`]*`", "`ffmpeg -i YOUR_FILE speech.wav`", str(error))
+                reason = reason.replace(str(sound), "the sound")
                 raise HTTPException(422, reason.replace(folder, "")) from None
     except BusyError:
         raise HTTPException(503, "all workers are busy", {"Retry-After": "10"}) from None
