@@ -12,7 +12,7 @@ import numpy as np
 import soundfile
 
 from audio_features.containers import flac, mpeg, ogg, plain, wav
-from audio_features.containers.header import Header, copy_again, ffmpeg_line
+from audio_features.containers.header import Header, copy_again, ffmpeg_line, raw_line
 from audio_features.containers.samples import ChannelLevels
 from audio_features.errors import AudioError
 
@@ -95,7 +95,8 @@ def read_header(name: str) -> Header:
     is_text = all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in head)
     raise AudioError(
         f"{name}: cannot be read as sound (it begins with {head[:8]!r}): give a wav, flac, ogg, "
-        "mp3 or aiff file" + ("" if is_text else f", or run {ffmpeg_line(name)}")
+        "mp3 or aiff file"
+        + ("" if is_text else f", or run {ffmpeg_line(name)} (raw samples: {raw_line(name)})")
     )
 
 

@@ -168,6 +168,8 @@ def _problems(facts: dict[str, Any], refused: str | None) -> list[str]:
     if clipped > _CLIPPED_SHARE * facts["frames"] and loudest <= _UNLIMITED_DBFS:
         found.append(f"clipped: {counted(clipped, 'sample')} at full scale")
     offset = max(map(abs, facts["mean"]))
+    if loudest > _UNLIMITED_DBFS:  # floats whose full scale is not 1, for example 32768
+        offset /= 10 ** (loudest / 20)
     if offset > _OFFSET:
         found.append(f"DC offset of {offset:.3f} of full scale")
     silent = [k + 1 for k, peak in enumerate(facts["peak_dbfs"]) if peak < -75]

@@ -70,6 +70,8 @@ def test_bad_files_are_named_with_what_is_wrong(tmp_path):
     refused("text.wav", "cannot be read as sound")
     (tmp_path / "text.raw").write_text("this is not sound\n" * 100)
     refused("text.raw", "cannot be read as sound")
+    (tmp_path / "pcm.wav").write_bytes(noise(1000).tobytes())
+    refused("pcm.wav", "raw samples: `ffmpeg -f s16le -ar 16000 -ac 1 -i ", "pcm_new.wav`")
     (tmp_path / "empty.wav").touch()
     refused("empty.wav", "empty")
     soundfile.write(tmp_path / "short.wav", noise(160), 16_000)

@@ -65,6 +65,8 @@ def test_a_floating_point_sound_beyond_full_scale_is_not_clipped(tmp_path):
     loud = 3.0 * np.sin(np.arange(16_000) / 100)
     soundfile.write(tmp_path / "a.wav", loud, 16_000, subtype="FLOAT")
     assert not any("clipped" in problem for problem in inspect(tmp_path / "a.wav").problems)
+    soundfile.write(tmp_path / "b.wav", 10_000 * (loud - loud.mean()) + 50, 16_000, subtype="FLOAT")
+    assert not inspect(tmp_path / "b.wav").problems, "an offset of 50 in 30000"
 
 
 def test_a_truncated_sound_is_reported_with_its_remaining_length(write_speech, tmp_path):
