@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import glob
+import hashlib
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+_LONGEST_NAME = 255  # bytes, in the usual file systems
 
 
 @contextmanager
@@ -23,7 +26,8 @@ def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> 
     path.parent.mkdir(parents=True, exist_ok=True)
     suffix = path.suffix if suffix is None else suffix
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=suffix, dir=path.parent)
+        prefix = _prefix(path, suffix)
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
     except OSError as error:  # which names the temporary file, and a user knows only the path
         raise OSError(error.errno, f"cannot be written: {error.strerror}", str(path)) from None
     os.close(handle)
@@ -41,10 +45,22 @@ def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> 
         temporary.unlink(missing_ok=True)
 
 
+def _prefix(path: Path, suffix: str) -> str:
+    """Return the first part of a temporary name, shortened if the file system takes no longer."""
+    stem, room = path.stem, _LONGEST_NAME - len(os.fsencode(suffix)) - len(".-????????")
+    if len(os.fsencode(stem)) > room:
+        end = f"~{hashlib.sha256(os.fsencode(stem)).hexdigest()[:16]}"
+        while len(os.fsencode(stem + end)) > room:
+            stem = stem[:-1]
+        stem += end
+    return f".{stem}-"
+
+
 def remove_unfinished(path: Path) -> None:
     """Remove the temporary files that killed processes left of `atomic_write(path)`.
 
     No other process may be writing `path`.
     """
-    for left in path.parent.glob(f".{glob.escape(path.stem)}-????????{glob.escape(path.suffix)}"):
+    prefix = glob.escape(_prefix(path, path.suffix))
+    for left in path.parent.glob(f"{prefix}????????{glob.escape(path.suffix)}"):
         left.unlink(missing_ok=True)

@@ -13,6 +13,7 @@ import numpy as np
 import soxr
 from numpy.typing import ArrayLike
 
+from audio_features.containers.samples import CANCELLING, interpolated, numbers, one_channel
 from audio_features.containers.sound_file import read_sound
 from audio_features.errors import AudioError
 
@@ -59,6 +60,7 @@ class Wave:
         source: origin of the sound for messages, usually a path.
         offset: time of the first sample in `source`, seconds.
         words: file with the words of `source`; None for the one beside it, see `load_words`.
+        repairs: changes that `load` or `from_array` made to a faulty sound, in phrases.
 
     Raises AudioError if the samples are not one finite channel of at least 25 ms.
     """
@@ -68,6 +70,7 @@ class Wave:
     source: str | None = None
     offset: float = 0.0
     words: str | os.PathLike[str] | None = None
+    repairs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         name = self.source or "samples"
@@ -103,23 +106,27 @@ class Wave:
             duration: its length in seconds; None reads to the end, and a segment that extends
                 past the end is cut there.
             channel: channel to read, counted from 1 as in sox and audio editors (1 is the left
-                one); by default the mean of all. Give it if two speakers share a stereo file.
+                one); by default the mean of all, or the loudest one if they cancel in the mean
+                (one of two is inverted). Give it if two speakers share a stereo file.
             max_seconds: longest segment that is read into memory.
 
         Memory depends on the length of the segment (4 bytes per sample), not on the channels.
 
         Raises AudioError for a missing, unreadable, truncated, damaged, empty or too short file,
-        a missing channel, and samples that are not finite. Every checksum and every length in the
-        file is compared with the decoded sound, so that no truncated file is accepted silently.
-        (A wav has no checksum: damage to its samples alone cannot be detected.)
+        a missing channel, and more than 1 % of samples that are not finite; fewer are interpolated.
+        Every checksum and every length in the file is compared with the decoded sound, so that no
+        truncated file is accepted silently. (A wav has no checksum: damage to its samples alone
+        cannot be detected.)
         """
         name = os.fspath(path)
 
         def segment(n: int, rate: int) -> tuple[int, int]:
             return _segment(name, n, _checked_rate(rate, name), start, duration, max_seconds)
 
-        samples, rate = read_sound(name, segment, channel)
-        return cls(samples, rate, name, float(start))
+        samples, rate, used = read_sound(name, segment, channel)
+        repairs = [CANCELLING.format(used)] if used != channel else []
+        samples = interpolated(samples, rate, repairs)
+        return cls(samples, rate, name, float(start), repairs=tuple(repairs))
 
     @classmethod
     def from_array(
@@ -134,17 +141,21 @@ class Wave:
             sample_rate: Hz.
             source: as in `Wave`.
 
-        Raises AudioError without a rate, and for arrays that are not sound.
+        Faults are repaired as by `load`. Raises AudioError without a rate, and for arrays that are
+        not sound.
         """
         name = source or "samples"
+        values = numbers(samples, name)
         if sample_rate is None:
             raise AudioError(
                 f"{name}: an array holds no sample rate: give sample_rate, for example 16000 (Hz)"
             )
-        values = _numbers(samples, name)
+        rate, repairs = _checked_rate(sample_rate, name), []
         if values.ndim == 2:
-            values = values.mean(axis=int(np.argmin(values.shape)), dtype=np.float32)
-        return cls(values, sample_rate, source)
+            values, used = one_channel(values)
+            repairs = [CANCELLING.format(used)] if used is not None else []
+        values = interpolated(values, rate, repairs)
+        return cls(values, rate, source, repairs=tuple(repairs))
 
     @property
     def duration(self) -> float:
@@ -245,8 +256,11 @@ class Wave:
                 f"clipped: {clipped} samples at full scale, the first at "
                 f"{first / self.sample_rate:.2f} s: record at a lower level"
             )
-        if abs(self._mean) >= _DC_OFFSET:
-            found.append(f"DC offset of {100 * self._mean:+.1f} % of full scale: high-pass it")
+        # Floats may have another full scale than 1, for example 32768.
+        peak = float(np.abs(self.samples).max())
+        offset = self._mean / (peak if peak > _UNLIMITED else 1.0)
+        if abs(offset) >= _DC_OFFSET:
+            found.append(f"DC offset of {100 * offset:+.1f} % of full scale: high-pass it")
         return found
 
     def at_level(self, dbfs: float = SPEECH_LEVEL_DBFS) -> Wave:
@@ -302,40 +316,16 @@ class Wave:
         return active, level
 
 
-def _numbers(samples: ArrayLike, name: str) -> np.ndarray:
-    """Convert to (N,) or two-dimensional float32 with full scale ±1."""
-    if hasattr(samples, "detach"):  # a torch tensor: numpy knows neither bfloat16 nor GPUs
-        samples = samples.detach().cpu()
-        samples = samples.float() if samples.is_floating_point() else samples
-    try:
-        values = np.asarray(samples)
-    except (TypeError, ValueError) as error:
-        raise AudioError(f"{name}: not an array of samples ({error})") from None
-    if values.ndim not in (1, 2) or not values.size:
-        raise AudioError(
-            f"{name}: shape {values.shape}, expected samples (N,), or channels (C, N) or (N, C)"
-        )
-    if values.dtype.kind == "f":
-        return values.astype(np.float32)
-    if values.dtype.kind not in "iu" or values.dtype.itemsize > 4:
-        raise AudioError(
-            f"{name}: dtype {values.dtype}, expected floats with full scale ±1, or integers of 8, "
-            "16 or 32 bits"
-        )
-    half = 2.0 ** (8 * values.dtype.itemsize - 1)
-    middle = half if values.dtype.kind == "u" else 0.0
-    return ((values - middle) / half).astype(np.float32)
-
-
 def _checked_rate(rate: int, name: str) -> int:
     low, high = SAMPLE_RATES
     try:
         is_whole = int(rate) == rate
     except (TypeError, ValueError, OverflowError):
         is_whole = False
-    if not is_whole or not low <= rate <= high:
+    if isinstance(rate, str) or not is_whole or not low <= rate <= high:
+        shown = repr(rate) if isinstance(rate, str) else rate
         raise AudioError(
-            f"{name}: sample rate {rate} Hz, expected a whole number from {low} to {high}: "
+            f"{name}: sample rate {shown} Hz, expected a whole number from {low} to {high}: "
             "resample the sound, or correct its header"
         )
     return int(rate)

@@ -65,7 +65,7 @@ def test_speech_can_be_an_array(model, wave):
     assert len(two) == 2 and same(two[0], of_wave)
     for speech, sample_rate, says in (
         (wave.samples, None, "sample_rate"),
-        (np.zeros((1, 1, 9000)), rate, "shape"),
+        (np.zeros((2, 3, 9000)), rate, "shape"),
         (bundled_speech(), rate, "a file or a Wave has its own rate"),
         (wave, rate, "a file or a Wave has its own rate"),
         (None, rate, "no speech is given"),

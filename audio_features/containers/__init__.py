@@ -1,1 +1,1 @@
-"""Sound files: header checks for each container format, and reading by libsndfile."""
+"""Sound files and arrays: header checks for each container format, reading, and repairs."""

@@ -42,6 +42,16 @@ def ffmpeg_line(name: str) -> str:
     return f"`ffmpeg -i {shlex.quote(name)} {shlex.quote(str(path.with_name(stem + '.wav')))}`"
 
 
+def raw_line(name: str) -> str:
+    """Return the ffmpeg command that converts a file of samples without a header to wav."""
+    return ffmpeg_line(name).replace("ffmpeg ", "ffmpeg -f s16le -ar 16000 -ac 1 ", 1)
+
+
+def copy_again(name: str) -> str:
+    """Return what to do about a truncated file."""
+    return f"copy or export the file again, or keep what is there by {ffmpeg_line(name)}"
+
+
 def exactly(file: BinaryIO, count: int, name: str) -> bytes:
     """Read the next `count` bytes. Raises AudioError if the file ends before."""
     found = file.read(count)

@@ -6,7 +6,7 @@ import struct
 import zlib
 from typing import BinaryIO
 
-from audio_features.containers.header import Header, exactly
+from audio_features.containers.header import Header, copy_again, exactly
 from audio_features.errors import AudioError
 
 _FIRST, _LAST = 2, 4
@@ -53,7 +53,7 @@ def read_header(file: BinaryIO, name: str, size: int) -> Header:
     if set(expected) != ended:
         raise AudioError(
             f"{name}: truncated: the last Ogg page is not marked as the end of the sound: "
-            "copy or export the file again"
+            f"{copy_again(name)}"
         )
     return Header()
 

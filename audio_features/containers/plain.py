@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import BinaryIO
 
-from audio_features.containers.header import Header, exactly
+from audio_features.containers.header import Header, copy_again, exactly
 from audio_features.errors import AudioError
 
 _MAX_CHUNKS = 10_000
@@ -59,5 +59,5 @@ def _check_fits(name: str, declared: int, there: int) -> None:
     if declared > there:
         raise AudioError(
             f"{name}: truncated: the header declares {declared} bytes of sound, "
-            f"{max(there, 0)} are there: copy or export the file again"
+            f"{max(there, 0)} are there: {copy_again(name)}"
         )

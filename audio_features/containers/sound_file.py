@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import numpy as np
 import soundfile
 
 from audio_features.containers import flac, mpeg, ogg, plain, wav
-from audio_features.containers.header import Header, ffmpeg_line
+from audio_features.containers.header import Header, copy_again, ffmpeg_line, raw_line
+from audio_features.containers.samples import ChannelLevels
 from audio_features.errors import AudioError
 
 _READERS = {
@@ -32,8 +34,12 @@ Segment = Callable[[int, int], tuple[int, int]]
 """Function from (samples per channel, rate) to (first sample, number of samples) to read."""
 
 
-def read_sound(name: str, segment: Segment, channel: int | None) -> tuple[np.ndarray, int]:
-    """Read one channel, or the mean of all: (N,) float32 and the sample rate.
+def read_sound(
+    name: str, segment: Segment, channel: int | None
+) -> tuple[np.ndarray, int, int | None]:
+    """Read one channel, or the mean of all: (N,) float32, the sample rate and the channel.
+
+    Where the channels cancel each other in their mean, the loudest one is read instead.
 
     Args:
         name: path of the file.
@@ -52,7 +58,11 @@ def read_sound(name: str, segment: Segment, channel: int | None) -> tuple[np.nda
         with _opened(name, header) as file:
             _check_length(file, name, header)
             first, count = segment(file.frames, file.samplerate)
-            return _read(file, name, header, first, count, channel), file.samplerate
+            samples, levels = _read(file, name, header, first, count, channel)
+            if channel is None and (channel := levels.instead_of_mean()) is not None:
+                file.seek(0)
+                samples, _ = _read(file, name, header, first, count, channel)
+            return samples, file.samplerate, channel
     except (soundfile.LibsndfileError, OSError, TypeError, UnicodeError) as error:
         # soundfile raises TypeError for files named .raw, and UnicodeError for undecodable names.
         reason = str(error).removeprefix(f"Error opening {name!r}: ").rstrip(".")
@@ -85,8 +95,19 @@ def read_header(name: str) -> Header:
     is_text = all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in head)
     raise AudioError(
         f"{name}: cannot be read as sound (it begins with {head[:8]!r}): give a wav, flac, ogg, "
-        "mp3 or aiff file" + ("" if is_text else f", or run {ffmpeg_line(name)}")
+        "mp3 or aiff file"
+        + ("" if is_text else f", or run {ffmpeg_line(name)} (raw samples: {raw_line(name)})")
     )
+
+
+def soundfile_name(path: str | os.PathLike[str]) -> str | bytes:
+    """Return a path as soundfile takes it: as bytes if the name is not valid Unicode."""
+    name = os.fspath(path)
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return os.fsencode(name)
+    return name
 
 
 class _Unsized(io.FileIO):
@@ -107,7 +128,7 @@ class _Unsized(io.FileIO):
 
 def _opened(name: str, header: Header) -> soundfile.SoundFile:
     if header.unsized_at is None:
-        return soundfile.SoundFile(name)
+        return soundfile.SoundFile(soundfile_name(name))
     return soundfile.SoundFile(io.BufferedReader(_Unsized(name, header.unsized_at)))
 
 
@@ -126,12 +147,12 @@ def _read(
     first: int,
     count: int,
     channel: int | None,
-) -> np.ndarray:
+) -> tuple[np.ndarray, ChannelLevels]:
     if channel is not None and not 1 <= channel <= file.channels:
         raise AudioError(f"{name}: channel {channel}: the file has {file.channels}, counted from 1")
     whole = first == 0 and count == file.frames
     digest = hashlib.md5(usedforsecurity=False) if whole and header.md5 else None
-    samples = np.empty(count, dtype=np.float32)
+    samples, levels = np.empty(count, dtype=np.float32), ChannelLevels(file.channels)
     if first:
         file.seek(first)
     done = 0
@@ -144,6 +165,8 @@ def _read(
         here = samples[done : done + len(block)]
         if channel is None:
             np.mean(block, axis=1, out=here)
+            if file.channels > 1:
+                levels.add(block, here)
         else:
             here[:] = block[:, channel - 1]
         if digest is not None:
@@ -156,14 +179,14 @@ def _read(
     if done < least:
         raise AudioError(
             f"{name}: truncated: the header declares {first + least} samples a channel, "
-            f"only {first + done} can be read: copy or export the file again"
+            f"only {first + done} can be read: {copy_again(name)}"
         )
     if digest is not None and digest.digest() != header.md5[0]:
         raise AudioError(
             f"{name}: damaged: the sound does not match the MD5 in its header: "
             "copy or export the file again"
         )
-    return samples[:done]
+    return samples[:done], levels
 
 
 def _integers(block: np.ndarray, bits: int) -> bytes:

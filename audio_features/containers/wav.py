@@ -7,7 +7,7 @@ import struct
 from dataclasses import dataclass
 from typing import BinaryIO
 
-from audio_features.containers.header import Header, exactly, ffmpeg_line
+from audio_features.containers.header import Header, copy_again, exactly, ffmpeg_line
 from audio_features.errors import AudioError
 
 # Placeholder sizes of writers that stream to a pipe (ffmpeg, sox).
@@ -75,7 +75,7 @@ def read_header(file: BinaryIO, name: str, size: int) -> Header:
     if length > there:
         raise AudioError(
             f"{name}: truncated: the header declares {length} bytes of sound, "
-            f"{there} are there: copy or export the file again"
+            f"{there} are there: {copy_again(name)}"
         )
     if not unknown and not _only_chunks_follow(
         file, start + length, _end(riff_size, start + length, size), order

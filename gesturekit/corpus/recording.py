@@ -101,7 +101,8 @@ def examine(
     if wave is not None:
         stop = wave.duration - recording.audio_offset
         recording = replace(recording, sample_rate=wave.sample_rate)
-        problems += [Problem("warning", recording.audio, fault) for fault in wave.faults()]
+        faults = [*wave.repairs, *wave.faults()]
+        problems += [Problem("warning", recording.audio, fault) for fault in faults]
     if motion is not None:
         recording = replace(recording, fps=motion.fps, skeleton=motion.skeleton)
         if "unit" in motion.info.get("guessed", ()) and "height" not in recording.reading:

@@ -343,6 +343,8 @@ def speech_features(
                 "seconds cannot be combined with speech: the motion is as long as the speech"
             )
         wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
+        for repair in wave.repairs:
+            log.warning("%s: %s", wave.source or "the speech", repair)
         if wave.is_silent:
             log.warning("%s: silent; the motion will be idle", wave.source or "the speech")
         n_frames = wave.n_frames(fps)

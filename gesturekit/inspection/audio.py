@@ -11,6 +11,7 @@ import numpy as np
 import soundfile
 
 import audio_features as af
+from audio_features.containers.sound_file import soundfile_name
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.wording import counted
 
@@ -55,7 +56,7 @@ def inspect_audio(path: Path) -> Summary:
     except af.AudioError as error:
         wave, refused = None, str(error)
     try:
-        with soundfile.SoundFile(str(path)) as file:
+        with soundfile.SoundFile(soundfile_name(path)) as file:
             header = (file.samplerate, file.channels, file.format, file.subtype, file.frames)
             levels = _levels(file)
     except (soundfile.LibsndfileError, OSError, TypeError, UnicodeError, MemoryError):
@@ -78,6 +79,7 @@ def inspect_audio(path: Path) -> Summary:
     }
     if wave is not None:
         facts |= _speech(wave)
+        facts["repairs"] = list(wave.repairs)
     return Summary(
         kind="audio",
         title=f"{path}: sound, {form} {subtype}, {size(facts['bytes'])}",
@@ -125,7 +127,7 @@ def _rows(facts: dict[str, Any], levels: _Levels) -> list[tuple[str, str]]:
     channels = {1: "mono", 2: "stereo"}.get(facts["channels"], f"{facts['channels']} channels")
     if facts["channels"] > 1:
         channels += ", channels differ" if levels.differ else ", all channels equal"
-        channels += "; models use their mean"
+        channels += "" if facts.get("repairs") else "; models use their mean"
     rows = [
         (
             "time",
@@ -156,11 +158,9 @@ def _rows(facts: dict[str, Any], levels: _Levels) -> list[tuple[str, str]]:
 
 
 def _problems(facts: dict[str, Any], refused: str | None) -> list[str]:
-    found = [refused] if refused else []
+    found = [refused] if refused else list(facts["repairs"])
     if refused is None and not facts["active_share"]:
         found.append("silence: no speech above -75 dBFS")
-        if facts["channels"] > 1 and max(facts["peak_dbfs"]) > _QUIET_DBFS:
-            found[-1] += " in the channels' mean, in which they cancel: use one, by --channel"
     elif refused is None and facts["active_level_dbfs"] < _QUIET_DBFS:
         found.append(f"quiet: speech is at {facts['active_level_dbfs']:.0f} dBFS")
     clipped = sum(facts["clipped"])
@@ -168,6 +168,8 @@ def _problems(facts: dict[str, Any], refused: str | None) -> list[str]:
     if clipped > _CLIPPED_SHARE * facts["frames"] and loudest <= _UNLIMITED_DBFS:
         found.append(f"clipped: {counted(clipped, 'sample')} at full scale")
     offset = max(map(abs, facts["mean"]))
+    if loudest > _UNLIMITED_DBFS:  # floats whose full scale is not 1, for example 32768
+        offset /= 10 ** (loudest / 20)
     if offset > _OFFSET:
         found.append(f"DC offset of {offset:.3f} of full scale")
     silent = [k + 1 for k, peak in enumerate(facts["peak_dbfs"]) if peak < -75]

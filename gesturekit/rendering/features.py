@@ -80,7 +80,7 @@ class FeatureExtraction(Processor):
         wave = task.load_wave(self.channel)
         if wave is None:
             raise SpeechError(f"{task.source}: no sound, so there are no features of it")
-        for fault in wave.faults():
+        for fault in (*wave.repairs, *wave.faults()):
             log.warning("%s: %s", task.source, fault)
         made.sound = wave.duration
         track = self._extracted(wave)

@@ -78,6 +78,8 @@ def read_list(path: Path) -> Iterator[Entry]:
     is_empty = True
     for number, line in _lines(path):
         where = f"{path}:{number}"
+        if parse is _plain_line and _is_comment(line, path.parent):
+            continue
         audio, name, options = parse(line, where)
         try:
             name = name if name is not None else _name_of(audio)
@@ -105,6 +107,11 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
                     yield number, text.strip()
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
+
+
+def _is_comment(line: str, folder: Path) -> bool:
+    """Return whether a line begins with # and names no file."""
+    return line.startswith("#") and not os.path.exists(_placed(line, folder))  # noqa: PTH110
 
 
 def _plain_line(line: str, where: str) -> tuple[str, None, dict[str, Any]]:

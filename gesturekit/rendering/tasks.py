@@ -12,6 +12,7 @@ from typing import Any
 import soundfile
 
 import audio_features as af
+from audio_features.containers.sound_file import soundfile_name
 from audio_features.wave import SAMPLE_RATES
 from audio_features.words import words_beside
 from gesturekit.corpus.item import Item
@@ -203,7 +204,7 @@ def _length(audio: Path) -> float | None:
     try:
         if not audio.is_file():  # reading a pipe may never end
             return None
-        about, size = soundfile.info(audio), audio.stat().st_size
+        about, size = soundfile.info(soundfile_name(audio)), audio.stat().st_size
     except (RuntimeError, OSError, ValueError):  # its turn gives the reason
         return None
     low, high = SAMPLE_RATES
@@ -264,11 +265,16 @@ def _listed(paths: Sequence[Path]) -> Iterator[str]:
 
 def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:
     seen: dict[str, Task] = {}
+    clashes = []
     for task in tasks:
         if task.name.split("/")[0] == STATE:
             raise ConfigError(f"{task.source}: {STATE} in {out} holds the journal; rename the item")
         if task.error is None and seen.setdefault(task.name, task) is not task:
-            raise ConfigError(
-                f"{seen[task.name].source} and {task.source} would both be written as "
-                f"{out / task.name}; write them into different folders"
-            )
+            clashes.append(task)
+    if clashes:
+        more = f" (and {len(clashes) - 1} more)" if len(clashes) > 1 else ""
+        raise ConfigError(
+            f"{seen[clashes[0].name].source} and {clashes[0].source} would both be written as "
+            f"{out / clashes[0].name}{more}; write them into different folders (a glob such as "
+            "'*.wav' selects one kind), or give each an id in a .jsonl list"
+        )

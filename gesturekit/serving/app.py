@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import re
 import tempfile
 import time
 from collections.abc import AsyncIterator
@@ -188,9 +189,9 @@ async def _answer(request: Request, asked: MotionRequest, service: _Service) -> 
             try:
                 return await service.worker.render(sound, asked)
             except (GestureKitError, AudioFeaturesError) as error:
-                # Only the beginning names the sound; a command further on takes its file name.
-                reason = str(error).replace(str(sound), "the sound", 1)
-                raise HTTPException(422, reason.replace(f"{folder}/", "")) from None
+                reason = re.sub("`ffmpeg [^`]*`", "`ffmpeg -i YOUR_FILE speech.wav`", str(error))
+                reason = reason.replace(str(sound), "the sound")
+                raise HTTPException(422, reason.replace(folder, "")) from None
     except BusyError:
         raise HTTPException(503, "all workers are busy", {"Retry-After": "10"}) from None
     except (OSError, MemoryError, RuntimeError) as error:

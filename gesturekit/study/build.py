@@ -21,7 +21,7 @@ from gesturekit.formats.conversion import load
 from gesturekit.motion import Motion
 from gesturekit.progress import Progress
 from gesturekit.study.clips import Material, Segment, find_clips
-from gesturekit.study.config import INTRODUCTION, SILENT_INTRODUCTION, StudyConfig
+from gesturekit.study.config import StudyConfig, introduction
 from gesturekit.study.lists import Comparison, make_lists, mismatches
 from gesturekit.viewer import player_data, player_shell
 from gesturekit.wording import counted
@@ -236,7 +236,8 @@ def _setup(
         "format": 1,
         "name": re.sub(r"[^\w.-]+", "_", out.resolve().name) or "study",
         "title": config.title,
-        "introduction": config.introduction or (SILENT_INTRODUCTION if silent else INTRODUCTION),
+        "introduction": config.introduction
+        or introduction(silent, checks=config.attention_checks > 0),
         "consent": config.consent or "",
         "question": question,
         "styles": [

@@ -12,15 +12,21 @@ from gesturekit.errors import ConfigError
 from gesturekit.training.config import load_config
 from gesturekit.viewer.drawn_body import BODIES, is_body
 
-INTRODUCTION = """You will see pairs of short clips of a moving figure. Play both clips of a pair \
+_INTRODUCTION = """You will see pairs of short clips of a moving figure. Play both clips of a pair \
 to the end, then answer the question below them. There are no right or wrong answers: we want to \
 know how the motion looks to you.
 
-*Please use headphones, and keep the sound on.* Some pairs ask you, in a line of text on the \
-clip, to choose a certain answer: please do so. It shows us that you are paying attention."""
-SILENT_INTRODUCTION = INTRODUCTION.replace(
-    "*Please use headphones, and keep the sound on.* Some", "The clips have no sound. Some"
-)
+"""
+_WITH_SOUND = "*Please use headphones, and keep the sound on.*"
+_WITHOUT_SOUND = "The clips have no sound."
+_CHECKS = """ Some pairs ask you, in a line of text on the clip, to choose a certain answer: \
+please do so. It shows us that you are paying attention."""
+
+
+def introduction(silent: bool, checks: bool) -> str:
+    """Return the default first screen, for clips without sound and with attention checks."""
+    sound = _WITHOUT_SOUND if silent else _WITH_SOUND
+    return f"{_INTRODUCTION}{sound}{_CHECKS if checks else ''}"
 
 
 @dataclass(frozen=True)

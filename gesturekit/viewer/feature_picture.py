@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from audio_features import FeatureTrack, LogMel, Wave
 from gesturekit.atomic import atomic_write
+from gesturekit.wording import printable
 
 _INK, _SOFT, _LINE = "#26303b", "#6b7785", "#c8643a"
 _DPI = 110
@@ -50,7 +51,8 @@ def draw_features(track: FeatureTrack, path: str | os.PathLike[str], wave: Wave)
         figsize=(width, 1.15 * sum(heights) + 0.8), dpi=_DPI, layout="constrained"
     )
     FigureCanvasAgg(canvas)
-    canvas.suptitle(Path(path).stem, x=0.012, ha="left", fontsize=13, color=_INK, parse_math=False)
+    title = printable(Path(path).stem)
+    canvas.suptitle(title, x=0.012, ha="left", fontsize=13, color=_INK, parse_math=False)
     rows = canvas.subplots(
         len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
     )[:, 0]

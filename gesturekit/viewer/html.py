@@ -29,6 +29,7 @@ from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import COLOURS
 from gesturekit.viewer.page_skin import add_skins, base64_text, packed
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
+from gesturekit.wording import printable
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -79,7 +80,7 @@ def page_text(
 ) -> str:
     """Return the page that `write_html` writes."""
     places = {
-        "title": html.escape(title),
+        "title": html.escape(printable(title)),
         "motion": player_data(motion, audio, body_model, body=body),
     }
     return _fill(player_shell(), places)

@@ -22,6 +22,7 @@ from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.sound import as_sound
 from gesturekit.viewer.video.still import Stills
+from gesturekit.wording import printable
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -132,7 +133,7 @@ def _write(
     )
     FigureCanvasAgg(canvas)
     canvas.suptitle(
-        title if title is not None else Path(path).stem,
+        printable(title if title is not None else Path(path).stem),
         x=0.012,
         ha="left",
         fontsize=13,

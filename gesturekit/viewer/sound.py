@@ -11,6 +11,7 @@ import numpy as np
 import soundfile
 
 from audio_features import AudioError, Wave
+from audio_features.containers.sound_file import soundfile_name
 
 EMBED_LIMIT = 2_000_000
 """Recordings of at most this many bytes are embedded as they are; bigger ones become MP3."""
@@ -69,7 +70,7 @@ class Sound:
         if not isinstance(audio, Wave):
             path = Path(audio)
             wave = Wave.load(path)
-            info = soundfile.info(path)
+            info = soundfile.info(soundfile_name(path))
             media_type = _BROWSER_TYPES.get((info.format, info.subtype))
             if media_type and path.stat().st_size <= EMBED_LIMIT:
                 return cls(path.read_bytes(), media_type)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import io
+import os
 import shlex
 from fractions import Fraction
 
@@ -68,6 +70,8 @@ def test_bad_files_are_named_with_what_is_wrong(tmp_path):
     refused("text.wav", "cannot be read as sound")
     (tmp_path / "text.raw").write_text("this is not sound\n" * 100)
     refused("text.raw", "cannot be read as sound")
+    (tmp_path / "pcm.wav").write_bytes(noise(1000).tobytes())
+    refused("pcm.wav", "raw samples: `ffmpeg -f s16le -ar 16000 -ac 1 -i ", "pcm_new.wav`")
     (tmp_path / "empty.wav").touch()
     refused("empty.wav", "empty")
     soundfile.write(tmp_path / "short.wav", noise(160), 16_000)
@@ -75,7 +79,7 @@ def test_bad_files_are_named_with_what_is_wrong(tmp_path):
     soundfile.write(tmp_path / "rate.wav", noise(1000), 100)
     refused("rate.wav", "100 Hz")
     bad = noise(16_000)
-    bad[123] = np.nan
+    bad[123:323] = np.nan
     soundfile.write(tmp_path / "nan.wav", bad, 16_000, subtype="FLOAT")
     refused("nan.wav", "sample 123", "nan")
     soundfile.write(tmp_path / "good.wav", noise(16_000), 16_000)
@@ -92,8 +96,10 @@ def test_truncated_files_are_refused(tmp_path, kind, part):
     Wave.load(path)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(part * len(whole))])
-    with pytest.raises(AudioError, match="sound: "):
+    with pytest.raises(AudioError, match="sound: ") as caught:
         Wave.load(path)
+    if kind in ("WAV", "RF64", "AIFF", "AU", "NIST"):
+        assert f"keep what is there by `ffmpeg -i {path} {path}.wav`" in str(caught.value)
 
 
 def test_an_ogg_cut_between_two_pages_is_refused(tmp_path):
@@ -208,8 +214,56 @@ def test_any_usual_array_of_samples_makes_the_same_wave():
         )
     wave = Wave.from_array(np.full(800, 255, np.uint8), 16_000)
     assert wave.samples[0] == 127 / 128, "of 8-bit samples 128 is the middle"
-    left_and_right = Wave.from_array(np.stack([mono, -mono]), 16_000)
-    assert left_and_right.is_silent, "the mean of all channels"
+    whole = np.rint(32_767 * mono).astype(int)
+    np.testing.assert_array_equal(
+        Wave.from_array(whole.tolist(), 16_000).samples, whole.astype(np.float32) / 32_768
+    )
+    np.testing.assert_array_equal(Wave.from_array(mono[None, None], 16_000).samples, mono)
+
+
+@pytest.mark.parametrize("noisy", [0.0, 1e-3])
+def test_of_channels_that_cancel_each_other_the_loudest_is_used(tmp_path, noisy):
+    mono = noise(16_000)
+    two = np.stack([0.9 * mono, -mono], axis=1) + noisy * noise(32_000).reshape(-1, 2) + 0.2
+    soundfile.write(tmp_path / "two.wav", two, 16_000, subtype="FLOAT")
+    for wave in (Wave.load(tmp_path / "two.wav"), Wave.from_array(two.T, 16_000)):
+        np.testing.assert_array_equal(wave.samples, two[:, 1].astype(np.float32))
+        assert wave.repairs == (
+            "the channels cancel each other, one is inverted: channel 2 is used",
+        )
+    assert not Wave.load(tmp_path / "two.wav", channel=1).repairs
+    six = np.zeros((16_000, 6))
+    six[:, 2] = mono
+    for usual in (np.stack([mono, -0.5 * mono]), noise(32_000).reshape(-1, 2), six, 0 * six):
+        wave = Wave.from_array(usual, 16_000)
+        axis = int(np.argmin(usual.shape))
+        np.testing.assert_allclose(wave.samples, usual.mean(axis=axis), atol=1e-6)
+        assert not wave.repairs
+
+
+def test_a_few_samples_that_are_not_finite_are_interpolated(tmp_path):
+    samples = np.linspace(-0.5, 0.5, 16_000)
+    bad = samples.copy()
+    bad[[100, 101, 15_999]] = np.nan, np.inf, -np.inf
+    soundfile.write(tmp_path / "a.wav", bad, 16_000, subtype="FLOAT")
+    for wave in (Wave.load(tmp_path / "a.wav"), Wave.from_array(bad, 16_000)):
+        np.testing.assert_allclose(wave.samples, samples, atol=1e-4)
+        (repair,) = wave.repairs
+        assert "3 of 16000 samples" in repair and "0.006 s" in repair
+
+
+def test_the_offset_of_a_sound_with_another_full_scale_is_relative_to_its_peak(speech):
+    large = 20_000 * speech.samples / np.abs(speech.samples).max()
+    assert Wave(large + np.float32(100), 16_000).faults() == []
+    (fault,) = Wave(large + np.float32(2_000), 16_000).faults()
+    assert "DC offset of +9.1 %" in fault
+
+
+def test_a_file_name_that_is_not_unicode_is_read(tmp_path):
+    soundfile.write(tmp_path / "a.wav", noise(16_000), 16_000)
+    named = tmp_path / os.fsdecode(b"caf\xe9.wav")
+    (tmp_path / "a.wav").rename(named)
+    assert len(Wave.load(named).samples) == 16_000
 
 
 @pytest.mark.parametrize(
@@ -219,14 +273,17 @@ def test_any_usual_array_of_samples_makes_the_same_wave():
         (np.full(800, np.nan), 16_000, "sample 0 .* is nan"),
         (np.zeros(0), 16_000, r"shape \(0,\)"),
         (np.zeros((2, 0)), 16_000, r"shape \(2, 0\)"),
-        (np.zeros((1, 1, 800)), 16_000, r"shape \(1, 1, 800\)"),
+        (np.zeros((2, 3, 800)), 16_000, r"shape \(2, 3, 800\)"),
         (np.zeros(100), 16_000, "give at least 25 ms"),
-        (np.ones(800, np.int64), 16_000, "dtype int64"),
+        (np.full(800, 1 << 40), 16_000, "dtype int64"),
+        (b"RIFF", 16_000, "bytes, expected an array of samples, or the path"),
+        (io.BytesIO(b"RIFF"), 16_000, "BytesIO, expected"),
         (np.ones(800, bool), 16_000, "dtype bool"),
         (np.ones(800, complex), 16_000, "dtype complex128"),
         ([[1.0], [1.0, 2.0]], 16_000, "not an array of samples"),
-        ({"array": [0.0]}, 16_000, r"shape \(\)"),
-        (np.ones(800), "fast", "sample rate fast"),
+        ({"array": [0.0]}, 16_000, "dict, expected"),
+        (np.ones(800), "16000", "sample rate '16000' Hz"),
+        (["a.wav", "b.wav"], None, "dtype <U5"),
         (np.ones(800), float("nan"), "sample rate nan"),
         (np.ones(800), 16, "sample rate 16 Hz"),
     ],

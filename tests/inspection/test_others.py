@@ -49,9 +49,10 @@ def test_sounds_with_something_wrong(tmp_path):
         ("shifted", noise + 0.2, "DC offset of 0.2"),
         ("half", noise * [1, 0], "channel 2 is silent"),
         ("zeros", 0 * noise, "silence: no speech above -75 dBFS"),
-        ("opposite", noise[:, :1] * [1, -1], "in which they cancel"),
+        ("opposite", noise[:, :1] * [1, -1], "the channels cancel each other"),
         ("quiet", 0.01 * noise, "quiet: speech is at -6"),
-        ("nan", np.where(rng.random((16_000, 2)) < 0.001, np.nan, noise), "nan"),
+        ("nan", np.where(rng.random((16_000, 2)) < 0.02, np.nan, noise), "nan"),
+        ("few_nan", np.where(rng.random((16_000, 2)) < 0.0001, np.nan, noise), "interpolated"),
     ):
         path = tmp_path / f"{name}.wav"
         soundfile.write(path, samples, 16_000, subtype="FLOAT")
@@ -64,6 +65,8 @@ def test_a_floating_point_sound_beyond_full_scale_is_not_clipped(tmp_path):
     loud = 3.0 * np.sin(np.arange(16_000) / 100)
     soundfile.write(tmp_path / "a.wav", loud, 16_000, subtype="FLOAT")
     assert not any("clipped" in problem for problem in inspect(tmp_path / "a.wav").problems)
+    soundfile.write(tmp_path / "b.wav", 10_000 * (loud - loud.mean()) + 50, 16_000, subtype="FLOAT")
+    assert not inspect(tmp_path / "b.wav").problems, "an offset of 50 in 30000"
 
 
 def test_a_truncated_sound_is_reported_with_its_remaining_length(write_speech, tmp_path):

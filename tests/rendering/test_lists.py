@@ -45,7 +45,8 @@ def test_a_file_with_the_name_of_a_pattern_is_that_file(folder, tmp_path, write_
 
 
 def test_a_list_of_paths(folder, tmp_path):
-    (folder / "night.txt").write_text(f"a.wav\r\n\n./day/b.wav\n{folder}/day/night/c.wav")
+    lines = ("# day 1", f"#{300 * '-'}", "a.wav\r\n", "./day/b.wav", f"{folder}/day/night/c.wav")
+    (folder / "night.txt").write_text("\n".join(lines))
     assert found("in/night.txt", tmp_path) == {
         "a": "in/a.wav", "day/b": "in/day/b.wav", "c": "in/day/night/c.wav",
     }  # fmt: skip

@@ -167,6 +167,14 @@ def test_clip_names_do_not_reveal_the_system(tmp_path):
     assert "connect-src &#x27;none&#x27;" in text or "connect-src 'none'" in text
 
 
+@pytest.mark.parametrize("checks", [0, 1])
+def test_the_introduction_tells_of_attention_checks_only_if_there_are_some(tmp_path, checks):
+    clips = {name: ["1.mp4", "2.mp4"] for name in ("a", "b")}
+    config = video_study(tmp_path, clips, attention_checks=checks)
+    text = setup_of(build_study(config, tmp_path / "out").page)["introduction"]
+    assert ("Some pairs ask you" in text) == bool(checks) and "headphones" in text
+
+
 def test_more_pairs_than_segments_are_named(tmp_path):
     names = [f"clip{k}.mp4" for k in range(3)]
     config = video_study(tmp_path, {"ours": names, "baseline": names}, pairs=36)

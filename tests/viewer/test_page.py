@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import os
 import re
 import runpy
 import shutil
@@ -107,6 +108,15 @@ def test_small_recordings_are_embedded_byte_for_byte(tmp_path: Path) -> None:
         assert page["audio"]["type"] == media_type
         assert base64.b64decode(page["audio"]["data"]) == (tmp_path / name).read_bytes()
         assert page["speech"]["duration"] == pytest.approx(3.0)
+
+
+def test_file_names_that_are_not_unicode_are_no_obstacle(tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "a.wav", np.zeros(16_000), 16_000)
+    sound, page = (tmp_path / os.fsdecode(b"caf\xe9." + kind) for kind in (b"wav", b"html"))
+    (tmp_path / "a.wav").rename(sound)
+    write_html(a_chain(), page, audio=sound)
+    assert "<title>caf?" in page.read_text(encoding="utf-8")
+    a_chain().save(page.with_suffix(".png"), audio=sound)
 
 
 def test_long_recordings_become_small_and_stay_in_time(tmp_path: Path) -> None:
