@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Any,
-    ClassVar,
     Literal,
     Protocol,
     TypedDict,
@@ -17,7 +16,7 @@ from typing import (
     runtime_checkable,
 )
 
-from gesturekit.errors import ModelError
+from gesturekit.errors import FormatError, ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import did_you_mean
@@ -35,8 +34,7 @@ class Controls:
     The docstrings of the fields are also the help texts of `gesturekit render`.
     """
 
-    files: ClassVar[tuple[str, ...]] = ("path", "like")
-    """Controls that may be the path of a file."""
+    _files = ("path", "like")  # controls that may be the path of a file
 
     style: str | None = None
     """A style of the model, or several over time: old@0-10,angry@10-20 (seconds)."""
@@ -65,7 +63,7 @@ class Controls:
 
         Raises:
             UnknownControlError: a control that this system does not have.
-            ModelError: a file that does not exist.
+            FormatError: a file that does not exist.
         """
         names = [field.name for field in dataclasses.fields(cls)]
         for name, value in keywords.items():
@@ -74,11 +72,11 @@ class Controls:
                 given = f"{name}={value!r}" if isinstance(value, str | int | float) else name
                 raise UnknownControlError(f"{given}: {kind} models have no control {name}{hint}")
         given = {name: value for name, value in keywords.items() if value is not None}
-        for name in cls.files:
+        for name in cls._files:
             value = given.get(name)
             for file in value.values() if isinstance(value, Mapping) else [value]:
                 if isinstance(file, str | Path) and not Path(file).exists():
-                    raise ModelError(f"{name}: {file}: no such file")
+                    raise FormatError(f"{name}: {file}: no such file")
         return cls(**given)
 
 

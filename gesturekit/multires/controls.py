@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from gesturekit.model import ControlArguments, Controls
 
@@ -29,7 +29,7 @@ class MultiresControls(Controls):
     """Stop after this many levels. The motion has the lower frame rate of that level and can be
     edited and passed back as keyframes. Only style, level_style and speech can be combined with
     it."""
-    files: ClassVar[tuple[str, ...]] = (*Controls.files, "keyframes", "keep")
+    _files = (*Controls._files, "keyframes", "keep")
 
     keyframes: str | Path | Motion | None = None
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep its

@@ -234,5 +234,5 @@ def test_paths_and_parts_from_the_command_line(folder, gesture, tmp_path, capsys
     assert render("--keep", ",".join(clips)) == 2
     assert "both begin at 0 s" in capsys.readouterr().err
     assert render("--keep", clips[0], "--path", str(tmp_path / "path.csv")) == 2
-    assert render("--path", str(tmp_path / "none.csv")) == 1
+    assert render("--path", str(tmp_path / "none.csv")) == 2
     assert "no such file" in capsys.readouterr().err
