@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Motion
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.selection.joint_selection import keep_joints
 from gesturekit.motion.selection.model_joints import first_moving_joint
@@ -90,3 +90,44 @@ def test_a_body_that_moves_above_the_waist_only_is_modelled_from_its_pelvis(movi
     assert skeleton.names[first_moving_joint([seated])] == "Hips"
     representation = MultiresRepresentation.fit([seated])
     VectorKinematics(representation, seated.fps)  # its legs hang on the model's root
+
+
+def in_a_scene(body: Motion, turning: bool) -> Motion:
+    """The body under a still root, on which a camera hangs too, before the body."""
+    rig = body.skeleton
+    skeleton = replace(
+        rig,
+        names=("Scene", "Camera", *rig.names),
+        parents=(-1, 0, 0, *(parent + 2 for parent in rig.parents[1:])),
+        offsets=np.concatenate([[[0, 0, 0], [0, 1.5, 4.0]], rig.offsets]),
+        rotation_orders=("ZXY", "ZXY", *rig.rotation_orders),
+    )
+    still = np.tile([0.0, 0, 0, 1], (body.n_frames, 2, 1))
+    if turning:
+        still[:, 1] = body.rotations[:, 5]
+    return replace(
+        body,
+        skeleton=skeleton,
+        rotations=np.concatenate([still, body.rotations], axis=1),
+        translation=np.zeros((body.n_frames, 3)),
+        joint_translations={rig.names[0]: body.translation},
+    )
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_a_camera_beside_the_body_is_not_modelled(moving_person, turning):
+    scene = in_a_scene(moving_person, turning)
+    representation = MultiresRepresentation.fit([scene], "all")
+    assert representation.joints == moving_person.skeleton.names
+    VectorKinematics(representation, scene.fps)
+
+
+def test_branches_of_an_unidentified_rig_that_all_move_share_the_models_root():
+    skeleton = Skeleton(("hub", "a", "a2", "b", "b2"), (-1, 0, 1, 0, 3), np.ones((5, 3)))
+    rotations = np.tile([0.0, 0, 0, 1], (4, 5, 1))
+    half = np.linspace(0, 0.4, 4)
+    for joint in (1, 3):
+        rotations[:, joint, 0], rotations[:, joint, 3] = np.sin(half), np.cos(half)
+    representation = MultiresRepresentation.fit([Motion(skeleton, rotations, np.zeros((4, 3)), 30)])
+    assert representation.joints == skeleton.names
+    VectorKinematics(representation, 30.0, arms=False)

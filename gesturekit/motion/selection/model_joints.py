@@ -15,7 +15,7 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import body_joints, find_legs, leg_length
+from gesturekit.motion.parts import body_joints, find_legs, find_parts, leg_length
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -33,7 +33,7 @@ class ModelJoints:
     Attributes:
         skeleton: the whole rig, with all J joints of the user's file.
         joints: names of the K modelled joints, in the skeleton's order; the first is the model's
-            root, which is the first joint of the rig that moves.
+            root, see `first_moving_joint`; all others are below it.
         fixed_rotations: (J, 4) mean local quaternions of joints outside `joints`.
         fixed_translations: joint name to (3,), mean local positions that replace offsets, metres.
         scale: metres of the rig per metre of the reference body (`body_scale`). Lengths in motion
@@ -75,7 +75,7 @@ class ModelJoints:
         else:
             wanted = {skeleton.names[skeleton.index(name)] for name in joints}
         root = first_moving_joint(motions)
-        wanted -= {skeleton.names[j] for j in skeleton.ancestors(root)}
+        wanted &= {skeleton.names[j] for j in skeleton.descendants(root)}
         wanted.add(skeleton.names[root])
         order = [
             root,
@@ -246,33 +246,44 @@ def reference_skeleton(motions: Sequence[Motion]) -> Skeleton:
 
 
 def first_moving_joint(motions: Sequence[Motion]) -> int:
-    """Return the first joint, from the root, whose position or rotation changes in any motion.
+    """Return the lowest joint above all that move, from the root: position or rotation changes.
 
-    If the legs are not attached below it (somebody who only moves above the waist), it is the
-    nearest ancestor to which they are.
+    All of them are at or below it, and so are the legs (somebody may move above the waist only). If
+    the body is identified, joints on other branches (a camera, a prop) do not count.
     """
     skeleton = motions[0].skeleton
-    joint, legs = _first_that_moves(motions), find_legs(skeleton)
-    carried = [] if legs is None else [skeleton.index(leg.hip) for leg in legs.values()]
-    while joint > 0 and any(
-        hip != joint and joint not in skeleton.ancestors(hip) for hip in carried
-    ):
+    legs = find_legs(skeleton)
+    hips = [] if legs is None else [skeleton.index(leg.hip) for leg in legs.values()]
+    try:
+        pelvis = skeleton.index(find_parts(skeleton).pelvis)
+    except MotionError:
+        pelvis = 0
+    body = sorted({pelvis, *skeleton.ancestors(pelvis), *skeleton.descendants(pelvis)})
+    first = next((j for j in body if _moves(motions, j)), 0)
+    below = {first, *skeleton.descendants(first)}
+    others = [j for j in body if j not in below and _moves(motions, j)]
+    return _lowest_above(skeleton, [first, *others, *hips])
+
+
+def _lowest_above(skeleton: Skeleton, joints: Sequence[int]) -> int:
+    """Return the lowest joint that all `joints` are at or below."""
+    joint = joints[0]
+    while not set(joints) <= {joint, *skeleton.descendants(joint)}:
         joint = skeleton.parents[joint]
     return joint
 
 
-def _first_that_moves(motions: Sequence[Motion]) -> int:
-    """Return the first joint whose position or rotation changes in any motion; 0 if none does."""
+def _moves(motions: Sequence[Motion], joint: int) -> bool:
+    """Return whether the position or rotation of a joint changes in any motion."""
     skeleton = motions[0].skeleton
-    still = 1e-6 * body_scale(skeleton)
-    for j, name in enumerate(skeleton.names):
-        for motion in motions:
-            places = motion.translation if j == 0 else motion.joint_translations.get(name)
-            turns = motion.rotations[:, j]
-            turning = np.abs(np.abs(turns @ turns[0]) - 1).max() > 1e-7
-            if turning or (places is not None and np.ptp(places, axis=0).max() > still):
-                return j
-    return 0
+    still, name = 1e-6 * body_scale(skeleton), skeleton.names[joint]
+    for motion in motions:
+        places = motion.joint_translations.get(name) if joint else motion.translation
+        turns = motion.rotations[:, joint]
+        turning = np.abs(np.abs(turns @ turns[0]) - 1).max() > 1e-7
+        if turning or (places is not None and np.ptp(places, axis=0).max() > still):
+            return True
+    return False
 
 
 def _local_position(motion: Motion, name: str) -> np.ndarray:
