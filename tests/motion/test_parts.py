@@ -196,6 +196,23 @@ Bip01 Bip01_Pelvis
 """
 
 
+# VRChat calls the thigh "leg".
+VRCHAT = """
+Hips
+  Spine Chest Neck Head
+      Left_shoulder Left_arm Left_elbow Left_wrist
+      Right_shoulder Right_arm Right_elbow Right_wrist
+  Left_leg Left_knee Left_ankle Left_toe
+  Right_leg Right_knee Right_ankle Right_toe
+"""
+SNAKE_CASE = """
+hips
+  spine chest neck head
+      left_shoulder left_upper_arm left_lower_arm left_hand
+      right_shoulder right_upper_arm right_lower_arm right_hand
+  left_upper_leg left_lower_leg left_foot left_toes
+  right_upper_leg right_lower_leg right_foot right_toes
+"""
 TEXTS = {
     "mixamo": MIXAMO,
     "cmu": CMU,
@@ -209,6 +226,8 @@ TEXTS = {
     "unreal": UNREAL,
     "vrm": VRM,
     "rigify": RIGIFY,
+    "vrchat": VRCHAT,
+    "snake_case": SNAKE_CASE,
 }
 
 
@@ -252,6 +271,11 @@ EXPECTED = {
     "biped": "Bip01_Pelvis|Bip01_Spine Bip01_Spine1|Bip01_Neck|Bip01_Head|"
     "Bip01_L_Clavicle Bip01_L_UpperArm Bip01_L_Forearm Bip01_L_Hand|"
     "Bip01_L_Thigh Bip01_L_Calf Bip01_L_Foot Bip01_L_Toe0",
+    "vrchat": "Hips|Spine Chest|Neck|Head|Left_shoulder Left_arm Left_elbow Left_wrist|"
+    "Left_leg Left_knee Left_ankle Left_toe",
+    "snake_case": "hips|spine chest|neck|head|"
+    "left_shoulder left_upper_arm left_lower_arm left_hand|"
+    "left_upper_leg left_lower_leg left_foot left_toes",
     "smpl": "pelvis|spine1 spine2 spine3|neck|head|"
     "left_collar left_shoulder left_elbow left_wrist|left_hip left_knee left_ankle left_foot",
     "zeggs": "Hips|Spine Spine1 Spine2 Spine3|Neck|Head|"

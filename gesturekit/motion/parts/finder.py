@@ -241,7 +241,10 @@ class PartFinder:
 
     def _leg(self, side: str) -> None:
         of_side = [j for j, s in enumerate(self.side) if s == side]
-        knee = self._find(f"{side}_knee", of_side, _KNEE, but=_NOT_KNEE)
+        of_limbs = set(of_side)
+        # A "leg" without a joint of its side above it is a thigh.
+        below_hip = [j for j in of_side if of_limbs & set(self.skeleton.ancestors(j))]
+        knee = self._find(f"{side}_knee", below_hip, _KNEE, but=_NOT_KNEE)
         self._above(f"{side}_hip", knee, side)
         ankle = self._find(f"{side}_ankle", self._below(knee), _ANKLE)
         self._find(f"{side}_toe", self._below(ankle), _TOE, required=False)
