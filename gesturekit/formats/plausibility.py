@@ -12,6 +12,7 @@ from gesturekit.formats.axes import standing_axis
 from gesturekit.formats.frame_rate import COMMON_RATES
 from gesturekit.motion.body_size import body_height
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import find_legs
 
 SLOWEST, FASTEST = 1.0, 1000.0
 """Range of plausible frame rates, frames per second."""
@@ -40,7 +41,30 @@ def plausibility_warnings(motion: Motion, reading: Mapping[str, Any]) -> list[st
         found.append(
             f"--in-up {reading['up']} lays the body down; without it the file's own axis is found"
         )
+    if _toes_point_backwards(motion):
+        found.append(
+            "the toes point backwards, as left and right are named: did the export mirror the body "
+            "(left-handed axes), or swap the names? Export it again"
+        )
     return found
+
+
+def _toes_point_backwards(motion: Motion) -> bool:
+    """Return whether both feet point backwards in the mean, seen from hips and joint names."""
+    legs = find_legs(motion.skeleton)
+    if legs is None or any(leg.toe is None for leg in legs.values()):
+        return False
+    positions = motion.positions()
+    place = {
+        side: [positions[:, motion.skeleton.index(j)] for j in (leg.hip, leg.ankle, leg.toe)]
+        for side, leg in legs.items()
+    }
+    across = place["left"][0] - place["right"][0]
+    forward = np.stack([-across[:, 2], across[:, 0]], axis=-1)[:, None]
+    feet = np.stack([toe - ankle for _, ankle, toe in place.values()], axis=1)[..., ::2]
+    along = (feet * forward).sum(axis=-1)
+    lengths = np.linalg.norm(feet, axis=-1) * np.linalg.norm(forward, axis=-1)
+    return bool((along.mean(axis=0) < -0.5 * lengths.mean(axis=0)).all())
 
 
 def _height(motion: Motion) -> float | None:

@@ -169,6 +169,25 @@ def test_bones_without_length_are_reported(gesture, tmp_path):
     assert any("all bones have length 0" in problem.message for problem in report.problems)
 
 
+def test_a_mirrored_body_is_doubted(gesture, tmp_path):
+    motion = gesture(2.0)
+    rig = motion.skeleton
+    names, parents, offsets = list(rig.names), list(rig.parents), list(rig.offsets)
+    for side in ("Left", "Right"):
+        names.append(f"{side}ToeBase")
+        parents.append(rig.index(f"{side}Foot"))
+        offsets.append(np.array([0.0, -0.05, 0.12]))
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (motion.n_frames, 2, 1))
+    rotations = np.concatenate([motion.rotations, still], axis=1)
+    swap = {"Left": "Right", "Right": "Left"}
+    swapped = [re.sub("^(Left|Right)", lambda m: swap[m[0]], name) for name in names]
+    for sides, is_told in ((names, False), (swapped, True)):
+        skeleton = Skeleton(tuple(sides), tuple(parents), np.array(offsets))
+        replace(motion, skeleton=skeleton, rotations=rotations).save(tmp_path / "a.npz")
+        problems = inspect(tmp_path / "a.npz").problems
+        assert any("the toes point backwards" in text for text in problems) == is_told
+
+
 @pytest.mark.parametrize(
     ("read", "says"),
     [
