@@ -112,12 +112,11 @@ def command(
 ) -> int:
     """Pair speech (wav, flac, mp3, ogg, opus, aiff) with motion (bvh, npz) and write a manifest.
 
-    Files are paired by path within FOLDER without extension, then by unique name; case, blanks and
-    hyphens need not agree. Tables beside a recording are used with it: STEM.events.csv
-    (time,name[,duration]: events), STEM.path.csv (time,x,z[,heading]: path of the root) and word
-    lists (STEM.TextGrid, .ctm, .srt and others).
-    Every recording is checked; a problem is reported with its file, and the other files are still
-    processed.
+    Files are paired by path within FOLDER without extension, then by unique name; case, separators
+    and a last word such as "audio" or "mocap" need not agree. Tables beside a recording are used
+    with it: STEM.events.csv (time,name[,duration]: events), STEM.path.csv (time,x,z[,heading]: path
+    of the root) and word lists (STEM.TextGrid, .ctm, .srt and others). Every recording is checked;
+    a problem is reported with its file, and the other files are still processed.
 
     Exit codes: 0 everything is used; 1 some files are left out; 2 nothing is usable.
     """

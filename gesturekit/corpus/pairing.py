@@ -1,4 +1,4 @@
-"""Pairing of sound and motion files: by relative path, then by unique stem or similar stem."""
+"""Pairing of sound and motion files: by relative path, by unique stem, then by similar names."""
 
 from __future__ import annotations
 
@@ -19,6 +19,13 @@ from gesturekit.formats.sources import (
     one_of_two_formats,
     unreadable_media,
     visible_folders,
+)
+from gesturekit.wording import counted, listed
+
+# Words at the end of a name that only say what kind of file it is: "take1_audio", "take1_mocap".
+_KINDS = (
+    *("audio", "sound", "speech", "voice", "mic", "wav"),
+    *("motion", "mocap", "skeleton", "body", "anim", "animation", "bvh"),
 )
 
 
@@ -105,9 +112,9 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
     """Pair the files of one or more folders (one scan per folder).
 
     Files are paired by relative path without extension within a folder, then across folders
-    (`wav/a/x.wav` with `bvh/a/x.bvh` for the folders `wav` and `bvh`), then by stem, then by a stem
-    that differs in case and separators only, with a note. A name of more than one speech or motion
-    file is a problem that lists them all; none of them is paired.
+    (`wav/a/x.wav` with `bvh/a/x.bvh` for the folders `wav` and `bvh`), then by stem, and finally by
+    names that differ in case, separators or a last word like "audio", with a warning. A name of
+    more than one speech or motion file is a problem that lists them all; none of them is paired.
     """
     result = Pairing()
     left: list[Found] = []
@@ -116,21 +123,15 @@ def pair(scans: Sequence[Iterable[Found]]) -> Pairing:
     left = _match(left, lambda found: found.key, result)
     left = _match(left, lambda found: found.stem, result)
     n_exact = len(result.pairs)
-    left = _match(left, lambda found: _plain(found.stem), result)
-    result.problems += [
-        Problem("note", speech.path, f"paired with {motion.path}, whose name is similar")
-        for speech, motion in result.pairs[n_exact:]
-    ]
+    for name_of in (_loose_key, lambda found: _loose_key(found).rsplit("/", 1)[-1]):
+        left = _match(left, name_of, result, ambiguous_is_error=False)
+    if similar := [f"{a.path.name} with {b.path.name}" for a, b in result.pairs[n_exact:]]:
+        text = f"{counted(len(similar), 'pair')} of similar names, not the same: "
+        result.problems.append(Problem("warning", None, text + listed(sorted(similar), 4)))
     result.pairs.sort()
     result.speech = sorted(found for found in left if found.is_speech)
     result.motion = sorted(found for found in left if not found.is_speech)
     return result
-
-
-def _plain(stem: str) -> str:
-    """Return a stem without case, with one kind of separator and of accented letters."""
-    letters = unicodedata.normalize("NFKC", stem).casefold()
-    return re.sub(r"[\s_.-]+", " ", letters).strip()
 
 
 def recording_ids(found: Sequence[Found]) -> list[str]:
@@ -151,8 +152,24 @@ def recording_ids(found: Sequence[Found]) -> list[str]:
     return ids
 
 
-def _match(files: list[Found], name_of: Callable[[Found], str], result: Pairing) -> list[Found]:
-    """Move pairs and ambiguities of equal names into `result`; return the other files."""
+def _loose_key(found: Found) -> str:
+    """Return the key with loose names: "s1/take 1" of "s1/Take_1_audio"."""
+    return "/".join(map(_loose, found.key.split("/")))
+
+
+def _loose(name: str) -> str:
+    """Return a name without case and separators, and without a last word of `_KINDS`."""
+    words = re.findall(r"\w+", unicodedata.normalize("NFC", name).casefold().replace("_", " "))
+    return " ".join(words[:-1] if len(words) > 1 and words[-1] in _KINDS else words) or name
+
+
+def _match(
+    files: list[Found],
+    name_of: Callable[[Found], str],
+    result: Pairing,
+    ambiguous_is_error: bool = True,
+) -> list[Found]:
+    """Move pairs and, if they are errors, ambiguous names into `result`; return the other files."""
     groups: dict[str, list[Found]] = defaultdict(list)
     for found in files:
         groups[name_of(found)].append(found)
@@ -164,14 +181,16 @@ def _match(files: list[Found], name_of: Callable[[Found], str], result: Pairing)
             left += group
         elif len(speech) == len(motion) == 1:
             result.pairs.append((speech[0], motion[0]))
+        elif not ambiguous_is_error:
+            left += group
         else:
-            listed = ", ".join(str(found.path) for found in sorted(group))
+            files_found = ", ".join(str(found.path) for found in sorted(group))
             result.problems.append(
                 Problem(
                     "error",
                     None,
                     f"{name!r} is ambiguous, left out: {len(speech)} speech and {len(motion)} "
-                    f"motion files fit it; keep one of each: {listed}",
+                    f"motion files fit it; keep one of each: {files_found}",
                 )
             )
     return left
