@@ -103,6 +103,7 @@ def test_variants_of_other_writers_are_read(write, change):
         ("HIERARCHY\n", "HIERARCHY ", 1, "that of a BVH file is HIERARCHY"),
         ("Frames: 3", "Frames: -3", 17, "-3"),
         ("Frames: 3", "Frames: 0", 18, "no frames"),
+        ("12 22 32\n", "12 22 32\n5 5\n", 22, "frame 4 of 3 has 2 values"),
         ("5 11 21", "5 11,5, 21", 20, "'11.5,' is not a number"),
         ("5 11 21", "5 nan 21", 20, "is nan; expected a finite number up to 1e+09; fill"),
         ("5 11 21", "5 1e999 21", 20, "inf"),

@@ -511,6 +511,7 @@ def test_labels(mixamo):
         ("mixamorig:LeftForeArm", "left", "forearm"),
         ("LeftForeArmRoll2", "left", "forearmroll"),
         ("LeftBall", "left", "ball"),
+        ("ArmLeft", "left", "arm"),
         ("RightFinger1", "right", "finger"),
         ("upperarm_twist_01_l", "left", "upperarmtwist"),
         ("HandL", "left", "hand"),

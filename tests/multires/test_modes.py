@@ -210,10 +210,10 @@ def test_a_like_motion_shorter_than_the_sound_causes_a_warning(make_config, moti
     config = make_config(corpus=str(motions(none=[4.0])), **SINGLE)
     model = gk.load(train(config))
     clip = model.generate(seconds=2.0)
-    for seconds, told in ((None, False), (1.0, False), (2.4, False), (4.0, True)):
+    for seconds, warns in ((None, False), (1.0, False), (2.4, False), (4.0, True)):
         caplog.clear()
         model.generate(like=clip, seconds=seconds)
-        assert ("2 s of motion for 4 s: the last pose is held to the end" in caplog.text) == told
+        assert ("2 s of motion for 4 s: the last pose is held to the end" in caplog.text) == warns
 
 
 def test_noise_enters_at_as_many_levels_as_wanted(make_config, motions):
