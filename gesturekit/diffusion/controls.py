@@ -34,7 +34,7 @@ class DiffusionControls(Controls):
     number, one number per frame, a string such as 0.2@0-10,0.8@10-20 (seconds), or None. The
     remaining weight is shared equally by this model and all experts with None."""
     change: float = 0.5
-    """How much of `like` may change, above 0 and up to 1: the noise level from which SDEdit
+    """Share of `like` that may change, above 0 and up to 1: the noise level from which SDEdit
     starts."""
     solver: Solver | None = None
     """Solver of the reverse diffusion: ancestral (as published), ddim, or dpm (second order). The

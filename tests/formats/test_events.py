@@ -19,7 +19,7 @@ def test_events_come_in_order_of_time_whatever_the_order_of_rows_and_columns(tmp
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "says"),
     [
         (b"", "empty; a table begins with the line time,name"),
         (b"time,nome\n1,a\n", "line 1: column 'nome'; did you mean name?"),
@@ -39,16 +39,16 @@ def test_events_come_in_order_of_time_whatever_the_order_of_rows_and_columns(tmp
         (b"time,name\n" + b"0,a\n" * (1 << 21) + b"0,a\n", "over 8 MB"),
     ],
 )
-def test_an_invalid_table_of_events_is_one_clear_error(tmp_path, text, told):
+def test_an_invalid_table_of_events_is_one_clear_error(tmp_path, text, says):
     file = tmp_path / "bad.csv"
     file.write_bytes(text)
     with pytest.raises(FormatError) as caught:
         load_events(file)
-    assert told in str(caught.value) and str(file) in str(caught.value)
+    assert says in str(caught.value) and str(file) in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_a_file_that_is_not_there(tmp_path):
-    for path, told in ((tmp_path / "none.csv", "no such file"), (tmp_path, "not a regular file")):
-        with pytest.raises(FormatError, match=told):
+    for path, says in ((tmp_path / "none.csv", "no such file"), (tmp_path, "not a regular file")):
+        with pytest.raises(FormatError, match=says):
             load_events(path)

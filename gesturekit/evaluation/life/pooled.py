@@ -144,10 +144,15 @@ class LifeMetrics:
         return [n for n, clips in enumerate(self._generated.values()) for _ in clips]
 
     def _result(
-        self, key: str, value: float, recording: float | None, note: str = ""
+        self,
+        key: str,
+        value: float,
+        recording: float | None,
+        note: str = "",
+        informative: bool = True,
     ) -> MetricResult:
-        n = sum(map(len, self._generated.values()))
-        return MetricResult(key, whole_set(value, n), recording=recording, note=note)
+        interval = whole_set(value, sum(map(len, self._generated.values())))
+        return MetricResult(key, interval, recording, note=note, informative=informative)
 
     def _hands(self) -> dict[str, MetricResult]:
         ours, theirs = map(hand_figures, (self._all_generated(), self._all_recorded()))
@@ -164,10 +169,7 @@ class LifeMetrics:
         found = calm_and_lively(self._all_recorded(), list(self._generated.values()))
         values = {"calm_lively_r": found.r, "calm_lively_slope": found.slope}
         note, enough = f"{found.n} windows", found.n >= ENOUGH_CALM
-        return {
-            key: replace(self._result(key, value, 1.0, note), informative=enough)
-            for key, value in values.items()
-        }
+        return {key: self._result(key, value, 1.0, note, enough) for key, value in values.items()}
 
     def _windows(self) -> dict[str, MetricResult]:
         joints = self._upper_joints()

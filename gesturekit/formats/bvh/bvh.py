@@ -62,7 +62,8 @@ def read_bvh(
         `renamed` (new name to name in the file, for joints with repeated names).
 
     Raises:
-        FormatError: not a BVH file, broken, or truncated; the message names file and line.
+        FormatError: not a BVH file, or broken; the message names file and line. Decimal commas, a
+            wrong `Frames:` and an end that was cut off are warnings; all complete frames are read.
     """
     path = Path(path)
     if unit != "auto" and unit not in METRES:

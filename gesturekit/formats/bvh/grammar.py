@@ -74,7 +74,7 @@ def parse_bvh(path: Path, fps: float | None = None) -> ParsedBvh:
         fps: frames per second in place of `Frame Time`, which may then be anything.
 
     Raises:
-        FormatError: missing, not a BVH file, broken, or truncated; the message names file and line.
+        FormatError: missing, not a BVH file, or broken; the message names file and line.
     """
     try:
         with path.open("rb") as stream:

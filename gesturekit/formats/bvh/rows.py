@@ -76,7 +76,7 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
         if len(rest.rstrip()) >= LONGEST_LINE:
             lines.number += text.count("\n") + 1
             raise lines.error(f"a line of over {LONGEST_LINE} characters; not a BVH file")
-        if not read and _is_cut(text, n_frames - n_rows, n_channels) and n_rows:
+        if not read and n_rows and _is_cut(text, n_frames - n_rows, n_channels):
             text, ending = "", ", and its last line is incomplete"
         text = lines.with_points(text)
         values = _bulk(text, n_channels)
