@@ -39,6 +39,22 @@ def test_a_stack_gives_what_its_parts_give_from_one_spectrum(speech, monkeypatch
     assert len(made) == 1
 
 
+class HalfBand(LogMel):
+    """Mel bands on another device, where the spectrum is another one."""
+
+    device = property(lambda self: "other", lambda self, value: None)
+
+    def spectrum_of(self, wave):
+        return spectrum_module.ShortTimeSpectrum(wave.resample(8_000))
+
+
+def test_parts_of_two_devices_in_a_stack_are_as_they_are_alone(speech):
+    parts = [HalfBand(), MFCC(), Prosody()]
+    for order in (parts, parts[::-1]):
+        alone = np.concatenate([part.extract(speech).values for part in order], axis=1)
+        np.testing.assert_array_equal(Stack(order).extract(speech).values, alone)
+
+
 def test_the_same_words_20_db_quieter_in_16_bits_give_the_same_features(speech, tmp_path):
     tracks = []
     room = 1e-4 * np.random.default_rng(0).standard_normal(len(speech.samples))
@@ -162,6 +178,18 @@ def test_liveliness_is_the_range_of_pitch_and_energy():
     assert np.abs(silence).max() == 0.0
     with pytest.raises(FeatureError, match="seconds=0"):
         Liveliness(seconds=0)
+
+
+@pytest.mark.parametrize("other", [300.0, 60.5])
+def test_pitch_beyond_seven_semitones_counts_as_seven_for_liveliness(other):
+    """Trackers make errors of an octave and more: here in .4 of the time, evenly spread."""
+    time = np.arange(10 * 16_000) / 16_000
+    pitch = np.where(time % 1.0 < 0.6, 121.0, other)
+    phase = 2 * np.pi * np.cumsum(pitch) / 16_000
+    tone = sum(np.sin(k * phase) / k for k in range(1, 20))
+    values = Liveliness().extract(Wave((0.05 * tone).astype(np.float32), 16_000)).values
+    # The mean is .4 · 7 = 2.8, and the mean distance from it .6 · 2.8 + .4 · 4.2 = 3.36.
+    assert values[300:700, 0].mean() == pytest.approx(3.36, rel=0.05)
 
 
 @pytest.mark.parametrize(

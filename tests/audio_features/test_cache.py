@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
+from audio_features.disk_cache import KINDS, DiskCache
 
 
 class Slow:
@@ -139,6 +140,19 @@ def test_the_least_recently_used_entries_are_removed_first(tmp_path):
     nothing = af.FeatureCache(tmp_path / "none", max_bytes=0)
     nothing.extract(slow, waves[0])
     assert nothing.contents().entries == 0
+
+
+def test_a_large_entry_removes_as_many_small_ones_as_it_needs(tmp_path):
+    cache = DiskCache(tmp_path, max_bytes=1000)
+    names = ["a1", "b2", "c3", "d4", "e5"]
+    for age, name in enumerate(names[:4]):
+        path = cache.path(KINDS[0], name, ".bin")
+        cache.write(path, bytes(220))
+        os.utime(path, (age, age))
+    assert cache.contents().entries == 4
+    cache.write(cache.path(KINDS[0], names[4], ".bin"), bytes(500))
+    kept = [name for name in names if cache.path(KINDS[0], name, ".bin").exists()]
+    assert kept == ["c3", "d4", "e5"] and cache.contents().size == 940
 
 
 def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):

@@ -29,6 +29,20 @@ def test_gaussian_calms_what_flickers_from_frame_to_frame():
     assert np.abs(calm[:, 1] - slow[3:-3]).max() < 0.01
 
 
+def test_gaussian_has_a_standard_deviation_of_one_motion_frame():
+    # exp(-k²/2) over its sum: 1, .6065, .1353, .0111 of 2.5066.
+    bell = np.array([0.3989, 0.2420, 0.0540, 0.0044])
+    values = np.zeros((30, 3), np.float32)
+    values[10, 0] = values[0, 1] = 1.0
+    values[:, 2] = 7.0
+    smooth = FeatureTrack(values, np.arange(30) / 25).to_rate(25, method="gaussian").values
+    np.testing.assert_allclose(smooth[10:14, 0], bell, atol=2e-4)
+    np.testing.assert_allclose(smooth[10:6:-1, 0], bell, atol=2e-4)
+    # Before the first frame its value goes on: half of the bell and of its middle.
+    np.testing.assert_allclose(smooth[:4, 1], [0.6995, 0.3005, 0.0585, 0.0045], atol=2e-4)
+    np.testing.assert_allclose(smooth[:, 2], 7.0, rtol=1e-6)
+
+
 @pytest.mark.parametrize("fps", [25, 30, 29.97, 120])
 def test_frames_are_placed_by_true_time(ramp, fps):
     track = ramp.to_rate(fps)

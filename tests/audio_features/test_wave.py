@@ -54,6 +54,7 @@ def test_a_stretch_of_a_file_is_the_slice_of_the_whole(tmp_path):
     np.testing.assert_array_equal(part.samples, whole.samples[4_000:12_000])
     np.testing.assert_array_equal(part.samples, whole.slice(0.25, 0.5).samples)
     assert Wave.load(tmp_path / "a.wav", start=0.9, duration=5.0).duration == pytest.approx(0.1)
+    assert (whole.offset, part.offset, part.slice(0.125).offset) == (0.0, 0.25, 0.375)
 
 
 def test_bad_files_are_named_with_what_is_wrong(tmp_path):
@@ -177,6 +178,21 @@ def test_faults_of_a_recording_are_named(speech):
     assert first == pytest.approx(np.argmax(np.abs(loud) >= 1) / 16_000, abs=0.01)
     floating = Wave(10 * speech.samples / np.abs(speech.samples).max(), 16_000)
     assert floating.faults() == []  # beyond full scale, and so not clipped at it
+
+
+def test_clipped_samples_are_counted_over_the_whole_sound():
+    """The third sample in a row at full scale, and each one after it, is clipped."""
+    n = 2**21 + 5  # 131 s, more than is examined at a time
+    samples = np.zeros(n, np.float32)
+    samples[[10, 11, 20_000, 20_001]] = 1.0  # peaks of two samples
+    samples[20_003:20_005] = -1.0
+    assert Wave(samples, 16_000).faults() == []
+    samples[n - 4 :] = -1.0
+    (fault,) = Wave(samples, 16_000).faults()
+    assert fault.startswith("clipped: 2 samples at full scale, the first at 131.07 s")
+    square = np.where(np.arange(n) % 2 == 0, 1.0, -1.0).astype(np.float32)
+    (fault,) = Wave(square, 16_000).faults()
+    assert fault.startswith(f"clipped: {n - 2} samples at full scale, the first at 0.00 s")
 
 
 @pytest.mark.parametrize("rate", [8_000, 192_000])

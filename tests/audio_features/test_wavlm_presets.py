@@ -63,5 +63,3 @@ def test_dsg_plus_squeezes_its_padding_into_the_sound(large, seconds):
     track = af.WavLM(folder, preset="dsg+").extract(af.Wave(samples, 16_000))
     np.testing.assert_allclose(track.values, expected, atol=1e-4)
     np.testing.assert_allclose(track.times, np.arange(size) / 30)
-    # A click at the end of the sound is heard too early, by what was padded.
-    assert pieces * 249 / size > 50 / 30

@@ -152,6 +152,9 @@ def test_words_as_features(tmp_path, write_speech):
     np.testing.assert_array_equal(np.flatnonzero(later.values[:, 1]), [50])
     cut = af.Words().extract(wave.slice(0.1, 1.0).resample(8000).at_level())
     np.testing.assert_array_equal(np.flatnonzero(cut.values[:, 1]), [10, 40])
+    for start in (0.1, 0.3, 1.5):
+        part = af.Words().extract(wave.slice(start)).values[:, 0]
+        np.testing.assert_array_equal(part, word[round(100 * start) :])
 
 
 def test_new_words_count_at_once_and_missing_ones_are_an_error(tmp_path, write_speech):

@@ -122,8 +122,28 @@ def test_features_do_not_depend_on_the_number_of_threads(tmp_path, write_speech)
 class Encoder:
     """Three columns."""
 
-    dim, centred = 3, (True,) * 3
+    dim = 3
     names = ("encoder_0", "encoder_1", "encoder_2")
+
+    def __init__(self, centred=(True, True, True)) -> None:
+        self.centred = centred
+
+
+@pytest.mark.parametrize("fps", [25.0, 60.0])
+def test_a_clip_is_centred_on_its_speech_and_a_second_of_the_training_mean(fps):
+    extractor = Encoder((True, True, False))
+    about = extractor, fps, "mean", np.array([2.0, 2.0, 2.0]), np.array([1.0, 2.0, 1.0])
+    conditioner = SpeechConditioner(*about)
+    active = np.repeat([True, False], round(fps))  # a second of speech, a second of pause
+    values = np.where(active[:, None], 10.0, 0.0) * np.ones(3, np.float32)
+    clip = conditioner.normalise(values, active)
+    # (1 s · 10 + 1 s · 2) / 2 s = 6; the third column keeps the training mean 2.
+    np.testing.assert_allclose(clip[active], np.tile([4.0, 2.0, 6.0], (len(clip) // 2, 1)))
+    np.testing.assert_allclose(clip[~active], np.tile([-6.0, -3.0, -2.0], (len(clip) // 2, 1)))
+    silence = conditioner.normalise(values, np.zeros_like(active))
+    np.testing.assert_allclose(silence[0], [6.0, 4.0, 6.0])  # 8 is more than the limit of 6
+    unlimited = SpeechConditioner(*about, "corpus").normalise(10 * values, active)
+    np.testing.assert_allclose(unlimited[0], [98.0, 49.0, 98.0])
 
 
 def test_components_span_the_columns_that_vary():

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gesturekit.corpus.checks import reference_pose
+from gesturekit.corpus.recording import Recording, examine
+from gesturekit.motion import Motion
+
+
+@pytest.mark.parametrize(
+    ("offset", "limits", "interval"),
+    [
+        # 4 s of motion at 30 fps and 3 s of sound that begins 1.5 s before it, with it, 0.5 s or
+        # 0.52 s after it (frame 15.6 of the motion), or so that it reaches beyond the motion.
+        (1.5, (0.0, 10.0), (0.0, 1.5)),
+        (0.0, (0.0, 10.0), (0.0, 3.0)),
+        (-0.5, (0.0, 10.0), (0.5, 3.5)),
+        (-0.52, (0.0, 10.0), (16 / 30, 3.52)),
+        (-2.0, (0.0, 10.0), (2.0, 4.0)),
+        (0.0, (0.1, 2.0), (0.1, 2.0)),
+        (-0.5, (1.0, 2.0), (1.0, 2.0)),
+    ],
+)
+def test_what_sound_and_motion_share_is_used(
+    tmp_path, gesture, write_speech, offset, limits, interval
+):
+    gesture(4.0).save(tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 3.0)
+    files = {"audio": tmp_path / "a.wav", "motion": tmp_path / "a.bvh"}
+    found, _ = examine(Recording("a", **files, audio_offset=offset, limits=limits), 0.5)
+    assert (found.start, found.stop) == pytest.approx(interval, abs=1e-9)
+
+
+@pytest.mark.parametrize("offset", [2.75, -3.73])
+def test_sound_and_motion_that_share_too_little_are_left_out(
+    tmp_path, gesture, write_speech, offset
+):
+    gesture(4.0).save(tmp_path / "a.bvh")
+    write_speech(tmp_path / "a.wav", 3.0)
+    files = {"audio": tmp_path / "a.wav", "motion": tmp_path / "a.bvh"}
+    found, problems = examine(Recording("a", **files, audio_offset=offset, limits=(0, 10)), 0.5)
+    assert found is None and "at least 0.5 s are needed" in problems[-1].text
+
+
+def held(skeleton, degrees_below_level, step=0.0) -> Motion:
+    """Both arms straight, at an angle below the horizontal by frame; after 12 frames steps."""
+    n = len(degrees_below_level)
+    angles = np.full((n, skeleton.n_joints, 3), np.radians(0.6))  # nowhere the rest pose
+    angles[:, 0] = 0.0
+    angles[:, skeleton.index("LeftArm"), 2] = -np.radians(degrees_below_level)
+    angles[:, skeleton.index("RightArm"), 2] = np.radians(degrees_below_level)
+    rotations = Rotation.from_euler("xyz", angles.reshape(-1, 3)).as_quat().reshape(n, -1, 4)
+    translation = np.tile([0.0, 0.9, 0.0], (n, 1))
+    translation[12:, 2] += step * np.arange(1, n - 11)
+    return Motion(skeleton, rotations, translation, 30.0)
+
+
+def test_a_t_pose_ends_when_the_actor_walks_or_lowers_the_arms(skeleton):
+    assert reference_pose(held(skeleton, np.zeros(30))) == (30, 30)
+    assert reference_pose(held(skeleton, np.zeros(30), step=0.4)) == (12, 1)
+    # By some centimetres only, but out of level.
+    sinking = np.repeat([22.0, 28.5], [12, 18])
+    assert reference_pose(held(skeleton, sinking)) == (12, 0)
+    assert reference_pose(held(skeleton, sinking[::-1])) == (0, 12)

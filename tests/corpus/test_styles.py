@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gesturekit.corpus.styles import style_track
+from gesturekit.errors import ModelError
+
+NAMES = ("angry", "old", "sad")
+
+
+def letters(wanted: str, n_frames: int, fps: float = 1.0) -> str:
+    """The style of each frame by its first letter, where it has the whole weight."""
+    track = style_track(NAMES, wanted, n_frames, fps)
+    return "".join(NAMES[row.argmax()][0] if row.max() == 1 else "?" for row in track)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "expected"),
+    [
+        ("old", "oooooooooo"),
+        ("angry@0-3,old@3-10", "aaaooooooo"),  # the frame at 3 s is the first of `old`
+        ("old@3-10,angry@0-3", "aaaooooooo"),
+        ("angry@0-2,old@8-10", "aaaaaooooo"),  # between the spans the nearest one applies
+        ("old@4-5", "oooooooooo"),
+        ("angry@0-5,old@4-10", "aaaa?ooooo"),  # both, in equal parts
+    ],
+)
+def test_spans_of_styles_frame_by_frame(wanted, expected):
+    """At one frame per second a transition is shorter than a frame."""
+    assert letters(wanted, 10) == expected
+
+
+def test_styles_cross_over_in_a_second_around_the_border():
+    track = style_track(NAMES, "angry@0-2,old@2-4", 40, 10.0)
+    ramp = np.clip((np.arange(40) - 14) / 11, 0, 1)  # 14 to 25: half way between frames 19 and 20
+    np.testing.assert_allclose(track, np.stack([1 - ramp, ramp, 0 * ramp], axis=1), atol=1e-6)
+    equal = style_track(NAMES, "angry@0-4,sad@0-4", 40, 10.0)
+    np.testing.assert_allclose(equal, np.tile([0.5, 0.0, 0.5], (40, 1)))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "says"),
+    [
+        ("glad", "'glad': unknown; the model has angry, old, sad"),
+        ("glad@0-1", "'glad': unknown"),
+        ("old@2-2", "'old@2-2': the span ends before it begins"),
+        ("old@2", "'old@2': spans look like"),
+    ],
+)
+def test_styles_that_cannot_be_read_are_refused(wanted, says):
+    with pytest.raises(ModelError, match=says):
+        style_track(NAMES, wanted, 10, 1.0)
