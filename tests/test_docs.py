@@ -142,6 +142,21 @@ def test_an_invalid_command_line_is_detected(tmp_path):
         check_command(line)
 
 
+def test_places_that_the_page_of_the_papers_names_exist():
+    """`module:object`, or a module, in the last column of a table."""
+    text = (ROOT / "docs" / "papers.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\|.*\| ([^|]*) \|$", text, re.MULTILINE)
+    places = [place for cell in cells for place in re.findall(r"`([a-z_.]+:?[\w.]*)`", cell)]
+    assert len(places) > 60
+    for place in places:
+        module, _, names = place.partition(":")
+        if not module.startswith("audio_features"):
+            module = f"gesturekit.{module}"
+        found = importlib.import_module(module)
+        for name in names.split(".") if names else ():
+            found = getattr(found, name)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_scripts_and_make_targets_exist(page):
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)

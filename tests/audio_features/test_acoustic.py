@@ -255,4 +255,7 @@ def test_values_are_those_of_librosa_which_is_not_imported(speech):
             prepared.onset, pre_max=3, post_max=1, pre_avg=10, post_avg=11, delta=1.0, wait=3
         )
         assert len(picked) > 3
+        bands = LogMel(40).extract(wave).values.T
+        theirs = librosa.feature.mfcc(S=bands, n_mfcc=20)
+        np.testing.assert_allclose(MFCC(20).extract(wave).values.T, theirs, atol=1e-3)
         np.testing.assert_array_equal(np.flatnonzero(Onset().extract(wave).values[:, 1]), picked)

@@ -187,9 +187,10 @@ def test_clipped_samples_are_counted_over_the_whole_sound():
     samples[[10, 11, 20_000, 20_001]] = 1.0  # peaks of two samples
     samples[20_003:20_005] = -1.0
     assert Wave(samples, 16_000).faults() == []
-    samples[n - 4 :] = -1.0
+    samples[1_300_000:1_300_004] = -1.0
+    samples[n - 3 :] = 1.0
     (fault,) = Wave(samples, 16_000).faults()
-    assert fault.startswith("clipped: 2 samples at full scale, the first at 131.07 s")
+    assert fault.startswith("clipped: 3 samples at full scale, the first at 81.25 s")
     square = np.where(np.arange(n) % 2 == 0, 1.0, -1.0).astype(np.float32)
     (fault,) = Wave(square, 16_000).faults()
     assert fault.startswith(f"clipped: {n - 2} samples at full scale, the first at 0.00 s")
