@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -19,7 +21,7 @@ from gesturekit.motion import Motion
         (-0.5, (0.0, 10.0), (0.5, 3.5)),
         (-0.52, (0.0, 10.0), (16 / 30, 3.52)),
         (-2.0, (0.0, 10.0), (2.0, 4.0)),
-        (0.0, (0.1, 2.0), (0.1, 2.0)),
+        (0.0, (31 / 30, 2.0), (31 / 30, 2.0)),  # frame 31, though 31 / 30 * 30 is above it
         (-0.5, (1.0, 2.0), (1.0, 2.0)),
     ],
 )
@@ -64,3 +66,16 @@ def test_a_t_pose_ends_when_the_actor_walks_or_lowers_the_arms(skeleton):
     sinking = np.repeat([22.0, 28.5], [12, 18])
     assert reference_pose(held(skeleton, sinking)) == (12, 0)
     assert reference_pose(held(skeleton, sinking[::-1])) == (0, 12)
+
+
+def test_a_rest_pose_with_hanging_arms_is_trimmed_wherever_it_stands(skeleton):
+    offsets = skeleton.offsets.copy()
+    for side in ("Left", "Right"):
+        for joint in ("ForeArm", "Hand"):
+            offsets[skeleton.index(f"{side}{joint}")] = [0.0, -0.25, 0.0]
+    rig = replace(skeleton, offsets=offsets)
+    moving = held(rig, np.full(30, 10.0))
+    rotations, translation = moving.rotations.copy(), moving.translation.copy()
+    rotations[:12] = [0.0, 0.0, 0.0, 1.0]
+    translation[:12, 0] = 0.3 * np.arange(12)
+    assert reference_pose(Motion(rig, rotations, translation, 30.0)) == (12, 0)
