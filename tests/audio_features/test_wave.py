@@ -308,6 +308,8 @@ def test_a_file_name_that_is_not_unicode_is_read(tmp_path):
 def test_an_array_that_is_no_sound_is_refused(samples, rate, says):
     with pytest.raises(AudioError, match=says):
         Wave.from_array(samples, rate)
+    with pytest.raises(AudioError, match="^the talk: "):
+        Wave.from_array(samples, rate, "the talk")
 
 
 @given(

@@ -146,6 +146,42 @@ def test_a_clip_is_centred_on_its_speech_and_a_second_of_the_training_mean(fps):
     np.testing.assert_allclose(unlimited[0], [98.0, 49.0, 98.0])
 
 
+def test_centre_and_scale_are_those_of_active_speech():
+    """A clip counts once in the centre, and its active frames count in the scale."""
+    extractor = Encoder((True, True, False))
+    short, long = [[0, 10, 1], [2, 10, 3], [99, 99, 99]], [[4, 20, 5], [10, 20, 7]] * 3
+    clips = [
+        (np.array(values, np.float32), np.array(values)[:, 0] < 99) for values in (short, long)
+    ]
+    clips.append((np.full((4, 3), 50, np.float32), np.zeros(4, bool)))  # nobody speaks
+    fitted = SpeechConditioner.fit(clips, extractor, 25.0, "mean")
+    np.testing.assert_allclose(fitted.centre, [4, 15, 4])  # of the means 1 10 2 and 7 20 6
+    # Variances 1 (2 frames) and 9 (6 frames) give 7. Where a clip keeps its own mean, that of the
+    # means is added: 1 + 4. What never varies has the least scale.
+    np.testing.assert_allclose(fitted.scale**2, [7, 1e-6, 5])
+    silent = SpeechConditioner.fit(clips[2:], extractor, 25.0, "mean")
+    assert (silent.centre == 0).all() and (silent.scale == 1).all()
+
+
+class Clock:
+    """One column: the time of the frame."""
+
+    names, dim, centred, worth_caching = ("seconds",), 1, (False,), False
+    spec = {"kind": "clock"}
+
+    def extract(self, wave: af.Wave) -> af.FeatureTrack:
+        times = np.arange(wave.n_frames(100)) / 100
+        return af.FeatureTrack(times[:, None], times, self.spec, self.names)
+
+
+@pytest.mark.parametrize("n_frames", [1, 10, 100])
+def test_silence_lasts_as_long_as_is_asked_for(n_frames):
+    conditioner = SpeechConditioner(Clock(), 25.0, "linear", np.zeros(1), np.ones(1), "none")
+    np.testing.assert_allclose(
+        conditioner.silence(n_frames)[:, 0], np.arange(n_frames) / 25, atol=1e-6
+    )
+
+
 def test_components_span_the_columns_that_vary():
     axis, rng = np.array([2.0, -1.0, 2.0]) / 3, np.random.default_rng(0)
     plain = SpeechConditioner(Encoder(), 25.0, "mean", np.zeros(3), np.ones(3), "none")
