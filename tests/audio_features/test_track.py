@@ -164,6 +164,14 @@ def test_files_that_are_none_are_refused_by_name(ramp, tmp_path):
     refused("not a feature file")
 
 
+def test_lists_are_taken_and_no_frames_are_refused():
+    track = FeatureTrack([[1], [3]], [0, 2])
+    assert (track.values.dtype, track.times.dtype) == (np.float32, np.float64)
+    np.testing.assert_array_equal(track.at([0.5, 3]).values, [[1.5], [3]])
+    with pytest.raises(FeatureError, match="n_frames=0: at least 1"):
+        track.to_rate(25, n_frames=0)
+
+
 def test_values_that_are_not_finite_are_refused():
     with pytest.raises(FeatureError, match="'b', frame 1"):
         FeatureTrack(np.array([[0, 0], [0, np.nan]]), np.arange(2.0), {}, ("a", "b"))

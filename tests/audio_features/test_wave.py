@@ -376,6 +376,29 @@ def test_activity_and_level_do_not_depend_on_pauses_gain_or_offset(speech):
     assert quiet.at_level(-23).active_level() == pytest.approx(-23, abs=0.01)
 
 
+def test_a_tone_is_active_in_every_frame_of_25_ms_that_it_touches():
+    tone = np.where(np.arange(48_000) // 16_000 == 1, 0.1, 0.0) * np.resize([1.0, -1.0], 48_000)
+    active = Wave(tone.astype(np.float32), 16_000).active()
+    # From 1 to 2 s: the frame at 0.99 s reaches to 1.0025 s, that at 0.98 s to 0.9925 s.
+    np.testing.assert_array_equal(np.flatnonzero(active), np.arange(99, 202))
+
+
+@pytest.mark.parametrize(
+    ("start", "duration", "says"),
+    [
+        (-0.1, None, "start is -0.1 s: give 0 or more"),
+        (float("nan"), None, "start is nan s"),
+        (float("inf"), None, "start is inf s"),
+        (1.0, None, "start is 1.0 s but the sound ends at 1.000 s"),
+        (0.0, 0.0, "duration is 0.0 s: give more than 0"),
+        (0.0, float("nan"), "duration is nan s"),
+    ],
+)
+def test_a_stretch_outside_the_sound_is_refused(start, duration, says):
+    with pytest.raises(AudioError, match=says):
+        Wave(noise(16_000), 16_000).slice(start, duration)
+
+
 @pytest.mark.parametrize("level", [0.0, 3e-5])
 def test_silence_is_silent_and_left_alone(level):
     wave = Wave(noise(16_000, level), 16_000)

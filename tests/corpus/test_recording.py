@@ -62,6 +62,9 @@ def held(skeleton, degrees_below_level, step=0.0) -> Motion:
 def test_a_t_pose_ends_when_the_actor_walks_or_lowers_the_arms(skeleton):
     assert reference_pose(held(skeleton, np.zeros(30))) == (30, 30)
     assert reference_pose(held(skeleton, np.zeros(30), step=0.4)) == (12, 1)
+    swaying = held(skeleton, np.zeros(30))
+    swaying.translation[12:] += [0.04, 0.0, 0.0]  # every joint, by less than 10 cm
+    assert reference_pose(swaying) == (30, 30)
     # By some centimetres only, but out of level.
     sinking = np.repeat([22.0, 28.5], [12, 18])
     assert reference_pose(held(skeleton, sinking)) == (12, 0)
