@@ -82,3 +82,14 @@ def test_a_rest_pose_with_hanging_arms_is_trimmed_wherever_it_stands(skeleton):
     rotations[:12] = [0.0, 0.0, 0.0, 1.0]
     translation[:12, 0] = 0.3 * np.arange(12)
     assert reference_pose(Motion(rig, rotations, translation, 30.0)) == (12, 0)
+
+
+@pytest.mark.parametrize(("pops", "times"), [(5, "5.00 s;"), (6, "5.00 s and 1 more;")])
+def test_the_first_five_times_of_a_defect_are_named(tmp_path, gesture, pops, times):
+    motion = gesture(8.0)
+    frames = 30 * np.arange(1, pops + 1)
+    motion.rotations[frames, motion.skeleton.index("Head")] = [0.0, 0.5, 0.0, 0.75**0.5]
+    motion.save(tmp_path / "a.bvh")
+    found, problems = examine(Recording("a", motion=tmp_path / "a.bvh"), 0.5)
+    assert found is not None
+    assert f"at 1.00 s, 2.00 s, 3.00 s, 4.00 s, {times}" in problems[-1].text
