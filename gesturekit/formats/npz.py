@@ -24,7 +24,7 @@ import numpy as np
 from gesturekit.archive import Archive, open_archive
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.smpl.amass import body_info, from_amass, to_amass, with_expressions
+from gesturekit.formats.smpl.amass import from_amass, read_shape, to_amass, with_expressions
 from gesturekit.formats.smpl.seamless import from_seamless
 from gesturekit.formats.smpl.skeleton import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model.model import BodyModel
@@ -43,15 +43,15 @@ def read_npz(
 ) -> Motion:
     """Read a motion npz: native, or with the keys of AMASS, BEAT2 or Seamless Interaction.
 
-    Without a body model, an SMPL rig has the proportions of an average adult. Data about the body
-    is kept in `info` (`betas`, `gender`) and written again.
+    Without a body model, an SMPL rig has the proportions of an average adult. `betas` and `gender`
+    are the skeleton's `body_shape`, and are written again.
 
     Args:
         path: the file.
         up: axis that points up in an AMASS-like file, "y" or "z"; "auto" takes the one that the
             pelvis points to in most frames. Native files are always Y up.
-        body_model: model of the SMPL family, or its .npz file: bones get their lengths from the
-            file's `betas`, and feet get six vertices as end sites.
+        body_model: model of the SMPL family, its .npz file, or a folder of models (`BodyModel.of`):
+            bones get their lengths from the file's `betas`, and feet get six vertices as end sites.
 
     Raises:
         FormatError: missing, damaged, of a newer format, or without the keys of a motion.
@@ -154,10 +154,12 @@ def _native(motion: Motion) -> dict[str, Any]:
     if skeleton.parts:
         values["parts_by_hand"] = np.array(list(skeleton.parts))
         values["part_joints"] = np.array([skeleton.index(name) for name in skeleton.parts.values()])
-    for key, known in (("body_betas", "betas"), ("body_pelvis", "rest_pelvis")):
-        if known in motion.info:
-            values[key] = np.asarray(motion.info[known], dtype=np.float64)
-            values["body_up"] = motion.info.get("up", "y")  # up axis of the source file
+    shape = skeleton.body_shape
+    if shape.betas:
+        values["body_betas"] = np.array(shape.betas)
+    if shape.pelvis is not None:
+        values["body_pelvis"] = np.array(shape.pelvis)
+        values["body_up"] = motion.info.get("up", "y")  # up axis of the source file
     if motion.expressions is not None:
         values["expressions"] = motion.expressions
     return values
@@ -182,6 +184,9 @@ def _from_native(archive: Archive) -> Motion:
         by_hand = archive.texts("parts_by_hand", _MAX_JOINTS)
         found = _by_joint(archive, "part_joints", "parts_by_hand", by_hand, names)
         parts = {part: name for name, part in found}
+    pelvis = archive.numbers("body_pelvis") if "body_pelvis" in archive else None
+    if pelvis is not None and (pelvis.shape != (3,) or not np.isfinite(pelvis).all()):
+        raise FormatError(f"key 'body_pelvis' has shape {pelvis.shape}; expected three numbers")
     try:
         skeleton = Skeleton(
             names=names,
@@ -190,6 +195,7 @@ def _from_native(archive: Archive) -> Motion:
             end_sites=ends,
             rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
             parts=parts,
+            body_shape=read_shape(archive, "body_betas", len(names), pelvis),
         )
     except MotionError as error:
         raise FormatError(
@@ -212,12 +218,7 @@ def _from_native(archive: Archive) -> Motion:
         raise FormatError(
             f"keys 'rotations', 'translation', 'joint_translations', 'fps': {error}"
         ) from None
-    motion.info.update(body_info(archive, "body_betas", skeleton.n_joints))
-    if "body_pelvis" in archive:
-        place = archive.numbers("body_pelvis")
-        if place.shape != (3,) or not np.isfinite(place).all():
-            raise FormatError(f"key 'body_pelvis' has shape {place.shape}; expected three numbers")
-        motion.info["rest_pelvis"] = place
+    if pelvis is not None:
         motion.info["up"] = "z" if archive.texts("body_up") == ["z"] else "y"
     return with_expressions(motion, archive) if "expressions" in archive else motion
 

@@ -12,6 +12,7 @@ from gesturekit.formats import read_npz, write_npz
 from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 
@@ -250,13 +251,15 @@ def test_other_spellings_of_the_same(tmp_path):
     np.savez(path, **(values | {"poses": values["poses"].reshape(20, 24, 3)}))
     again = read_npz(path, up="y")
     np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)
-    np.testing.assert_allclose(again.info["betas"], np.arange(10))
-    assert again.info["gender"] == "male"
+    np.testing.assert_allclose(again.skeleton.body_shape.betas, np.arange(10))
+    assert again.skeleton.body_shape.gender == "male"
 
 
 def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
     betas = np.arange(1.0, 11.0)
-    motion = replace(smpl_motion(24), info={"betas": betas, "gender": "male"})
+    motion = smpl_motion(24)
+    shape = BodyShape(tuple(betas), gender="male")
+    motion = replace(motion, skeleton=replace(motion.skeleton, body_shape=shape))
     write_npz(motion, tmp_path / "h.npz", rig="smplh")
     write_npz(motion, tmp_path / "x.npz", rig="smplx")
     write_npz(motion, tmp_path / "own.npz")
@@ -265,7 +268,7 @@ def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
         assert h["dmpls"].shape == (20, 8)
         assert not x["betas"].any() and x["betas"].shape == (300,)
         assert str(x["gender"]) == str(h["gender"]) == "male"
-    np.testing.assert_array_equal(read_npz(tmp_path / "own.npz").info["betas"], betas)
+    assert read_npz(tmp_path / "own.npz").skeleton.body_shape.betas == tuple(betas)
 
 
 def test_a_rig_of_another_kind_is_retargeted(tmp_path, gesture):

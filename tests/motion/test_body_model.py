@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_array, csr_array
@@ -9,6 +11,7 @@ from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
 from gesturekit.motion.rotations import quaternion_from_rotation_vector
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -32,16 +35,14 @@ def body(saved, capsule_body):
     return BodyModel.load(saved(), feet=capsule_body(24)["feet"])
 
 
-def a_motion(n_joints=24, n_frames=20, betas=None):
+def a_motion(n_joints=24, n_frames=20, betas=()):
     rng = np.random.default_rng(3)
     turns = np.cumsum(rng.normal(0, 0.08, (n_frames, n_joints, 3)), axis=0)
-    info = {} if betas is None else {"betas": betas}
     return Motion(
-        smpl_skeleton(n_joints),
+        replace(smpl_skeleton(n_joints), body_shape=BodyShape(tuple(betas))),
         quaternion_from_rotation_vector(turns),
         np.array([0.2, 0.9, 0.1]) + np.cumsum(rng.normal(0, 0.01, (n_frames, 3)), axis=0),
         30.0,
-        info=info,
     )
 
 
@@ -105,7 +106,7 @@ def test_skin_and_joints_are_those_of_the_package_smplx(saved, capsule_body, n_j
     # smplx adds `transl` to the pelvis at rest; our translation is where the pelvis is.
     step = motion.translation - body.joints_at_rest(betas)[0]
     np.testing.assert_allclose(body.vertices(motion), vertices.numpy() + step[:, None], atol=2e-6)
-    rig = body.rig(motion.skeleton, betas)
+    rig = body.rig(motion.skeleton)
     ours = Motion(rig, motion.rotations, motion.translation, 30.0).positions()
     np.testing.assert_allclose(ours, joints.numpy() + step[:, None], atol=2e-6)
 
@@ -208,7 +209,7 @@ def test_files_that_are_no_body_model(saved, change, says):
 
 def test_missing_pickled_and_other_models_are_refused(saved, body, tmp_path):
     with pytest.raises(FormatError, match="no such body model"):
-        BodyModel.of(tmp_path / "absent.npz")
+        BodyModel.of(tmp_path / "absent.npz", smpl_skeleton(24))
     (tmp_path / "SMPL.pkl").write_bytes(b"\x80\x04.")
     with pytest.raises(FormatError, match="pickle"):
         BodyModel.load(tmp_path / "SMPL.pkl")
