@@ -19,6 +19,7 @@ from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.sources import motions_in, unreadable_media
 from gesturekit.jobs.state import STATE
 from gesturekit.motion import Motion
+from gesturekit.motion.body_shape import BodyShape
 
 
 def outcomes(*arguments, **options) -> list[Converted]:
