@@ -11,6 +11,7 @@ import yaml
 
 import gesturekit as gk
 from gesturekit.motion.body_model.model import FOOT_VERTICES
+from gesturekit.motion.contacts import foot_points
 
 CONFIGS = {
     "multires": {
@@ -91,16 +92,15 @@ def recordings(tmp_path) -> Path:
     return folder
 
 
-def rest_joints(folder: Path, name: str, betas: np.ndarray) -> np.ndarray:
-    """(55, 3): joints regressed from the shaped skin, Loper et al. 2015, eq. 10."""
+def check_body(file: dict, folder: Path, name: str, betas: np.ndarray) -> None:
+    """Compare bones and foot points with those of Loper et al. 2015, eqs. 8 and 10."""
     with np.load(folder / "smplx" / f"{name}.npz") as model:
         skin = model["v_template"] + model["shapedirs"][..., : len(betas)] @ betas
-        return model["J_regressor"] @ skin
-
-
-def check_bones(file: dict, joints: np.ndarray) -> None:
+        joints = model["J_regressor"] @ skin
     bones = joints[1:] - joints[file["parents"][1:]]
     np.testing.assert_allclose(file["offsets"][1:], bones, atol=1e-6)
+    feet = joints[file["end_site_joints"]] + file["end_site_offsets"]
+    np.testing.assert_allclose(feet, skin[list(FOOT_VERTICES[len(skin)])], atol=1e-6)
     # Readers pose the model at the pelvis' rest position, plus `trans`.
     np.testing.assert_allclose(file["trans"] + joints[0], file["translation"], atol=1e-6)
 
@@ -122,7 +122,7 @@ def test_each_speaker_keeps_the_recorded_body(
     assert done.status == 0, done.err
     assert done.err.count("body shapes") == 1
     assert "2 recordings of speaker ann have 2 body shapes; the mean of their betas" in done.err
-    assert len(gk.load(run / "model").skeleton.end_sites["left_foot"]) == 2
+    assert len(foot_points(gk.load(run / "model").skeleton)) == 6
 
     rendered = {}
     for speaker in ("ann", "bob", None):
@@ -138,12 +138,34 @@ def test_each_speaker_keeps_the_recorded_body(
     assert (str(ann["gender"]), str(bob["gender"])) == ("female", "neutral")
     np.testing.assert_allclose(ann["betas"], [1.5, -0.5, 0.5, *[0] * 297], atol=1e-7)
     np.testing.assert_array_equal(bob["betas"], [*np.arange(1.0, 7.0) / 4, *[0] * 294])
-    check_bones(ann, rest_joints(body_models, "SMPLX_FEMALE", ann["betas"][:10]))
-    check_bones(bob, rest_joints(body_models, "SMPLX_NEUTRAL_2020", bob["betas"][:10]))
+    check_body(ann, body_models, "SMPLX_FEMALE", ann["betas"][:10])
+    check_body(bob, body_models, "SMPLX_NEUTRAL_2020", bob["betas"][:10])
     assert str(rendered[None]["gender"]) in ("female", "neutral")
     own = bob if str(rendered[None]["gender"]) == "neutral" else ann
     np.testing.assert_array_equal(rendered[None]["betas"], own["betas"])
     np.testing.assert_array_equal(rendered[None]["offsets"], own["offsets"])
+
+
+@pytest.mark.parametrize("system", CONFIGS)
+def test_a_model_trained_further_on_another_speaker_gets_their_body(
+    system, gesturekit, recordings, tmp_path
+):
+    bodies, start = {}, None
+    for speaker in ("ann", "bob"):
+        corpus, run = tmp_path / f"{speaker}.jsonl", tmp_path / speaker
+        prepare = ("prepare", "--unpaired-motion", recordings / speaker, "--holdout", 0)
+        assert gesturekit(*prepare, "--out", corpus).status == 0
+        settings = {"system": system, "corpus": str(corpus), "out": str(run), **CONFIGS[system]}
+        settings |= {} if start is None else {"start_from": str(start)}
+        (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
+        done = gesturekit("train", tmp_path / "config.yaml")
+        assert done.status == 0, done.err
+        assert ("an unnamed speaker (gesturekit prepare --speaker" in done.err) == (start is None)
+        start = run / "model"
+        bodies[speaker] = gk.load(start).generate(seconds=0.5).skeleton.body_shape
+    assert bodies["ann"].betas == (1.5, -0.5, 0.5) and bodies["ann"].gender == "female"
+    assert bodies["bob"].betas == (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+    assert bodies["bob"].gender == "neutral"
 
 
 @pytest.mark.parametrize("system", CONFIGS)
@@ -177,7 +199,7 @@ def test_convert_fits_npz_to_the_body_model_of_their_gender(
         with np.load(recordings / f"{name}.npz") as source:
             source = dict(source)
         with np.load(tmp_path / "out" / f"{name}.npz") as made:
-            check_bones(dict(made), rest_joints(body_models, model, source["betas"]))
+            check_body(dict(made), body_models, model, source["betas"])
             np.testing.assert_allclose(made["trans"], source["trans"], atol=1e-9)
             np.testing.assert_array_equal(made["betas"][: len(source["betas"])], source["betas"])
             assert str(made["gender"]) == str(source["gender"])

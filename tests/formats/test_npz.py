@@ -255,6 +255,27 @@ def test_other_spellings_of_the_same(tmp_path):
     assert again.skeleton.body_shape.gender == "male"
 
 
+@pytest.mark.parametrize("gender", [b"female", "FEMALE", ["female"], [b"female"]])
+def test_gender_in_any_type_of_text(tmp_path, gender):
+    path = foreign(tmp_path / "a.npz", smpl_motion(55), "y", gender=np.array(gender))
+    assert read_npz(path).skeleton.body_shape.gender == "female"
+
+
+def test_an_unknown_gender_is_left_out_with_a_warning(tmp_path):
+    path = foreign(tmp_path / "a.npz", smpl_motion(55), "y", gender="unspecified")
+    with pytest.warns(UserWarning, match="gender 'unspecified' is none of female, male, neutral"):
+        assert read_npz(path).skeleton.body_shape.gender is None
+
+
+@pytest.mark.parametrize("n_betas", [0, 10, 16, 300, 400])
+def test_betas_of_any_number_are_written_as_they_were_read(tmp_path, n_betas):
+    betas = np.arange(1.0, n_betas + 1)
+    path = foreign(tmp_path / "a.npz", smpl_motion(55), "y", betas=betas)
+    read_npz(path).save(tmp_path / "b.npz")
+    with np.load(tmp_path / "b.npz") as file:
+        np.testing.assert_array_equal(file["betas"], [*betas, *[0.0] * (300 - n_betas)])
+
+
 def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
     betas = np.arange(1.0, 11.0)
     motion = smpl_motion(24)
@@ -306,6 +327,7 @@ def test_the_average_body_is_as_tall_as_people_are():
         assert abs(at["left_ankle"][1] - 0.07) < 0.03
 
 
+@pytest.mark.filterwarnings("ignore:.*a model of 10 betas for a body of 300")
 def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
     values = beat2(tmp_path / "beat2.npz")
     arrays = capsule_body(55)
