@@ -24,6 +24,7 @@ import numpy as np
 from gesturekit.archive import Archive, open_archive
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.formats.smpl.amass import from_amass, read_shape, to_amass, with_expressions
 from gesturekit.formats.smpl.seamless import from_seamless
 from gesturekit.formats.smpl.skeleton import RIGS, as_smpl, fit_body, is_smpl
@@ -48,8 +49,8 @@ def read_npz(
 
     Args:
         path: the file.
-        up: axis that points up in an AMASS-like file, "y" or "z"; "auto" takes the one that the
-            pelvis points to in most frames. Native files are always Y up.
+        up: axis that points up in an AMASS-like file, "y", "z" or "-y" (a camera's); "auto" takes
+            the one that the pelvis points to in most frames. Native files are always Y up.
         body_model: model of the SMPL family, its .npz file, or a folder of models (`BodyModel.of`):
             bones get their lengths from the file's `betas`, and feet get six vertices as end sites.
 
@@ -57,8 +58,8 @@ def read_npz(
         FormatError: missing, damaged, of a newer format, or without the keys of a motion.
     """
     path = Path(path)
-    if up not in ("auto", "y", "z"):
-        raise FormatError(f"up axis {up!r}; expected auto, y or z")
+    if up not in ("auto", *UP_TO_Y):
+        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
     with open_archive(path) as archive:
         try:
             if "v_template" in archive and "poses" not in archive:
@@ -219,7 +220,8 @@ def _from_native(archive: Archive) -> Motion:
             f"keys 'rotations', 'translation', 'joint_translations', 'fps': {error}"
         ) from None
     if pelvis is not None:
-        motion.info["up"] = "z" if archive.texts("body_up") == ["z"] else "y"
+        (up,) = archive.texts("body_up") or ["y"]
+        motion.info["up"] = up if up in UP_TO_Y else "y"
     return with_expressions(motion, archive) if "expressions" in archive else motion
 
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_npz, write_npz
-from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
+from gesturekit.formats.smpl.skeleton import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.body_shape import BodyShape
@@ -253,6 +254,32 @@ def test_other_spellings_of_the_same(tmp_path):
     np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)
     np.testing.assert_allclose(again.skeleton.body_shape.betas, np.arange(10))
     assert again.skeleton.body_shape.gender == "male"
+
+
+@pytest.mark.parametrize("up", ["auto", "-y"])
+def test_a_body_in_the_axes_of_a_camera_is_turned_upright(tmp_path, up):
+    motion = smpl_motion(55)
+    path = foreign(tmp_path / "a.npz", motion, "y")
+    with np.load(path) as file:
+        values = dict(file)
+    turn = Rotation.from_euler("x", 180, degrees=True)
+    poses = values["poses"].copy()
+    poses[:, :3] = (turn * Rotation.from_rotvec(poses[:, :3])).as_rotvec()
+    trans = turn.apply(values["trans"] + model_pelvis(55)) - model_pelvis(55)
+    np.savez(path, **values | {"poses": poses, "trans": trans})
+    read = read_npz(path, up=up)
+    np.testing.assert_allclose(read.positions(), motion.positions(), atol=1e-9)
+    assert read.info["up"] == "-y"
+    read.save(tmp_path / "own.npz")  # trans is kept, and so is the axis of its body model
+    assert read_npz(tmp_path / "own.npz").info["up"] == "-y"
+
+
+def test_real_bodies_fitted_to_video_stand_with_the_head_up(shared_data):
+    for file in sorted((shared_data / "takes" / "show").glob("*.npz")):
+        motion = read_npz(file)
+        head, pelvis = (motion.skeleton.index(name) for name in ("head", "pelvis"))
+        places = motion.positions()
+        assert np.min(places[:, head, 1] - places[:, pelvis, 1]) > 0.4, file.name
 
 
 @pytest.mark.parametrize("gender", [b"female", "FEMALE", ["female"], [b"female"]])

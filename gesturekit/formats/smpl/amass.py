@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from gesturekit.archive import Archive
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.axes import Z_TO_Y
+from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.formats.smpl.skeleton import N_JOINTS, model_pelvis, smpl_skeleton
 from gesturekit.motion.body_shape import GENDERS, MAX_BETAS, BodyShape
 from gesturekit.motion.motion import Motion
@@ -38,7 +39,7 @@ _MAX_EXPRESSIONS = 1000
 
 
 def from_amass(archive: Archive, up: str) -> Motion:
-    """Return the motion in the keys of AMASS or BEAT2; `up` is "y", "z" or "auto".
+    """Return the motion in the keys of AMASS or BEAT2; `up` is "y", "z", "-y" or "auto".
 
     Raises:
         FormatError: a key is missing, pickled, or of a wrong shape.
@@ -85,7 +86,7 @@ def to_amass(motion: Motion, up: str) -> dict[str, Any]:
     n_joints, n_frames = motion.skeleton.n_joints, motion.n_frames
     rotations, pelvis = motion.rotations, motion.translation
     if up == "z":
-        back = invert_quaternions(Z_TO_Y)
+        back = invert_quaternions(UP_TO_Y[up])
         rotations = rotations.copy()
         rotations[:, 0] = multiply_quaternions(back, rotations[:, 0])
         pelvis = rotate_vectors(back, pelvis)
@@ -116,15 +117,16 @@ def to_y_up(
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Return rotations (T, J, 4) and pelvis (T, 3) with Y up, and the axis that pointed up.
 
-    If `up` is "auto", it is the axis that the pelvis points along in most frames.
+    If `up` is "auto", it is the one of UP_TO_Y that the pelvis points along in most frames.
     """
-    if up == "auto":
+    if up == "auto" and len(rotations):
         body = rotate_vectors(rotations[:, 0], np.array([0.0, 1.0, 0.0]))
-        up = "z" if len(body) and np.median(body[:, 2] - body[:, 1]) > 0 else "y"
-    if up == "z":
+        y, z = np.median(body[:, 1:], axis=0)
+        up = max(("y", y), ("z", z), ("-y", -y), key=itemgetter(1))[0]
+    if up in ("z", "-y"):
         rotations = rotations.copy()
-        rotations[:, 0] = multiply_quaternions(Z_TO_Y, rotations[:, 0])
-        pelvis = rotate_vectors(Z_TO_Y, pelvis)
+        rotations[:, 0] = multiply_quaternions(UP_TO_Y[up], rotations[:, 0])
+        pelvis = rotate_vectors(UP_TO_Y[up], pelvis)
     return rotations, pelvis, up
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.formats.signatures import json_in_words
 from gesturekit.formats.smpl.amass import to_y_up
 from gesturekit.formats.smpl.skeleton import fit_body, model_pelvis, smpl_skeleton
@@ -67,7 +68,7 @@ def read_easymocap(
         person: `id` of the person to read; by default the one in the most frames.
         fps: frame rate of the recording, which the files do not contain.
         max_gap: longest gap to interpolate, seconds.
-        up: axis that points up, "y" or "z", as the cameras were calibrated; "auto" uses the
+        up: axis that points up, "y", "z" or "-y", as the cameras were calibrated; "auto" uses the
             direction of the pelvis in most frames.
         body_model: model of the SMPL family, its .npz file or folder, as in `read_npz`.
 
@@ -82,8 +83,8 @@ def read_easymocap(
         FormatError: no such folder, a broken file, no person of that id, or too long a gap.
     """
     path = Path(path)
-    if up not in ("auto", "y", "z"):
-        raise FormatError(f"up axis {up!r}; expected auto, y or z")
+    if up not in ("auto", *UP_TO_Y):
+        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
     frames = {number: _people(file) for number, file in _files(path).items()}
     seen = Counter(name for people in frames.values() for name in people)
     if not seen:

@@ -19,7 +19,7 @@ from functools import cache
 import numpy as np
 
 from gesturekit.errors import FormatError
-from gesturekit.formats.axes import Z_TO_Y
+from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.motion import Motion
@@ -194,9 +194,8 @@ def on_body(motion: Motion, skeleton: Skeleton) -> Motion:
     """
     shift, own, other = np.zeros(3), motion.skeleton.body_shape.pelvis, skeleton.body_shape.pelvis
     if own is not None and other is not None:
-        shift = np.subtract(other, own)
-        if motion.info.get("up") == "z":
-            shift = rotate_vectors(Z_TO_Y, shift)
+        turn = UP_TO_Y[motion.info.get("up", "y")]
+        shift = rotate_vectors(turn, np.subtract(other, own))
     return replace(motion, skeleton=skeleton, translation=motion.translation + shift)
 
 
