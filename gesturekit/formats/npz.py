@@ -104,7 +104,8 @@ def write_npz(
         fps: rate to resample to; by default the motion's own.
 
     Warns:
-        UserWarning: the SMPL-X add-on of Blender would refuse or misplay the frame rate.
+        UserWarning: the SMPL-X add-on of Blender would refuse or misplay the frame rate, or betas
+            of SMPL or SMPL-H are left out of the layout of SMPL-X.
 
     Raises:
         FormatError: an unknown rig or axis.
@@ -122,6 +123,12 @@ def write_npz(
     if is_smpl(motion.skeleton):
         posed = motion if rig else as_smpl(motion, RIGS["smplx"])
         values |= to_amass(posed, up)
+        if motion.skeleton.body_shape.betas and not posed.skeleton.body_shape.betas:
+            warnings.warn(
+                f"{path}: pose vectors are written for SMPL-X, in which the body's betas mean "
+                "nothing: its readers see an average body; --rig smplh (or smpl) keeps them",
+                stacklevel=2,
+            )
         if posed.skeleton.n_joints == RIGS["smplx"] and motion.fps % 30:
             effect = "refuses" if motion.fps < 30 else "plays at the wrong speed"
             warnings.warn(

@@ -211,3 +211,19 @@ def test_convert_fits_npz_to_the_body_model_of_their_gender(
         (tmp_path / "moved.npz").rename(body_models / "smplx" / "SMPLX_FEMALE.npz")
     assert done.status == 1 and "subfolder smplx has SMPLX_FEMALE.npz" in done.err
     assert not target.exists()
+
+
+def test_changes_of_a_motion_keep_the_body(gesturekit, recordings, tmp_path):
+    (tmp_path / "bob.npz").write_bytes((recordings / "bob/c.npz").read_bytes())
+    for change in (["--mirror"], ["--joints", "body"], ["--trim", "0.2:1"], ["--fps", 60]):
+        target = tmp_path / "made.npz"
+        done = gesturekit(
+            *("convert", recordings / "ann/b.npz", target, "--existing", "replace"), *change
+        )
+        assert done.status == 0, done.err
+        shape = gk.Motion.load(target).skeleton.body_shape
+        assert (shape.betas, shape.gender) == ((2.0, -0.5, 1.0), "female"), change
+    onto = ("convert", recordings / "ann/b.npz", target, "--existing", "replace")
+    assert gesturekit(*onto, "--rig", tmp_path / "bob.npz").status == 0
+    shape = gk.Motion.load(target).skeleton.body_shape  # that of the other person
+    assert (shape.betas, shape.gender) == (tuple(np.arange(1.0, 7.0) / 4), "neutral")

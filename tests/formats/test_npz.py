@@ -310,7 +310,8 @@ def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
     motion = replace(motion, skeleton=replace(motion.skeleton, body_shape=shape))
     write_npz(motion, tmp_path / "h.npz", rig="smplh")
     write_npz(motion, tmp_path / "x.npz", rig="smplx")
-    write_npz(motion, tmp_path / "own.npz")
+    with pytest.warns(UserWarning, match="an average body; --rig smplh"):
+        write_npz(motion, tmp_path / "own.npz")
     with np.load(tmp_path / "h.npz") as h, np.load(tmp_path / "x.npz") as x:
         np.testing.assert_array_equal(h["betas"], [*betas, 0, 0, 0, 0, 0, 0])
         assert h["dmpls"].shape == (20, 8)
