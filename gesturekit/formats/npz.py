@@ -203,7 +203,7 @@ def _from_native(archive: Archive) -> Motion:
             end_sites=ends,
             rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
             parts=parts,
-            body_shape=read_shape(archive, "body_betas", len(names), pelvis),
+            body_shape=read_shape(archive, "body_betas", pelvis),
         )
     except MotionError as error:
         raise FormatError(

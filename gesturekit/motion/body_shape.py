@@ -21,7 +21,7 @@ class BodyShape:
     Attributes:
         betas: (B,) shape coefficients; trailing zeros, which change nothing, are dropped.
         gender: of GENDERS, the body model that `betas` belong to; None if unknown.
-        version: of SMPL-X, such as "smplx2020"; None if unknown.
+        version: of that model, such as "smplx2020"; None if unknown.
         pelvis: (3,) rest position of the pelvis in the body model, metres, to which the `trans` of
             a file is added; None if unknown.
 

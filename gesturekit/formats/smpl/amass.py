@@ -67,9 +67,7 @@ def from_amass(archive: Archive, up: str) -> Motion:
     rest = model_pelvis(n_joints)
     rotations, pelvis, up = to_y_up(rotations, trans + rest, up)
     try:
-        skeleton = replace(
-            smpl_skeleton(n_joints), body_shape=read_shape(archive, "betas", n_joints, rest)
-        )
+        skeleton = replace(smpl_skeleton(n_joints), body_shape=read_shape(archive, "betas", rest))
         motion = Motion(skeleton, rotations, pelvis, _rate(archive), info={"up": up})
     except MotionError as error:
         raise FormatError(f"keys 'poses', 'trans', 'mocap_frame_rate': {error}") from None
@@ -130,10 +128,8 @@ def to_y_up(
     return rotations, pelvis, up
 
 
-def read_shape(
-    archive: Archive, betas_key: str, n_joints: int, pelvis: np.ndarray | None
-) -> BodyShape:
-    """Return the body shape: `betas` under that key, `gender`, and `model`, the version of SMPL-X.
+def read_shape(archive: Archive, betas_key: str, pelvis: np.ndarray | None) -> BodyShape:
+    """Return the body shape: `betas` under that key, `gender`, and `model`, the model's version.
 
     Betas of each frame (T, B) are averaged. An unknown gender is left out with a warning.
     """
@@ -154,7 +150,7 @@ def read_shape(
     return BodyShape(
         betas=tuple(betas),
         gender=gender if gender in GENDERS else None,
-        version=(_text(archive, "model") if n_joints == 55 else "") or None,
+        version=_text(archive, "model") or None,
         pelvis=None if pelvis is None else tuple(pelvis),
     )
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -183,8 +182,7 @@ def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> 
             f"{body.source}: a model of {known} betas for a body of {had}; the others are ignored",
             stacklevel=2,
         )
-    motion = on_body(motion, body.rig(motion.skeleton))
-    return replace(motion, info=motion.info | {"body_model": body.source})
+    return on_body(motion, body.rig(motion.skeleton))
 
 
 def on_body(motion: Motion, skeleton: Skeleton) -> Motion:
@@ -207,7 +205,7 @@ def mean_body(skeletons: Sequence[Skeleton]) -> Skeleton:
     gender than most are left out, because their betas belong to another model.
     """
     genders = [skeleton.body_shape.gender for skeleton in skeletons]
-    usual = Counter(genders).most_common(1)[0][0]
+    usual = max(genders, key=genders.count)
     own = [one for one, gender in zip(skeletons, genders) if gender == usual]
     shapes = [skeleton.body_shape for skeleton in own]
     longest = max(len(shape.betas) for shape in shapes)
