@@ -95,19 +95,6 @@ def test_the_skin_moves_as_the_body_model_says(tmp_path, body, n_joints):
     assert np.abs(moved - expected).max() < 1e-3  # metres; weights are in parts of 255
 
 
-def test_a_page_shows_the_same_turns_whatever_the_signs_of_quaternions(tmp_path, body):
-    """q and -q are one rotation, and many programs write w >= 0, with jumps of sign over time."""
-    motion = turning()
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (motion.n_frames, 24, 1))
-    signs[0] = 1.0
-    turns = []
-    for number, rotations in enumerate((motion.rotations, signs * motion.rotations)):
-        path = tmp_path / f"{number}.html"
-        replace(motion, rotations=rotations).save(path, body_model=body)
-        turns.append(page_of(path)["figures"][0]["skin"]["turns"])
-    assert turns[0] == turns[1]
-
-
 @pytest.mark.skipif(not shutil.which("chromium"), reason="Chromium is not installed")
 def test_a_page_with_skins_opens_in_a_browser(tmp_path, body):
     pair = {"left": turning(), "right": turning(22)}
