@@ -39,7 +39,7 @@ GROUPS = {
         *("formats", "rig", "rig_parts", "fps", "antialias", "trim", "mirror", "joints", "up"),
         *("unit", "frame", "body", "size", "existing"),
     ),
-    "Input": (*RECORDING_OPTIONS, "person", "body_model", "parts"),
+    "Input": (*RECORDING_OPTIONS, "person", "parts"),
     **BATCH_GROUPS,
 }
 WIDTH = 100

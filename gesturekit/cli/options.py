@@ -32,19 +32,20 @@ _RECORDING = (
         metavar="METRES",
         help="Scale the body to this height (sole to crown) in metres, such as 1.75.",
     ),
+    click.option(
+        "--body-model",
+        type=click.Path(path_type=Path),
+        metavar="PATH",
+        help="SMPL, SMPL-H or SMPL-X body model, or a folder of them (SMPLX_FEMALE.npz and so on, "
+        "chosen by gender): gives SMPL files their bones and foot points, and html and obj a body "
+        "mesh.",
+    ),
 )
-RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height")
+RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height", "body_model")
 """Names of the parameters that `recording_options` adds."""
 _OPTIONS = (
     *_RECORDING,
     click.option("--person", type=int, metavar="ID", help="Person to read (EasyMocap)."),
-    click.option(
-        "--body-model",
-        type=click.Path(path_type=Path),
-        metavar="NPZ",
-        help="SMPL or SMPL-X body model: gives exact bones to SMPL files, and a body mesh to html "
-        "and obj.",
-    ),
 )
 
 channel_option = click.option(

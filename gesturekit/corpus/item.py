@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +26,7 @@ READING: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(("unit", "up", "forward"), str),
     **dict.fromkeys(("fps", "height"), (int, float)),
     "parts": Mapping,
+    "body_model": (str, os.PathLike),
 }
 """Options for reading an item's motion file, by name, with their types."""
 

@@ -202,7 +202,7 @@ _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "mirror": ((bool,), "true or false"),
     "conditions": ((dict,), "an object {name: path}"),
     "channel": ((int, type(None)), "a whole number or null"),
-    "reading": ((dict,), "an object {unit, up, forward, fps, height}"),
+    "reading": ((dict,), "an object {unit, up, forward, fps, height, body_model}"),
     "audible": ((list, tuple), "a list of [start, end] in seconds"),
 }
 
@@ -244,6 +244,11 @@ def _item_from_record(record: dict[str, Any], *, folder: Path, where: str) -> It
     values["conditions"] = {
         name: resolved(f"conditions[{name!r}]", text) for name, text in record["conditions"].items()
     }
+    values["reading"] = dict(record.get("reading", {}))
+    if "body_model" in values["reading"]:
+        values["reading"]["body_model"] = resolved(
+            "reading.body_model", values["reading"]["body_model"]
+        )
     try:
         values["audible"] = tuple((float(a), float(b)) for a, b in record.get("audible", ()))
     except (TypeError, ValueError, OverflowError):
@@ -265,4 +270,7 @@ def _record_from_item(item: Item, folder: Path) -> dict[str, Any]:
     record["conditions"] = {
         name: relative(item.conditions[name]) for name in sorted(item.conditions)
     }
+    if "body_model" in item.reading:
+        model = relative(Path(item.reading["body_model"]))
+        record["reading"] = {**item.reading, "body_model": model}
     return record

@@ -111,6 +111,9 @@ class PrepareOptions:
             raise CorpusError(f"tolerance is {self.tolerance}; it must be 0 or more seconds")
         if unknown := sorted(set(self.read or {}) - set(READING)):
             raise CorpusError(f"read: unknown option {unknown[0]!r}; expected {list(READING)}")
+        body_model = (self.read or {}).get("body_model")
+        if body_model is not None and not Path(body_model).exists():
+            raise CorpusError(f"body model {body_model}: no such file or folder")
 
 
 @gesturekit_errors()

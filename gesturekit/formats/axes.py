@@ -33,8 +33,13 @@ USUAL_FORWARD = {"y": "z", "z": "-y", "x": "z", "-y": "-z", "-z": "y", "-x": "z"
 """Default forward axis for each up axis: that of BVH and glTF for "y", of Blender for "z", of a
 camera for "-y"."""
 
-Z_TO_Y = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
-"""(4,) quarter turn about x: (x, y, z) becomes (x, z, -y)."""
+UP_TO_Y = {
+    "y": IDENTITY,
+    "z": np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]),
+    "-y": np.array([1.0, 0.0, 0.0, 0.0]),
+}
+"""Turn (4,) about x from the up axis of an SMPL file to Y: (x, y, z) becomes (x, z, -y) for "z", as
+in AMASS, and (x, -y, -z) for "-y", the axes of a camera."""
 
 _STEEP = 0.7  # largest rise of a quadruped's trunk, as a share of its length
 _MOST_FRAMES = 500  # frames, evenly spaced, from which the up axis is found

@@ -9,10 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.formats.smpl.skeleton import is_smpl
 from gesturekit.formats.sources import OTHER_MOTION_SUFFIXES, unreadable_media
 from gesturekit.motion.motion import Motion
 from gesturekit.wording import counted
@@ -47,7 +44,8 @@ class FormatOptions:
     Attributes:
         read: options of readers, such as `up`; also `fps` and `height`, see `load`.
         write: options of writers, such as `up`.
-        body_model: npz file of an SMPL or SMPL-X model, for readers and writers that use one.
+        body_model: npz file of an SMPL or SMPL-X model, or a folder of such files, for readers and
+            writers that use one.
         parts: joints of the sources specified by hand, see `load`.
     """
 
@@ -75,10 +73,10 @@ def refuse_unused_options(
     """
     found, written = ({_format(path) for path in paths} for paths in (sources, targets))
     refuse_unused_read_options(options.read, found)
-    _refuse_unused(options.write, _WRITES, written, "written")
+    _refuse_unused(options.write, "written", (_WRITES, written))
     if options.body_model is not None:
         model = {"body_model": options.body_model}
-        _refuse_unused(model, _READS | _WRITES, found | written, "converted")
+        _refuse_unused(model, "converted", (_READS, found), (_WRITES, written))
 
 
 def load(
@@ -130,7 +128,7 @@ def refuse_unused_read_options(options: Mapping[str, Any], formats: set[str]) ->
         ConfigError: an option would have no effect.
     """
     chosen = {name: value for name, value in options.items() if name not in _OF_ANY_FORMAT}
-    _refuse_unused(chosen, _READS, formats, "read")
+    _refuse_unused(chosen, "read", (_READS, formats))
 
 
 def describe(motion: Motion) -> str:
@@ -160,7 +158,7 @@ def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[s
     Raises:
         ConfigError: an option that none of the formats has.
     """
-    _refuse_unused(options, _WRITES, {f".{name}" for name in formats}, "written")
+    _refuse_unused(options, "written", (_WRITES, {f".{name}" for name in formats}))
     return {
         name: {key: options[key] for key in options if key in _WRITES.get(f".{name}", ())}
         for name in formats
@@ -180,15 +178,23 @@ def without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
 
 
 def _refuse_unused(
-    options: Mapping[str, Any], table: Mapping[str, set[str]], formats: set[str], verb: str
+    options: Mapping[str, Any], verb: str, *uses: tuple[Mapping[str, set[str]], set[str]]
 ) -> None:
-    """Raise ConfigError for an option that none of the formats has."""
+    """Raise ConfigError for an option that none of the formats has.
+
+    Args:
+        options: by name.
+        verb: what is done with the formats: "read", "written" or "converted".
+        uses: pairs of a table of options by format, and the formats that are read or written.
+    """
+    formats = {form for _, used in uses for form in used}
     for name in options:
-        fitting = [form for form, known in table.items() if name in known]
-        if formats and not formats & set(fitting):
+        fitting = [form for table, _ in uses for form, known in table.items() if name in known]
+        has = any(name in table.get(form, ()) for table, used in uses for form in used)
+        if formats and not has:
             option = f"--{_IN.get(name, name) if verb == 'read' else name}".replace("_", "-")
             raise ConfigError(
-                f"{option} is an option of {', '.join(fitting)}; only "
+                f"{option} is an option of {', '.join(dict.fromkeys(fitting))}; only "
                 f"{', '.join(sorted(formats))} is {verb}"
             )
 
@@ -207,7 +213,7 @@ def warn_of_losses(motion: Motion, target: Path) -> None:
     """Warn of data of a motion that the format of a target cannot hold."""
     if target.suffix.lower() == ".bvh":
         lost = ["face expressions"] if motion.expressions is not None else []
-        if is_smpl(motion.skeleton) and np.any(motion.info.get("betas", 0)):
+        if motion.skeleton.body_shape.betas:
             lost.append("body shape (betas)")
         if lost:
             warnings.warn(f"{target}: BVH holds no {' and no '.join(lost)}; npz does", stacklevel=2)

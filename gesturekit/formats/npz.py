@@ -24,7 +24,8 @@ import numpy as np
 from gesturekit.archive import Archive, open_archive
 from gesturekit.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.smpl.amass import body_info, from_amass, to_amass, with_expressions
+from gesturekit.formats.axes import UP_TO_Y
+from gesturekit.formats.smpl.amass import from_amass, read_shape, to_amass, with_expressions
 from gesturekit.formats.smpl.seamless import from_seamless
 from gesturekit.formats.smpl.skeleton import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model.model import BodyModel
@@ -43,22 +44,22 @@ def read_npz(
 ) -> Motion:
     """Read a motion npz: native, or with the keys of AMASS, BEAT2 or Seamless Interaction.
 
-    Without a body model, an SMPL rig has the proportions of an average adult. Data about the body
-    is kept in `info` (`betas`, `gender`) and written again.
+    Without a body model, an SMPL rig has the proportions of an average adult. `betas` and `gender`
+    are the skeleton's `body_shape`, and are written again.
 
     Args:
         path: the file.
-        up: axis that points up in an AMASS-like file, "y" or "z"; "auto" takes the one that the
-            pelvis points to in most frames. Native files are always Y up.
-        body_model: model of the SMPL family, or its .npz file: bones get their lengths from the
-            file's `betas`, and feet get six vertices as end sites.
+        up: axis that points up in an AMASS-like file, "y", "z" or "-y" (a camera's); "auto" takes
+            the one that the pelvis points to in most frames. Native files are always Y up.
+        body_model: model of the SMPL family, its .npz file, or a folder of models (`BodyModel.of`):
+            bones get their lengths from the file's `betas`, and feet get six vertices as end sites.
 
     Raises:
         FormatError: missing, damaged, of a newer format, or without the keys of a motion.
     """
     path = Path(path)
-    if up not in ("auto", "y", "z"):
-        raise FormatError(f"up axis {up!r}; expected auto, y or z")
+    if up not in ("auto", *UP_TO_Y):
+        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
     with open_archive(path) as archive:
         try:
             if "v_template" in archive and "poses" not in archive:
@@ -103,7 +104,8 @@ def write_npz(
         fps: rate to resample to; by default the motion's own.
 
     Warns:
-        UserWarning: the SMPL-X add-on of Blender would refuse or misplay the frame rate.
+        UserWarning: the SMPL-X add-on of Blender would refuse or misplay the frame rate, or betas
+            of SMPL or SMPL-H are left out of the layout of SMPL-X.
 
     Raises:
         FormatError: an unknown rig or axis.
@@ -121,6 +123,12 @@ def write_npz(
     if is_smpl(motion.skeleton):
         posed = motion if rig else as_smpl(motion, RIGS["smplx"])
         values |= to_amass(posed, up)
+        if motion.skeleton.body_shape.betas and not posed.skeleton.body_shape.betas:
+            warnings.warn(
+                f"{path}: pose vectors are written for SMPL-X, in which the body's betas mean "
+                "nothing: its readers see an average body; --rig smplh (or smpl) keeps them",
+                stacklevel=2,
+            )
         if posed.skeleton.n_joints == RIGS["smplx"] and motion.fps % 30:
             effect = "refuses" if motion.fps < 30 else "plays at the wrong speed"
             warnings.warn(
@@ -154,10 +162,12 @@ def _native(motion: Motion) -> dict[str, Any]:
     if skeleton.parts:
         values["parts_by_hand"] = np.array(list(skeleton.parts))
         values["part_joints"] = np.array([skeleton.index(name) for name in skeleton.parts.values()])
-    for key, known in (("body_betas", "betas"), ("body_pelvis", "rest_pelvis")):
-        if known in motion.info:
-            values[key] = np.asarray(motion.info[known], dtype=np.float64)
-            values["body_up"] = motion.info.get("up", "y")  # up axis of the source file
+    shape = skeleton.body_shape
+    if shape.betas:
+        values["body_betas"] = np.array(shape.betas)
+    if shape.pelvis is not None:
+        values["body_pelvis"] = np.array(shape.pelvis)
+        values["body_up"] = motion.info.get("up", "y")  # up axis of the source file
     if motion.expressions is not None:
         values["expressions"] = motion.expressions
     return values
@@ -182,6 +192,9 @@ def _from_native(archive: Archive) -> Motion:
         by_hand = archive.texts("parts_by_hand", _MAX_JOINTS)
         found = _by_joint(archive, "part_joints", "parts_by_hand", by_hand, names)
         parts = {part: name for name, part in found}
+    pelvis = archive.numbers("body_pelvis") if "body_pelvis" in archive else None
+    if pelvis is not None and (pelvis.shape != (3,) or not np.isfinite(pelvis).all()):
+        raise FormatError(f"key 'body_pelvis' has shape {pelvis.shape}; expected three numbers")
     try:
         skeleton = Skeleton(
             names=names,
@@ -190,6 +203,7 @@ def _from_native(archive: Archive) -> Motion:
             end_sites=ends,
             rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
             parts=parts,
+            body_shape=read_shape(archive, "body_betas", pelvis),
         )
     except MotionError as error:
         raise FormatError(
@@ -212,13 +226,9 @@ def _from_native(archive: Archive) -> Motion:
         raise FormatError(
             f"keys 'rotations', 'translation', 'joint_translations', 'fps': {error}"
         ) from None
-    motion.info.update(body_info(archive, "body_betas", skeleton.n_joints))
-    if "body_pelvis" in archive:
-        place = archive.numbers("body_pelvis")
-        if place.shape != (3,) or not np.isfinite(place).all():
-            raise FormatError(f"key 'body_pelvis' has shape {place.shape}; expected three numbers")
-        motion.info["rest_pelvis"] = place
-        motion.info["up"] = "z" if archive.texts("body_up") == ["z"] else "y"
+    if pelvis is not None:
+        (up,) = archive.texts("body_up") or ["y"]
+        motion.info["up"] = up if up in UP_TO_Y else "y"
     return with_expressions(motion, archive) if "expressions" in archive else motion
 
 

@@ -25,7 +25,7 @@ def write_obj(
     Args:
         motion: on a rig of the SMPL family, or one that can be retargeted to it.
         path: the file, written atomically.
-        body_model: a `BodyModel` or its .npz file.
+        body_model: a `BodyModel`, its .npz file, or a folder of models (`BodyModel.of`).
         frame: frame index; a negative one counts from the end.
 
     Raises:
@@ -39,7 +39,7 @@ def write_obj(
     if not -motion.n_frames <= frame < motion.n_frames:
         raise FormatError(f"{path}: frame {frame} of a motion of {motion.n_frames} frames")
     frame %= motion.n_frames
-    body = BodyModel.of(body_model)
+    body = BodyModel.of(body_model, motion.skeleton)
     (skin,) = body.vertices(fit_body(motion.slice(frame, frame + 1), body))
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as out:
         np.savetxt(out, skin, fmt="v %.6f %.6f %.6f")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.wording import did_you_mean, listed
 
 SKELETON_FORMAT = 1
@@ -33,6 +34,7 @@ class Skeleton:
         rotation_orders: axes of each joint's intrinsic Euler angles in a file, such as "ZXY".
         parts: body parts specified by hand, such as {"left_elbow": "Joint12"}, if names and shape
             of the rig do not identify them; see `gesturekit.motion.parts.find_parts`.
+        body_shape: shape of the person on a rig of the SMPL family.
 
     Raises:
         MotionError: several roots, a child before its parent, repeated names, wrong shapes, or
@@ -45,6 +47,7 @@ class Skeleton:
     end_sites: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
     rotation_orders: tuple[str, ...] = ()
     parts: Mapping[str, str] = field(default_factory=dict)
+    body_shape: BodyShape = BodyShape()
 
     def __post_init__(self) -> None:
         names = tuple(str(name) for name in self.names)
@@ -182,7 +185,11 @@ class Skeleton:
             "end_sites": {k: [site.tolist() for site in v] for k, v in self.end_sites.items()},
             "rotation_orders": list(self.rotation_orders),
         }
-        return values | ({"parts": dict(self.parts)} if self.parts else {})
+        if self.parts:
+            values["parts"] = dict(self.parts)
+        if shape := self.body_shape.to_json():
+            values["body_shape"] = shape
+        return values
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Skeleton:
@@ -206,6 +213,7 @@ class Skeleton:
                 end_sites={k: tuple(v) for k, v in values.get("end_sites", {}).items()},
                 rotation_orders=tuple(values.get("rotation_orders", ())),
                 parts=dict(values.get("parts", {})),
+                body_shape=BodyShape.from_json(values.get("body_shape", {})),
             )
         except KeyError as error:
             raise MotionError(f"the skeleton lacks the field {error}") from None

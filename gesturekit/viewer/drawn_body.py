@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -46,7 +47,10 @@ class DrawnBody:
 
     @classmethod
     def of(
-        cls, motion: Motion, body: str | None = None, body_model: BodyModel | None = None
+        cls,
+        motion: Motion,
+        body: str | None = None,
+        body_model: BodyModel | str | os.PathLike[str] | None = None,
     ) -> DrawnBody:
         """Retarget a motion to a body.
 
@@ -55,7 +59,7 @@ class DrawnBody:
             body: of BODIES, or the path of an avatar; "mannequin" by default. A mannequin and a
                 skeleton have the joints of the motion's own rig; for "human" and avatars the motion
                 is retargeted. If that is not possible, the mannequin is drawn.
-            body_model: draw its skin instead.
+            body_model: draw its skin instead: a model, its file, or a folder of models.
 
         Raises:
             FormatError: an unknown body, an avatar that cannot be read, or both a body and a model.
@@ -68,8 +72,9 @@ class DrawnBody:
         if body_model is not None:
             if body is not None:
                 raise FormatError("give either a body or a body model, not both")
-            motion = fit_body(motion, body_model)
-            skin = Skin.of(body_model, motion.info.get("betas"))
+            model = BodyModel.of(body_model, motion.skeleton)
+            motion = fit_body(motion, model)
+            skin = Skin.of(model, motion.skeleton.body_shape.betas)
             return cls(motion, Figure.of(motion), (skin,))
         if body not in (None, "mannequin", "skeleton"):
             avatar = None if body == "human" else load_avatar(body)

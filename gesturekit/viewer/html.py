@@ -59,8 +59,8 @@ def write_html(
         title: the page's heading; the file's stem by default.
         body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
             `gesturekit.viewer.drawn_body`.
-        body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs;
-            the motion is put on its rig.
+        body_model: shows the skin of this body in place of limbs: a `BodyModel`, its .npz file or a
+            folder of models; the motion is put on its rig.
 
     Raises GestureKitError where the player has not been bundled, AudioError where `audio` is no
     sound, FormatError where `body_model` is none.
@@ -115,8 +115,7 @@ def player_data(
     motions = dict(motion) if isinstance(motion, Mapping) else {"": motion}
     if not motions:
         raise MotionError("no motion to show: the mapping of motions is empty")
-    model = None if body_model is None else BodyModel.of(body_model)
-    shown = {label: DrawnBody.of(motion, body, model) for label, motion in motions.items()}
+    shown = {label: DrawnBody.of(motion, body, body_model) for label, motion in motions.items()}
     page = _page(shown, None if audio is None else as_sound(audio))
     for figure in page["figures"]:
         if colours is not None and figure["label"] in colours:

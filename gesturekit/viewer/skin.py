@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gesturekit.motion.body_model.model import BodyModel
 
@@ -44,7 +45,7 @@ class Skin:
     palette: np.ndarray | None = None
 
     @classmethod
-    def of(cls, body: BodyModel, betas: np.ndarray | None = None) -> Skin:
+    def of(cls, body: BodyModel, betas: ArrayLike = ()) -> Skin:
         """Return the mesh with the four greatest weights of each vertex, scaled to a sum of one."""
         n_joints = min(INFLUENCES, body.n_joints)
         joints = np.argsort(-body.weights, axis=1, kind="stable")[:, :n_joints]

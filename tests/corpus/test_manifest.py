@@ -33,6 +33,18 @@ def write(path: Path, *records: object, header: object = None) -> Path:
     return path
 
 
+def test_a_body_model_is_found_from_a_moved_manifest(tmp_path):
+    record = RECORD | {"reading": {"body_model": "../models", "height": 1.7}}
+    for name in ("old", "new"):
+        (tmp_path / name / "corpus").mkdir(parents=True)
+    (item,) = Manifest.load(write(tmp_path / "old/corpus/m.jsonl", record))
+    assert item.reading == {"body_model": tmp_path / "old/models", "height": 1.7}
+    Manifest([item]).save(tmp_path / "old/corpus/n.jsonl")
+    (tmp_path / "old/corpus/n.jsonl").rename(tmp_path / "new/corpus/n.jsonl")
+    (item,) = Manifest.load(tmp_path / "new/corpus/n.jsonl")
+    assert item.reading == {"body_model": tmp_path / "new/models", "height": 1.7}
+
+
 def test_paths_are_relative_to_the_manifest_and_may_lead_out_of_its_folder(tmp_path):
     folder = tmp_path / "corpus"
     folder.mkdir()
@@ -81,6 +93,8 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path):
         ({"reading": "cm"}, "reading must be an object"),
         ({"reading": {"colour": "red"}}, "reading has 'colour'; it holds unit, up"),
         ({"reading": {"height": "tall"}}, "reading.height is 'tall'"),
+        ({"reading": {"body_model": 3}}, "reading.body_model must be a path"),
+        ({"reading": {"body_model": "/b.npz"}}, "reading.body_model is the absolute path"),
         ({"duration": "long"}, "duration must be a number of seconds"),
         ({"duration": True}, "duration must be a number of seconds"),
         ({"duration": 0}, "duration is 0"),

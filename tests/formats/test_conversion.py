@@ -19,6 +19,7 @@ from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.sources import motions_in, unreadable_media
 from gesturekit.jobs.state import STATE
 from gesturekit.motion import Motion
+from gesturekit.motion.body_shape import BodyShape
 
 
 def outcomes(*arguments, **options) -> list[Converted]:
@@ -287,7 +288,9 @@ def test_a_rig_from_a_file(take, shared_data, tmp_path):
 
 
 def test_data_that_a_format_cannot_store_causes_a_warning(tmp_path):
-    motion = smpl_motion(25.0, expressions=np.ones((30, 100)), info={"betas": np.ones(10)})
+    motion = smpl_motion(25.0, expressions=np.ones((30, 100)))
+    rig = replace(motion.skeleton, body_shape=BodyShape((1.0,) * 10))
+    motion = replace(motion, skeleton=rig)
     with pytest.warns(UserWarning, match="25 fps"):
         motion.save(tmp_path / "a.npz")
     (bvh,) = outcomes(tmp_path / "a.npz", tmp_path / "a.bvh")

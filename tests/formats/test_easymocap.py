@@ -64,7 +64,7 @@ def test_the_root_turns_about_the_models_origin(tmp_path):
     z_up = np.einsum("tab,tjb->tja", turn, unturned.positions()) + person["Th"][:, None]
     y_up = np.stack([z_up[..., 0], z_up[..., 2], -z_up[..., 1]], axis=-1)
     np.testing.assert_allclose(motion.positions(), y_up, atol=1e-9)
-    np.testing.assert_allclose(motion.info["betas"], person["shapes"][0], atol=1e-12)
+    np.testing.assert_allclose(motion.skeleton.body_shape.betas, person["shapes"][0], atol=1e-12)
     assert motion.positions()[:, motion.skeleton.index("head"), 1].min() > 1.0  # it stands
 
 

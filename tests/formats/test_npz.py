@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_npz, write_npz
-from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
+from gesturekit.formats.smpl.skeleton import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 
@@ -250,22 +252,73 @@ def test_other_spellings_of_the_same(tmp_path):
     np.savez(path, **(values | {"poses": values["poses"].reshape(20, 24, 3)}))
     again = read_npz(path, up="y")
     np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)
-    np.testing.assert_allclose(again.info["betas"], np.arange(10))
-    assert again.info["gender"] == "male"
+    np.testing.assert_allclose(again.skeleton.body_shape.betas, np.arange(10))
+    assert again.skeleton.body_shape.gender == "male"
+
+
+@pytest.mark.parametrize("up", ["auto", "-y"])
+def test_a_body_in_the_axes_of_a_camera_is_turned_upright(tmp_path, up):
+    motion = smpl_motion(55)
+    path = foreign(tmp_path / "a.npz", motion, "y")
+    with np.load(path) as file:
+        values = dict(file)
+    turn = Rotation.from_euler("x", 180, degrees=True)
+    poses = values["poses"].copy()
+    poses[:, :3] = (turn * Rotation.from_rotvec(poses[:, :3])).as_rotvec()
+    trans = turn.apply(values["trans"] + model_pelvis(55)) - model_pelvis(55)
+    np.savez(path, **values | {"poses": poses, "trans": trans})
+    read = read_npz(path, up=up)
+    np.testing.assert_allclose(read.positions(), motion.positions(), atol=1e-9)
+    assert read.info["up"] == "-y"
+    read.save(tmp_path / "own.npz")  # trans is kept, and so is the axis of its body model
+    assert read_npz(tmp_path / "own.npz").info["up"] == "-y"
+
+
+def test_real_bodies_fitted_to_video_stand_with_the_head_up(shared_data):
+    for file in sorted((shared_data / "takes" / "show").glob("*.npz")):
+        motion = read_npz(file)
+        head, pelvis = (motion.skeleton.index(name) for name in ("head", "pelvis"))
+        places = motion.positions()
+        assert np.min(places[:, head, 1] - places[:, pelvis, 1]) > 0.4, file.name
+
+
+@pytest.mark.parametrize("gender", [b"female", "FEMALE", ["female"], [b"female"]])
+def test_gender_in_any_type_of_text(tmp_path, gender):
+    path = foreign(tmp_path / "a.npz", smpl_motion(55), "y", gender=np.array(gender))
+    assert read_npz(path).skeleton.body_shape.gender == "female"
+
+
+def test_an_unknown_gender_is_left_out_with_a_warning(tmp_path):
+    path = foreign(tmp_path / "a.npz", smpl_motion(55), "y", gender="unspecified")
+    with pytest.warns(UserWarning, match="gender 'unspecified' is none of female, male, neutral"):
+        assert read_npz(path).skeleton.body_shape.gender is None
+
+
+@pytest.mark.parametrize("n_betas", [0, 10, 16, 300, 400])
+def test_betas_of_any_number_are_written_as_they_were_read(tmp_path, n_betas):
+    betas = np.arange(1.0, n_betas + 1)
+    path = foreign(tmp_path / "a.npz", smpl_motion(55), "y", betas=betas, model="smplx2018")
+    read_npz(path).save(tmp_path / "b.npz")
+    with np.load(tmp_path / "b.npz") as file:
+        assert str(file["model"]) == "smplx2018"  # the version whose betas they are
+        np.testing.assert_array_equal(file["betas"], [*betas, *[0.0] * (300 - n_betas)])
 
 
 def test_shapes_are_kept_within_their_space_and_dropped_outside(tmp_path):
     betas = np.arange(1.0, 11.0)
-    motion = replace(smpl_motion(24), info={"betas": betas, "gender": "male"})
+    motion = smpl_motion(24)
+    shape = BodyShape(tuple(betas), gender="male")
+    motion = replace(motion, skeleton=replace(motion.skeleton, body_shape=shape))
     write_npz(motion, tmp_path / "h.npz", rig="smplh")
     write_npz(motion, tmp_path / "x.npz", rig="smplx")
-    write_npz(motion, tmp_path / "own.npz")
+    with pytest.warns(UserWarning, match="an average body; --rig smplh"):
+        write_npz(motion, tmp_path / "own.npz")
     with np.load(tmp_path / "h.npz") as h, np.load(tmp_path / "x.npz") as x:
         np.testing.assert_array_equal(h["betas"], [*betas, 0, 0, 0, 0, 0, 0])
         assert h["dmpls"].shape == (20, 8)
         assert not x["betas"].any() and x["betas"].shape == (300,)
         assert str(x["gender"]) == str(h["gender"]) == "male"
-    np.testing.assert_array_equal(read_npz(tmp_path / "own.npz").info["betas"], betas)
+    assert read_npz(tmp_path / "own.npz").skeleton.body_shape.betas == tuple(betas)
 
 
 def test_a_rig_of_another_kind_is_retargeted(tmp_path, gesture):
@@ -303,6 +356,7 @@ def test_the_average_body_is_as_tall_as_people_are():
         assert abs(at["left_ankle"][1] - 0.07) < 0.03
 
 
+@pytest.mark.filterwarnings("ignore:.*a model of 10 betas for a body of 300")
 def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
     values = beat2(tmp_path / "beat2.npz")
     arrays = capsule_body(55)

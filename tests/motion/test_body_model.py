@@ -1,17 +1,25 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_array, csr_array
 from scipy.spatial.transform import Rotation
 
+from gesturekit.corpus import Item
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
-from gesturekit.motion import Motion
+from gesturekit.formats.smpl.skeleton import fit_body, mean_body, smpl_skeleton
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.contacts import contact_labels, foot_points, foot_positions
-from gesturekit.motion.rotations import quaternion_from_rotation_vector
+from gesturekit.motion.rotations import (
+    quaternion_from_rotation_vector,
+    rotation_vector_from_quaternion,
+)
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.training.data.recordings import load_motions
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +40,14 @@ def body(saved, capsule_body):
     return BodyModel.load(saved(), feet=capsule_body(24)["feet"])
 
 
-def a_motion(n_joints=24, n_frames=20, betas=None):
+def a_motion(n_joints=24, n_frames=20, betas=()):
     rng = np.random.default_rng(3)
     turns = np.cumsum(rng.normal(0, 0.08, (n_frames, n_joints, 3)), axis=0)
-    info = {} if betas is None else {"betas": betas}
     return Motion(
-        smpl_skeleton(n_joints),
+        replace(smpl_skeleton(n_joints), body_shape=BodyShape(tuple(betas))),
         quaternion_from_rotation_vector(turns),
         np.array([0.2, 0.9, 0.1]) + np.cumsum(rng.normal(0, 0.01, (n_frames, 3)), axis=0),
         30.0,
-        info=info,
     )
 
 
@@ -105,7 +111,7 @@ def test_skin_and_joints_are_those_of_the_package_smplx(saved, capsule_body, n_j
     # smplx adds `transl` to the pelvis at rest; our translation is where the pelvis is.
     step = motion.translation - body.joints_at_rest(betas)[0]
     np.testing.assert_allclose(body.vertices(motion), vertices.numpy() + step[:, None], atol=2e-6)
-    rig = body.rig(motion.skeleton, betas)
+    rig = body.rig(motion.skeleton)
     ours = Motion(rig, motion.rotations, motion.translation, 30.0).positions()
     np.testing.assert_allclose(ours, joints.numpy() + step[:, None], atol=2e-6)
 
@@ -208,7 +214,7 @@ def test_files_that_are_no_body_model(saved, change, says):
 
 def test_missing_pickled_and_other_models_are_refused(saved, body, tmp_path):
     with pytest.raises(FormatError, match="no such body model"):
-        BodyModel.of(tmp_path / "absent.npz")
+        BodyModel.of(tmp_path / "absent.npz", smpl_skeleton(24))
     (tmp_path / "SMPL.pkl").write_bytes(b"\x80\x04.")
     with pytest.raises(FormatError, match="pickle"):
         BodyModel.load(tmp_path / "SMPL.pkl")
@@ -216,3 +222,84 @@ def test_missing_pickled_and_other_models_are_refused(saved, body, tmp_path):
         BodyModel.load(saved(), feet=[1, 2])
     with pytest.raises(MotionError, match="24 joints and the rig 55"):
         body.vertices(a_motion(55))
+
+
+def test_a_folder_gives_the_model_of_a_rig_and_its_gender(tmp_path, saved):
+    for name in ("SMPL_NEUTRAL", "smpl/SMPL_FEMALE", "smplh_male"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        saved(52 if "smplh" in name else 24).rename(tmp_path / f"{name}.npz")
+
+    def chosen(n_joints, gender):
+        shape = BodyShape(gender=gender)
+        body = BodyModel.of(tmp_path, replace(smpl_skeleton(n_joints), body_shape=shape))
+        return body.source.removeprefix(f"{tmp_path}/")
+
+    assert chosen(24, None) == chosen(22, "neutral") == "SMPL_NEUTRAL.npz"
+    assert chosen(24, "female") == "smpl/SMPL_FEMALE.npz"
+    assert chosen(52, "male") == "smplh_male.npz"
+    for n_joints, gender, file in ((24, "male", "SMPL_MALE"), (55, None, "SMPLX_NEUTRAL")):
+        with pytest.raises(FormatError, match=rf"subfolder smplx? has {file}\.npz; add that file"):
+            chosen(n_joints, gender)
+
+
+def test_the_mean_body_of_recordings_has_the_bones_of_the_mean_betas(body):
+    def rig(betas, gender="male"):
+        shape = BodyShape(betas, gender=gender)
+        return body.rig(replace(smpl_skeleton(24), body_shape=shape))
+
+    mean = mean_body([rig((1.0,)), rig((3.0, 2.0)), rig((9.0,), "female")])
+    assert mean.body_shape.betas == (2.0, 1.0) and mean.body_shape.gender == "male"
+    joints = body.joints_at_rest([2.0, 1.0])
+    np.testing.assert_allclose(mean.body_shape.pelvis, joints[0], atol=1e-12)
+    np.testing.assert_allclose(
+        mean.offsets[1:], joints[1:] - joints[list(mean.parents[1:])], atol=1e-12
+    )
+    feet = body.vertices_at_rest([2.0, 1.0], body.feet)
+    for name, first in (("left_foot", 0), ("right_ankle", 5)):
+        place = joints[mean.index(name)] + mean.end_sites[name][0]
+        np.testing.assert_allclose(place, feet[first], atol=1e-12)
+
+
+def test_a_model_with_fewer_betas_than_the_body_warns(body):
+    motion = a_motion(betas=np.ones(21))
+    with pytest.warns(UserWarning, match="a model of 20 betas for a body of 21; the others are"):
+        fitted = fit_body(motion, body)
+    np.testing.assert_array_equal(
+        fitted.skeleton.offsets, body.rig(a_motion(betas=np.ones(20)).skeleton).offsets
+    )
+    assert len(fitted.skeleton.body_shape.betas) == 21  # and are written again
+
+
+@pytest.mark.parametrize("up", ["y", "z", "-y"])
+def test_recordings_of_one_speaker_keep_their_trans_on_the_mean_body(
+    body, saved, tmp_path, caplog, up
+):
+    motion, model, items = a_motion(), saved(), []
+    vectors = rotation_vector_from_quaternion(motion.rotations).reshape(20, -1)
+    for name, betas in (("a", (2.0, 0.4)), ("b", (-1.0, 0.0, 3.0))):
+        file = tmp_path / f"{name}.npz"
+        np.savez(file, poses=vectors, trans=motion.translation, betas=betas, mocap_framerate=30)
+        reading = {"up": up, "body_model": str(model)}
+        part = {"audio": None, "duration": 20 / 30, "speaker": "ann", "reading": reading}
+        items.append(Item(id=name, motion=file, **part))
+    recorded = load_motions(items, tmp_path / "corpus.jsonl", 30.0, {})
+    assert "2 recordings of speaker ann have 2 body shapes; the mean" in caplog.text
+    turn = {"y": np.eye(3), "z": [[1, 0, 0], [0, 0, 1], [0, -1, 0]], "-y": np.diag([1, -1, -1])}
+    pelvis = motion.translation + body.joints_at_rest([0.5, 0.2, 1.5])[0]
+    for one in recorded:
+        assert one.skeleton.body_shape.betas == pytest.approx((0.5, 0.2, 1.5))
+        np.testing.assert_allclose(one.translation, pelvis @ np.transpose(turn[up]), atol=1e-9)
+
+
+def test_a_shape_in_a_skeleton_file_is_checked():
+    values = a_motion(betas=[0.5]).skeleton.to_json()
+    assert Skeleton.from_json(values).body_shape == BodyShape((0.5,))
+    for shape, says in (
+        ({"gender": "man"}, "gender 'man'; expected female"),
+        ({"betas": [float("nan")]}, "betas of shape"),
+        ({"betas": [0.1] * 1001}, "1001 betas; a body has up to 1000"),
+        ({"pelvis": [0.0, 1.0]}, "pelvis: 2 numbers"),
+        ({"weight": 80}, "weight"),
+    ):
+        with pytest.raises(MotionError, match=says):
+            Skeleton.from_json(values | {"body_shape": shape})

@@ -19,6 +19,7 @@ import gesturekit.viewer.html as page_module
 from gesturekit.formats.smpl.skeleton import fit_body, smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.viewer import write_html
 
 pytestmark = pytest.mark.skipif(
@@ -40,8 +41,8 @@ def turning(n_joints: int = 24, n_frames: int = 60) -> Motion:
     swing[:, 0] = np.linspace(0, 4 * np.pi, n_frames)[:, None] * [0, 1, 0]
     rotations = Rotation.from_rotvec(swing.reshape(-1, 3)).as_quat().reshape(n_frames, -1, 4)
     path = np.array([0.0, 0.9, 0.0]) + 0.5 * time[:, 0] * [1, 0, 1]
-    info = {"betas": np.array([1.0, -0.5])}
-    return Motion(smpl_skeleton(n_joints), rotations, path, 30.0, info=info)
+    rig = replace(smpl_skeleton(n_joints), body_shape=BodyShape((1.0, -0.5)))
+    return Motion(rig, rotations, path, 30.0)
 
 
 def unpack(text: str, frames: int) -> np.ndarray:

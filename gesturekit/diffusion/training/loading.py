@@ -70,7 +70,7 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
         motions = corpus.motions
         representation = DeltaRepresentation.fit(motions, config.joints, root=not config.path)
     else:
-        representation = _same_rig(like, corpus.motions[0], config)
+        representation = _same_rig(like, corpus.motions, config)
     takes = _takes(config, corpus, speeches, representation)
     vectors = [_encode(config, representation, take.motion, take) for take in takes]
     if start is None and config.path:
@@ -178,12 +178,19 @@ def _like(config: DiffusionConfig) -> DiffusionModel | None:
     return like
 
 
-def _same_rig(like: DiffusionModel, motion: Motion, config: DiffusionConfig) -> DeltaRepresentation:
-    """Return the representation of a model, checked against the rig of the corpus."""
+def _same_rig(
+    like: DiffusionModel, motions: Sequence[Motion], config: DiffusionConfig
+) -> DeltaRepresentation:
+    """Return the representation of a model, checked against the rig of the corpus.
+
+    A model to start from gets the bones and body shape of the corpus. With `moves_like` they stay,
+    because motion vectors of experts must have the same unit of length.
+    """
     setting = "start_from" if config.moves_like is None else "moves_like"
     where = getattr(config, setting)
-    check_rig(setting, where, like.skeleton, motion.skeleton, config.corpus)
-    return like.representation
+    check_rig(setting, where, like.skeleton, motions[0].skeleton, config.corpus)
+    known = like.representation
+    return known if setting == "moves_like" else known.on_bones_of(motions)
 
 
 def _on_path(

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from gesturekit.archive import Archive
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.axes import Z_TO_Y
+from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.formats.smpl.skeleton import N_JOINTS, model_pelvis, smpl_skeleton
+from gesturekit.motion.body_shape import GENDERS, MAX_BETAS, BodyShape
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -33,11 +35,11 @@ RATES = ("mocap_frame_rate", "mocap_framerate", "fps")
 _MODELS = {22: "smpl", 24: "smpl", 52: "smplh", 55: "smplx"}
 _N_BETAS = {22: 10, 24: 10, 52: 16, 55: 300}
 _N_EXPRESSIONS = 100
-_MAX_BETAS, _MAX_EXPRESSIONS = 1000, 1000
+_MAX_EXPRESSIONS = 1000
 
 
 def from_amass(archive: Archive, up: str) -> Motion:
-    """Return the motion in the keys of AMASS or BEAT2; `up` is "y", "z" or "auto".
+    """Return the motion in the keys of AMASS or BEAT2; `up` is "y", "z", "-y" or "auto".
 
     Raises:
         FormatError: a key is missing, pickled, or of a wrong shape.
@@ -62,13 +64,13 @@ def from_amass(archive: Archive, up: str) -> Motion:
     if trans.shape != (len(poses), 3):
         raise FormatError(f"key 'trans' has shape {trans.shape}; expected ({len(poses)}, 3)")
     rotations = quaternion_from_rotation_vector(poses.reshape(len(poses), n_joints, 3))
-    rest_pelvis = model_pelvis(n_joints)
-    rotations, pelvis, up = to_y_up(rotations, trans + rest_pelvis, up)
+    rest = model_pelvis(n_joints)
+    rotations, pelvis, up = to_y_up(rotations, trans + rest, up)
     try:
-        motion = Motion(smpl_skeleton(n_joints), rotations, pelvis, _rate(archive))
+        skeleton = replace(smpl_skeleton(n_joints), body_shape=read_shape(archive, "betas", rest))
+        motion = Motion(skeleton, rotations, pelvis, _rate(archive), info={"up": up})
     except MotionError as error:
         raise FormatError(f"keys 'poses', 'trans', 'mocap_frame_rate': {error}") from None
-    motion.info.update(up=up, rest_pelvis=rest_pelvis, **body_info(archive, "betas", n_joints))
     if "expressions" in archive:
         return with_expressions(motion, archive)
     return motion
@@ -82,18 +84,18 @@ def to_amass(motion: Motion, up: str) -> dict[str, Any]:
     n_joints, n_frames = motion.skeleton.n_joints, motion.n_frames
     rotations, pelvis = motion.rotations, motion.translation
     if up == "z":
-        back = invert_quaternions(Z_TO_Y)
+        back = invert_quaternions(UP_TO_Y[up])
         rotations = rotations.copy()
         rotations[:, 0] = multiply_quaternions(back, rotations[:, 0])
         pelvis = rotate_vectors(back, pelvis)
-    info = motion.info
-    betas = np.asarray(info.get("betas", ()), dtype=np.float64).ravel()
+    shape = motion.skeleton.body_shape
+    rest = model_pelvis(n_joints) if shape.pelvis is None else np.array(shape.pelvis)
     rate = int(motion.fps) if motion.fps == int(motion.fps) else motion.fps
     values = {
         "poses": rotation_vector_from_quaternion(rotations).reshape(n_frames, -1),
-        "trans": pelvis - info.get("rest_pelvis", model_pelvis(n_joints)),
-        "betas": np.pad(betas, (0, max(0, _N_BETAS[n_joints] - len(betas)))),
-        "gender": info.get("gender", "neutral"),
+        "trans": pelvis - rest,
+        "betas": np.pad(shape.betas, (0, max(0, _N_BETAS[n_joints] - len(shape.betas)))),
+        "gender": shape.gender or "neutral",
         "surface_model_type": _MODELS[n_joints],
         "mocap_frame_rate": rate,
         "mocap_framerate": rate,
@@ -102,7 +104,7 @@ def to_amass(motion: Motion, up: str) -> dict[str, Any]:
         face = np.zeros((n_frames, 0)) if motion.expressions is None else motion.expressions
         lacking = max(0, _N_EXPRESSIONS - face.shape[1])
         values["expressions"] = np.pad(face, ((0, 0), (0, lacking)))
-        values["model"] = info.get("model", "smplx2020")
+        values["model"] = shape.version or "smplx2020"
     elif n_joints == 52:
         values["dmpls"] = np.zeros((n_frames, 8))  # required by readers of AMASS
     return values
@@ -113,37 +115,44 @@ def to_y_up(
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Return rotations (T, J, 4) and pelvis (T, 3) with Y up, and the axis that pointed up.
 
-    If `up` is "auto", it is the axis that the pelvis points along in most frames.
+    If `up` is "auto", it is the one of UP_TO_Y that the pelvis points along in most frames.
     """
-    if up == "auto":
+    if up == "auto" and len(rotations):
         body = rotate_vectors(rotations[:, 0], np.array([0.0, 1.0, 0.0]))
-        up = "z" if len(body) and np.median(body[:, 2] - body[:, 1]) > 0 else "y"
-    if up == "z":
+        y, z = np.median(body[:, 1:], axis=0)
+        up = max(("y", y), ("z", z), ("-y", -y), key=itemgetter(1))[0]
+    if up in ("z", "-y"):
         rotations = rotations.copy()
-        rotations[:, 0] = multiply_quaternions(Z_TO_Y, rotations[:, 0])
-        pelvis = rotate_vectors(Z_TO_Y, pelvis)
+        rotations[:, 0] = multiply_quaternions(UP_TO_Y[up], rotations[:, 0])
+        pelvis = rotate_vectors(UP_TO_Y[up], pelvis)
     return rotations, pelvis, up
 
 
-def body_info(archive: Archive, betas_key: str, n_joints: int) -> dict[str, Any]:
-    """Return data about the body: `betas` (B,), `gender`, and the version of SMPL-X, `model`."""
-    info: dict[str, Any] = {}
-    if betas_key in archive:
-        betas = archive.numbers(betas_key)
-        if betas.ndim == 2:  # one row for each frame, although a body does not change
-            betas = betas.mean(axis=0) if len(betas) else betas.ravel()
-        if betas.ndim != 1 or len(betas) > _MAX_BETAS or not np.isfinite(betas).all():
-            raise FormatError(
-                f"key {betas_key!r} has shape {betas.shape}; expected up to {_MAX_BETAS} finite "
-                "coefficients"
-            )
-        if betas.any():
-            info["betas"] = betas
-    if (gender := _text(archive, "gender").lower()) in ("female", "male", "neutral"):
-        info["gender"] = gender
-    if n_joints == 55 and (model := _text(archive, "model")):
-        info["model"] = model
-    return info
+def read_shape(archive: Archive, betas_key: str, pelvis: np.ndarray | None) -> BodyShape:
+    """Return the body shape: `betas` under that key, `gender`, and `model`, the model's version.
+
+    Betas of each frame (T, B) are averaged. An unknown gender is left out with a warning.
+    """
+    betas = archive.numbers(betas_key) if betas_key in archive else np.zeros(0)
+    if betas.ndim == 2:  # one row for each frame, although a body does not change
+        betas = betas.mean(axis=0) if len(betas) else betas.ravel()
+    if betas.ndim != 1 or len(betas) > MAX_BETAS or not np.isfinite(betas).all():
+        raise FormatError(
+            f"key {betas_key!r} has shape {betas.shape}; expected up to {MAX_BETAS} finite "
+            "coefficients"
+        )
+    gender = _text(archive, "gender").lower()
+    if gender and gender not in GENDERS:
+        warnings.warn(
+            f"{archive.path}: gender {gender!r} is none of {', '.join(GENDERS)}; it is left out",
+            stacklevel=2,
+        )
+    return BodyShape(
+        betas=tuple(betas),
+        gender=gender if gender in GENDERS else None,
+        version=_text(archive, "model") or None,
+        pelvis=None if pelvis is None else tuple(pelvis),
+    )
 
 
 def with_expressions(motion: Motion, archive: Archive) -> Motion:

@@ -12,16 +12,19 @@ import json
 import os
 import warnings
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.formats.signatures import json_in_words
 from gesturekit.formats.smpl.amass import to_y_up
 from gesturekit.formats.smpl.skeleton import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     multiply_quaternions,
@@ -65,9 +68,9 @@ def read_easymocap(
         person: `id` of the person to read; by default the one in the most frames.
         fps: frame rate of the recording, which the files do not contain.
         max_gap: longest gap to interpolate, seconds.
-        up: axis that points up, "y" or "z", as the cameras were calibrated; "auto" uses the
+        up: axis that points up, "y", "z" or "-y", as the cameras were calibrated; "auto" uses the
             direction of the pelvis in most frames.
-        body_model: model of the SMPL family, or its .npz file, as in `read_npz`.
+        body_model: model of the SMPL family, its .npz file or folder, as in `read_npz`.
 
     Returns:
         The motion of a 22-, 24-, 52- or 55-joint rig. Hands given as PCA coefficients are at
@@ -80,8 +83,8 @@ def read_easymocap(
         FormatError: no such folder, a broken file, no person of that id, or too long a gap.
     """
     path = Path(path)
-    if up not in ("auto", "y", "z"):
-        raise FormatError(f"up axis {up!r}; expected auto, y or z")
+    if up not in ("auto", *UP_TO_Y):
+        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
     frames = {number: _people(file) for number, file in _files(path).items()}
     seen = Counter(name for people in frames.values() for name in people)
     if not seen:
@@ -247,11 +250,10 @@ def _to_motion(
     rotations = quaternion_from_rotation_vector(vectors)
     turn = quaternion_from_rotation_vector(table("Rh"))
     betas = table("shapes").mean(axis=0)  # as EasyMocap itself does
-    if betas.any():
-        info["betas"] = betas
+    skeleton = replace(smpl_skeleton(n_joints), body_shape=BodyShape(tuple(betas)))
     pelvis = model_pelvis(n_joints)
     if body_model is not None:
-        body = BodyModel.of(body_model)
+        body = BodyModel.of(body_model, skeleton)
         if (body.n_joints == 55) == (n_joints == 55):  # otherwise the shape spaces differ
             pelvis = body.joints_at_rest(betas)[0]
     rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
@@ -268,7 +270,7 @@ def _to_motion(
 
     face = table("expression")
     return Motion(
-        skeleton=smpl_skeleton(n_joints),
+        skeleton=skeleton,
         rotations=slerp(rotations[low], rotations[high], weight[:, None]),
         translation=between(places),
         fps=fps,

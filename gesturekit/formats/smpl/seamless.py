@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gesturekit.archive import Archive
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.smpl.amass import to_y_up
 from gesturekit.formats.smpl.skeleton import model_pelvis, smpl_skeleton
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.rotations import (
-    multiply_quaternions,
-    quaternion_from_rotation_vector,
-    rotate_vectors,
-)
+from gesturekit.motion.rotations import quaternion_from_rotation_vector
 
 FPS = 30.0
 _JOINTS = {"global_orient": 1, "body_pose": 21, "left_hand_pose": 15, "right_hand_pose": 15}
-_HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])  # about X, from Y down to Y up
 
 
 def from_seamless(archive: Archive) -> Motion:
@@ -39,18 +38,13 @@ def from_seamless(archive: Archive) -> Motion:
         raise FormatError("keys 'smplh:…' differ in their numbers of frames")
     rotations = quaternion_from_rotation_vector(np.concatenate(parts, axis=1))
     n_joints = rotations.shape[1]
-    rest_pelvis = model_pelvis(n_joints)
-    pelvis = trans + rest_pelvis
-    up = rotate_vectors(rotations[:, 0], np.array([0.0, 1.0, 0.0]))[:, 1]
-    if len(up) and np.median(up) < 0:
-        rotations[:, 0] = multiply_quaternions(_HALF_TURN, rotations[:, 0])
-        pelvis = rotate_vectors(_HALF_TURN, pelvis)
+    rest = model_pelvis(n_joints)
+    rotations, pelvis, up = to_y_up(rotations, trans + rest, "auto")
+    skeleton = replace(smpl_skeleton(n_joints), body_shape=BodyShape(pelvis=tuple(rest)))
     try:
-        motion = Motion(smpl_skeleton(n_joints), rotations, pelvis, FPS)
+        return Motion(skeleton, rotations, pelvis, FPS, info={"up": up})
     except MotionError as error:
         raise FormatError(f"keys 'smplh:…': {error}") from None
-    motion.info.update(up="y", rest_pelvis=rest_pelvis)
-    return motion
 
 
 def _values(archive: Archive, name: str) -> np.ndarray:

@@ -4,21 +4,23 @@ The rest joints of the body models depend on `betas` and come with files that ma
 redistributed. Without them, joints are placed as on an adult of average build, 1.7 m tall, not
 taken from any model; rotations are exact. With a body model, `fit_body` uses its joints.
 
-Data about the performer's body is kept in a motion's `info`: `betas` (of the rig's shape space),
-`gender`, and `rest_pelvis`, the model's rest position of the pelvis.
+The performer's body is the skeleton's `body_shape`; its betas are of the rig's shape space.
 """
 
 from __future__ import annotations
 
 import os
+import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from gesturekit.errors import FormatError
-from gesturekit.formats.axes import Z_TO_Y
+from gesturekit.formats.axes import UP_TO_Y
 from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_shape import BodyShape
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import IDENTITY, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
@@ -143,36 +145,80 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
     for j, name in enumerate(rig.names):
         if name in old.names:
             rotations[:, j] = motion.rotations[:, old.index(name)]
-    info = dict(motion.info)
+    shape = old.body_shape
     # Only SMPL-X has expressions; other rigs keep them for a conversion back.
     expressions = None if old.n_joints == 55 else motion.expressions
     if (old.n_joints == 55) != (n_joints == 55):
-        for key in ("betas", "model", "rest_pelvis"):
-            info.pop(key, None)
+        shape = BodyShape(gender=shape.gender)
+    rig = replace(rig, body_shape=shape)
+    info = dict(motion.info)
     return replace(motion, skeleton=rig, rotations=rotations, info=info, expressions=expressions)
 
 
 def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> Motion:
     """Return the motion on the rig of a body model, with its joints for the motion's `betas`.
 
-    Six vertices of the feet become end sites of the foot joints, for `foot_points`. The pelvis is
-    moved to the model's rest position, so that a file's `trans` keeps its meaning.
+    Six vertices of the feet become end sites of the foot joints, for `foot_points`.
+
+    Args:
+        motion: on a rig of the SMPL family, or one that can be retargeted to it.
+        body_model: a model, its .npz file, or a folder of models (`BodyModel.of`).
+
+    Warns:
+        UserWarning: the model has fewer betas than the body.
 
     Raises:
         FormatError: a model of another family.
     """
-    body = BodyModel.of(body_model)
+    body = BodyModel.of(body_model, motion.skeleton)
     if body.n_joints not in N_JOINTS or body.parents != smpl_skeleton(body.n_joints).parents:
         raise FormatError(
             f"{body.source}: a model of {body.n_joints} joints, not of the SMPL family"
         )
     motion = as_smpl(motion, body.n_joints)
-    info = motion.info | {"body_model": body.source}
-    rig = body.rig(motion.skeleton, info.get("betas"))
-    shift = np.zeros(3)
-    if "rest_pelvis" in info:
-        shift = rig.offsets[0] - info["rest_pelvis"]
-        if info.get("up") == "z":
-            shift = rotate_vectors(Z_TO_Y, shift)
-    info["rest_pelvis"] = rig.offsets[0]
-    return replace(motion, skeleton=rig, translation=motion.translation + shift, info=info)
+    known, had = body.shapes.shape[-1], len(motion.skeleton.body_shape.betas)
+    if had > known:
+        warnings.warn(
+            f"{body.source}: a model of {known} betas for a body of {had}; the others are ignored",
+            stacklevel=2,
+        )
+    return on_body(motion, body.rig(motion.skeleton))
+
+
+def on_body(motion: Motion, skeleton: Skeleton) -> Motion:
+    """Return the motion on the body of another skeleton of its rig.
+
+    The pelvis is moved to that body's rest position, so that a file's `trans` keeps its meaning.
+    """
+    shift, own, other = np.zeros(3), motion.skeleton.body_shape.pelvis, skeleton.body_shape.pelvis
+    if own is not None and other is not None:
+        turn = UP_TO_Y[motion.info.get("up", "y")]
+        shift = rotate_vectors(turn, np.subtract(other, own))
+    return replace(motion, skeleton=skeleton, translation=motion.translation + shift)
+
+
+def mean_body(skeletons: Sequence[Skeleton]) -> Skeleton:
+    """Return the body with the mean betas of several recordings of one person on one rig.
+
+    A body model's joints and vertices at rest are affine in betas (Loper et al. 2015, eqs. 8 and
+    10), so that the mean of bones is the exact bones of the mean betas. Recordings of another
+    gender than most are left out, because their betas belong to another model.
+    """
+    genders = [skeleton.body_shape.gender for skeleton in skeletons]
+    usual = max(genders, key=genders.count)
+    own = [one for one, gender in zip(skeletons, genders) if gender == usual]
+    shapes = [skeleton.body_shape for skeleton in own]
+    longest = max(len(shape.betas) for shape in shapes)
+    betas = [np.pad(shape.betas, (0, longest - len(shape.betas))) for shape in shapes]
+    pelvises = [shape.pelvis for shape in shapes if shape.pelvis is not None]
+    shape = replace(
+        shapes[0],
+        betas=tuple(np.mean(betas, axis=0)),
+        pelvis=tuple(np.mean(pelvises, axis=0)) if pelvises else None,
+    )
+    ends = {
+        name: tuple(np.mean([one.end_sites[name] for one in own], axis=0))
+        for name in own[0].end_sites
+    }
+    offsets = np.mean([one.offsets for one in own], axis=0)
+    return replace(own[0], offsets=offsets, end_sites=ends, body_shape=shape)

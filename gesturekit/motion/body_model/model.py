@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gesturekit.archive import Archive, open_archive
 from gesturekit.errors import FormatError, MotionError
@@ -30,6 +31,8 @@ FOOT_VERTICES = {
 of the mesh: SMPL and SMPL-H share one, SMPL-X has another (as in the package smplx, vertex_ids)."""
 
 Fail = Callable[[str], FormatError]
+_FAMILIES = {22: "smpl", 24: "smpl", 52: "smplh"}
+"""Names of models and of their folders by number of joints; that of all others is smplx."""
 _MAX_VERTICES, _MAX_JOINTS = 200_000, 256
 _OFF_ONE = 0.01  # that weights in single precision may sum to
 _CHUNK = 1 << 20  # numbers of one step of skinning
@@ -84,11 +87,21 @@ class BodyModel:
         return len(self.template)
 
     @classmethod
-    def of(cls, model: BodyModel | str | os.PathLike[str]) -> BodyModel:
-        """Return the model itself, or that of a file; the last file is cached."""
+    def of(cls, model: BodyModel | str | os.PathLike[str], skeleton: Skeleton) -> BodyModel:
+        """Return the model itself, that of a file, or one of a folder; files are cached.
+
+        A folder, or its subfolder smplx, smplh or smpl, holds files such as SMPLX_FEMALE.npz. The
+        number of joints and the gender of the skeleton choose one: SMPL-X for a rig of another
+        family, neutral for an unknown gender.
+
+        Raises:
+            FormatError: no such file, or a folder without the one that is needed.
+        """
         if isinstance(model, BodyModel):
             return model
         path = Path(model)
+        if path.is_dir():
+            path = _file_for(path, skeleton)
         try:
             stamp = path.stat().st_mtime_ns
         except OSError as error:
@@ -119,7 +132,7 @@ class BodyModel:
             return _read(archive, feet)
 
     def vertices_at_rest(
-        self, betas: np.ndarray | None = None, indices: Sequence[int] | None = None
+        self, betas: ArrayLike = (), indices: Sequence[int] | None = None
     ) -> np.ndarray:
         """(N, 3) vertices of the unmoved body, all of them or those named, metres."""
         at = slice(None) if indices is None else list(indices)
@@ -127,14 +140,14 @@ class BodyModel:
         shaped = self.template[at] + self.shapes[at][..., : len(betas)] @ betas
         return shaped.astype(np.float64)
 
-    def joints_at_rest(self, betas: np.ndarray | None = None) -> np.ndarray:
+    def joints_at_rest(self, betas: ArrayLike = ()) -> np.ndarray:
         """(J, 3) joints of the unmoved body, metres."""
         betas = self._betas(betas)
         mean, by_shape = self._joints
         return mean + by_shape[..., : len(betas)] @ betas
 
-    def rig(self, skeleton: Skeleton, betas: np.ndarray | None = None) -> Skeleton:
-        """Return the skeleton with the offsets of this body, and its foot vertices as end sites.
+    def rig(self, skeleton: Skeleton) -> Skeleton:
+        """Return the skeleton with the offsets of its `body_shape`, and foot vertices as end sites.
 
         A foot vertex is fixed to the joint with the largest skinning weight.
 
@@ -146,24 +159,21 @@ class BodyModel:
                 f"the body model has {self.n_joints} joints and the rig {skeleton.n_joints}, or "
                 "their hierarchies differ"
             )
-        joints = self.joints_at_rest(betas)
+        shape = skeleton.body_shape
+        joints = self.joints_at_rest(shape.betas)
         offsets = joints - joints[np.maximum(self.parents, 0)]
         offsets[0] = joints[0]
         ends: dict[str, tuple[np.ndarray, ...]] = {}
         if self.feet:
-            for vertex, place in zip(self.feet, self.vertices_at_rest(betas, self.feet)):
+            for vertex, place in zip(self.feet, self.vertices_at_rest(shape.betas, self.feet)):
                 joint = int(self.weights[vertex].argmax())
                 name = skeleton.names[joint]
                 ends[name] = (*ends.get(name, ()), place - joints[joint])
-        return replace(skeleton, offsets=offsets, end_sites=ends)
+        shape = replace(shape, pelvis=tuple(joints[0]))
+        return replace(skeleton, offsets=offsets, end_sites=ends, body_shape=shape)
 
-    def vertices(
-        self,
-        motion: Motion,
-        indices: Sequence[int] | None = None,
-        betas: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """(T, N, 3) world positions of vertices under a motion, metres.
+    def vertices(self, motion: Motion, indices: Sequence[int] | None = None) -> np.ndarray:
+        """(T, N, 3) world positions of vertices under a motion, metres, for its `body_shape`.
 
         Only the requested ones are computed. Face expressions are not applied, and fingers turn
         from the model's flat hand.
@@ -171,13 +181,11 @@ class BodyModel:
         Args:
             motion: on a rig with the model's joints; its own offsets do not matter.
             indices: which vertices; all by default.
-            betas: the body's shape; by default that of the motion's `info`.
 
         Raises:
             MotionError: a rig with other joints.
         """
-        betas = motion.info.get("betas") if betas is None else betas
-        rig = self.rig(motion.skeleton, betas)
+        rig, betas = self.rig(motion.skeleton), motion.skeleton.body_shape.betas
         at = np.arange(self.n_vertices) if indices is None else np.asarray(indices)
         rest = self.vertices_at_rest(betas, at)
         joints = self.joints_at_rest(betas)
@@ -204,15 +212,27 @@ class BodyModel:
             moved[part] = turned.transpose(0, 2, 1) + weights @ steps
         return moved
 
-    def _betas(self, betas: np.ndarray | None) -> np.ndarray:
+    def _betas(self, betas: ArrayLike) -> np.ndarray:
         """(B,) coefficients, at most as many as the model has; none for the mean body."""
-        if betas is None:
-            return np.zeros(0)
         betas = np.asarray(betas, dtype=np.float64).ravel()
         return betas[: self.shapes.shape[-1]]
 
 
-@lru_cache(maxsize=1)
+def _file_for(folder: Path, skeleton: Skeleton) -> Path:
+    """Return the file of a folder of models that suits the size and gender of a rig."""
+    family = _FAMILIES.get(skeleton.n_joints, "smplx")
+    wanted = f"{family}_{skeleton.body_shape.gender or 'neutral'}".upper()
+    for place in (folder, folder / family):
+        for file in sorted(place.glob("*.npz")):
+            if file.stem.upper().startswith(wanted):  # or SMPLX_NEUTRAL_2020.npz
+                return file
+    raise FormatError(
+        f"{folder}: neither it nor its subfolder {family} has {wanted}.npz; add that file, or give "
+        "one .npz file to use for all bodies"
+    )
+
+
+@lru_cache(maxsize=3)
 def _remembered(path: str, stamp: int) -> BodyModel:
     return BodyModel.load(path)
 

@@ -67,6 +67,7 @@ def keep_joints(motion: Motion, names: Sequence[str]) -> Motion:
         end_sites=_end_sites(skeleton, kept),
         rotation_orders=tuple(skeleton.rotation_orders[j] for j in kept),
         parts={p: name for p, name in skeleton.parts.items() if skeleton.index(name) in number},
+        body_shape=skeleton.body_shape,
     )
     return replace(
         motion,

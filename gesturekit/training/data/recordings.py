@@ -11,10 +11,12 @@ from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import ConfigError, CorpusError, MotionError
+from gesturekit.formats.smpl.skeleton import mean_body, on_body
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.selection.model_joints import reference_skeleton
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.wording import counted, listed
 
 log = logging.getLogger(__name__)
 
@@ -67,6 +69,9 @@ def load_motions(
 ) -> list[Motion]:
     """Return the motion of each item at its file's frame rate, `info["recorded_fps"]`.
 
+    Each speaker has one body shape, the mean of the recorded ones; if these differ, a warning is
+    logged.
+
     Args:
         items: with motion.
         corpus: the manifest, for messages.
@@ -102,7 +107,42 @@ def load_motions(
             fps,
             highest,
         )
-    return motions
+    return _with_one_body_each(items, motions, corpus)
+
+
+def _with_one_body_each(
+    items: Sequence[Item], motions: Sequence[Motion], corpus: Path
+) -> list[Motion]:
+    """Return the motions with one body shape for each speaker, the mean of the recorded ones.
+
+    Recordings without a speaker are taken to be of one person.
+    """
+    own: dict[str | None, list[int]] = {}
+    for k, item in enumerate(items):
+        own.setdefault(item.speaker, []).append(k)
+    found = list(motions)
+    for speaker, numbers in own.items():
+        shapes = {motions[k].skeleton.body_shape for k in numbers}
+        if len(shapes) == 1:
+            continue
+        body = mean_body([motions[k].skeleton for k in numbers])
+        who = f"speaker {speaker}"
+        if speaker is None:
+            who = "an unnamed speaker (gesturekit prepare --speaker or --style-pattern names them)"
+        genders = sorted({shape.gender for shape in shapes if shape.gender is not None})
+        among = f" and genders {listed(genders)}" if len(genders) > 1 else ""
+        log.warning(
+            "%s: %s of %s have %d body shapes%s; the mean of their betas is used%s",
+            corpus,
+            counted(len(numbers), "recording"),
+            who,
+            len(shapes),
+            among,
+            f", as {body.body_shape.gender}" if among else "",
+        )
+        for k in numbers:
+            found[k] = on_body(motions[k], body)
+    return found
 
 
 def recorded_rate(motions: Sequence[Motion]) -> float:

@@ -58,7 +58,8 @@ def write_video(
         title: written in the corner of a single motion; the file's stem by default.
         body: "mannequin" (by default), "human", "skeleton" or the path of a VRM avatar; see
             `gesturekit.viewer.drawn_body`.
-        body_model: shows the skin of this body, a `BodyModel` or its .npz file, in place of limbs.
+        body_model: shows the skin of this body in place of limbs: a `BodyModel`, its .npz file or a
+            folder of models.
         size: "720p" or "1080p".
         fps: frames per second; by default the fastest motion's, at most 30.
 
@@ -84,8 +85,7 @@ def write_video(
     if audio is not None:
         audio = as_sound(audio)
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
-    model = None if body_model is None else BodyModel.of(body_model)
-    drawn = {label: DrawnBody.of(motion, body, model) for label, motion in motions.items()}
+    drawn = {label: DrawnBody.of(motion, body, body_model) for label, motion in motions.items()}
     picture = _Picture(drawn, SIZES[size])
     seconds = max(picture.duration, wave.duration if wave else 0.0)
     n_frames = max(1, int(seconds * fps + 0.5))

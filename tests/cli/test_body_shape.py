@@ -1,0 +1,229 @@
+"""The shape of each speaker's body: from a corpus, through training, into rendered files."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import gesturekit as gk
+from gesturekit.motion.body_model.model import FOOT_VERTICES
+from gesturekit.motion.contacts import foot_points
+
+CONFIGS = {
+    "multires": {
+        "threads": 1,
+        "features": None,
+        "recall": None,
+        "network": {"levels": 3, "channels": [2, 2, 2]},
+        "training": {
+            **{"first_stage": 1, "further_stages": 1, "discriminator_steps": 1, "batch": 1},
+            **{"window": 1.0, "window_cache": 2},
+        },
+    },
+    "diffusion": {
+        "threads": 1,
+        "features": None,
+        "network": {
+            **{"blocks": 1, "layers": 1, "channels": 8, "heads": 2, "feedforward": 8},
+            **{"embedding": 8, "dilations": [0]},
+        },
+        "training": {"updates": 1, "batch": 1, "window": 1.0},
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def body_models(tmp_path_factory, capsule_body) -> Path:
+    """A folder of two body models with the number of vertices, and so the feet, of SMPL-X."""
+    folder = tmp_path_factory.mktemp("models")
+    (folder / "smplx").mkdir()
+    arrays, (n_vertices,) = capsule_body(55), [n for n in FOOT_VERTICES if n > 10_000]
+    own = len(arrays["v_template"])
+    at = np.arange(own)  # place of each vertex in the larger mesh: feet where SMPL-X has them
+    at[arrays["feet"]] = FOOT_VERTICES[n_vertices]
+
+    def grown(values: np.ndarray) -> np.ndarray:
+        larger = np.zeros((n_vertices, *values.shape[1:]), np.float32)
+        larger[at] = values
+        return larger
+
+    weights = grown(arrays["weights"])
+    weights[weights.sum(axis=1) == 0, 0] = 1.0
+    for name, size in (("SMPLX_FEMALE", 0.9), ("SMPLX_NEUTRAL_2020", 1.0)):
+        np.savez(
+            folder / "smplx" / f"{name}.npz",
+            v_template=size * grown(arrays["v_template"]),
+            shapedirs=grown(arrays["shapedirs"]),
+            J_regressor=grown(arrays["J_regressor"].T).T,
+            weights=weights,
+            f=at[arrays["f"]],
+            kintree_table=arrays["kintree_table"],
+        )
+    return folder
+
+
+@pytest.fixture
+def recordings(tmp_path) -> Path:
+    """Two of ann, female, with other betas in each, and one of bob, neutral."""
+    folder = tmp_path / "takes"
+    for k, (name, gender, betas) in enumerate(
+        (
+            ("ann/a", "female", [1.0, -0.5]),
+            ("ann/b", "female", [2.0, -0.5, 1.0]),
+            ("bob/c", "neutral", np.arange(1.0, 7.0) / 4),
+        )
+    ):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        rng = np.random.default_rng(k)
+        phase = rng.uniform(0, 6, 165)
+        poses = 0.1 * np.sin(np.arange(45)[:, None] / 9 + phase)
+        np.savez(
+            folder / f"{name}.npz",
+            poses=poses,
+            trans=np.tile([0.0, 1.3, 0.0], (45, 1)) + 0.01 * np.sin(np.arange(45)[:, None] / 9),
+            betas=np.array(betas, np.float32),
+            gender=gender,
+            mocap_frame_rate=30,
+        )
+    return folder
+
+
+def check_body(file: dict, folder: Path, name: str, betas: np.ndarray) -> None:
+    """Compare bones and foot points with those of Loper et al. 2015, eqs. 8 and 10."""
+    with np.load(folder / "smplx" / f"{name}.npz") as model:
+        skin = model["v_template"] + model["shapedirs"][..., : len(betas)] @ betas
+        joints = model["J_regressor"] @ skin
+    bones = joints[1:] - joints[file["parents"][1:]]
+    np.testing.assert_allclose(file["offsets"][1:], bones, atol=1e-6)
+    feet = joints[file["end_site_joints"]] + file["end_site_offsets"]
+    np.testing.assert_allclose(feet, skin[list(FOOT_VERTICES[len(skin)])], atol=1e-6)
+    # Readers pose the model at the pelvis' rest position, plus `trans`.
+    np.testing.assert_allclose(file["trans"] + joints[0], file["translation"], atol=1e-6)
+
+
+@pytest.mark.parametrize("system", CONFIGS)
+def test_each_speaker_keeps_the_recorded_body(
+    system, gesturekit, recordings, body_models, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("GESTUREKIT_BACKEND", "torch")  # nothing to compile
+    corpus, run = tmp_path / "corpus.jsonl", tmp_path / "run"
+    done = gesturekit(
+        *("prepare", "--unpaired-motion", recordings, "--out", corpus, "--holdout", 0),
+        *("--style-pattern", "(?P<speaker>ann|bob)/", "--body-model", body_models),
+    )
+    assert done.status == 0, done.err
+    settings = {"system": system, "corpus": str(corpus), "out": str(run), **CONFIGS[system]}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
+    done = gesturekit("train", tmp_path / "config.yaml")
+    assert done.status == 0, done.err
+    assert done.err.count("body shapes") == 1
+    assert "2 recordings of speaker ann have 2 body shapes; the mean of their betas" in done.err
+    assert len(foot_points(gk.load(run / "model").skeleton)) == 6
+
+    rendered = {}
+    for speaker in ("ann", "bob", None):
+        out = tmp_path / f"of_{speaker}"
+        chosen = [] if speaker is None else ["--speaker", speaker]
+        model = ("--model", run / "model", "--seconds", 1, "--format", "npz")
+        done = gesturekit("render", "--out", out, *model, *chosen)
+        assert done.status == 0, done.err
+        (file,) = out.glob("*.npz")
+        with np.load(file) as arrays:
+            rendered[speaker] = dict(arrays)
+    ann, bob = rendered["ann"], rendered["bob"]
+    assert (str(ann["gender"]), str(bob["gender"])) == ("female", "neutral")
+    np.testing.assert_allclose(ann["betas"], [1.5, -0.5, 0.5, *[0] * 297], atol=1e-7)
+    np.testing.assert_array_equal(bob["betas"], [*np.arange(1.0, 7.0) / 4, *[0] * 294])
+    check_body(ann, body_models, "SMPLX_FEMALE", ann["betas"][:10])
+    check_body(bob, body_models, "SMPLX_NEUTRAL_2020", bob["betas"][:10])
+    assert str(rendered[None]["gender"]) in ("female", "neutral")
+    own = bob if str(rendered[None]["gender"]) == "neutral" else ann
+    np.testing.assert_array_equal(rendered[None]["betas"], own["betas"])
+    np.testing.assert_array_equal(rendered[None]["offsets"], own["offsets"])
+
+
+@pytest.mark.parametrize("system", CONFIGS)
+def test_a_model_trained_further_on_another_speaker_gets_their_body(
+    system, gesturekit, recordings, tmp_path
+):
+    bodies, start = {}, None
+    for speaker in ("ann", "bob"):
+        corpus, run = tmp_path / f"{speaker}.jsonl", tmp_path / speaker
+        prepare = ("prepare", "--unpaired-motion", recordings / speaker, "--holdout", 0)
+        assert gesturekit(*prepare, "--out", corpus).status == 0
+        settings = {"system": system, "corpus": str(corpus), "out": str(run), **CONFIGS[system]}
+        settings |= {} if start is None else {"start_from": str(start)}
+        (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
+        done = gesturekit("train", tmp_path / "config.yaml")
+        assert done.status == 0, done.err
+        assert ("an unnamed speaker (gesturekit prepare --speaker" in done.err) == (start is None)
+        start = run / "model"
+        bodies[speaker] = gk.load(start).generate(seconds=0.5).skeleton.body_shape
+    assert bodies["ann"].betas == (1.5, -0.5, 0.5) and bodies["ann"].gender == "female"
+    assert bodies["bob"].betas == (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+    assert bodies["bob"].gender == "neutral"
+
+
+@pytest.mark.parametrize("system", CONFIGS)
+def test_real_recordings_without_a_body_model(system, gesturekit, shared_data, tmp_path):
+    recorded = sorted((shared_data / "takes" / "show").glob("oliver*.npz"))[:2]
+    (tmp_path / "takes").mkdir()
+    for file in recorded:
+        shutil.copy(file, tmp_path / "takes")
+    corpus, run = tmp_path / "corpus.jsonl", tmp_path / "run"
+    prepare = ("prepare", "--unpaired-motion", tmp_path / "takes", "--out", corpus, "--holdout", 0)
+    assert gesturekit(*prepare).status == 0
+    settings = {"system": system, "corpus": str(corpus), "out": str(run), **CONFIGS[system]}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
+    assert gesturekit("train", tmp_path / "config.yaml").status == 0
+    with pytest.warns(UserWarning, match="add-on"):
+        gk.load(run / "model").generate(seconds=0.5, fps=25).save(tmp_path / "x.npz")
+    with np.load(recorded[0]) as own, np.load(tmp_path / "x.npz") as ours:
+        np.testing.assert_array_equal(ours["betas"], [*own["betas"], *[0] * 284])
+        assert str(ours["gender"]) == str(own["gender"]) == "neutral"
+
+
+def test_convert_fits_npz_to_the_body_model_of_their_gender(
+    gesturekit, recordings, body_models, tmp_path
+):
+    done = gesturekit(
+        *("convert", recordings, tmp_path / "out", "--format", "npz"),
+        *("--body-model", body_models),
+    )
+    assert done.status == 0, done.err
+    for name, model in (("ann/b", "SMPLX_FEMALE"), ("bob/c", "SMPLX_NEUTRAL_2020")):
+        with np.load(recordings / f"{name}.npz") as source:
+            source = dict(source)
+        with np.load(tmp_path / "out" / f"{name}.npz") as made:
+            check_body(dict(made), body_models, model, source["betas"])
+            np.testing.assert_allclose(made["trans"], source["trans"], atol=1e-9)
+            np.testing.assert_array_equal(made["betas"][: len(source["betas"])], source["betas"])
+            assert str(made["gender"]) == str(source["gender"])
+    (body_models / "smplx" / "SMPLX_FEMALE.npz").rename(tmp_path / "moved.npz")
+    target, one = tmp_path / "b.npz", recordings / "ann/a.npz"
+    try:
+        done = gesturekit("convert", one, target, "--body-model", body_models)
+    finally:
+        (tmp_path / "moved.npz").rename(body_models / "smplx" / "SMPLX_FEMALE.npz")
+    assert done.status == 1 and "subfolder smplx has SMPLX_FEMALE.npz" in done.err
+    assert not target.exists()
+
+
+def test_changes_of_a_motion_keep_the_body(gesturekit, recordings, tmp_path):
+    (tmp_path / "bob.npz").write_bytes((recordings / "bob/c.npz").read_bytes())
+    for change in (["--mirror"], ["--joints", "body"], ["--trim", "0.2:1"], ["--fps", 60]):
+        target = tmp_path / "made.npz"
+        done = gesturekit(
+            *("convert", recordings / "ann/b.npz", target, "--existing", "replace"), *change
+        )
+        assert done.status == 0, done.err
+        shape = gk.Motion.load(target).skeleton.body_shape
+        assert (shape.betas, shape.gender) == ((2.0, -0.5, 1.0), "female"), change
+    onto = ("convert", recordings / "ann/b.npz", target, "--existing", "replace")
+    assert gesturekit(*onto, "--rig", tmp_path / "bob.npz").status == 0
+    shape = gk.Motion.load(target).skeleton.body_shape  # that of the other person
+    assert (shape.betas, shape.gender) == (tuple(np.arange(1.0, 7.0) / 4), "neutral")
