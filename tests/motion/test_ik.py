@@ -6,8 +6,10 @@ import pytest
 from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.rotations import (
+    multiply_quaternions,
     normalize_quaternions,
     quaternion_from_rotation_vector,
+    rotate_vectors,
     rotation_angles,
 )
 from gesturekit.motion.skeleton import Skeleton
@@ -64,6 +66,25 @@ def test_the_ankle_reaches_its_target_and_bones_keep_their_lengths():
             np.linalg.norm(positions[:, a] - positions[:, b], axis=1), before, atol=1e-9
         )
     np.testing.assert_array_equal(solved[:, [0, 2, 4]], rotations[:, [0, 2, 4]])
+
+
+@pytest.mark.parametrize("reach", [0.25, 0.3, 0.45])
+def test_a_shank_longer_than_the_thigh_folds_past_the_hip(reach):
+    """With sides 0.3 and 0.5 m the angle at the hip is obtuse below a reach of 0.4 m (3-4-5).
+
+    At 0.3 m the cosine is (0.3^2 + 0.3^2 - 0.5^2) / (2 * 0.3 * 0.3) = -7 / 18.
+    """
+    hip, knee, ankle = np.array([[0.0, 1.0, 0.0], [0.0, 0.7, 0.0], [0.0, 0.2, 0.0]])
+    target = hip - [0.0, reach, 0.0]
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+    pole = np.array([0.0, 0.0, 1.0])
+    first, second = two_bone_ik(np.stack([hip, knee, ankle]), target, still, still, pole=pole)
+    thigh = rotate_vectors(first, knee - hip)
+    shank = rotate_vectors(multiply_quaternions(first, second), ankle - knee)
+    np.testing.assert_allclose(hip + thigh + shank, target, atol=1e-9)
+    assert thigh[2] > 0.2, "the knee bends towards the pole"
+    expected = {0.25: -13 / 20, 0.3: -7 / 18, 0.45: 17 / 108}
+    assert -thigh[1] / 0.3 == pytest.approx(expected[reach])
 
 
 def test_an_ankle_at_its_target_is_not_moved():

@@ -13,6 +13,7 @@ from gesturekit.motion.ik.joint_limits import bent_backwards
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import retarget
+from gesturekit.motion.retarget.body_frames import body_frames
 from gesturekit.motion.retarget.standing_pose import standing_pose
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -120,6 +121,46 @@ def test_size_scales_steps_and_heights(moving_person):
     np.testing.assert_allclose(large.rotations, moving_person.rotations, atol=1e-6)
     walked = np.diff(moving_person.translation, axis=0)
     np.testing.assert_allclose(np.diff(large.translation, axis=0), 1.3 * walked, atol=1e-6)
+
+
+def test_joints_that_move_scale_with_the_body(moving_person):
+    """A head that moves on its neck by 5 cm moves by 10 cm on a body twice as large."""
+    person = moving_person.skeleton
+    nod = person.offsets[person.index("Head")] + 0.05 * np.sin(moving_person.times)[:, None]
+    nodding = replace(moving_person, joint_translations={"Head": nod})
+    large = retarget(nodding, person.scaled(2.0))
+    head, neck = (person.index(name) for name in ("Head", "Neck"))
+    ways = [m.positions()[:, head] - m.positions()[:, neck] for m in (large, nodding)]
+    np.testing.assert_allclose(ways[0], 2 * ways[1], atol=1e-6)
+
+
+def test_a_foot_that_stands_is_level_and_one_that_rolls_gives_no_level(person):
+    """80 % of tilts spread evenly over 18 degrees to either side are below 14.4 degrees, the limit
+    being 15; over 20 degrees, below 16.
+    """
+    rolls = {"LeftFoot": (0.0, 20.0), "RightFoot": (10.0, 18.0)}
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (201, person.n_joints, 1))
+    for name, (mean, most) in rolls.items():
+        pitch = np.radians(mean + np.linspace(-most, most, 201))[:, None]
+        rotations[:, person.index(name)] = quaternion_from_rotation_vector(pitch * [1.0, 0, 0])
+    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (201, 1)), 30.0)
+    parts = find_parts(person)
+    frames = body_frames(person, parts, np.tile([0.0, 0.0, 0.0, 1.0], (person.n_joints, 1)))
+    found = frames.levelled(motion, {side: np.ones(201, bool) for side in SIDES})
+    for segment in ("left_ankle", "left_toe"):
+        np.testing.assert_array_equal(
+            found.from_anatomical[segment], frames.from_anatomical[segment]
+        )
+    level = found.world(motion.global_rotations()[100])
+    for segment in ("right_ankle", "right_toe"):
+        assert np.degrees(rotation_angles(level[segment], np.array([0, 0, 0, 1.0]))) < 1e-3
+    few = frames.levelled(motion, {side: np.arange(201) < 4 for side in SIDES})
+    assert (
+        rotation_angles(
+            few.world(motion.global_rotations()[100])["right_ankle"], level["right_ankle"]
+        )
+        > 0.1
+    )
 
 
 def test_zeggs_onto_mixamo(zeggs, mixamo):
