@@ -60,7 +60,7 @@ def test_the_step_onto_the_floor_is_no_slide():
     """The foot arrives from 3 m away in the frame in which it begins to stand."""
     left = slides(0.0, 0.0)
     left[:250] += [3.0, 0.0, 0.0]
-    stands = np.stack([TIMES >= TIMES[250], np.zeros(N)], axis=1) > 0
+    stands = np.stack([np.arange(N) >= 250, np.zeros(N, dtype=bool)], axis=1)
     np.testing.assert_allclose(horizontal_drift(left, left, stands, FPS), 0, atol=1e-12)
 
 
