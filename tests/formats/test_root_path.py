@@ -44,7 +44,7 @@ def test_headings_between_uneven_rows_turn_the_short_way(tmp_path):
 @pytest.mark.parametrize(
     ("n_rows", "step", "digits", "fps"),
     [
-        (31, 1 / 30, 3, 30.0),  # rounded to milliseconds
+        (30, 1 / 30, 3, 30.0),  # 0.967 s, rounded, would be 29.99 fps
         (1000, 1 / 29.97, 6, 29.97),  # 33.30 s; at 30 fps the last row would be a frame early
         (5, 2.5, 1, 0.4),
         (5, 0.025, 3, 40.0),

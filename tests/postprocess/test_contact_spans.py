@@ -41,6 +41,7 @@ def mask(n_frames: int, *spans: tuple[int, int]) -> np.ndarray:
 def test_speed_is_since_the_previous_frame():
     positions = np.array([[0.0, 0.0, 0.0], [0.3, 0.4, 0.0], [0.3, 0.4, 1.0]])
     assert point_speed(positions, 10.0) == pytest.approx([5.0, 5.0, 10.0])
+    assert point_speed(positions[:2], 10.0) == pytest.approx([5.0, 5.0])
     assert point_speed(positions[:1], 10.0).tolist() == [0.0]
 
 
