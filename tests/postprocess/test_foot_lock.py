@@ -11,7 +11,14 @@ from gesturekit import Motion, Skeleton
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import standing_heights
 from gesturekit.motion.contacts import contact_labels, foot_positions
-from gesturekit.motion.rotations import quaternion_from_euler
+from gesturekit.motion.ik.joint_limits import bent_backwards
+from gesturekit.motion.rotations import (
+    multiply_quaternions,
+    quaternion_from_euler,
+    quaternion_from_rotation_vector,
+    rotate_vectors,
+    rotation_angles,
+)
 from gesturekit.postprocess import lock_feet
 
 TOE = {
@@ -50,6 +57,10 @@ def swaying(motion: Motion) -> Motion:
     """The body goes to and fro by 3 cm, and up and down by 1 cm, feet and all."""
     phase = 2 * np.pi * 0.4 * motion.times[:, None]
     return moved(motion, np.sin(phase) * [0.03, 0.0, 0.01] + np.sin(1.7 * phase) * [0, 0.01, 0])
+
+
+def rig_index(motion: Motion, name: str) -> int:
+    return motion.skeleton.index(name)
 
 
 def speed(places: np.ndarray, fps: float) -> np.ndarray:
@@ -152,21 +163,171 @@ def test_corrections_come_and_go_slowly(with_toes):
     assert speed(correction, 30.0).max() < 0.35 + sway
 
 
-def test_a_straight_leg_does_not_flip_its_knee(with_toes):
+def test_legs_bend_forward_between_the_hip_and_a_foot_at_rest(with_toes):
+    """The leg swings like a pendulum over its foot, worked out by hand.
+
+    Thigh and shank are 0.42 m, so that over a distance d from hip to ankle the knee is
+    sqrt(0.42^2 - d^2 / 4) before their middle. The model's knees are nearly straight, and bend
+    backwards by up to 4 degrees now and then.
+    """
     motion = standing(with_toes)
-    angles = np.zeros((motion.n_frames, 3))
-    angles[:, 0] = 4 * np.sin(2 * np.pi * 0.7 * motion.times)  # to both sides of straight
+    bend = np.radians(4 + 8 * np.sin(2 * np.pi * 0.7 * motion.times))
     rotations = motion.rotations.copy()
     for side in ("Left", "Right"):
         for part, share in (("UpLeg", -0.5), ("Leg", 1.0), ("Foot", -0.5)):
-            joint = motion.skeleton.index(side + part)
-            rotations[:, joint] = quaternion_from_euler(share * angles, "XYZ")
-    locked = lock_feet(swaying(replace(motion, rotations=rotations)))
-    knee = locked.positions()[:, motion.skeleton.index("LeftLeg")]
-    assert speed(knee, 30.0).max() < 0.8
+            turn = share * bend[:, None] * [1.0, 0.0, 0.0]
+            rotations[:, rig_index(motion, side + part)] = quaternion_from_rotation_vector(turn)
+    sway = 0.03 * np.sin(2 * np.pi * 0.8 * motion.times)[:, None] * [0.0, 0.0, 1.0]
+    locked = lock_feet(moved(replace(motion, rotations=rotations), sway))
+    positions = locked.positions()
+    for side in ("Left", "Right"):
+        hip, knee, ankle = (
+            positions[:, rig_index(motion, side + part)] for part in ("UpLeg", "Leg", "Foot")
+        )
+        assert np.ptp(ankle, axis=0)[[0, 2]].max() < 1e-6 and np.ptp(hip[:, 2]) > 0.05
+        along = ankle - hip
+        distance = np.linalg.norm(along, axis=1, keepdims=True)
+        forward = np.stack([0 * along[:, 0], along[:, 2], -along[:, 1]], axis=1) / distance
+        height = np.sqrt(0.42**2 - distance**2 / 4)
+        np.testing.assert_allclose(knee, (hip + ankle) / 2 + height * forward, atol=2e-4)
+    assert not any(frames.any() for frames in bent_backwards(locked).values())
 
 
-def test_joints_that_carry_the_body_may_hang_below_a_still_root(with_toes):
+def test_a_foot_is_moved_by_a_tenth_of_the_leg_at_most(with_toes):
+    """A labelled foot slides by 0.165 m in ten frames: the pin is 0.0825 m away at either end.
+
+    The leg is 0.84 m long. Above 3/4 of 0.084 m corrections are compressed, to
+    0.063 + 0.021 (1 - exp(-(0.0825 - 0.063) / 0.021)) = 0.0757 m.
+    """
+    motion = standing(with_toes)
+    frames = np.clip(np.arange(motion.n_frames) - 90, 0, 9)
+    sliding = moved(motion, 0.55 / 30 * frames[:, None] * [1.0, 0.0, 0.0])
+    labels = np.zeros((motion.n_frames, 4))
+    labels[90:100, :2] = 1.0
+    locked = lock_feet(sliding, labels, keep_path=True)
+    correction = foot_positions(locked) - foot_positions(sliding)
+    ends = correction[[90, 99], :2, 0]
+    np.testing.assert_allclose(ends, [[0.0757] * 2, [-0.0757] * 2], atol=2e-4)
+    np.testing.assert_allclose(correction[:, 2:], 0, atol=1e-7)
+
+
+def test_frames_far_from_contact_keep_their_pose_bit_for_bit(with_toes):
+    motion = swaying(standing(with_toes))
+    labels = np.zeros((motion.n_frames, 4))
+    labels[80:100] = 1.0
+    locked = lock_feet(motion, labels, keep_path=True)
+    far = np.r_[:60, 120 : motion.n_frames]
+    assert (locked.rotations[far] == motion.rotations[far]).all()
+    assert (locked.translation[far] == motion.translation[far]).all()
+    assert (locked.rotations[80:100] != motion.rotations[80:100]).any(axis=(1, 2)).all()
+
+
+def test_hips_come_down_to_feet_that_they_would_lift(with_toes):
+    """Straight legs, and hips that bob up by 2 cm: feet stay on the floor, and hips come down."""
+    motion = standing(with_toes)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (motion.n_frames, with_toes.n_joints, 1))
+    bob = 0.02 * np.exp(-(((motion.times - 3) / 0.15) ** 2))[:, None] * [0.0, 1.0, 0.0]
+    bobbing = moved(replace(motion, rotations=rotations), bob)
+    locked = lock_feet(bobbing, np.ones((motion.n_frames, 4)))
+    lifted = foot_positions(bobbing)[..., 1] - foot_positions(bobbing)[0, :, 1]
+    kept = foot_positions(locked)[..., 1] - foot_positions(locked)[0, :, 1]
+    assert lifted.max() > 0.019 and np.abs(kept).max() < 0.003
+    drop = bobbing.translation[:, 1] - locked.translation[:, 1]
+    assert drop[90] == pytest.approx(0.02, abs=0.003) and drop.min() > -1e-3
+    assert np.abs(np.diff(drop)).max() * 30 < 0.3, "smoothly"
+    assert drop[:60].max() < 2e-3 and drop[120:].max() < 2e-3
+
+
+def test_large_drops_of_the_hips_are_compressed(with_toes):
+    """Above half of a twentieth of the leg (0.021 m of 0.84), a drop of 0.029 m becomes
+    0.021 + 0.021 (1 - exp(-(0.029 - 0.021) / 0.021)) = 0.02765 m.
+    """
+    motion = standing(with_toes)
+    straight = np.tile([0.0, 0.0, 0.0, 1.0], (motion.n_frames, with_toes.n_joints, 1))
+    high = 0.029 * (np.abs(motion.times - 3) < 0.5)[:, None] * [0.0, 1.0, 0.0]
+    labels = np.ones((motion.n_frames, 4))
+    raised = moved(replace(motion, rotations=straight), high)
+    drop = (raised.translation - lock_feet(raised, labels, keep_path=True).translation)[:, 1]
+    assert drop[90] == pytest.approx(0.02765, abs=1e-4) and drop.max() < 0.0277
+    assert drop[:60].max() == 0 and drop[120:].max() == 0
+
+
+def strolling(rig: Skeleton) -> Motion:
+    """Four seconds at 60 fps: sway and drift, a heel that lifts, a foot that steps and turns."""
+    motion = standing(rig, 4.0, 60.0)
+    rotations = motion.rotations.copy()
+    swing = np.sin(np.pi * np.clip((motion.times - 2.4) / 0.5, 0, 1)) ** 2
+    lift = 25 * np.sin(np.pi * np.clip(motion.times - 0.4, 0, 1)) ** 2
+    for name, pitch, yaw in (
+        ("LeftUpLeg", -15 - 30 * swing, 0.0),
+        ("LeftLeg", 30 + 60 * swing, 0.0),
+        ("RightFoot", lift - 15, 9 * np.sin(1.5 * motion.times)),
+        ("RightToeBase", -lift, 0.0),
+    ):
+        angles = np.stack([pitch, yaw + 0 * pitch, 0 * pitch], axis=-1)
+        rotations[:, rig.index(name)] = quaternion_from_euler(angles, "XYZ")
+    drift = motion.times[:, None] * [0.02, 0.0, 0.03]
+    return swaying(moved(replace(motion, rotations=rotations), drift))
+
+
+def turned(motion: Motion) -> Motion:
+    """The whole motion turned by 2 rad about the vertical, on a floor 0.4 m lower, elsewhere."""
+    turn = quaternion_from_rotation_vector(np.array([0.0, 2.0, 0.0]))
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
+    place = rotate_vectors(turn, motion.translation) + [3.0, -0.4, 1.0]
+    return replace(motion, rotations=rotations, translation=place)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [turned, Motion.mirror, lambda motion: motion.scaled(2.5)],
+    ids=["turned", "mirrored", "scaled"],
+)
+@pytest.mark.parametrize("labelled", [False, True])
+def test_feet_are_locked_alike_in_all_directions_on_both_sides_and_at_any_size(
+    with_toes, change, labelled
+):
+    motion = strolling(with_toes)
+    contacts = contact_labels(motion, 0.3) if labelled else None
+    other = None
+    if labelled:
+        other = contacts[:, [2, 3, 0, 1]] if change is Motion.mirror else contacts
+    locked = lock_feet(motion, contacts)
+    assert np.abs(locked.positions() - motion.positions()).max() > 0.01
+    expected, found = change(locked), lock_feet(change(motion), other)
+    np.testing.assert_allclose(found.positions(), expected.positions(), atol=1e-6)
+    np.testing.assert_allclose(
+        rotation_angles(found.global_rotations(), expected.global_rotations()), 0, atol=1e-5
+    )
+
+
+def test_heel_and_ball_of_a_flat_foot_stay_while_the_foot_turns(with_toes):
+    """By 4 degrees to either side: the foot is turned back, sole level, and its toes with it."""
+    motion = standing(with_toes)
+    yaw = np.radians(4) * np.sin(2 * np.pi * 0.7 * motion.times)
+    rotations = motion.rotations.copy()
+    foot = rig_index(motion, "LeftFoot")
+    world = quaternion_from_rotation_vector(yaw[:, None] * [0.0, 1.0, 0.0])
+    rotations[:, foot] = multiply_quaternions(motion.rotations[:, foot], world)
+    turning = replace(motion, rotations=rotations)
+    before, after = foot_positions(turning), foot_positions(lock_feet(turning))
+    assert np.ptp(before[:, 1, 0]) > 0.015 and np.ptp(after[:, 1, 0]) < 0.001
+    np.testing.assert_allclose(after[:, 1, 1], before[:, 1, 1], atol=1e-4)
+    toe = lock_feet(turning).global_rotations()[:, rig_index(motion, "LeftToeBase")]
+    assert np.degrees(rotation_angles(toe, np.array([0.0, 0.0, 0.0, 1.0]))).max() < 0.8
+
+
+def test_feet_and_toes_keep_their_orientation_in_the_world(with_toes):
+    motion = swaying(standing(with_toes))
+    locked = lock_feet(motion)
+    for name in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase"):
+        own = [m.global_rotations()[:, rig_index(motion, name)] for m in (motion, locked)]
+        assert np.degrees(rotation_angles(*own)).max() < 0.01
+
+
+@pytest.mark.parametrize("marker_turn", [0.0, 1.2])
+def test_joints_that_carry_the_body_may_hang_below_a_still_root(with_toes, marker_turn):
     names = ("Marker", *with_toes.names)
     rig = Skeleton(
         names=names,
@@ -174,7 +335,8 @@ def test_joints_that_carry_the_body_may_hang_below_a_still_root(with_toes):
         offsets=np.concatenate([np.zeros((1, 3)), with_toes.offsets]),
     )
     plain = standing(with_toes)
-    still = np.tile([0.0, 0.0, 0.0, 1.0], (plain.n_frames, 1, 1))
+    turn = quaternion_from_rotation_vector(np.array([0.0, marker_turn, 0.0]))
+    still = np.tile(turn, (plain.n_frames, 1, 1))
     place = plain.translation + plain.times[:, None] * [0.1, 0.0, 0.0]
     motion = Motion(
         rig,

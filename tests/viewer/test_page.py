@@ -82,7 +82,7 @@ def test_a_page_holds_every_point_to_a_tenth_of_a_millimetre(tmp_path: Path) -> 
 def test_joints_far_from_the_root_fit_into_the_page(tmp_path: Path) -> None:
     """Points are stored in 16 bits: a joint flung 50 m away makes steps of 50 / 32767 m."""
     motion = a_chain()
-    flung = np.linspace([0, 0.5, 0], [0, 0.5, -50], motion.n_frames)
+    flung = np.linspace([0, 0.5, 0], [0, 0.5, 50], motion.n_frames)
     write_html(replace(motion, joint_translations={"middle": flung}), tmp_path / "flung.html")
     (figure,) = data_of(tmp_path / "flung.html")["figures"]
     positions = replace(motion, joint_translations={"middle": flung}).positions()
