@@ -190,3 +190,18 @@ def test_movement_counts_relative_to_the_radius_of_its_point():
     spans = [(0, 60), (62, 90)]
     found = split_at_movement(spans, both, FPS, np.array([0.2, 0.02]))
     assert found == [(0, 40), (40, 60), (62, 90)]
+
+
+def test_movement_is_that_of_one_point_in_space():
+    """Two points 0.8 of their radius from their mean stay; one that is 1.13 away, in x and z, goes.
+
+    The fastest frame is that of the point that is farthest from where it was, 20 of 60.
+    """
+    both = np.concatenate([steps(60, (30, 0.16))] * 2, axis=1)
+    assert split_at_movement([(0, 60)], both, FPS, np.array([0.1, 0.1])) == [(0, 60)]
+    aside = both.copy()
+    aside[30:, 0, 2] += 0.16
+    assert len(split_at_movement([(0, 60)], aside, FPS, np.array([0.1, 0.1]))) == 2
+    aside = np.concatenate([steps(60, (20, 0.12), (40, 0.11)), steps(60, (40, 0.11))], axis=1)
+    aside[20:, 0, 2] += 0.12
+    assert split_at_movement([(0, 60)], aside, FPS, np.array([0.1, 0.1]))[0] == (0, 20)

@@ -193,33 +193,60 @@ def test_legs_bend_forward_between_the_hip_and_a_foot_at_rest(with_toes):
     assert not any(frames.any() for frames in bent_backwards(locked).values())
 
 
-def test_a_foot_is_moved_by_a_tenth_of_the_leg_at_most(with_toes):
+@pytest.mark.parametrize("points", [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
+def test_a_foot_is_moved_by_a_tenth_of_the_leg_at_most(with_toes, points):
     """A labelled foot slides by 0.165 m in ten frames: the pin is 0.0825 m away at either end.
 
     The leg is 0.84 m long. Above 3/4 of 0.084 m corrections are compressed, to
-    0.063 + 0.021 (1 - exp(-(0.0825 - 0.063) / 0.021)) = 0.0757 m.
+    0.063 + 0.021 (1 - exp(-(0.0825 - 0.063) / 0.021)) = 0.0757 m. If only heel or ball is
+    labelled, the whole foot is moved. It takes 0.379 s to fade at 0.3 m/s, 11 frames: 6 frames from
+    either end, half of it is left.
     """
     motion = standing(with_toes)
     frames = np.clip(np.arange(motion.n_frames) - 90, 0, 9)
     sliding = moved(motion, 0.55 / 30 * frames[:, None] * [1.0, 0.0, 0.0])
     labels = np.zeros((motion.n_frames, 4))
-    labels[90:100, :2] = 1.0
+    labels[90:100, :2] = points
     locked = lock_feet(sliding, labels, keep_path=True)
     correction = foot_positions(locked) - foot_positions(sliding)
-    ends = correction[[90, 99], :2, 0]
-    np.testing.assert_allclose(ends, [[0.0757] * 2, [-0.0757] * 2], atol=2e-4)
+    found = correction[[78, 90, 99, 111], :2, 0]
+    expected = np.array([0.0, 0.0757, -0.0757, 0.0])
+    np.testing.assert_allclose(found, np.stack([expected] * 2, axis=1), atol=2e-4)
+    if sum(points) == 1:
+        halfway = [[0.0757 / 2] * 2, [-0.0757 / 2] * 2]
+        np.testing.assert_allclose(correction[[84, 105], :2, 0], halfway, atol=2e-4)
     np.testing.assert_allclose(correction[:, 2:], 0, atol=1e-7)
 
 
 def test_frames_far_from_contact_keep_their_pose_bit_for_bit(with_toes):
-    motion = swaying(standing(with_toes))
+    motion = strolling(with_toes)
     labels = np.zeros((motion.n_frames, 4))
-    labels[80:100] = 1.0
+    labels[100:130] = 1.0
     locked = lock_feet(motion, labels, keep_path=True)
-    far = np.r_[:60, 120 : motion.n_frames]
+    far = np.r_[:60, 170 : motion.n_frames]
     assert (locked.rotations[far] == motion.rotations[far]).all()
     assert (locked.translation[far] == motion.translation[far]).all()
-    assert (locked.rotations[80:100] != motion.rotations[80:100]).any(axis=(1, 2)).all()
+    assert (locked.rotations[100:130] != motion.rotations[100:130]).any(axis=(1, 2)).all()
+
+
+def test_a_foot_stands_from_its_landing_to_its_leaving(with_toes):
+    """It arrives at 0.6 m/s, and slides at 0.35 m/s for the last 0.1 s; and leaves the same way."""
+    motion = standing(with_toes)
+    steps = np.zeros(motion.n_frames)
+    steps[:58], steps[58:61], steps[120:123], steps[123:] = 0.6, 0.35, 0.35, 0.6
+    sliding = moved(motion, np.cumsum(steps)[:, None] / 30 * [0.0, 0.0, 1.0])
+    after = foot_positions(lock_feet(sliding, keep_path=True))
+    assert speed(after[58:122], 30.0).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "labels", [(1.0, 0.0, 1.0, 0.0), (0.0, 1.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0)]
+)
+def test_a_body_that_drifts_on_some_points_of_its_feet_is_moved_back(with_toes, labels):
+    still = standing(with_toes, 10.0)
+    drifting = moved(still, still.times[:, None] * [0.1, 0.0, 0.05])
+    locked = lock_feet(drifting, np.tile(labels, (still.n_frames, 1)))
+    assert np.ptp(locked.translation, axis=0).max() < 0.01
 
 
 def test_hips_come_down_to_feet_that_they_would_lift(with_toes):
