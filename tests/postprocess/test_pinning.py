@@ -125,6 +125,8 @@ def test_a_foot_that_is_put_down_and_lifted_keeps_its_height():
     places[115:130, 1] = np.linspace(0.0, 0.03, 15)
     offset, _ = pinned(places, (30, 130))
     np.testing.assert_allclose(offset, 0, atol=1e-12)
+    offset, _ = pinned(places[29:131], (1, 101))
+    np.testing.assert_allclose(offset, 0, atol=1e-12)
     # Where the motion begins and ends within the contact, nobody saw it come or go.
     offset, _ = pinned(places[30:130], (0, 100))
     np.testing.assert_allclose(offset[:, 1], -places[30:130, 1], atol=1e-12)
