@@ -164,6 +164,76 @@ def test_a_foot_that_stands_is_level_and_one_that_rolls_gives_no_level(person):
     )
 
 
+def on_wide_hips(person: Skeleton) -> Skeleton:
+    offsets = person.offsets.copy()
+    for name, x in (("LeftUpLeg", 0.2), ("RightUpLeg", -0.2)):
+        offsets[person.index(name), 0] = x
+    return replace(person, offsets=offsets)
+
+
+def test_hips_come_down_where_legs_have_to_reach_aside(person):
+    """Feet 0.1 m to either side, hips 0.2 m, straight legs of 0.82 m: sqrt(0.82^2 - 0.1^2) =
+    0.81388 m of them is upright, 0.00612 m less than on the source.
+    """
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (30, person.n_joints, 1))
+    motion = Motion(person, still, np.tile([0.3, 0.9, 0.1], (30, 1)), 30.0)
+    made = retarget(motion, on_wide_hips(person))
+    lowered = motion.positions()[:, 0] - made.positions()[:, 0]
+    np.testing.assert_allclose(lowered, np.tile([0, 0.00612, 0], (30, 1)), atol=1e-5)
+    feet = [foot_positions(m) for m in (motion, made)]
+    np.testing.assert_allclose(feet[1], feet[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("fps", [30.0, 60.0])
+def test_hips_come_down_and_up_again_within_four_tenths_of_a_second(person, fps):
+    """Knees are bent, but for one frame: it lowers the hips for 0.2 s, smoothed over 0.2 s more."""
+    n = round(2 * fps)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (n, person.n_joints, 1))
+    bent = np.radians(np.where(np.arange(n) == n // 2, 0.0, 30.0))[:, None] * [1.0, 0, 0]
+    height = np.full(n, 0.9) - 0.82 * (1 - np.cos(np.radians(30))) * (np.arange(n) != n // 2)
+    for side in ("Left", "Right"):
+        for part, share in (("UpLeg", -1), ("Leg", 2), ("Foot", -1)):
+            turns = quaternion_from_rotation_vector(share * bent)
+            rotations[:, person.index(side + part)] = turns
+    place = np.stack([0 * height, height, 0 * height], axis=-1)
+    motion = Motion(person, rotations, place, fps)
+    drop = (motion.positions() - retarget(motion, on_wide_hips(person)).positions())[:, 0, 1]
+    at = n // 2
+    assert drop[at] == pytest.approx(0.00612, abs=1e-5)
+    reach = round(0.2 * fps)
+    share = drop / drop[at]
+    assert share[at + reach // 2] > 0.8 and share[at + reach] == pytest.approx(0.5, abs=0.1)
+    assert np.abs(share[: at - 2 * reach - 1]).max() < 1e-3
+    np.testing.assert_allclose(share[at:], share[: at + 1][::-1][: n - at], atol=1e-9)
+
+
+def test_a_root_above_the_hips_turns_with_the_body(moving_person):
+    """As of rigs whose first joint carries the hips: programs read the heading from it."""
+    person = moving_person.skeleton
+    rooted = Skeleton(
+        ("Reference", *person.names),
+        (-1, *(parent + 1 for parent in person.parents)),
+        np.concatenate([np.zeros((1, 3)), [[0.0, 0.05, 0.0]], person.offsets[1:]]),
+    )
+    yaw = quaternion_from_rotation_vector(np.outer(np.linspace(0, 3, 60), [0.0, 1.0, 0.0]))
+    rotations = moving_person.rotations.copy()
+    rotations[:, 0] = yaw
+    made = retarget(replace(moving_person, rotations=rotations), rooted)
+    for joint in ("Reference", "Hips"):
+        world = made.global_rotations()[:, rooted.index(joint)]
+        assert rotation_angles(world, yaw).max() < 0.01, joint
+
+
+def test_rigs_without_a_body_are_refused_by_the_bone(moving_person):
+    person = moving_person.skeleton
+    offsets = person.offsets.copy()
+    offsets[[person.index(name) for name in ("LeftForeArm", "RightForeArm")]] = 0.0
+    with pytest.raises(MotionError, match="the rig's left arm has no length"):
+        retarget(
+            moving_person, replace(person, names=("Pelvis", *person.names[1:]), offsets=offsets)
+        )
+
+
 def test_zeggs_onto_mixamo(zeggs, mixamo):
     made = retarget(zeggs, mixamo)
     assert made.skeleton is mixamo and (made.n_frames, made.fps) == (zeggs.n_frames, zeggs.fps)

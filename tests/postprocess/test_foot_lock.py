@@ -265,6 +265,31 @@ def test_hips_come_down_to_feet_that_they_would_lift(with_toes):
     assert drop[:60].max() < 2e-3 and drop[120:].max() < 2e-3
 
 
+def test_a_body_that_floats_slowly_comes_down_as_a_whole(with_toes):
+    """Smoothing over 1 s keeps exp(-(2 pi 0.05)^2 / 2) = 0.952 of a period of 20 s."""
+    still = standing(with_toes, 40.0)
+    float_ = 0.01 * np.sin(2 * np.pi * 0.05 * still.times)
+    floating = moved(still, float_[:, None] * [0.0, 1.0, 0.0])
+    locked = lock_feet(floating, np.ones((still.n_frames, 4)))
+    left = locked.translation[:, 1] - still.translation[:, 1]
+    np.testing.assert_allclose(left[300:-300], 0.048 * float_[300:-300], atol=1e-5)
+    assert np.ptp(foot_positions(locked)[..., 1], axis=0).max() < 1e-6
+
+
+def test_tapping_toes_do_not_lift_the_hips(with_toes):
+    """The heels stand, and are labelled; the balls come and go."""
+    motion = standing(with_toes, 20.0)
+    tap = 8 * (1 - np.cos(2 * np.pi * 0.1 * motion.times))
+    rotations = motion.rotations.copy()
+    for side in ("Left", "Right"):
+        pitch = np.stack([-15 - tap, 0 * tap, 0 * tap], axis=-1)
+        rotations[:, rig_index(motion, f"{side}Foot")] = quaternion_from_euler(pitch, "XYZ")
+    tapping = replace(motion, rotations=rotations)
+    assert np.ptp(foot_positions(tapping)[:, 1, 1]) > 0.03
+    locked = lock_feet(tapping, np.tile([1.0, 0.0, 1.0, 0.0], (motion.n_frames, 1)))
+    np.testing.assert_allclose(locked.translation[:, 1], motion.translation[:, 1], atol=1e-6)
+
+
 @pytest.mark.parametrize("way", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
 def test_hips_that_sway_over_straight_legs_come_down_in_an_arc(with_toes, way):
     """0.06 m aside, a leg of 0.84 m reaches up to sqrt(0.84^2 - 0.06^2) = 0.83786 m."""
