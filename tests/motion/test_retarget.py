@@ -14,7 +14,7 @@ from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.body_frames import body_frames
-from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -23,6 +23,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_angles,
 )
+from gesturekit.motion.selection.joint_selection import keep_joints
 
 ZEGGS = "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh"
 BANDAI = "motion/bandai/dataset-1_bye_happy_001.bvh"
@@ -222,6 +223,63 @@ def test_a_root_above_the_hips_turns_with_the_body(moving_person):
     for joint in ("Reference", "Hips"):
         world = made.global_rotations()[:, rooted.index(joint)]
         assert rotation_angles(world, yaw).max() < 0.01, joint
+
+
+def yaws(motion: Motion, *names: str) -> list[float]:
+    """World rotations about the vertical in the first frame, degrees."""
+    world = motion.global_rotations()[0]
+    turns = (world[motion.skeleton.index(name)] for name in names)
+    return [float(np.degrees(2 * np.arctan2(q[1], q[3]))) for q in turns]
+
+
+def looking_aside(rig: Skeleton, **degrees: float) -> Motion:
+    """A rig at rest, some of whose joints are turned about the vertical against their parents."""
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (10, rig.n_joints, 1))
+    for name, angle in degrees.items():
+        turn = np.array([0.0, np.radians(angle), 0.0])
+        rotations[:, rig.index(name)] = quaternion_from_rotation_vector(turn)
+    return Motion(rig, rotations, np.tile([0.0, 0.9, 0.0], (10, 1)), 30.0)
+
+
+def test_spines_are_matched_along_their_length(person, mixamo):
+    """The middles of the person's bones are 0.1 and 0.25 m up, 0.4 and 1 of the last one's height.
+
+    Those of Mixamo are 0.0585, 0.184 and 0.326 m up, so that the second one, at 0.5644, is
+    (0.5644 - 0.4) / 0.6 = 0.274 of the way from Spine to Chest: 10 + 0.274 * 40 degrees.
+    """
+    made = retarget(looking_aside(person, Spine=10.0, Chest=40.0, Head=-20.0), mixamo)
+    names = [f"mixamorig:{name}" for name in ("Hips", "Spine", "Spine1", "Spine2", "Neck", "Head")]
+    assert yaws(made, *names) == pytest.approx([0, 10, 20.9, 50, 50, 30], abs=0.2)
+
+
+def test_a_neck_that_the_source_does_not_have_turns_half_as_far_as_the_head(person, mixamo):
+    short = keep_joints(looking_aside(person), [n for n in person.names if n != "Neck"]).skeleton
+    made = retarget(looking_aside(short, Spine=10.0, Chest=40.0, Head=-20.0), mixamo)
+    names = [f"mixamorig:{name}" for name in ("Spine2", "Neck", "Head")]
+    assert yaws(made, *names) == pytest.approx([50, 40, 30], abs=0.2)
+
+
+def test_clavicles_wrists_and_heads_that_the_source_does_not_have_follow_their_parents(
+    person, mixamo
+):
+    missing = ("Head", "Neck", "LeftHand", "RightHand")
+    rest = looking_aside(person)
+    short = keep_joints(rest, [n for n in person.names if n not in missing]).skeleton
+    made = retarget(looking_aside(short, Chest=30.0, LeftForeArm=20.0), mixamo)
+    names = [f"mixamorig:{name}" for name in ("LeftShoulder", "LeftHand", "RightHand", "Head")]
+    # Hands are placed too, which turns arms by up to two degrees.
+    assert yaws(made, *names) == pytest.approx([30, 50, 30, 30], abs=2.0)
+
+
+def test_a_body_with_a_hanging_head_stands_and_a_bust_with_one_does_not(person):
+    offsets = person.offsets.copy()
+    offsets[person.index("Head")] = [0.0, -0.15, 0.1]
+    bowed = replace(person, offsets=offsets)
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (person.n_joints, 1))
+    np.testing.assert_array_equal(standing_rig(bowed), upright)
+    kept = [n for n in person.names if "Leg" not in n and "Foot" not in n and "Toe" not in n]
+    bust = keep_joints(looking_aside(bowed), kept).skeleton
+    assert np.abs(standing_rig(bust) - [0, 0, 0, 1]).max() > 0.1
 
 
 def test_rigs_without_a_body_are_refused_by_the_bone(moving_person):
