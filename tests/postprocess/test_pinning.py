@@ -194,6 +194,7 @@ def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():
     [
         (10, 60, 5, 5),  # 0.2 s, 20 frames, for 4 cm: 5 more on either side
         (11, 60, 5, 5),  # 9 missing, rounded up
+        (19, 60, 1, 1),
         (10, 6, 3, 3),  # half of a span at most
         (20, 60, 0, 0),
     ],
