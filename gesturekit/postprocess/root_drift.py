@@ -32,8 +32,7 @@ def horizontal_drift(
     weight = gaussian_filter1d(standing, _STEADY * fps, axis=0, mode="constant")[..., None]
     steady = gaussian_filter1d(steps, _STEADY * fps, axis=0, mode="constant")
     steady /= np.maximum(weight, 1e-6)
-    path = _smooth(np.cumsum(_common(steady, standing), axis=0), _SWAY * fps)
-    return path - path[0]
+    return _smooth(np.cumsum(_common(steady, standing), axis=0), _SWAY * fps)
 
 
 def height_error(heights: np.ndarray, stands: np.ndarray, fps: float) -> np.ndarray:

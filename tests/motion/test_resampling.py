@@ -61,6 +61,17 @@ def test_the_filter_is_pillows_lanczos(moving_person, fps):
     assert rotation_angles(made.rotations[:, joint], turns).max() < 1e-5
 
 
+def test_the_end_frames_go_on_for_the_filter(moving_person):
+    """A value of 1 in an end frame alone: all that lies beyond, and the frame itself.
+
+    The frame's own weight is about 1/4 at a quarter of the rate, which leaves (1 + 1/4) / 2.
+    """
+    still = shaking(moving_person, hertz=0.0).slice(0, 201)
+    still.translation[[0, -1], 2] = 1.0
+    made = still.resample(30.0, n_frames=51, antialias=True).translation[:, 2]
+    assert made[[0, 50]] == pytest.approx(0.625, abs=2e-3)
+
+
 def test_frequencies_below_the_new_rate_are_kept(moving_person):
     slow = shaking(moving_person, hertz=3.0)
     plain, filtered = slow.resample(30.0), slow.resample(30.0, antialias=True)

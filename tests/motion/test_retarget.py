@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
@@ -124,6 +125,11 @@ def test_size_scales_steps_and_heights(moving_person):
     np.testing.assert_allclose(np.diff(large.translation, axis=0), 1.3 * walked, atol=1e-6)
 
 
+def test_the_source_file_is_remembered(moving_person, mixamo):
+    named = replace(moving_person, info={"source": "walk.bvh", "betas": np.zeros(10)})
+    assert retarget(named, mixamo).info == {"source": "walk.bvh"}
+
+
 def test_joints_that_move_scale_with_the_body(moving_person):
     """A head that moves on its neck by 5 cm moves by 10 cm on a body twice as large."""
     person = moving_person.skeleton
@@ -208,14 +214,33 @@ def test_hips_come_down_and_up_again_within_four_tenths_of_a_second(person, fps)
     np.testing.assert_allclose(share[at:], share[: at + 1][::-1][: n - at], atol=1e-9)
 
 
-def test_a_root_above_the_hips_turns_with_the_body(moving_person):
-    """As of rigs whose first joint carries the hips: programs read the heading from it."""
-    person = moving_person.skeleton
-    rooted = Skeleton(
+def below_a_root(person: Skeleton, height: float) -> Skeleton:
+    """The rig whose hips hang below another joint, at a height above it in metres."""
+    return Skeleton(
         ("Reference", *person.names),
         (-1, *(parent + 1 for parent in person.parents)),
-        np.concatenate([np.zeros((1, 3)), [[0.0, 0.05, 0.0]], person.offsets[1:]]),
+        np.concatenate([np.zeros((1, 3)), [[0.0, height, 0.0]], person.offsets[1:]]),
     )
+
+
+@pytest.mark.parametrize(("height", "is_marker"), [(0.19, False), (0.22, True), (0.9, True)])
+def test_a_root_a_quarter_of_a_leg_below_the_hips_is_a_marker_that_stands_still(
+    moving_person, height, is_marker
+):
+    """The legs are 0.82 m long. At a hundred times the size all is the same."""
+    rooted = below_a_root(moving_person.skeleton, height)
+    made = retarget(moving_person, rooted)
+    assert (np.ptp(made.translation, axis=0).max() == 0) == is_marker
+    assert set(made.joint_translations) == ({"Hips"} if is_marker else set())
+    for motion, rig in ((moving_person, rooted), (made, moving_person.skeleton)):
+        own = retarget(motion, rig)
+        large = retarget(motion.scaled(100.0), rig.scaled(100.0))
+        np.testing.assert_allclose(large.positions() / 100, own.positions(), atol=1e-6)
+
+
+def test_a_root_above_the_hips_turns_with_the_body(moving_person):
+    """As of rigs whose first joint carries the hips: programs read the heading from it."""
+    rooted = below_a_root(moving_person.skeleton, 0.05)
     yaw = quaternion_from_rotation_vector(np.outer(np.linspace(0, 3, 60), [0.0, 1.0, 0.0]))
     rotations = moving_person.rotations.copy()
     rotations[:, 0] = yaw
@@ -223,6 +248,60 @@ def test_a_root_above_the_hips_turns_with_the_body(moving_person):
     for joint in ("Reference", "Hips"):
         world = made.global_rotations()[:, rooted.index(joint)]
         assert rotation_angles(world, yaw).max() < 0.01, joint
+
+
+@pytest.mark.parametrize(
+    ("inward", "weight"),
+    [(0.6, 1.0), (0.15, 0.5), (-0.6, 0.0)],  # to 0, 0.75 and 2 half shoulder widths
+)
+def test_hands_in_front_of_the_body_are_placed_and_hands_aside_are_not(person, inward, weight):
+    """Upper arms hang, forearms point ahead and inward; the target's shoulders are 0.4 m apart.
+
+    Shoulders 0.3 m apart and arms of 0.54 and 0.53 m have the span 0.685 m, the target 0.735 m.
+    Up to 0.4 half widths from the middle a hand is placed there, scaled by the spans; from 1.1 on
+    arms only point as the source's; halfway, at 0.75, it is halfway between.
+    """
+    theta = np.arccos(-inward)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (10, person.n_joints, 1))
+    for side, sign in (("Left", -1.0), ("Right", 1.0)):
+        upper = Rotation.from_rotvec([0, 0, sign * np.pi / 2])
+        fore = upper.inv() * Rotation.from_rotvec([0, sign * theta, 0])
+        rotations[:, person.index(f"{side}Arm")] = upper.as_quat()
+        rotations[:, person.index(f"{side}ForeArm")] = fore.as_quat()
+    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (10, 1)), 30.0)
+    offsets = person.offsets.copy()
+    for name, x in (("LeftArm", 0.2), ("RightArm", -0.2)):
+        offsets[person.index(name), 0] = x
+    made = retarget(motion, replace(person, offsets=offsets))
+    places = made.positions()[0]
+    middle = (places[person.index("LeftArm")] + places[person.index("RightArm")]) / 2
+    ahead = 0.25 * np.sqrt(1 - inward**2)
+    for side, sign, down in (("Left", 1, -0.29), ("Right", -1, -0.28)):
+        own = np.array([sign * (0.15 - 0.25 * inward), down, ahead])
+        wide = own + [sign * 0.05, 0, 0]
+        expected = weight * 0.735 / 0.685 * own + (1 - weight) * wide
+        hand = person.index(f"{side}Hand")
+        np.testing.assert_allclose(places[hand] - middle, expected, atol=1e-6)
+        turned = rotation_angles(
+            made.global_rotations()[:, hand], motion.global_rotations()[:, hand]
+        )
+        assert turned.max() < 1e-6, "the hand keeps its orientation"
+
+
+def test_hips_stay_behind_longer_feet_wherever_the_body_faces(person):
+    """Balls of the feet stay, so that feet 0.1 m longer take ankles and hips back by as much."""
+    offsets = person.offsets.copy()
+    offsets[[person.index(f"{side}ToeBase") for side in ("Left", "Right")], 2] += 0.1
+    angles = np.linspace(0, 3, 300)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (300, person.n_joints, 1))
+    rotations[:, 0] = quaternion_from_rotation_vector(np.outer(angles, [0.0, 1.0, 0.0]))
+    motion = Motion(person, rotations, np.tile([0.3, 0.9, 0.1], (300, 1)), 30.0)
+    made = retarget(motion, replace(person, offsets=offsets))
+    back = (motion.positions() - made.positions())[:, 0]
+    expected = 0.1 * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1)
+    np.testing.assert_allclose(back, expected, atol=1e-6)
+    toe = person.index("LeftToeBase")
+    np.testing.assert_allclose(made.positions()[:, toe], motion.positions()[:, toe], atol=1e-6)
 
 
 def yaws(motion: Motion, *names: str) -> list[float]:
