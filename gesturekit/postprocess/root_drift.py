@@ -63,7 +63,7 @@ def _common(both: np.ndarray, standing: np.ndarray) -> np.ndarray:
 
 def _smooth(path: np.ndarray, frames: float) -> np.ndarray:
     """(T, ...) Gaussian smoothing, padded by point reflection so that linear drift is kept."""
-    margin = min(round(4 * frames), len(path) - 1)
+    margin = round(4 * frames)
     around = ((margin, margin),) + ((0, 0),) * (path.ndim - 1)
     padded = np.pad(path, around, mode="reflect", reflect_type="odd")
     return gaussian_filter1d(padded, frames, axis=0)[margin : margin + len(path)]

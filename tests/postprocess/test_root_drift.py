@@ -39,6 +39,14 @@ def test_standing_feet_share_the_slide_that_both_make(left, right, common):
     assert not found[0].any()
 
 
+@pytest.mark.parametrize("n_frames", [1, 2, 20, 50, 150])
+def test_a_short_clip_drifts_as_a_long_one(n_frames):
+    """Shorter than the smoothing of 1 s reaches, 4 s to either side."""
+    foot = slides(0.1, 0.05)[:n_frames]
+    found = horizontal_drift(foot, foot, stand()[:n_frames], FPS)
+    np.testing.assert_allclose(found, TIMES[:n_frames, None] * [0.1, 0, 0.05], atol=1e-9)
+
+
 def test_the_drift_is_level_even_if_the_floor_rises():
     found = horizontal_drift(slides(0.1, 0.0, 0.3), slides(0.1, 0.0, 0.3), stand(), FPS)
     np.testing.assert_allclose(found, TIMES[:, None] * [0.1, 0, 0], atol=1e-9)
