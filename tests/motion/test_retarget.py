@@ -15,7 +15,8 @@ from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.body_frames import body_frames
-from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
+from gesturekit.motion.retarget.feet import FootMotion
+from gesturekit.motion.retarget.standing_pose import body_frame, standing_pose, standing_rig
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -125,6 +126,14 @@ def test_size_scales_steps_and_heights(moving_person):
     np.testing.assert_allclose(np.diff(large.translation, axis=0), 1.3 * walked, atol=1e-6)
 
 
+def test_faces_are_kept_on_the_same_rig_alone(moving_person, mixamo):
+    faces = np.random.default_rng(0).normal(size=(moving_person.n_frames, 3))
+    smiling = replace(moving_person, expressions=faces)
+    same = retarget(smiling, moving_person.skeleton.scaled(1.2))
+    np.testing.assert_array_equal(same.expressions, faces)
+    assert retarget(smiling, mixamo).expressions is None
+
+
 def test_the_source_file_is_remembered(moving_person, mixamo):
     named = replace(moving_person, info={"source": "walk.bvh", "betas": np.zeros(10)})
     assert retarget(named, mixamo).info == {"source": "walk.bvh"}
@@ -189,6 +198,34 @@ def test_hips_come_down_where_legs_have_to_reach_aside(person):
     np.testing.assert_allclose(lowered, np.tile([0, 0.00612, 0], (30, 1)), atol=1e-5)
     feet = [foot_positions(m) for m in (motion, made)]
     np.testing.assert_allclose(feet[1], feet[0], atol=1e-6)
+
+
+def test_straight_legs_that_have_to_bend_bend_forward(person):
+    """Feet 0.3 m aside of hips 0.1 m aside: over them, legs of 0.82 m have sqrt(0.82^2 - 0.2^2) =
+    0.7952 m. Thigh and shank of 0.42 and 0.4 m then bend by 0.0998 m, the height of the triangle.
+    """
+    offsets = person.offsets.copy()
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (30, person.n_joints, 1))
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        offsets[person.index(f"{side}UpLeg"), 0] = 0.3 * sign
+        apart = quaternion_from_rotation_vector(np.array([0, 0, sign * np.arcsin(0.2 / 0.82)]))
+        rotations[:, person.index(f"{side}UpLeg")] = apart
+        rotations[:, person.index(f"{side}Foot")] = invert_quaternions(apart)
+    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (30, 1)), 30.0)
+    made = retarget(motion, replace(person, offsets=offsets)).positions()
+    for side in ("Left", "Right"):
+        hip, knee = (made[:, person.index(f"{side}{part}")] for part in ("UpLeg", "Leg"))
+        assert (knee - hip)[:, 2] == pytest.approx(0.0998, abs=2e-4)
+        assert (knee - hip)[:, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_floor_under_a_body_that_never_stands_is_near_its_lowest_feet(person):
+    """It rises by 2 m in 100 even steps: the 20th part of them is at 0.1 m, and toes at 0.02 m."""
+    rise = np.linspace(0, 2, 101)[:, None] * [0.0, 1.0, 0.0]
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (101, person.n_joints, 1))
+    flying = Motion(person, still, [0.0, 0.9, 0.0] + rise, 30.0)
+    frames = body_frames(person, find_parts(person), still[0])
+    assert FootMotion.measure(flying, frames).floor == pytest.approx(0.02 + 0.1)
 
 
 @pytest.mark.parametrize("fps", [30.0, 60.0])
@@ -483,6 +520,44 @@ def test_joint_axes_that_lie_anyhow(zeggs, mixamo):
     np.testing.assert_allclose(made.positions(), usual.positions(), atol=1e-6)
     turns = multiply_quaternions(usual.global_rotations(), turned)
     assert rotation_angles(made.global_rotations(), turns).max() < 1e-5
+
+
+def test_a_root_keeps_its_axes_above_hips_whose_axes_lie_anyhow(moving_person):
+    rng = np.random.default_rng(1)
+    rooted = below_a_root(moving_person.skeleton, 0.05)
+    turned = normalize_quaternions(rng.normal(size=(rooted.n_joints, 4)))
+    above = np.array([max(p, 0) for p in rooted.parents])
+    stands = multiply_quaternions(invert_quaternions(turned[above]), turned)
+    stands[0] = turned[0]
+    usual = retarget(moving_person, rooted)
+    made = retarget(moving_person, with_frames(rooted, turned), pose=stands)
+    turns = multiply_quaternions(usual.global_rotations(), turned)
+    assert rotation_angles(made.global_rotations(), turns).max() < 1e-5
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_heap_of_bones_is_put_into_a_t_pose(mixamo, seed):
+    """Its trunk is upright, and limbs lie anyhow."""
+    turned = normalize_quaternions(np.random.default_rng(seed).normal(size=(mixamo.n_joints, 4)))
+    trunk = ("Hips", "Spine", "Spine1", "Spine2", "Neck", "Head")
+    turned[[mixamo.index(f"mixamorig:{name}") for name in trunk]] = turned[0]
+    heap = with_frames(mixamo, turned)
+    places = forward_kinematics(standing_rig(heap), np.zeros(3), heap)
+    frame = body_frame(heap, find_parts(heap), standing_rig(heap))
+    upright = rotate_vectors(invert_quaternions(frame), places)
+    for start, end, direction in (
+        ("Hips", "Spine", (0, 1, 0)),
+        ("Spine2", "Neck", (0, 1, 0)),
+        ("LeftShoulder", "LeftArm", (1, 0, 0)),
+        ("LeftArm", "LeftForeArm", (1, 0, 0)),
+        ("LeftForeArm", "LeftHand", (1, 0, 0)),
+        ("RightArm", "RightForeArm", (-1, 0, 0)),
+        ("RightForeArm", "RightHand", (-1, 0, 0)),
+        ("LeftUpLeg", "LeftLeg", (0, -1, 0)),
+        ("RightLeg", "RightFoot", (0, -1, 0)),
+    ):
+        a, b = (upright[mixamo.index(f"mixamorig:{name}")] for name in (start, end))
+        assert (b - a) @ direction > 0.97 * np.linalg.norm(b - a), (start, end)
 
 
 def test_hands_keep_their_roll(mixamo):
