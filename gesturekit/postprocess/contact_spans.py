@@ -33,6 +33,17 @@ def point_speed(positions: np.ndarray, fps: float) -> np.ndarray:
     return speed
 
 
+def smooth_path(path: np.ndarray, frames: float) -> np.ndarray:
+    """(T, ...) Gaussian smoothing, padded by point reflection so that linear drift is kept.
+
+    `frames` is the standard deviation.
+    """
+    margin = round(4 * frames)
+    around = ((margin, margin),) + ((0, 0),) * (path.ndim - 1)
+    padded = np.pad(path, around, mode="reflect", reflect_type="odd")
+    return gaussian_filter1d(padded, frames, axis=0)[margin : margin + len(path)]
+
+
 def contact_frames(
     positions: np.ndarray, fps: float, scale: float, labels: np.ndarray | None = None
 ) -> tuple[np.ndarray, float]:
@@ -52,7 +63,7 @@ def contact_frames(
     """
     speed = point_speed(positions, fps)
     if labels is None:
-        steady = gaussian_filter1d(positions, TREMBLE_SECONDS * fps, axis=0)
+        steady = smooth_path(positions, TREMBLE_SECONDS * fps)
         speed = np.minimum(speed, point_speed(steady, fps))
     speed /= scale
     if labels is None:

@@ -242,7 +242,7 @@ class _FootLock:
 
     def _hip_drop(self, goals: list[_Goal], shift: np.ndarray) -> np.ndarray:
         """(T,) smooth lowering of the hips that brings both feet within reach, metres."""
-        low, length = np.zeros(len(shift)), np.zeros(1)
+        low = np.zeros(len(shift))
         for foot, goal in zip(self.feet, goals, strict=True):
             hip, knee, ankle = (self.positions[:, j] for j in foot.limb)
             length = np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)

@@ -23,7 +23,7 @@ def pin(
     fps: float,
     radius: float,
     fastest: float,
-    lifts: np.ndarray | float = 0.0,
+    lifts: np.ndarray | float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pin a point at its mean position on the floor in each span.
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from gesturekit.postprocess.contact_spans import smooth_path
+
 _STEADY = 0.2
 """Seconds (standard deviation) over which foot speeds are smoothed before they are compared."""
 _SWAY = 1.0
@@ -32,8 +34,7 @@ def horizontal_drift(
     weight = gaussian_filter1d(standing, _STEADY * fps, axis=0, mode="constant")[..., None]
     steady = gaussian_filter1d(steps, _STEADY * fps, axis=0, mode="constant")
     steady /= np.maximum(weight, 1e-6)
-    path = _smooth(np.cumsum(_common(steady, standing), axis=0), _SWAY * fps)
-    return path - path[0]
+    return smooth_path(np.cumsum(_common(steady, standing), axis=0), _SWAY * fps)
 
 
 def height_error(heights: np.ndarray, stands: np.ndarray, fps: float) -> np.ndarray:
@@ -44,8 +45,8 @@ def height_error(heights: np.ndarray, stands: np.ndarray, fps: float) -> np.ndar
     """
     standing = stands.astype(float)
     common = _common(heights[..., None] * standing[..., None], standing)
-    weight = _smooth(standing.max(axis=1), _SWAY * fps)
-    return _smooth(common[:, 0], _SWAY * fps) / np.maximum(weight, 0.5)
+    weight = smooth_path(standing.max(axis=1), _SWAY * fps)
+    return smooth_path(common[:, 0], _SWAY * fps) / np.maximum(weight, 0.5)
 
 
 def _common(both: np.ndarray, standing: np.ndarray) -> np.ndarray:
@@ -60,11 +61,3 @@ def _common(both: np.ndarray, standing: np.ndarray) -> np.ndarray:
     least = (both * direction[:, None]).sum(axis=-1).min(axis=1)
     together = direction * np.maximum(least, 0)[:, None]
     return np.where(standing.all(axis=1)[:, None], together, alone)
-
-
-def _smooth(path: np.ndarray, frames: float) -> np.ndarray:
-    """(T, ...) Gaussian smoothing, padded by point reflection so that linear drift is kept."""
-    margin = min(round(4 * frames), len(path) - 1)
-    around = ((margin, margin),) + ((0, 0),) * (path.ndim - 1)
-    padded = np.pad(path, around, mode="reflect", reflect_type="odd")
-    return gaussian_filter1d(padded, frames, axis=0)[margin : margin + len(path)]

@@ -238,6 +238,14 @@ def test_changes_are_made_in_order(take, tmp_path):
     np.testing.assert_allclose(motion.positions()[::2, right], expected, atol=1e-9)
 
 
+def test_a_trim_beyond_the_end_keeps_what_there_is(take, tmp_path):
+    """Of a folder, some clips are shorter than the range."""
+    (done,) = outcomes(take, tmp_path / "a.npz", changes=Changes(trim=(0.5, 60.0)))
+    assert done.error is None and done.done == ("cut to 1.50 s",)
+    motion, source = Motion.load(tmp_path / "a.npz"), Motion.load(take)
+    np.testing.assert_allclose(motion.positions(), source.positions()[15:], atol=1e-9)
+
+
 def test_the_rate_can_be_set_right(take, tmp_path):
     outcomes(take, tmp_path / "a.npz", read={"fps": 60}, changes=Changes(fps=30))
     motion = Motion.load(tmp_path / "a.npz")

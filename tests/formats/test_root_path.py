@@ -33,6 +33,30 @@ def test_headings_are_unwrapped_from_180_to_minus_180(tmp_path):
     assert np.degrees(np.ptp(path.headings)) == pytest.approx(40.0, abs=1e-6)
 
 
+def test_headings_between_uneven_rows_turn_the_short_way(tmp_path):
+    """170 to -170 degrees are 20 degrees by 180, and 340 by 0."""
+    text = "time,x,z,heading\n0,0,0,170\n0.1,0,0,170\n1.1,0,0,-170\n"
+    path = load_root_path(table(tmp_path, text))
+    assert path.fps == pytest.approx(10.0)
+    assert np.degrees(path.headings) == pytest.approx([170, *range(170, 191, 2)])
+
+
+@pytest.mark.parametrize(
+    ("n_rows", "step", "digits", "fps"),
+    [
+        (30, 1 / 30, 3, 30.0),  # 0.967 s, rounded, would be 29.99 fps
+        (1000, 1 / 29.97, 6, 29.97),  # 33.30 s; at 30 fps the last row would be a frame early
+        (5, 2.5, 1, 0.4),
+        (5, 0.025, 3, 40.0),
+    ],
+)
+def test_the_frame_rate_of_even_rows_is_theirs(tmp_path, n_rows, step, digits, fps):
+    rows = "\n".join(f"{round(k * step, digits)},0,{k}" for k in range(n_rows))
+    path = load_root_path(table(tmp_path, f"time,x,z\n{rows}\n"))
+    assert path.fps == pytest.approx(fps, rel=1e-6)
+    assert path.n_frames == n_rows
+
+
 def test_columns_stand_in_any_order_and_a_path_looks_where_it_goes(tmp_path):
     text = b"\xef\xbb\xbfZ, x ,Time\r\n0,0,0\r\n\r\n0,1,1\r\n0,2,2\r\n"
     path = load_root_path(table(tmp_path, text))

@@ -3,11 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gesturekit.motion import Motion
+from gesturekit.motion.ik.joint_limits import bent_backwards
 from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.rotations import (
+    multiply_quaternions,
     normalize_quaternions,
     quaternion_from_rotation_vector,
+    rotate_vectors,
     rotation_angles,
 )
 from gesturekit.motion.skeleton import Skeleton
@@ -64,6 +68,62 @@ def test_the_ankle_reaches_its_target_and_bones_keep_their_lengths():
             np.linalg.norm(positions[:, a] - positions[:, b], axis=1), before, atol=1e-9
         )
     np.testing.assert_array_equal(solved[:, [0, 2, 4]], rotations[:, [0, 2, 4]])
+
+
+@pytest.mark.parametrize("reach", [0.25, 0.3, 0.45])
+def test_a_shank_longer_than_the_thigh_folds_past_the_hip(reach):
+    """With sides 0.3 and 0.5 m the angle at the hip is obtuse below a reach of 0.4 m (3-4-5).
+
+    At 0.3 m the cosine is (0.3^2 + 0.3^2 - 0.5^2) / (2 * 0.3 * 0.3) = -7 / 18.
+    """
+    hip, knee, ankle = np.array([[0.0, 1.0, 0.0], [0.0, 0.7, 0.0], [0.0, 0.2, 0.0]])
+    target = hip - [0.0, reach, 0.0]
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+    pole = np.array([0.0, 0.0, 1.0])
+    first, second = two_bone_ik(np.stack([hip, knee, ankle]), target, still, still, pole=pole)
+    thigh = rotate_vectors(first, knee - hip)
+    shank = rotate_vectors(multiply_quaternions(first, second), ankle - knee)
+    np.testing.assert_allclose(hip + thigh + shank, target, atol=1e-9)
+    assert thigh[2] > 0.2, "the knee bends towards the pole"
+    expected = {0.25: -13 / 20, 0.3: -7 / 18, 0.45: 17 / 108}
+    assert -thigh[1] / 0.3 == pytest.approx(expected[reach])
+
+
+@pytest.mark.parametrize("way", [(0.0, -1.0, 0.0), (0.3, -0.9, 0.4), (-0.8, 0.2, 0.1)])
+def test_a_straight_leg_without_a_pole_bends_somewhere(way):
+    """All its frames are straight, so that no frame has a direction for the knee."""
+    way = np.array(way) / np.linalg.norm(way)
+    leg = np.array([[0.0, 0.0, 0.0], 0.4 * way, 0.82 * way])
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+    first, second = two_bone_ik(leg, 0.5 * way, still, still)
+    thigh = rotate_vectors(first, leg[1])
+    shank = rotate_vectors(multiply_quaternions(first, second), leg[2] - leg[1])
+    np.testing.assert_allclose(thigh + shank, 0.5 * way, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1.0, 0.01])
+def test_knees_bend_forward_and_elbows_backward_within_five_degrees(person, size):
+    """The T-pose looks along +Z; a positive turn about X takes a shank back, about Y a left
+    forearm back.
+    """
+    poses = {
+        "left_knee": ("LeftLeg", (-6, 0, 0), (-4, 0, 0), (60, 0, 0)),
+        "right_knee": ("RightLeg", (-6, 0, 0), (-4, 0, 0), (60, 0, 0)),
+        "left_elbow": ("LeftForeArm", (0, 6, 0), (0, 4, 0), (0, -60, 0)),
+        "right_elbow": ("RightForeArm", (0, -6, 0), (0, -4, 0), (0, 60, 0)),
+    }
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (1 + 3 * len(poses), person.n_joints, 1))
+    expected = {part: np.zeros(len(rotations), dtype=bool) for part in poses}
+    for k, (part, (joint, *turns)) in enumerate(poses.items()):
+        rotations[1 + 3 * k : 4 + 3 * k, person.index(joint)] = quaternion_from_rotation_vector(
+            np.radians(turns)
+        )
+        expected[part][1 + 3 * k] = True
+    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (len(rotations), 1)), 30.0)
+    found = bent_backwards(motion.scaled(size))
+    assert found.keys() == expected.keys()
+    for part, frames in expected.items():
+        np.testing.assert_array_equal(found[part], frames, err_msg=part)
 
 
 def test_an_ankle_at_its_target_is_not_moved():

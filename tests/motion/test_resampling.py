@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
@@ -37,6 +38,38 @@ def test_frequencies_above_the_new_rate_are_filtered_out(moving_person, fps):
     assert folded[0] > 0.2 and folded[1] > 0.08
     filtered = swing(fast.resample(fps, antialias=True))
     assert filtered[0] < 0.03 and filtered[1] < 0.01
+
+
+@pytest.mark.parametrize("fps", [30.0, 50.0, 110.0])
+def test_the_filter_is_pillows_lanczos(moving_person, fps):
+    """Pillow resizes pixels, whose centres are at k + 1/2, and lets us choose the first one."""
+    ratio, first, n = 120.0 / fps, 12, 20
+    rng = np.random.default_rng(0)
+    values = rng.normal(0, 0.3, 200).astype(np.float32)
+    start = first * ratio + 0.5 - ratio / 2
+    box = (start, 0, start + n * ratio, 1)
+    image = Image.fromarray(values[None]).resize((n, 1), Image.Resampling.LANCZOS, box=box)
+    noisy = shaking(moving_person, hertz=0.0)
+    noisy.translation[:200, 2] = values
+    joint = noisy.skeleton.index("LeftForeArm")
+    turns = quaternion_from_rotation_vector(values[:, None] * [0.0, 0.6, 0.8])
+    noisy.rotations[:200, joint] = turns
+    made = noisy.resample(fps, antialias=True).slice(first, first + n)
+    expected = np.asarray(image)[0].astype(np.float64)
+    np.testing.assert_allclose(made.translation[:, 2], expected, atol=1e-5)
+    turns = quaternion_from_rotation_vector(expected[:, None] * [0.0, 0.6, 0.8])
+    assert rotation_angles(made.rotations[:, joint], turns).max() < 1e-5
+
+
+def test_the_end_frames_go_on_for_the_filter(moving_person):
+    """A value of 1 in an end frame alone: all that lies beyond, and the frame itself.
+
+    The frame's own weight is about 1/4 at a quarter of the rate, which leaves (1 + 1/4) / 2.
+    """
+    still = shaking(moving_person, hertz=0.0).slice(0, 201)
+    still.translation[[0, -1], 2] = 1.0
+    made = still.resample(30.0, n_frames=51, antialias=True).translation[:, 2]
+    assert made[[0, 50]] == pytest.approx(0.625, abs=2e-3)
 
 
 def test_frequencies_below_the_new_rate_are_kept(moving_person):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
@@ -13,7 +14,9 @@ from gesturekit.motion.ik.joint_limits import bent_backwards
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.retarget.body_frames import body_frames
+from gesturekit.motion.retarget.feet import FootMotion
+from gesturekit.motion.retarget.standing_pose import body_frame, standing_pose, standing_rig
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -22,6 +25,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_angles,
 )
+from gesturekit.motion.selection.joint_selection import keep_joints
 
 ZEGGS = "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh"
 BANDAI = "motion/bandai/dataset-1_bye_happy_001.bvh"
@@ -120,6 +124,288 @@ def test_size_scales_steps_and_heights(moving_person):
     np.testing.assert_allclose(large.rotations, moving_person.rotations, atol=1e-6)
     walked = np.diff(moving_person.translation, axis=0)
     np.testing.assert_allclose(np.diff(large.translation, axis=0), 1.3 * walked, atol=1e-6)
+
+
+def test_faces_are_kept_on_the_same_rig_alone(moving_person, mixamo):
+    faces = np.random.default_rng(0).normal(size=(moving_person.n_frames, 3))
+    smiling = replace(moving_person, expressions=faces)
+    same = retarget(smiling, moving_person.skeleton.scaled(1.2))
+    np.testing.assert_array_equal(same.expressions, faces)
+    assert retarget(smiling, mixamo).expressions is None
+
+
+def test_the_source_file_is_remembered(moving_person, mixamo):
+    named = replace(moving_person, info={"source": "walk.bvh", "betas": np.zeros(10)})
+    assert retarget(named, mixamo).info == {"source": "walk.bvh"}
+
+
+def test_joints_that_move_scale_with_the_body(moving_person):
+    """A head that moves on its neck by 5 cm moves by 10 cm on a body twice as large."""
+    person = moving_person.skeleton
+    nod = person.offsets[person.index("Head")] + 0.05 * np.sin(moving_person.times)[:, None]
+    nodding = replace(moving_person, joint_translations={"Head": nod})
+    large = retarget(nodding, person.scaled(2.0))
+    head, neck = (person.index(name) for name in ("Head", "Neck"))
+    ways = [m.positions()[:, head] - m.positions()[:, neck] for m in (large, nodding)]
+    np.testing.assert_allclose(ways[0], 2 * ways[1], atol=1e-6)
+
+
+def test_a_foot_that_stands_is_level_and_one_that_rolls_gives_no_level(person):
+    """80 % of tilts spread evenly over 18 degrees to either side are below 14.4 degrees, the limit
+    being 15; over 20 degrees, below 16.
+    """
+    # About 25 degrees the cosine of a tilt from the mean is rounded to more than 1.
+    rolls = {"LeftFoot": (25.0, 20.0), "RightFoot": (10.0, 18.0)}
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (201, person.n_joints, 1))
+    for name, (mean, most) in rolls.items():
+        pitch = np.radians(mean + np.linspace(-most, most, 201))[:, None]
+        rotations[:, person.index(name)] = quaternion_from_rotation_vector(pitch * [1.0, 0, 0])
+    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (201, 1)), 30.0)
+    parts = find_parts(person)
+    frames = body_frames(person, parts, np.tile([0.0, 0.0, 0.0, 1.0], (person.n_joints, 1)))
+    found = frames.levelled(motion, {side: np.ones(201, bool) for side in SIDES})
+    for segment in ("left_ankle", "left_toe"):
+        np.testing.assert_array_equal(
+            found.from_anatomical[segment], frames.from_anatomical[segment]
+        )
+    level = found.world(motion.global_rotations()[100])
+    for segment in ("right_ankle", "right_toe"):
+        assert np.degrees(rotation_angles(level[segment], np.array([0, 0, 0, 1.0]))) < 1e-3
+    few = frames.levelled(motion, {side: np.arange(201) < 4 for side in SIDES})
+    assert (
+        rotation_angles(
+            few.world(motion.global_rotations()[100])["right_ankle"], level["right_ankle"]
+        )
+        > 0.1
+    )
+
+
+def on_wide_hips(person: Skeleton) -> Skeleton:
+    offsets = person.offsets.copy()
+    for name, x in (("LeftUpLeg", 0.2), ("RightUpLeg", -0.2)):
+        offsets[person.index(name), 0] = x
+    return replace(person, offsets=offsets)
+
+
+def test_hips_come_down_where_legs_have_to_reach_aside(person):
+    """Feet 0.1 m to either side, hips 0.2 m, straight legs of 0.82 m: sqrt(0.82^2 - 0.1^2) =
+    0.81388 m of them is upright, 0.00612 m less than on the source.
+    """
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (30, person.n_joints, 1))
+    motion = Motion(person, still, np.tile([0.3, 0.9, 0.1], (30, 1)), 30.0)
+    made = retarget(motion, on_wide_hips(person))
+    lowered = motion.positions()[:, 0] - made.positions()[:, 0]
+    np.testing.assert_allclose(lowered, np.tile([0, 0.00612, 0], (30, 1)), atol=1e-5)
+    feet = [foot_positions(m) for m in (motion, made)]
+    np.testing.assert_allclose(feet[1], feet[0], atol=1e-6)
+
+
+def test_straight_legs_that_have_to_bend_bend_forward(person):
+    """Feet 0.3 m aside of hips 0.1 m aside: over them, legs of 0.82 m have sqrt(0.82^2 - 0.2^2) =
+    0.7952 m. Thigh and shank of 0.42 and 0.4 m then bend by 0.0998 m, the height of the triangle.
+    """
+    offsets = person.offsets.copy()
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (30, person.n_joints, 1))
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        offsets[person.index(f"{side}UpLeg"), 0] = 0.3 * sign
+        apart = quaternion_from_rotation_vector(np.array([0, 0, sign * np.arcsin(0.2 / 0.82)]))
+        rotations[:, person.index(f"{side}UpLeg")] = apart
+        rotations[:, person.index(f"{side}Foot")] = invert_quaternions(apart)
+    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (30, 1)), 30.0)
+    made = retarget(motion, replace(person, offsets=offsets)).positions()
+    for side in ("Left", "Right"):
+        hip, knee = (made[:, person.index(f"{side}{part}")] for part in ("UpLeg", "Leg"))
+        assert (knee - hip)[:, 2] == pytest.approx(0.0998, abs=2e-4)
+        assert (knee - hip)[:, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_floor_under_a_body_that_never_stands_is_near_its_lowest_feet(person):
+    """It rises by 2 m in 100 even steps: the 20th part of them is at 0.1 m, and toes at 0.02 m."""
+    rise = np.linspace(0, 2, 101)[:, None] * [0.0, 1.0, 0.0]
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (101, person.n_joints, 1))
+    flying = Motion(person, still, [0.0, 0.9, 0.0] + rise, 30.0)
+    frames = body_frames(person, find_parts(person), still[0])
+    assert FootMotion.measure(flying, frames).floor == pytest.approx(0.02 + 0.1)
+
+
+@pytest.mark.parametrize("fps", [30.0, 60.0])
+def test_hips_come_down_and_up_again_within_four_tenths_of_a_second(person, fps):
+    """Knees are bent, but for one frame: it lowers the hips for 0.2 s, smoothed over 0.2 s more."""
+    n = round(2 * fps)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (n, person.n_joints, 1))
+    bent = np.radians(np.where(np.arange(n) == n // 2, 0.0, 30.0))[:, None] * [1.0, 0, 0]
+    height = np.full(n, 0.9) - 0.82 * (1 - np.cos(np.radians(30))) * (np.arange(n) != n // 2)
+    for side in ("Left", "Right"):
+        for part, share in (("UpLeg", -1), ("Leg", 2), ("Foot", -1)):
+            turns = quaternion_from_rotation_vector(share * bent)
+            rotations[:, person.index(side + part)] = turns
+    place = np.stack([0 * height, height, 0 * height], axis=-1)
+    motion = Motion(person, rotations, place, fps)
+    drop = (motion.positions() - retarget(motion, on_wide_hips(person)).positions())[:, 0, 1]
+    at = n // 2
+    assert drop[at] == pytest.approx(0.00612, abs=1e-5)
+    reach = round(0.2 * fps)
+    share = drop / drop[at]
+    assert share[at + reach // 2] > 0.8 and share[at + reach] == pytest.approx(0.5, abs=0.1)
+    assert np.abs(share[: at - 2 * reach - 1]).max() < 1e-3
+    np.testing.assert_allclose(share[at:], share[: at + 1][::-1][: n - at], atol=1e-9)
+
+
+def below_a_root(person: Skeleton, height: float) -> Skeleton:
+    """The rig whose hips hang below another joint, at a height above it in metres."""
+    return Skeleton(
+        ("Reference", *person.names),
+        (-1, *(parent + 1 for parent in person.parents)),
+        np.concatenate([np.zeros((1, 3)), [[0.0, height, 0.0]], person.offsets[1:]]),
+    )
+
+
+@pytest.mark.parametrize(("height", "is_marker"), [(0.19, False), (0.22, True), (0.9, True)])
+def test_a_root_a_quarter_of_a_leg_below_the_hips_is_a_marker_that_stands_still(
+    moving_person, height, is_marker
+):
+    """The legs are 0.82 m long. At a hundred times the size all is the same."""
+    rooted = below_a_root(moving_person.skeleton, height)
+    made = retarget(moving_person, rooted)
+    assert (np.ptp(made.translation, axis=0).max() == 0) == is_marker
+    assert set(made.joint_translations) == ({"Hips"} if is_marker else set())
+    for motion, rig in ((moving_person, rooted), (made, moving_person.skeleton)):
+        own = retarget(motion, rig)
+        large = retarget(motion.scaled(100.0), rig.scaled(100.0))
+        np.testing.assert_allclose(large.positions() / 100, own.positions(), atol=1e-6)
+
+
+def test_a_root_above_the_hips_turns_with_the_body(moving_person):
+    """As of rigs whose first joint carries the hips: programs read the heading from it."""
+    rooted = below_a_root(moving_person.skeleton, 0.05)
+    yaw = quaternion_from_rotation_vector(np.outer(np.linspace(0, 3, 60), [0.0, 1.0, 0.0]))
+    rotations = moving_person.rotations.copy()
+    rotations[:, 0] = yaw
+    made = retarget(replace(moving_person, rotations=rotations), rooted)
+    for joint in ("Reference", "Hips"):
+        world = made.global_rotations()[:, rooted.index(joint)]
+        assert rotation_angles(world, yaw).max() < 0.01, joint
+
+
+@pytest.mark.parametrize(
+    ("inward", "weight"),
+    [(0.6, 1.0), (0.15, 0.5), (-0.6, 0.0)],  # to 0, 0.75 and 2 half shoulder widths
+)
+def test_hands_in_front_of_the_body_are_placed_and_hands_aside_are_not(person, inward, weight):
+    """Upper arms hang, forearms point ahead and inward; the target's shoulders are 0.4 m apart.
+
+    Shoulders 0.3 m apart and arms of 0.54 and 0.53 m have the span 0.685 m, the target 0.735 m.
+    Up to 0.4 half widths from the middle a hand is placed there, scaled by the spans; from 1.1 on
+    arms only point as the source's; halfway, at 0.75, it is halfway between.
+    """
+    theta = np.arccos(-inward)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (10, person.n_joints, 1))
+    for side, sign in (("Left", -1.0), ("Right", 1.0)):
+        upper = Rotation.from_rotvec([0, 0, sign * np.pi / 2])
+        fore = upper.inv() * Rotation.from_rotvec([0, sign * theta, 0])
+        rotations[:, person.index(f"{side}Arm")] = upper.as_quat()
+        rotations[:, person.index(f"{side}ForeArm")] = fore.as_quat()
+    motion = Motion(person, rotations, np.tile([0.0, 0.9, 0.0], (10, 1)), 30.0)
+    offsets = person.offsets.copy()
+    for name, x in (("LeftArm", 0.2), ("RightArm", -0.2)):
+        offsets[person.index(name), 0] = x
+    made = retarget(motion, replace(person, offsets=offsets))
+    places = made.positions()[0]
+    middle = (places[person.index("LeftArm")] + places[person.index("RightArm")]) / 2
+    ahead = 0.25 * np.sqrt(1 - inward**2)
+    for side, sign, down in (("Left", 1, -0.29), ("Right", -1, -0.28)):
+        own = np.array([sign * (0.15 - 0.25 * inward), down, ahead])
+        wide = own + [sign * 0.05, 0, 0]
+        expected = weight * 0.735 / 0.685 * own + (1 - weight) * wide
+        hand = person.index(f"{side}Hand")
+        np.testing.assert_allclose(places[hand] - middle, expected, atol=1e-6)
+        turned = rotation_angles(
+            made.global_rotations()[:, hand], motion.global_rotations()[:, hand]
+        )
+        assert turned.max() < 1e-6, "the hand keeps its orientation"
+
+
+def test_hips_stay_behind_longer_feet_wherever_the_body_faces(person):
+    """Balls of the feet stay, so that feet 0.1 m longer take ankles and hips back by as much."""
+    offsets = person.offsets.copy()
+    offsets[[person.index(f"{side}ToeBase") for side in ("Left", "Right")], 2] += 0.1
+    angles = np.linspace(0, 3, 300)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (300, person.n_joints, 1))
+    rotations[:, 0] = quaternion_from_rotation_vector(np.outer(angles, [0.0, 1.0, 0.0]))
+    motion = Motion(person, rotations, np.tile([0.3, 0.9, 0.1], (300, 1)), 30.0)
+    made = retarget(motion, replace(person, offsets=offsets))
+    back = (motion.positions() - made.positions())[:, 0]
+    expected = 0.1 * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1)
+    np.testing.assert_allclose(back, expected, atol=1e-6)
+    toe = person.index("LeftToeBase")
+    np.testing.assert_allclose(made.positions()[:, toe], motion.positions()[:, toe], atol=1e-6)
+
+
+def yaws(motion: Motion, *names: str) -> list[float]:
+    """World rotations about the vertical in the first frame, degrees."""
+    world = motion.global_rotations()[0]
+    turns = (world[motion.skeleton.index(name)] for name in names)
+    return [float(np.degrees(2 * np.arctan2(q[1], q[3]))) for q in turns]
+
+
+def looking_aside(rig: Skeleton, **degrees: float) -> Motion:
+    """A rig at rest, some of whose joints are turned about the vertical against their parents."""
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (10, rig.n_joints, 1))
+    for name, angle in degrees.items():
+        turn = np.array([0.0, np.radians(angle), 0.0])
+        rotations[:, rig.index(name)] = quaternion_from_rotation_vector(turn)
+    return Motion(rig, rotations, np.tile([0.0, 0.9, 0.0], (10, 1)), 30.0)
+
+
+def test_spines_are_matched_along_their_length(person, mixamo):
+    """The middles of the person's bones are 0.1 and 0.25 m up, 0.4 and 1 of the last one's height.
+
+    Those of Mixamo are 0.0585, 0.184 and 0.326 m up, so that the second one, at 0.5644, is
+    (0.5644 - 0.4) / 0.6 = 0.274 of the way from Spine to Chest: 10 + 0.274 * 40 degrees.
+    """
+    made = retarget(looking_aside(person, Spine=10.0, Chest=40.0, Head=-20.0), mixamo)
+    names = [f"mixamorig:{name}" for name in ("Hips", "Spine", "Spine1", "Spine2", "Neck", "Head")]
+    assert yaws(made, *names) == pytest.approx([0, 10, 20.9, 50, 50, 30], abs=0.2)
+
+
+def test_a_neck_that_the_source_does_not_have_turns_half_as_far_as_the_head(person, mixamo):
+    short = keep_joints(looking_aside(person), [n for n in person.names if n != "Neck"]).skeleton
+    made = retarget(looking_aside(short, Spine=10.0, Chest=40.0, Head=-20.0), mixamo)
+    names = [f"mixamorig:{name}" for name in ("Spine2", "Neck", "Head")]
+    assert yaws(made, *names) == pytest.approx([50, 40, 30], abs=0.2)
+
+
+def test_clavicles_wrists_and_heads_that_the_source_does_not_have_follow_their_parents(
+    person, mixamo
+):
+    missing = ("Head", "Neck", "LeftHand", "RightHand")
+    rest = looking_aside(person)
+    short = keep_joints(rest, [n for n in person.names if n not in missing]).skeleton
+    made = retarget(looking_aside(short, Chest=30.0, LeftForeArm=20.0), mixamo)
+    names = [f"mixamorig:{name}" for name in ("LeftShoulder", "LeftHand", "RightHand", "Head")]
+    # Hands are placed too, which turns arms by up to two degrees.
+    assert yaws(made, *names) == pytest.approx([30, 50, 30, 30], abs=2.0)
+
+
+def test_a_body_with_a_hanging_head_stands_and_a_bust_with_one_does_not(person):
+    offsets = person.offsets.copy()
+    offsets[person.index("Head")] = [0.0, -0.15, 0.1]
+    bowed = replace(person, offsets=offsets)
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (person.n_joints, 1))
+    np.testing.assert_array_equal(standing_rig(bowed), upright)
+    kept = [n for n in person.names if "Leg" not in n and "Foot" not in n and "Toe" not in n]
+    bust = keep_joints(looking_aside(bowed), kept).skeleton
+    assert np.abs(standing_rig(bust) - [0, 0, 0, 1]).max() > 0.1
+
+
+def test_rigs_without_a_body_are_refused_by_the_bone(moving_person):
+    person = moving_person.skeleton
+    offsets = person.offsets.copy()
+    offsets[[person.index(name) for name in ("LeftForeArm", "RightForeArm")]] = 0.0
+    with pytest.raises(MotionError, match="the rig's left arm has no length"):
+        retarget(
+            moving_person, replace(person, names=("Pelvis", *person.names[1:]), offsets=offsets)
+        )
 
 
 def test_zeggs_onto_mixamo(zeggs, mixamo):
@@ -234,6 +520,44 @@ def test_joint_axes_that_lie_anyhow(zeggs, mixamo):
     np.testing.assert_allclose(made.positions(), usual.positions(), atol=1e-6)
     turns = multiply_quaternions(usual.global_rotations(), turned)
     assert rotation_angles(made.global_rotations(), turns).max() < 1e-5
+
+
+def test_a_root_keeps_its_axes_above_hips_whose_axes_lie_anyhow(moving_person):
+    rng = np.random.default_rng(1)
+    rooted = below_a_root(moving_person.skeleton, 0.05)
+    turned = normalize_quaternions(rng.normal(size=(rooted.n_joints, 4)))
+    above = np.array([max(p, 0) for p in rooted.parents])
+    stands = multiply_quaternions(invert_quaternions(turned[above]), turned)
+    stands[0] = turned[0]
+    usual = retarget(moving_person, rooted)
+    made = retarget(moving_person, with_frames(rooted, turned), pose=stands)
+    turns = multiply_quaternions(usual.global_rotations(), turned)
+    assert rotation_angles(made.global_rotations(), turns).max() < 1e-5
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_heap_of_bones_is_put_into_a_t_pose(mixamo, seed):
+    """Its trunk is upright, and limbs lie anyhow."""
+    turned = normalize_quaternions(np.random.default_rng(seed).normal(size=(mixamo.n_joints, 4)))
+    trunk = ("Hips", "Spine", "Spine1", "Spine2", "Neck", "Head")
+    turned[[mixamo.index(f"mixamorig:{name}") for name in trunk]] = turned[0]
+    heap = with_frames(mixamo, turned)
+    places = forward_kinematics(standing_rig(heap), np.zeros(3), heap)
+    frame = body_frame(heap, find_parts(heap), standing_rig(heap))
+    upright = rotate_vectors(invert_quaternions(frame), places)
+    for start, end, direction in (
+        ("Hips", "Spine", (0, 1, 0)),
+        ("Spine2", "Neck", (0, 1, 0)),
+        ("LeftShoulder", "LeftArm", (1, 0, 0)),
+        ("LeftArm", "LeftForeArm", (1, 0, 0)),
+        ("LeftForeArm", "LeftHand", (1, 0, 0)),
+        ("RightArm", "RightForeArm", (-1, 0, 0)),
+        ("RightForeArm", "RightHand", (-1, 0, 0)),
+        ("LeftUpLeg", "LeftLeg", (0, -1, 0)),
+        ("RightLeg", "RightFoot", (0, -1, 0)),
+    ):
+        a, b = (upright[mixamo.index(f"mixamorig:{name}")] for name in (start, end))
+        assert (b - a) @ direction > 0.97 * np.linalg.norm(b - a), (start, end)
 
 
 def test_hands_keep_their_roll(mixamo):

@@ -7,8 +7,9 @@ import pytest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.heading import headings_of_sides
 from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.rotations import quaternion_from_rotation_vector
+from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 
 
 def wandering(n_frames: int = 600, fps: float = 30.0) -> RootPath:
@@ -120,6 +121,17 @@ def test_a_path_looks_where_it_goes_and_turns_while_it_stands():
     assert not RootPath.looking_ahead(np.zeros((5, 2)), 30.0).headings.any()
 
 
+@pytest.mark.parametrize(
+    ("speed", "scale", "goes"),
+    [(0.045, 1.0, False), (0.055, 1.0, True), (0.09, 2.0, False), (0.11, 2.0, True)],
+)
+def test_who_moves_slower_than_a_twentieth_of_a_metre_a_second_stands(speed, scale, goes):
+    """A speed on the reference body; a body twice as large stands at twice the speed."""
+    along_x = np.outer(np.arange(10), [speed / 30.0, 0.0])
+    headings = RootPath.looking_ahead(along_x, 30.0, scale).headings
+    assert headings == pytest.approx(np.pi / 2 if goes else 0.0)
+
+
 def test_the_path_of_a_motion_is_that_of_its_hips(gesture):
     motion = gesture(4.0)
     path = circle(n=motion.n_frames)
@@ -134,10 +146,24 @@ def test_the_path_of_a_motion_is_that_of_its_hips(gesture):
 
 
 def test_a_body_that_lies_down_keeps_its_heading(gesture):
+    """Beyond 90 degrees of roll the left hip is on the right, where it would turn the heading."""
     motion = gesture(1.0)
-    roll = np.concatenate([np.linspace(0, np.pi / 2, 15), np.linspace(np.pi / 2, 0, 15)])
-    motion.rotations[:, 0] = quaternion_from_rotation_vector(np.outer(roll, [0.0, 0.0, 1.0]))
-    assert np.abs(RootPath.of(motion).headings).max() < 1e-6
+    roll = np.radians(np.concatenate([np.linspace(0, 92, 15), np.linspace(92, 0, 15)]))
+    motion.rotations[:, 0] = multiply_quaternions(
+        quaternion_from_rotation_vector(np.array([0.0, 0.8, 0.0])),
+        quaternion_from_rotation_vector(np.outer(roll, [0.0, 0.0, 1.0])),
+    )
+    assert RootPath.of(motion).headings == pytest.approx(0.8)
+
+
+def test_side_vectors_within_three_degrees_of_the_vertical_give_no_heading():
+    """asin(0.05) is 2.87 degrees: between two frames that face +Z and -X, one is interpolated."""
+    tilt = np.radians([2.8, 2.95])
+    for angle, middle in zip(tilt, (-np.pi / 4, np.pi / 2), strict=True):
+        # The left is at +X, then nearly straight up with a trace of -Z, then at +Z.
+        sides = [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, 0, 1]]
+        found = headings_of_sides(0.2 * np.array(sides))
+        assert found == pytest.approx([0.0, middle, -np.pi / 2])
 
 
 def test_a_rig_without_legs_faces_where_its_root_does():
@@ -177,7 +203,16 @@ def test_invalid_paths_are_refused(positions, headings, fps, said):
 
 @pytest.mark.parametrize(
     ("frames", "own_fps", "fps", "expected"),
-    [(11, 1.0, 30.0, 301), (600, 60.0, 30.0, 300), (300, 30.0, 30.0, 300), (1, 30.0, 25.0, 1)],
+    [
+        (11, 1.0, 30.0, 301),
+        (600, 60.0, 30.0, 300),
+        (300, 30.0, 30.0, 300),
+        (1, 30.0, 25.0, 1),
+        # The last frame at 29.97 fps, a rounded 30000 / 1001, ends 0.0003 frames after the path's.
+        (300, 30_000 / 1001, 29.97, 300),
+        (301, 30.0, 30.0 * (1 - 0.0009 / 300), 301),
+        (301, 30.0, 30.0 * (1 - 0.0011 / 300), 300),
+    ],
 )
 def test_a_path_ends_at_its_last_place(frames, own_fps, fps, expected):
     along = np.stack([np.zeros(frames), np.arange(frames) / own_fps], axis=-1)
@@ -185,4 +220,4 @@ def test_a_path_ends_at_its_last_place(frames, own_fps, fps, expected):
     assert path.frames_within(fps) == expected
     walked = path.resample(fps, expected).positions[-1, 1]
     assert walked <= along[-1, 1] + 1e-9
-    assert walked > along[-1, 1] - 1 / fps
+    assert walked > along[-1, 1] - 1.001 / fps

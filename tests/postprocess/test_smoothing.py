@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
+from scipy.special import erf
 
 import audio_features as af
 from gesturekit import Motion
@@ -17,6 +18,7 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     quaternion_from_euler,
     quaternion_from_rotation_vector,
+    rotation_angles,
 )
 from gesturekit.postprocess import smooth_motion
 
@@ -72,6 +74,97 @@ def test_quaternions_of_the_other_sign_are_the_same_motion(beating):
     flipped[::3] *= -1
     one, other = (smooth_motion(m, 0.2) for m in (beating, replace(beating, rotations=flipped)))
     assert np.abs(one.positions() - other.positions()).max() < 1e-9
+
+
+def swinging(skeleton, joint: str, hertz: float, fps: float = 60.0) -> tuple[Motion, np.ndarray]:
+    """Twenty seconds in which one joint turns about Y by 0.1 rad, to and fro; and its angles."""
+    times = np.arange(round(20 * fps)) / fps
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), skeleton.n_joints, 1))
+    angles = 0.1 * np.sin(2 * np.pi * hertz * times)
+    rotations[:, skeleton.index(joint)] = quaternion_from_rotation_vector(
+        angles[:, None] * [0.0, 1.0, 0.0]
+    )
+    return Motion(skeleton, rotations, np.zeros((len(times), 3)), fps), angles
+
+
+def gain(smooth: Motion, joint: str, angles: np.ndarray) -> float:
+    """Amplitude that is left in the middle, against the turn's; also shown to be in phase."""
+    inner = np.s_[len(angles) // 4 : -len(angles) // 4]
+    q = smooth.rotations[inner, smooth.skeleton.index(joint)]
+    left = 2 * np.arctan2(q[:, 1], q[:, 3])
+    share = float(left @ angles[inner] / (angles[inner] @ angles[inner]))
+    np.testing.assert_allclose(left, share * angles[inner], atol=1e-4)
+    return share
+
+
+@pytest.mark.parametrize(
+    ("seconds", "hertz", "expected"),
+    [(0.5, 0.5, 0.942), (0.5, 1.0, 0.5), (0.5, 2.0, 0.0582), (0.25, 2.0, 0.5), (1.0, 0.5, 0.5)],
+)
+def test_what_is_shorter_than_the_seconds_is_removed(skeleton, seconds, hertz, expected):
+    """A Butterworth filter of order 2, run forwards and backwards, halves its cutoff frequency,
+    1 / (2 seconds) Hz, and has the gain 1 / (1 + r^4) at others; r is tan(pi f / fps) over that
+    of the cutoff. At 60 fps, 0.5 Hz against 1 Hz: 1 / (1 + 0.4995^4); 2 Hz: 1 / (1 + 2.0055^4).
+    """
+    motion, angles = swinging(skeleton, "Hips", hertz)
+    assert gain(smooth_motion(motion, seconds), "Hips", angles) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(("hertz", "expected"), [(3.0, 0.9466), (6.0, 0.5), (12.0, 0.0385)])
+@pytest.mark.parametrize("seconds", [0.01, 1 / 12])
+def test_jitter_above_six_hertz_is_removed_even_from_beats(skeleton, seconds, hertz, expected):
+    """tan(pi f / 60) is 0.1584, 0.3249 and 0.7265 at 3, 6 and 12 Hz."""
+    motion, angles = swinging(skeleton, "LeftArm", hertz)
+    found = gain(smooth_motion(motion, seconds), "LeftArm", angles)
+    assert found == pytest.approx(expected, abs=1e-3)
+
+
+def test_beats_pass_only_the_filter_of_six_hertz(skeleton):
+    """At 3 Hz an arm's speed has a peak every 1/6 s, so that all frames are within 0.1 s of one."""
+    motion, angles = swinging(skeleton, "LeftArm", 3.0)
+    found = gain(smooth_motion(motion, 1.0), "LeftArm", angles)
+    assert found == pytest.approx(0.9466, abs=1e-3)
+
+
+def test_frame_rates_too_low_for_a_filter_change_nothing(skeleton):
+    """6 Hz is beyond what 12 fps holds, 0.5 Hz is not; 2 Hz beside 0.5 Hz is removed."""
+    for fps, seconds, expected in ((12.0, 0.01, 1.0), (12.0, 1.0, 0.0028), (1.1, 1.0, 1.0)):
+        hertz = min(2.0, 0.1 * fps * 2)
+        motion, angles = swinging(skeleton, "Hips", hertz, fps)
+        found = gain(smooth_motion(motion, seconds), "Hips", angles)
+        assert found == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("seconds", [0.2, 0.5, 2.0])
+def test_a_steady_turn_is_not_delayed_or_bent(skeleton, seconds):
+    motion, _ = swinging(skeleton, "Hips", 1.0)
+    rotations = motion.rotations.copy()
+    angles = 0.03 * motion.times
+    rotations[:, 0] = quaternion_from_rotation_vector(angles[:, None] * [0.0, 1.0, 0.0])
+    smooth = smooth_motion(replace(motion, rotations=rotations), seconds)
+    assert rotation_angles(smooth.rotations, rotations).max() < 1e-4, "neither inside nor at ends"
+
+
+@pytest.mark.parametrize(("bump", "is_beat"), [(0.045, False), (0.055, True)])
+def test_only_movement_near_a_peak_of_speed_is_kept(skeleton, bump, is_beat):
+    """An arm turns by 1 rad/s, and a little faster at 10 s; hips sway at 2.5 Hz all the time.
+
+    A peak is a beat if it stands out by 0.05 rad/s, 5 % of the usual speed. It is kept for 6
+    frames on either side, blended by a Gaussian of 0.05 s: 0.1 s from it, at a crest of the sway,
+    that is a share of Phi((6.5 / 60 - 0.1) / 0.05) = 0.566 between the gains 0.9738 (below 6 Hz)
+    and 0.0016 (0.5 Hz); 0.3 s from it, one of Phi(-3.8) = 0.0001.
+    """
+    motion, _ = swinging(skeleton, "Hips", 2.5)
+    at = (motion.times - (10.0 - 0.5 / 60)) / 0.1  # speed 600 is from frame 599 to 600
+    angle = motion.times + bump * 0.1 * np.sqrt(np.pi / 2) * erf(at / np.sqrt(2))
+    rotations = motion.rotations.copy()
+    rotations[:, skeleton.index("LeftArm")] = quaternion_from_rotation_vector(
+        angle[:, None] * [0.0, 0.0, 1.0]
+    )
+    q = smooth_motion(replace(motion, rotations=rotations), 1.0).rotations[:, 0]
+    sway = np.abs(2 * np.arctan2(q[:, 1], q[:, 3])) / 0.1
+    assert sway[[594, 606]] == pytest.approx(0.552 if is_beat else 0.0016, abs=5e-3)
+    assert sway[[582, 618]] == pytest.approx(0.0017, abs=5e-4)
 
 
 @pytest.mark.parametrize("n_frames", [1, 2, 3, 4, 7])

@@ -11,6 +11,7 @@ import runpy
 import shutil
 import subprocess
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,27 @@ def test_a_page_holds_every_point_to_a_tenth_of_a_millimetre(tmp_path: Path) -> 
     expected = np.concatenate([motion.positions(), motion.end_positions()["tip"]], axis=1)
     assert figure["n_frames"] == motion.n_frames
     assert np.abs(points_of(figure) - expected).max() <= 1e-4
+
+
+def test_joints_far_from_the_root_fit_into_the_page(tmp_path: Path) -> None:
+    """Points are stored in 16 bits: a joint flung 50 m away makes steps of 50 / 32767 m."""
+    motion = a_chain()
+    flung = np.linspace([0, 0.5, 0], [0, 0.5, 50], motion.n_frames)
+    write_html(replace(motion, joint_translations={"middle": flung}), tmp_path / "flung.html")
+    (figure,) = data_of(tmp_path / "flung.html")["figures"]
+    positions = replace(motion, joint_translations={"middle": flung}).positions()
+    assert np.abs(points_of(figure)[:, :3] - positions).max() < 0.6 * 50.8 / 32767
+
+
+def test_a_giant_is_stored_in_as_few_steps_as_its_original(tmp_path: Path) -> None:
+    motion = a_chain()
+    found = []
+    for name, own in (("a", motion), ("b", motion.scaled(64.0))):
+        write_html(own, tmp_path / f"{name}.html")
+        found += data_of(tmp_path / f"{name}.html")["figures"]
+    assert found[1]["step"] == pytest.approx(64 * found[0]["step"])
+    apart = points_of(found[1]) / 64 - points_of(found[0])
+    assert np.abs(apart).max() < 2 * found[0]["step"]
 
 
 def test_a_page_needs_nothing_from_outside(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from gesturekit.motion import Motion
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.body_shape import BodyShape
 from gesturekit.viewer import write_html
+from gesturekit.viewer.skin import steady_turns
 
 pytestmark = pytest.mark.skipif(
     not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"
@@ -93,6 +94,25 @@ def test_the_skin_moves_as_the_body_model_says(tmp_path, body, n_joints):
     uncorrected = replace(body, pose_corrections=None)
     expected = uncorrected.vertices(fit_body(motion, body))
     assert np.abs(moved - expected).max() < 1e-3  # metres; weights are in parts of 255
+
+
+def test_turns_of_a_body_that_spins_do_not_change_their_sign():
+    """Halfway between q and -q lies nothing; two turns about Y go through all signs."""
+    motion = turning()
+    flipped = motion.rotations.copy()
+    flipped[20:40, 0] *= -1
+    turns = steady_turns(replace(motion, rotations=flipped))
+    assert (turns[1:] * turns[:-1]).sum(axis=-1).min() > 0.9
+    for joint in (0, 5, 20):
+        own = Rotation.from_quat(turns[:, joint]).as_matrix()
+        chain = [joint]
+        while (parent := motion.skeleton.parents[chain[0]]) >= 0:
+            chain.insert(0, parent)
+        expected = np.eye(3)
+        for j in chain:
+            expected = expected @ Rotation.from_quat(motion.rotations[:, j]).as_matrix()
+        np.testing.assert_allclose(own, expected, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-9)
 
 
 @pytest.mark.skipif(not shutil.which("chromium"), reason="Chromium is not installed")

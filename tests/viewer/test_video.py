@@ -20,6 +20,7 @@ from gesturekit.viewer import write_video
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.video import raster
+from gesturekit.viewer.video.camera import Camera
 from gesturekit.viewer.video.mesh import Mannequin, SkinnedBody
 
 RATE, JUMP = 16_000, 0.5
@@ -82,6 +83,25 @@ def test_the_whole_figure_is_framed_whatever_its_size_and_path(tmp_path, gesture
             assert 300 < np.ptp(rows) < 700
             assert rows.min() > 5 and rows.max() < 715
             assert columns.min() > 5 and columns.max() < 635
+
+
+@pytest.mark.parametrize("aspect", [0.4, 16 / 9])
+def test_the_figure_fills_its_view_and_is_never_cut(gesture, aspect):
+    """Seen through a field of 30 degrees, all limbs keep 14 % of the view free, and no more."""
+    figure = Figure.of(gesture(1.0))
+    camera = Camera(figure, aspect)
+    thickest = max(max(limb.radii) * limb.width for limb in figure.limbs)
+    shares = []
+    for k in range(len(figure.points)):
+        right, up, back, eye = camera.at(k / figure.fps)
+        offset = figure.points[k] - eye
+        view = np.tan(np.radians(15.0)) * (-offset @ back - thickest)
+        shares.append((np.abs(offset @ up) + thickest) / view)
+        shares.append((np.abs(offset @ right) + thickest) / view / aspect)
+    largest = np.max(shares)
+    assert 0.84 < largest < 0.87
+    beside, above = (max(share.max() for share in shares[k::2]) for k in (1, 0))
+    assert (beside > above) == (aspect < 1)
 
 
 def test_rate_size_and_length_can_be_chosen(tmp_path, gesture):

@@ -141,8 +141,9 @@ class FootTargets:
         """
         ankle = [np.mean([self.heights[side][i][0] for side in SIDES]) for i in (0, 1)]
         hips = self._scaled(self.source.hips, *ankle)
+        # Only the horizontal part is used below, so no heights are needed.
         moved = sum(
-            self.ankle(side, world) - self._scaled(self.source.ankles[side], *self._ankles(side))
+            self.ankle(side, world) - self._scaled(self.source.ankles[side], 0.0, 0.0)
             for side in SIDES
         )
         pelvis = self.target.joints["pelvis"]
@@ -152,10 +153,6 @@ class FootTargets:
         heading = np.stack([0 * angle, np.sin(angle / 2), 0 * angle, np.cos(angle / 2)], axis=-1)
         mean = rotate_vectors(invert_quaternions(heading), moved / 2).mean(axis=0)
         return hips + rotate_vectors(heading, np.broadcast_to(mean * [1, 0, 1], hips.shape))
-
-    def _ankles(self, side: str) -> tuple[float, float]:
-        own, target = self.heights[side]
-        return own[0], target[0]
 
     def hip_drop(self, world: np.ndarray, positions: np.ndarray, hips: np.ndarray) -> np.ndarray:
         """(T, 3) smooth downward shift of the hips that brings both feet within reach, metres.
