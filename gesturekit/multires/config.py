@@ -143,7 +143,9 @@ class TrainingConfig:
     batch: int = 4
     """Windows per step, over all processes; always 1 with `window: null`."""
     window: float | None = 10.0
-    """Length of the training windows in seconds; null trains on whole recordings, one at a time."""
+    """Length of the training windows in seconds; a window of unpaired speech that is longer than
+    its clip continues with another clip. null trains on whole recordings and, in random steps,
+    whole unpaired clips, one at a time; each is drawn equally often (the paper)."""
     window_cache: int | None = 64
     """Number of windows for which the coarser levels are generated in advance and reused; null
     draws new noise and speech at every step, as both papers do."""
