@@ -32,6 +32,10 @@ class NetworkConfig:
     """Kernel size of the convolutions over time, in frames; odd."""
     neighbour_distance: int = 2
     """A skeleton convolution connects joints that are at most this many bones apart."""
+    contact_reach: Literal["near", "foot"] = "near"
+    """Joints and contact labels that take a contact label as input: all within `neighbour_distance`
+    of its foot joint, or those at the foot joint alone (GANimator). The root's displacement takes
+    all labels."""
     film: Literal["input", "all"] = "all"
     """Layers that FiLM modulates: only the input of each level (the paper), or also all hidden
     layers."""
@@ -99,6 +103,9 @@ class LossConfig:
     from z*, or the recorded motion at the coarser level, as eq. 15 is printed."""
     contact_speed: Literal["squared", "norm"] = "squared"
     """Foot speed in the contact loss: squared (eq. 14), or plain (GANimator)."""
+    contact_time: Literal["second", "frame"] = "second"
+    """Foot speed in the contact loss: in m/s at every level, or in metres from one frame of the
+    level to the next, without regard to the frame rate (GANimator)."""
     contact_slope: float = 10.0
     """Slope of the sigmoid of the contact labels in eq. 14; GANimator has 12."""
     discriminator_scale: float = 1.0

@@ -306,6 +306,8 @@ def test_each_switch_of_ganimator_changes_the_training(make_config, motions, tmp
         {"z_star": "full"},
         {"losses": {"contact_speed": "norm"}},
         {"losses": {"contact_slope": 12.0}},
+        {"losses": {"contact_time": "frame"}},
+        {"network": {"contact_reach": "foot"}},
         {"losses": {"discriminator_scale": 0.5}},
         {"losses": {"penalty_on": "frame"}},
     ]

@@ -311,7 +311,9 @@ class Stage:
             if weights.adversarial:
                 parts["scores"] = self._scores(i, motion, conditions[i])
             if weights.contact and moves:  # 0 on a rig without feet
-                parts["foot_velocity"] = kinematics.foot_velocity(values, stride)
+                parts["foot_velocity"] = kinematics.foot_velocity(
+                    values, stride, weights.contact_time
+                )
                 parts["contact_labels"] = kinematics.contact_labels(values)
             places = kinematics.places(values) if smooth or detailed else None
             if smooth:
