@@ -36,7 +36,7 @@ def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
     for motion in (small, large):
         representation = MultiresRepresentation.fit([motion])
         vectors = representation.encode(motion)
-        normaliser = Normaliser.fit([vectors], representation)
+        normaliser = Normaliser.fit([vectors], representation, motion.fps)
         values = torch.from_numpy(vectors.T).float()[None]
         normalised.append(normaliser.forward(values))
         torch.testing.assert_close(normaliser.inverse(normalised[-1]), values)
@@ -45,6 +45,17 @@ def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
     height = normalised[0][0, -2]
     assert height.std() == pytest.approx(1.0, abs=0.05)
     torch.testing.assert_close(normalised[0][0, -2], normalised[1][0, -2], atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("fps", [20.0, 60.0])
+def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(gesture, fps):
+    motion = gesture(2.0)
+    motion.translation[:] = motion.translation[0]
+    motion = motion.resample(fps)
+    representation = MultiresRepresentation.fit([motion])
+    normaliser = Normaliser.fit([representation.encode(motion)], representation, fps)
+    speed = normaliser.scale[representation.layout.root_xz] * fps
+    assert speed.tolist() == pytest.approx([0.025, 0.025])
 
 
 def test_sigma_is_what_each_level_adds():

@@ -35,8 +35,8 @@ from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.seeds import rng_for
 from gesturekit.training.trained_model import read_speakers, rig_values
 
-_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
-"""Smallest scale of each kind of channel (6D entries, label, m, m; on the reference body). Fixed,
+_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 0.025, "height": 5e-3}
+"""Smallest scale of each kind of channel (6D entries, label, m/s, m; on the reference body). Fixed,
 so that the noise of channels without movement is not amplified."""
 
 
@@ -57,7 +57,7 @@ class Normaliser:
 
     @classmethod
     def fit(
-        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation
+        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation, fps: float
     ) -> Normaliser:
         """Compute mean and scale of encoded training motions, each (T, D)."""
         values = np.concatenate(motions)
@@ -72,7 +72,7 @@ class Normaliser:
             start += size
         root = representation.layout.root
         dx, height, dz = scale[root]
-        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"])
+        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"] / fps)
         scale[root] = across, max(height, _SCALE_FLOORS["height"]), across
         return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
 

@@ -119,7 +119,7 @@ def _normaliser(
     if start is not None:
         return start.normaliser
     if config.normalise:
-        return Normaliser.fit(vectors, representation)
+        return Normaliser.fit(vectors, representation, config.fps)
     width = representation.n_features
     return Normaliser(torch.zeros(width), torch.ones(width))
 
