@@ -115,7 +115,6 @@ class Request:
             clips.check_end(n_frames)
         # A coarse level is edited frame by frame, so it gets no frames around it.
         margin = network_config.margin if start is None and not fewer_levels else 0
-        others = level_speech_ranges(controls, n_levels)
         return cls(
             controls=controls,
             wave=speech,
@@ -126,10 +125,7 @@ class Request:
             start=start,
             path=None if path is None else path.resample(fps, n_frames),
             clips=clips,
-            level_speech=tuple(
-                (levels, _with_margins(_features_of_length(conditions, own, n_frames, fps), margin))
-                for levels, own in others
-            ),
+            level_speech=_level_speech(controls, conditions, n_levels, n_frames, margin, fps),
         )
 
     @property
@@ -143,14 +139,22 @@ def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
     return np.pad(features, ((margin, margin), (0, 0)), mode="reflect")
 
 
-def _features_of_length(
-    conditions: Conditions, speech: str | Path | af.Wave, n_frames: int, fps: float
-) -> np.ndarray:
-    """Return speech features (n_frames, S): the end is cut off, or silence follows."""
-    conditioner = conditions.conditioner
-    features = speech_features(conditioner, speech, None, fps)[:n_frames]
-    missing = n_frames - len(features)
-    return np.concatenate([features, conditioner.silence(missing)]) if missing else features
+def _level_speech(
+    controls: MultiresControls,
+    conditions: Conditions,
+    n_levels: int,
+    n_frames: int,
+    margin: int,
+    fps: float,
+) -> tuple[tuple[range, np.ndarray], ...]:
+    """Return `Request.level_speech`: the end of each speech is cut off, or silence follows it."""
+    found = []
+    for levels, speech in level_speech_ranges(controls, n_levels):
+        features = speech_features(conditions.conditioner, speech, None, fps)[:n_frames]
+        if missing := n_frames - len(features):
+            features = np.concatenate([features, conditions.conditioner.silence(missing)])
+        found.append((levels, _with_margins(features, margin)))
+    return tuple(found)
 
 
 def level_speech_ranges(
