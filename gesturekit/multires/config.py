@@ -42,7 +42,7 @@ class NetworkConfig:
     embedding: int = 64
     """Dimension of y_i, the embedding of the condition (eq. 8)."""
     rectify_embedding: bool = True
-    """Apply a leaky ReLU to y_i; the paper's fully connected layer (eq. 8) has none."""
+    """Apply a leaky ReLU to y_i; the paper's fully connected layer (section 3.3) has none."""
     modulate: Literal["upper", "all"] | tuple[str, ...] = "upper"
     """Joints whose channels FiLM modulates: the upper body, all, or a list of joint names."""
 
