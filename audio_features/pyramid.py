@@ -78,7 +78,7 @@ def residual_pyramid(values: np.ndarray, lengths: Sequence[int]) -> list[np.ndar
     """Split values (T, D) into residual levels: s_1 = s̃_1, s_i = ↑s̃_{i-1} - s̃_i.
 
     s̃_i is `values` (T, D) resampled to lengths[i] directly, ↑ the resampling from one level's
-    length to the next (multi-resolution paper, section on speech features; its sign).
+    length to the next (multi-resolution paper, section 5; its sign).
 
     Returns a list of (lengths[i], D) arrays, coarse to fine; the last length must be T.
     """

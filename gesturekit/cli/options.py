@@ -197,6 +197,15 @@ def parse_placed_files(text: str) -> dict[float, Path]:
     return placed
 
 
+def parse_level_files(text: str) -> dict[str, Path]:
+    """Parse 1-4=a.wav,7-10=b.wav to files by levels."""
+    pairs = [item.partition("=") for item in comma_separated(text)]
+    for levels, _, name in pairs:
+        if not name:
+            raise click.UsageError(f"--level-speech: {levels!r} names no file: 7-10=b.wav does.")
+    return {levels: Path(name) for levels, _, name in pairs}
+
+
 def existing_option(default: str, *, alias: bool = False, note: str = "") -> Callable[..., Any]:
     """Add --existing, with --skip-existing as another name of `--existing skip`.
 

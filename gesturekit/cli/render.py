@@ -22,6 +22,7 @@ from gesturekit.cli.options import (
     existing_option,
     given,
     parse_expert,
+    parse_level_files,
     parse_placed_files,
     rig_part_option,
     size_option,
@@ -56,8 +57,8 @@ GROUPS = {
     **BATCH_GROUPS,
     "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth"),
     "Controls of multires models": (
-        *("level_style", "levels", "keyframes", "keyframe_level", "keep", "recall"),
-        *("liveliness",),
+        *("level_style", "level_speech", "levels", "keyframes", "keyframe_level", "keep"),
+        *("recall", "liveliness"),
     ),
     "Controls of diffusion models": (
         *("guidance", "unconditional", "events", "experts", "steps", "solver", "change"),
@@ -166,6 +167,12 @@ GROUPS = {
 )
 @click.option("--solver", cls=ControlOption, type=click.Choice(["ancestral", "ddim", "dpm"]))
 @click.option("--level-style", cls=ControlOption, metavar="LEVELS=NAME,...")
+@click.option(
+    "--level-speech",
+    cls=ControlOption,
+    metavar="LEVELS=FILE,...",
+    note="Levels count from 1, the coarsest.",
+)
 @click.option("--levels", cls=ControlOption, type=click.IntRange(min=1), metavar="N")
 @click.option("--keyframes", cls=ControlOption, type=click.Path(path_type=Path), metavar="EDIT.bvh")
 @click.option("--keyframe-level", cls=ControlOption, type=click.IntRange(min=1), metavar="N")
@@ -329,12 +336,13 @@ def _output(options: dict[str, Any]) -> Output:
 
 def _controls(options: dict[str, Any], open_model: Callable[[str], Model]) -> dict[str, Any]:
     """Return the arguments of `generate` from the options that were given."""
-    experts, unconditional, keep = (
-        options.pop(name) for name in ("experts", "unconditional", "keep")
+    experts, unconditional, keep, level_speech = (
+        options.pop(name) for name in ("experts", "unconditional", "keep", "level_speech")
     )
     return given(
         **options,
         experts=[parse_expert(text, open_model) for text in experts] or None,
         unconditional=None if unconditional is None else open_model(unconditional),
         keep=None if keep is None else parse_placed_files(keep),
+        level_speech=None if level_speech is None else parse_level_files(level_speech),
     )

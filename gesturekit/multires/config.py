@@ -32,13 +32,17 @@ class NetworkConfig:
     """Kernel size of the convolutions over time, in frames; odd."""
     neighbour_distance: int = 2
     """A skeleton convolution connects joints that are at most this many bones apart."""
+    contact_reach: Literal["near", "foot"] = "near"
+    """Joints and contact labels that take a contact label as input: all within `neighbour_distance`
+    of its foot joint, or those at the foot joint alone (GANimator). The root's displacement takes
+    all labels."""
     film: Literal["input", "all"] = "all"
     """Layers that FiLM modulates: only the input of each level (the paper), or also all hidden
     layers."""
     embedding: int = 64
     """Dimension of y_i, the embedding of the condition (eq. 8)."""
     rectify_embedding: bool = True
-    """Apply a leaky ReLU to y_i; the paper's fully connected layer (eq. 8) has none."""
+    """Apply a leaky ReLU to y_i; the paper's fully connected layer (section 3.3) has none."""
     modulate: Literal["upper", "all"] | tuple[str, ...] = "upper"
     """Joints whose channels FiLM modulates: the upper body, all, or a list of joint names."""
 
@@ -99,6 +103,9 @@ class LossConfig:
     from z*, or the recorded motion at the coarser level, as eq. 15 is printed."""
     contact_speed: Literal["squared", "norm"] = "squared"
     """Foot speed in the contact loss: squared (eq. 14), or plain (GANimator)."""
+    contact_time: Literal["second", "frame"] = "second"
+    """Foot speed in the contact loss: in m/s at every level, or in metres from one frame of the
+    level to the next, without regard to the frame rate (GANimator)."""
     contact_slope: float = 10.0
     """Slope of the sigmoid of the contact labels in eq. 14; GANimator has 12."""
     discriminator_scale: float = 1.0
@@ -143,7 +150,9 @@ class TrainingConfig:
     batch: int = 4
     """Windows per step, over all processes; always 1 with `window: null`."""
     window: float | None = 10.0
-    """Length of the training windows in seconds; null trains on whole recordings, one at a time."""
+    """Length of the training windows in seconds; a window of unpaired speech that is longer than
+    its clip continues with another clip. null trains on whole recordings and, in random steps,
+    whole unpaired clips, one at a time; each is drawn equally often (the paper)."""
     window_cache: int | None = 64
     """Number of windows for which the coarser levels are generated in advance and reused; null
     draws new noise and speech at every step, as both papers do."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from gesturekit.model import ControlArguments, Controls
 
 if TYPE_CHECKING:
+    import audio_features as af
     from gesturekit.motion.motion import Motion
 
 
@@ -25,11 +26,14 @@ class MultiresControls(Controls):
     level_style: str | None = None
     """Styles of single levels, counted from 1 (coarsest), which override style:
     1-4=describe,5-8=angry."""
+    level_speech: Mapping[str, str | Path | af.Wave] | None = None
+    """Speech of single levels, in place of the main speech: {"7-10": "b.wav"}. It is cut to the
+    length of the motion, or continues with silence. Recall follows the main speech."""
     levels: int | None = None
     """Stop after this many levels. The motion has the lower frame rate of that level and can be
-    edited and passed back as keyframes. Only style, level_style and speech can be combined with
-    it."""
-    _files = (*Controls._files, "keyframes", "keep")
+    edited and passed back as keyframes. Only style, level_style, speech and level_speech can be
+    combined with it."""
+    _files = (*Controls._files, "keyframes", "keep", "level_speech")
 
     keyframes: str | Path | Motion | None = None
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep its
@@ -53,6 +57,7 @@ class MultiresControlArguments(ControlArguments, total=False):
     """Keywords of `MultiresControls`, for type checkers."""
 
     level_style: str | None
+    level_speech: Mapping[str, str | Path | af.Wave] | None
     levels: int | None
     keyframes: str | Path | Motion | None
     keyframe_level: int

@@ -22,7 +22,8 @@ class Batch:
 
     Attributes:
         scores: (B,) discriminator scores of the generated motions.
-        foot_velocity: (B, T - 1, F, 3) of the generated foot points, m/s.
+        foot_velocity: (B, T - 1, F, 3) of the generated foot points, m/s or as
+            `LossConfig.contact_time` says.
         contact_labels: (B, T - 1, F) as generated, about 0 or 1.
         bend: (B, K, 3, T - 2) second differences of the generated joint positions, metres.
         arms: (B, 2, T) log arm speed and acceleration, as generated.
@@ -129,7 +130,7 @@ def contact(velocity: Tensor, labels: Tensor, slope: float = 10.0, squared: bool
     """Return eq. 14: the mean squared speed of feet, weighted by their contact labels.
 
     Args:
-        velocity: (B, T, F, 3) of the foot points, m/s.
+        velocity: (B, T, F, 3) of the foot points.
         labels: (B, T, F) as generated, about 0 or 1.
         slope: of the sigmoid on labels, which is 1/2 at a label of 1/2; 12 in GANimator.
         squared: whether to square the speed; GANimator does not.

@@ -130,6 +130,7 @@ class MultiresModel(TrainedModel):
             levels=self.network_config.levels,
             speakers=self.speakers,
             recalls=self.library is not None,
+            takes_speech=self.conditions.conditioner is not None,
         )
 
     def reconstruct(

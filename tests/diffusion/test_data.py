@@ -97,6 +97,15 @@ def test_motion_is_standardised_and_comes_back(make_config):
     assert np.allclose(*lengths, atol=1e-4)
 
 
+@pytest.mark.parametrize("fps", [20.0, 60.0])
+def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(make_config, fps):
+    made = load_training_data(make_config(fps=fps, augmentation=PLAIN))
+    given = load_training_data(make_config(fps=fps, augmentation=PLAIN, path=True, features=None))
+    own = made.standardiser.scale[made.representation.root_columns][1:].numpy()
+    for forward, lateral in (own, given.conditions.path_scale[1:]):
+        assert (forward * fps, lateral * fps) == pytest.approx((0.015, 0.015))
+
+
 def test_mirrored_recordings_turn_the_other_way_and_handed_styles_have_none(make_config, styled):
     config = make_config(corpus=styled, styles={"handed": ["left"]})
     data = load_training_data(config)

@@ -73,7 +73,7 @@ def test_pieces_are_the_whole(network, n_frames, tile, residual, listening, back
     conditions = condition_levels(torch.from_numpy(speech.T.copy())[None], lengths, residual)
     # With gradients the layers run as in training: one dense convolution each.
     whole = network(noises, conditions if listening else None, lengths=lengths)[-1].detach()
-    condition = LevelConditions(speech, lengths, residual) if listening else None
+    condition = LevelConditions([speech] * len(lengths), lengths, residual) if listening else None
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(VARIABLE, backend)
         pieces = sample(network, noises, lengths, condition, tile=tile)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
+import audio_features as af
 import gesturekit as gk
+from gesturekit.cli import main
 from gesturekit.field_docs import field_docs
 from gesturekit.model import UnknownControlError
 from gesturekit.multires.controls import MultiresControlArguments, MultiresControls
@@ -26,3 +29,80 @@ def test_unknown_controls_are_refused_with_the_nearest_name():
         with pytest.raises(UnknownControlError, match="multires models have no control guidance"):
             call(guidance=2.0)
     model.check_controls(events=None, guidance=None, levels=2)
+
+
+@pytest.fixture(scope="module")
+def two_voices(write_speech, tmp_path_factory):
+    """Two sounds of 4 s."""
+    folder = tmp_path_factory.mktemp("voices")
+    calm, lively = folder / "calm.wav", folder / "lively.wav"
+    write_speech(calm, 4.0, level=0.05)
+    write_speech(lively, 6.1)
+    wave = af.Wave.load(lively)
+    return calm, af.Wave(wave.samples[-4 * wave.sample_rate :], wave.sample_rate, None)
+
+
+RAW = {"foot_lock": False, "smooth": 0.0, "recall": False, "fps": 30.0}
+
+
+def test_levels_follow_a_speech_of_their_own(two_voices):
+    model, (calm, lively) = gk.load("demo"), two_voices
+
+    def rotations(speech, **controls):
+        return model.generate(speech, **RAW, **controls).rotations
+
+    of_calm, of_lively = rotations(calm), rotations(lively)
+    fine = rotations(calm, level_speech={"5-8": lively})
+    assert np.abs(fine - of_calm).max() > 1e-3 and np.abs(fine - of_lively).max() > 1e-3
+    every = rotations(calm, level_speech={"1-4": lively, "5-8": lively})
+    np.testing.assert_array_equal(every, of_lively)
+    np.testing.assert_array_equal(rotations(lively, level_speech={"1-8": calm}), of_calm)
+    coarse = {"levels": 4, "recall": False, "foot_lock": False}
+    both = [
+        model.generate(calm, level_speech=own, **coarse).rotations
+        for own in (None, {"5-8": lively}, {"1": lively})
+    ]
+    np.testing.assert_array_equal(both[0], both[1])
+    assert np.abs(both[0] - both[2]).max() > 1e-3
+
+
+def test_level_speech_is_cut_to_the_motion_or_followed_by_silence(two_voices, write_speech):
+    model, (_, lively) = gk.load("demo"), two_voices
+    short = model.generate(seconds=2.0, level_speech={"1-8": lively}, **RAW)
+    assert short.n_frames == 60
+    idle = model.generate(seconds=16.0, **RAW)
+    spoken = model.generate(seconds=16.0, level_speech={"1-8": lively}, **RAW)
+    assert np.abs(spoken.rotations[:120] - idle.rotations[:120]).max() > 0.01
+    np.testing.assert_allclose(spoken.rotations[-90:], idle.rotations[-90:], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("levels", "file", "message"),
+    [
+        ("7-9", "here.wav", "level speech '7-9': the model has levels 1 .coarse. to 8"),
+        ("fine", "here.wav", "level speech 'fine': it looks like 7-10=b.wav"),
+        ("7-8", "gone.wav", "level_speech: .*gone.wav: no such file"),
+    ],
+)
+def test_invalid_level_speech_is_an_error(levels, file, message, tmp_path):
+    (tmp_path / "here.wav").touch()
+    with pytest.raises(gk.GestureKitError, match=message):
+        gk.load("demo").check_controls(level_speech={levels: tmp_path / file})
+
+
+def test_level_speech_from_the_command_line(two_voices, tmp_path, capsys):
+    calm, lively = two_voices
+    files = []
+    for name, options in (("one", ()), ("two", ("--level-speech", f"1-4={calm},5-8={calm}"))):
+        with pytest.raises(SystemExit) as left:
+            source = ["--seconds", "4"] if options else [str(calm)]
+            place = ["--out", str(tmp_path / name), "--no-recall", *options]
+            main(["render", *source, "--model", "demo", *place])
+        assert left.value.code == 0
+        files += (tmp_path / name).glob("*.bvh")
+    calm_only, given = (gk.Motion.load(file).rotations for file in files)
+    np.testing.assert_array_equal(calm_only, given)
+    with pytest.raises(SystemExit) as left:
+        place = ["--out", str(tmp_path / "three"), "--level-speech", "b.wav"]
+        main(["render", "--seconds", "4", "--model", "demo", *place])
+    assert left.value.code == 2 and "7-10=b.wav" in capsys.readouterr().err

@@ -15,6 +15,9 @@ from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.skeleton_conv import convolve_dense
+from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import (
     Normaliser,
     PairedSequence,
@@ -33,7 +36,7 @@ def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
     for motion in (small, large):
         representation = MultiresRepresentation.fit([motion])
         vectors = representation.encode(motion)
-        normaliser = Normaliser.fit([vectors], representation)
+        normaliser = Normaliser.fit([vectors], representation, motion.fps)
         values = torch.from_numpy(vectors.T).float()[None]
         normalised.append(normaliser.forward(values))
         torch.testing.assert_close(normaliser.inverse(normalised[-1]), values)
@@ -42,6 +45,17 @@ def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
     height = normalised[0][0, -2]
     assert height.std() == pytest.approx(1.0, abs=0.05)
     torch.testing.assert_close(normalised[0][0, -2], normalised[1][0, -2], atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("fps", [20.0, 60.0])
+def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(gesture, fps):
+    motion = gesture(2.0)
+    motion.translation[:] = motion.translation[0]
+    motion = motion.resample(fps)
+    representation = MultiresRepresentation.fit([motion])
+    normaliser = Normaliser.fit([representation.encode(motion)], representation, fps)
+    speed = normaliser.scale[representation.layout.root_xz] * fps
+    assert speed.tolist() == pytest.approx([0.025, 0.025])
 
 
 def test_sigma_is_what_each_level_adds():
@@ -119,15 +133,56 @@ def test_sequences_shorter_than_the_window_train_at_their_own_length(make_config
     assert data.window_lengths() == {75: [0], 63: [1]}  # 2.5 s at 25 fps, rounded up
 
 
-def test_a_short_clip_is_set_into_silence(make_config):
+def test_a_window_longer_than_its_clip_continues_with_another(make_config):
     data = load_training_data(make_config())
-    (clip,) = data.unpaired
+    lengths = (20, 30, 40)
+    clips = tuple(torch.full((data.n_speech, n), float(n)) for n in lengths)
+    data, rng = replace(data, unpaired=clips), torch.Generator().manual_seed(0)
+    for _ in range(20):
+        window = data.speech_window(95, 5, rng)
+        assert window.shape == (data.n_speech, 105)
+        parts, counts = window[0].unique_consecutive(return_counts=True)
+        assert set(parts.tolist()) <= set(lengths)
+        # Whole clips, but for the last; the same clip may follow itself.
+        assert all(count % part == 0 for part, count in zip(parts[:-1], counts[:-1], strict=True))
+
+
+def test_real_motions_beside_a_whole_clip_have_its_style_and_are_no_longer(make_config):
+    config = make_config(training={"window": None})
+    data = load_training_data(config)
+    paired = tuple(
+        replace(sequence, style=i, motion=torch.full_like(sequence.motion, i))
+        for i, sequence in enumerate(data.paired)
+    )
+    network = MultiresGenerator(data.representation, data.n_speech, config.network)
+    batches = Batches(replace(data, paired=paired), config, network, 2, convolve_dense)
     rng = torch.Generator().manual_seed(0)
-    length = clip.shape[-1]
-    window = data.speech_window(length + 20, rng)
-    (start,) = (at for at in range(21) if torch.equal(window[:, at : at + length], clip))
-    around = torch.cat([window[:, :start], window[:, start + length :]], dim=1)
-    assert around.shape[1] == 20 and (around == data.silence[:, :1]).all()
+    for clip, style, n_frames in ((125, 0, 125), (125, 1, 63), (40, 1, 40)):
+        coarse, fine = batches.reals(clip, rng, [style])
+        assert (coarse == style).all() and (fine == style).all()
+        assert [coarse.shape[-1], fine.shape[-1]] == level_lengths(n_frames, 4)[2:]
+    assert {float(batches.reals(40, rng)[0].max()) for _ in range(20)} == {0.0, 1.0}
+
+
+@pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (150 + 63))])
+def test_whole_recordings_are_drawn_equally_often_and_windows_by_frames(make_config, window, share):
+    config = make_config(training={"window": window})
+    data = load_training_data(config)
+    assert [sequence.n_frames for sequence in data.paired] == [150, 63]
+    network = MultiresGenerator(data.representation, data.n_speech, config.network)
+    batches = Batches(data, config, network, 0, convolve_dense)
+    rng = torch.Generator().manual_seed(0)
+    drawn = [batches.length("paired", rng) for _ in range(600)]
+    assert drawn.count(63) / 600 == pytest.approx(share, abs=0.06)
+
+
+def test_a_style_of_whole_recordings_is_drawn_as_often_as_it_was_recorded(make_config, motions):
+    corpus = str(motions(old=[2.0, 2.0, 2.0], angry=[6.0]))
+    for window, wanted in ((None, [1.0, 3.0]), (3.0, [150.0, 150.0])):
+        config = make_config(corpus=corpus, features=None, styles={}, training={"window": window})
+        data = load_training_data(config)
+        assert data.styles == ("angry", "old")
+        assert data.style_shares(data.paired).tolist() == pytest.approx(wanted)
 
 
 def test_rigs_that_differ_are_refused_by_name(two_performers, gesture, tmp_path, make_config):

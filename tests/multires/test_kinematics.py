@@ -106,6 +106,18 @@ def test_a_sliding_foot_costs_its_squared_speed_only_where_it_should_stand(repre
     assert contact(1.0) < 0.01 * standing
 
 
+def test_ganimators_foot_speed_counts_from_frame_to_frame(representation, values):
+    kinematics = VectorKinematics(representation, 25.0)
+    still = values[:, :, :1].expand(-1, -1, 50).clone()
+    still[:, representation.layout.root_xz] = 0.0
+    still[:, representation.layout.root_height] += 0.03 * torch.arange(50)
+    for stride in (1.0, 4.0):
+        rising = kinematics.foot_velocity(still, stride, "frame").norm(dim=-1)
+        torch.testing.assert_close(rising, torch.full_like(rising, 0.03), rtol=1e-3, atol=0)
+    per_second = kinematics.foot_velocity(still, 4.0).norm(dim=-1)
+    torch.testing.assert_close(per_second, 0.03 * 25 / 4 * torch.ones_like(per_second))
+
+
 def test_smoothness_counts_per_full_rate_frame(representation, values):
     kinematics = VectorKinematics(representation, 25.0)
 

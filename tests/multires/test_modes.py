@@ -36,7 +36,7 @@ SINGLE = {"features": None, "training": {"window": None}}
 LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
 
 
-def test_one_clip_without_any_condition(make_config, motions):
+def test_one_clip_without_any_condition(make_config, motions, tmp_path):
     folder = train(make_config(corpus=str(motions(none=[4.0])), **SINGLE))
     model = gk.load(folder)
     motion = model.generate(seconds=6.0, seed=1)
@@ -47,6 +47,8 @@ def test_one_clip_without_any_condition(make_config, motions):
     assert np.abs(motion.rotations - other.rotations).max() > 1e-3
     with pytest.raises(ModelError, match="takes no speech; give seconds instead"):
         model.generate("speech.wav")
+    with pytest.raises(ModelError, match="level_speech: this model takes no speech"):
+        model.generate(seconds=2.0, level_speech={"1": tmp_path / "none_0.bvh"})
     with pytest.raises(ModelError, match="style"):
         model.generate(seconds=2.0, style="happy")
 
@@ -136,6 +138,7 @@ def test_spans_hold_and_blend_over_a_second():
         ("older", None, "the model has angry, old"),
         ("old", "1-9=old", "levels 1 .coarse. to 4"),
         ("old", "old", "1-4=describe"),
+        ("old", "1-4", "1-4=describe"),
     ],
 )
 def test_invalid_style_requests_are_errors(style, level_style, message):
@@ -306,6 +309,8 @@ def test_each_switch_of_ganimator_changes_the_training(make_config, motions, tmp
         {"z_star": "full"},
         {"losses": {"contact_speed": "norm"}},
         {"losses": {"contact_slope": 12.0}},
+        {"losses": {"contact_time": "frame"}},
+        {"network": {"contact_reach": "foot"}},
         {"losses": {"discriminator_scale": 0.5}},
         {"losses": {"penalty_on": "frame"}},
     ]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
 from audio_features import level_lengths
+from gesturekit.motion import Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -85,6 +88,32 @@ def test_a_joint_depends_only_on_its_neighbours(representation):
     assert changed[representation.joint_columns("RightArm")].all()
     assert not changed[representation.joint_columns("LeftHand")].any()
     assert not changed[representation.layout.contacts].any()
+
+
+def test_contacts_reach_the_same_blocks_as_in_ganimators_code():
+    # Numbers: `get_neighbor` of the released code (bvh/bvh_parser.py), for its Mixamo skeleton.
+    listed = (
+        "Hips LeftUpLeg LeftLeg LeftFoot LeftToeBase LeftToe_End RightUpLeg RightLeg RightFoot "
+        "RightToeBase RightToe_End Spine Spine1 Spine2 Neck Head LeftShoulder LeftArm LeftForeArm "
+        "LeftHand RightShoulder RightArm RightForeArm RightHand"
+    )
+    names = listed.split()
+    parents = [-1, 0, 1, 2, 3, 4, 0, 6, 7, 8, 9, 0, 11, 12, 13, 14, 13, 16, 17, 18, 13, 20, 21, 22]
+    rig = SimpleNamespace(
+        skeleton=Skeleton(tuple(names), tuple(parents), np.ones((24, 3))),
+        indices=list(range(24)),
+        root=0,
+        foot_points=[
+            SimpleNamespace(joint=name)
+            for name in ("LeftToe_End", "RightToe_End", "LeftToeBase", "RightToeBase")
+        ],
+    )
+    theirs, ours = block_neighbours(rig, 2, "foot"), block_neighbours(rig, 2)
+    assert theirs.sum() == 167 and ours.sum() == 167 + 14
+    sources = {24: [3, 4, 5, 24, 28], 27: [7, 8, 9, 10, 27, 28], 4: [2, 3, 4, 5, 26]}
+    sources[28] = [0, 1, 2, 6, 7, 11, 12, 24, 25, 26, 27, 28]
+    for block, expected in sources.items():
+        assert np.flatnonzero(theirs[block]).tolist() == expected
 
 
 def test_only_weights_between_neighbours_are_stored(representation):

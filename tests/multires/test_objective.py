@@ -292,6 +292,6 @@ def test_sampling_noise_is_scaled_by_the_first_levels_sigma(make_config):
 def test_unpaired_speech_is_read_from_anywhere(bank):
     clip = torch.arange(300.0).expand(bank.data.n_speech, -1)
     object.__setattr__(bank.data, "unpaired", (clip,))
-    starts = [int(bank.data.speech_window(50, rng_for("start", k))[0, 0]) for k in range(200)]
+    starts = [int(bank.data.speech_window(50, 0, rng_for("start", k))[0, 0]) for k in range(200)]
     assert min(starts) < 15 and max(starts) > 235
     assert len(set(starts)) > 100

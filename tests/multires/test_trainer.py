@@ -6,6 +6,7 @@ import json
 import logging
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -154,6 +155,70 @@ def test_random_steps_read_no_paired_speech_and_no_target(make_config, monkeypat
     assert set(read["_random_step"]) == {(2.0, False)}
     assert set(read["_discriminator_steps"]) == {(2.0, False)}
     assert set(read["_reconstruction_step"]) == {(1.0, True)}
+
+
+@pytest.mark.parametrize("cache", [None, 3])
+def test_random_steps_take_unpaired_clips_whole_and_unpadded(make_config, monkeypatch, cache):
+    clips = {2: 3.0, 40: 4.0, 90: 5.0, 200: 6.0}
+    spoken = {"random": set(), "paired": set()}
+
+    def marked(config, device):
+        data = load_training_data(config)
+        for sequence in data.paired:
+            sequence.speech.fill_(1.0)
+        unpaired = tuple(torch.full((data.n_speech, n), value) for n, value in clips.items())
+        return replace(data, unpaired=unpaired, silence=torch.zeros(data.n_speech, 200))
+
+    def generate(self, windows):
+        if self.first == 2:
+            finest = windows.conditions[-1]
+            values = tuple(finest.unique().tolist())
+            kind = "paired" if windows.targets else "random"
+            spoken[kind].add((finest.shape[-1], *values))
+        return whole_generate(self, windows)
+
+    load_training_data, whole_generate = trainer.load_training_data, Stage._generate
+    monkeypatch.setattr(trainer, "load_training_data", marked)
+    monkeypatch.setattr(Stage, "_generate", generate)
+    training = {"window": None, "window_cache": cache, "silence": 0.0, "further_stages": 16}
+    config = make_config(features={"residual": False}, training=training)
+    train(config)
+    assert spoken == {"random": set(clips.items()), "paired": {(150, 1.0), (63, 1.0)}}
+    assert all(np.isfinite(value) for line in logged(config) for value in line.values())
+
+
+def test_silence_is_as_long_as_the_longest_unpaired_clip(
+    make_config, write_pair, write_speech, tmp_path
+):
+    write_pair(tmp_path / "paired", "a", 3.0, seed=1)
+    write_speech(tmp_path / "more" / "b.wav", 5.0)
+    corpus = tmp_path / "corpus.jsonl"
+    prepare([tmp_path / "paired"], corpus, unpaired=[tmp_path / "more"], holdout=0.0)
+    config = make_config(
+        corpus=str(corpus),
+        features={"residual": False},
+        training={"window": None, "silence": 0.999, "margins": True},
+    )
+    data = trainer.load_training_data(config)
+    network = MultiresGenerator(data.representation, data.conditioner.dim, config.network)
+    windows = WindowCache(data, config, network).random(
+        data.paired, 125, 2, 1, torch.Generator().manual_seed(0)
+    )
+    expected = data.conditioner.silence(125 + 2 * config.random_margin)
+    assert torch.equal(windows.conditions[-1][0].T, torch.from_numpy(expected))
+
+
+def test_with_margins_a_whole_clip_continues_in_them_as_in_generation(make_config):
+    config = make_config(training={"window": None, "margins": True, "silence": 0.0})
+    data = trainer.load_training_data(config)
+    (clip,) = data.unpaired
+    network = MultiresGenerator(data.representation, data.conditioner.dim, config.network)
+    bank = WindowCache(data, replace(config, features=None), network)
+    rng = torch.Generator().manual_seed(0)
+    windows = bank.random(data.paired, clip.shape[-1], 2, 1, rng)
+    margin = config.random_margin
+    around = np.pad(clip.numpy(), ((0, 0), (margin, margin)), mode="reflect")
+    np.testing.assert_array_equal(windows.conditions[-1][0].numpy(), around)
 
 
 def test_reconstruction_from_real_motion_starts_every_level_from_the_one_below(

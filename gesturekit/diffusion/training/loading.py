@@ -33,8 +33,8 @@ from gesturekit.training.data.start_model import (
     model_of,
 )
 
-_STEP_FLOORS = (1e-3, 5e-4, 5e-4)
-"""Least scale of turn, forward and lateral displacement: radians and metres per frame."""
+_STEP_FLOORS = np.array([0.03, 0.015, 0.015])
+"""Least scale of turn, forward and lateral displacement: radians and metres per second."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
     takes = _takes(config, corpus, speeches, representation)
     vectors = [_encode(config, representation, take.motion, take) for take in takes]
     if start is None and config.path:
-        conditions = _with_path_scale(conditions, takes, representation.scale)
+        conditions = _with_path_scale(conditions, takes, representation.scale, config.fps)
     encoded = [_condition(take, conditions, config.fps, representation.scale) for take in takes]
     recordings = [
         Recording(take.name, vector[: len(own)].astype(np.float32), own, take.is_paired)
@@ -88,7 +88,9 @@ def load_training_data(config: DiffusionConfig, device: str = "cpu") -> Training
             if take.style not in handed
         ]
     if like is None:
-        standardiser = Standardiser.fit([r.motion for r in recordings], _floors(representation))
+        standardiser = Standardiser.fit(
+            [r.motion for r in recordings], _floors(representation, config.fps)
+        )
     else:
         standardiser = like.standardiser
     return TrainingData(
@@ -250,19 +252,21 @@ def _mirrored(
     return replace(recording, name=f"{take.name} (mirrored)", motion=motion, condition=condition)
 
 
-def _floors(representation: DeltaRepresentation) -> np.ndarray:
+def _floors(representation: DeltaRepresentation, fps: float) -> np.ndarray:
     """Return the least scale (X,) of each number of a motion vector."""
     values = np.full(representation.n_features, 0.01)  # radians
     values[representation.height_column] = 2e-3  # metres of the reference body
     if representation.makes_root:
-        values[representation.root_columns] = _STEP_FLOORS
+        values[representation.root_columns] = _STEP_FLOORS / fps
     return values
 
 
-def _with_path_scale(conditions: Conditions, takes: Sequence[_Take], scale: float) -> Conditions:
+def _with_path_scale(
+    conditions: Conditions, takes: Sequence[_Take], scale: float, fps: float
+) -> Conditions:
     paths = [take.path.scaled(1 / scale) for take in takes if take.path is not None]
     deltas = np.concatenate([path.deltas() for path in paths])
-    scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS)
+    scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / fps)
     return replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
 
 

@@ -1,6 +1,6 @@
 """Keyframe constraint, and conversion of pyramid levels to motions that can be edited.
 
-Keyframe editing and style transfer are the same operation (Li et al. 2022, section 4): a motion
+Keyframe editing and style transfer are the same operation (Li et al. 2022): a motion
 replaces the output of a coarse level, and the finer levels add learned detail. For
 keyframe editing the motion is an edited coarse level, for style transfer any other motion.
 """

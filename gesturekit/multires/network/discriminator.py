@@ -30,7 +30,7 @@ class LevelDiscriminator(nn.Module):
         self, representation: MultiresRepresentation, config: NetworkConfig, n_styles: int = 0
     ) -> None:
         super().__init__()
-        near = block_neighbours(representation, config.neighbour_distance)
+        near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
         sizes = [representation.block_sizes, *((w,) * len(near) for w in config.channels)]
         self.layers = nn.ModuleList(
             SkeletonConv1d(near, sizes[i], sizes[i + 1], config.kernel)

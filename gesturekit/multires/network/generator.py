@@ -31,7 +31,7 @@ class LevelGenerator(nn.Module):
         self, representation: MultiresRepresentation, n_condition: int, config: NetworkConfig
     ) -> None:
         super().__init__()
-        near = block_neighbours(representation, config.neighbour_distance)
+        near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
         sizes = [
             representation.block_sizes,
             *((width,) * len(near) for width in config.channels),

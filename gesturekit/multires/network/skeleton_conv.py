@@ -23,12 +23,15 @@ SLOPE = 0.2
 """Negative slope of the leaky rectifiers, as in GANimator."""
 
 
-def block_neighbours(representation: MultiresRepresentation, distance: int) -> np.ndarray:
-    """Return (blocks, blocks) bool, True where one block sees another.
+def block_neighbours(
+    representation: MultiresRepresentation, distance: int, contact_reach: str = "near"
+) -> np.ndarray:
+    """Return (blocks, blocks) bool, True where the first block takes the second as input.
 
     Joints are connected if they are at most `distance` bones apart. A contact label counts as
     located at its foot joint, and the root's displacement as located at the root; it is also
-    connected to all contacts.
+    connected to all contacts. With `contact_reach` "foot", a contact label is an input of its foot
+    joint, of labels at that joint, and of the root's displacement only.
     """
     skeleton = representation.skeleton
     # Distances on the whole rig: a joint that is not modelled still lies between its neighbours.
@@ -42,6 +45,8 @@ def block_neighbours(representation: MultiresRepresentation, distance: int) -> n
     places = [*joints, *feet, representation.root]
     near = apart[np.ix_(places, places)] <= distance
     contacts = slice(len(joints), len(joints) + len(feet))
+    if contact_reach == "foot":
+        near[:, contacts] = np.equal.outer(places, feet)
     near[-1, contacts] = near[contacts, -1] = True
     return near
 

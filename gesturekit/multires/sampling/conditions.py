@@ -7,6 +7,7 @@ for bit. Plain resampled ones differ in the last bit (torch and numpy interpolat
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,7 +17,10 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.errors import ModelError
 from gesturekit.multires.network.resampling import resample
+
+_LEVELS = re.compile(r"(\d+)(?:-(\d+))?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +53,34 @@ class Conditions:
         return [i for i in range(self.conditioner.dim) if i not in hidden]
 
     def of_motion(
-        self, speech: np.ndarray, lengths: Sequence[int], styles: Sequence[Tensor]
+        self,
+        speech: np.ndarray,
+        lengths: Sequence[int],
+        styles: Sequence[Tensor],
+        level_speech: Sequence[tuple[range, np.ndarray]] = (),
     ) -> LevelConditions | None:
         """Return the `LevelConditions` of one motion, or None for a model without conditions."""
         if not speech.shape[1] and not styles:
             return None
-        return LevelConditions(speech[:, self.columns], lengths, self.residual, styles)
+        speeches = [speech[:, self.columns]] * len(lengths)
+        for levels, own in level_speech:
+            speeches[levels.start : levels.stop] = [own[:, self.columns]] * len(levels)
+        return LevelConditions(speeches, lengths, self.residual, styles)
+
+
+def level_range(text: str, n_levels: int, name: str, example: str) -> range:
+    """Return the indices of levels such as 1-4, which count from 1, or a single one.
+
+    Raises:
+        ModelError: not such a text, or levels that the model does not have; it says `name`.
+    """
+    match = _LEVELS.fullmatch(text.strip())
+    if match is None:
+        raise ModelError(f"{name} {text!r}: it looks like {example}")
+    first, last = int(match[1]), int(match[2] or match[1])
+    if not 1 <= first <= last <= n_levels:
+        raise ModelError(f"{name} {text!r}: the model has levels 1 (coarse) to {n_levels}")
+    return range(first - 1, last)
 
 
 def condition_levels(
@@ -83,7 +109,8 @@ class LevelConditions:
     """Conditions of any frames of any level, without a pyramid of the whole speech in memory.
 
     Args:
-        speech: (T, S) float32 features at the finest level; S is 0 without speech input.
+        speeches: of each level, (T, S) float32 features at the finest level; S is 0 without speech
+            input.
         lengths: T_i, frames of each level.
         residual: give finer levels only the detail that coarser ones lack.
         styles: (1, K, T_i) for each level, or empty.
@@ -91,24 +118,24 @@ class LevelConditions:
 
     def __init__(
         self,
-        speech: np.ndarray,
+        speeches: Sequence[np.ndarray],
         lengths: Sequence[int],
         residual: bool,
         styles: Sequence[Tensor] = (),
     ) -> None:
-        self.speech = speech
+        self.speeches = speeches
         self.lengths = lengths
         self.residual = residual
         self.styles = styles
 
     def __call__(self, level: int, start: int, stop: int) -> Tensor:
         """Return (1, S + K, stop - start): these frames of the condition of a level."""
-        parts = []
-        if self.speech.shape[1]:
+        parts, speech = [], self.speeches[level]
+        if speech.shape[1]:
             if self.residual:
-                features = af.residual_level(self.speech, self.lengths, level, start, stop)
+                features = af.residual_level(speech, self.lengths, level, start, stop)
             else:
-                features = af.resample_frames(self.speech, self.lengths[level], start, stop)
+                features = af.resample_frames(speech, self.lengths[level], start, stop)
             parts.append(torch.from_numpy(np.ascontiguousarray(features.T))[None])
         if self.styles:
             parts.append(self.styles[level][..., start:stop])

@@ -26,7 +26,7 @@ from gesturekit.multires.constraints.keyframes import fit_keyframes, full_frames
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.recall.library import RecallLibrary
-from gesturekit.multires.sampling.conditions import Conditions
+from gesturekit.multires.sampling.conditions import Conditions, level_range
 from gesturekit.multires.sampling.styles import requested_styles
 from gesturekit.training.seeds import rng_for
 
@@ -50,6 +50,7 @@ class Request:
         start: a motion that replaces the output of a coarse level, or None for noise.
         path: the path of the root, T frames at the model's rate, or None.
         clips: the clips of in-betweening, or None.
+        level_speech: levels with speech of their own, and its features, shaped as `features`.
         library: recordings to recall; None to generate all levels.
     """
 
@@ -62,6 +63,7 @@ class Request:
     start: Motion | None
     path: RootPath | None
     clips: InbetweenClips | None
+    level_speech: tuple[tuple[range, np.ndarray], ...] = ()
     library: RecallLibrary | None = None
 
     @classmethod
@@ -116,20 +118,57 @@ class Request:
         return cls(
             controls=controls,
             wave=speech,
-            # In the margins speech continues as at the ends: active or silent.
-            features=np.pad(features, ((margin, margin), (0, 0)), mode="reflect"),
+            features=_with_margins(features, margin),
             margin=margin,
             lengths=af.level_lengths(n_frames + 2 * margin, n_levels),
             skeleton=None if controls.speaker is None else speakers[controls.speaker],
             start=start,
             path=None if path is None else path.resample(fps, n_frames),
             clips=clips,
+            level_speech=_level_speech(controls, conditions, n_levels, n_frames, margin, fps),
         )
 
     @property
     def n_frames(self) -> int:
         """T, without margins."""
         return self.lengths[-1] - 2 * self.margin
+
+
+def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
+    """Return features (T + 2 margin, S), which continue as at their ends: active or silent."""
+    return np.pad(features, ((margin, margin), (0, 0)), mode="reflect")
+
+
+def _level_speech(
+    controls: MultiresControls,
+    conditions: Conditions,
+    n_levels: int,
+    n_frames: int,
+    margin: int,
+    fps: float,
+) -> tuple[tuple[range, np.ndarray], ...]:
+    """Return `Request.level_speech`: the end of each speech is cut off, or silence follows it."""
+    found = []
+    for levels, speech in level_speech_ranges(controls, n_levels):
+        features = speech_features(conditions.conditioner, speech, None, fps)[:n_frames]
+        if missing := n_frames - len(features):
+            features = np.concatenate([features, conditions.conditioner.silence(missing)])
+        found.append((levels, _with_margins(features, margin)))
+    return tuple(found)
+
+
+def level_speech_ranges(
+    controls: MultiresControls, n_levels: int
+) -> list[tuple[range, str | Path | af.Wave]]:
+    """Return the levels of each `level_speech`.
+
+    Raises:
+        ModelError: levels that the model does not have, or text that cannot be parsed.
+    """
+    return [
+        (level_range(levels, n_levels, "level speech", "7-10=b.wav"), speech)
+        for levels, speech in (controls.level_speech or {}).items()
+    ]
 
 
 def _warn_of_held_pose(like: Motion, seconds: float) -> None:
@@ -150,6 +189,7 @@ def check_controls(
     levels: int,
     speakers: Mapping[str, Skeleton],
     recalls: bool,
+    takes_speech: bool,
 ) -> None:
     """Check the controls that do not depend on the speech.
 
@@ -161,10 +201,12 @@ def check_controls(
         levels: number of the model's levels.
         speakers: skeletons of the model's speakers.
         recalls: whether the model was trained with recall.
+        takes_speech: whether the model has speech input.
 
     Raises:
-        ModelError: a style, level or speaker that the model does not have, recall by a model
-            without it, or a liveliness without recall or not above 0.
+        ModelError: a style, level or speaker that the model does not have, level_speech without
+            speech input, recall by a model without it, or a liveliness without recall or not above
+            0.
     """
     if styles:
         lengths, rng = [1] * levels, rng_for(0, "check")
@@ -173,6 +215,8 @@ def check_controls(
         for name in ("style", "level_style"):
             if (value := getattr(controls, name)) is not None:
                 raise ModelError(f"{name}={value!r}: this multires model has no {name}")
+    if level_speech_ranges(controls, levels) and not takes_speech:
+        raise ModelError("level_speech: this model takes no speech")
     speaker = controls.speaker
     if speaker is not None and speaker not in speakers:
         known = ", ".join(sorted(speakers)) or "its corpus named none"

@@ -81,7 +81,9 @@ class Sampler:
             self.network,
             self.normaliser,
             request.lengths,
-            self.conditions.of_motion(request.features, request.lengths, styles),
+            self.conditions.of_motion(
+                request.features, request.lengths, styles, request.level_speech
+            ),
             self.noise,
             lambda level: rng_for(seed, "sample", number, "level", level + 1),
             None if choice is None else self._recalled_level(choice),

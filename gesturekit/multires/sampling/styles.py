@@ -5,7 +5,6 @@ Levels may have different styles: coarse levels decide posture and path, fine le
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import torch
@@ -13,11 +12,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gesturekit.corpus.styles import style_track
-from gesturekit.errors import ModelError
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.network.resampling import resample
-
-_LEVELS = re.compile(r"(?P<first>\d+)(-(?P<last>\d+))?=(?P<name>.+)")
+from gesturekit.multires.sampling.conditions import level_range
 
 
 def style_levels(styles: Tensor, n_styles: int, lengths: Sequence[int]) -> list[Tensor]:
@@ -113,14 +110,10 @@ def requested_styles(
 
     tracks = [with_margins(style)] * len(lengths)
     for text in level_style.split(",") if level_style else ():
-        match = _LEVELS.fullmatch(text.strip())
-        if match is None:
-            raise ModelError(f"level style {text.strip()!r}: it looks like 1-4=describe,5-8=angry")
-        first, last = int(match["first"]), int(match["last"] or match["first"])
-        if not 1 <= first <= last <= len(lengths):
-            raise ModelError(
-                f"level style {text.strip()!r}: the model has levels 1 (coarse) to {len(lengths)}"
-            )
-        own = with_margins(match["name"])
-        tracks[first - 1 : last] = [own] * (last - first + 1)
+        numbers, _, name = text.strip().partition("=")
+        example = "1-4=describe,5-8=angry"
+        levels = level_range(
+            numbers if name else f"{numbers}=", len(lengths), "level style", example
+        )
+        tracks[levels.start : levels.stop] = [with_margins(name)] * len(levels)
     return [resample(own, n)[None] for own, n in zip(tracks, lengths, strict=True)]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -11,7 +13,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.skeleton_conv import Convolve
 from gesturekit.multires.recall.library import RecallLibrary
-from gesturekit.multires.training.data import TrainingData
+from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.window_cache import WindowCache, Windows
 from gesturekit.training.seeds import rng_for
 
@@ -42,14 +44,18 @@ class Batches:
         self.first = first
         self.bank = WindowCache(data, config, network, convolve, library)
         self.size = config.training.windows_per_step
+        self.paired = data.paired
+        self.own_lengths = data.own_lengths
         self.sequences = {
             n_frames: [data.paired[i] for i in members]
             for n_frames, members in data.window_lengths().items()
         }
-        # A window length is drawn as often as there are frames of recordings that have it.
-        self._frames = torch.tensor(
-            [float(sum(s.n_frames for s in members)) for members in self.sequences.values()]
-        )
+        # A length is drawn as often as the recordings or clips that have it.
+        self._recorded = {
+            n_frames: sum(map(data.draw_weight, members))
+            for n_frames, members in self.sequences.items()
+        }
+        self._spoken = Counter(clip.shape[-1] for clip in data.unpaired)
         self._cached: dict[str, dict[int, Windows]] = {}
 
     def renew(self, iteration: int) -> None:
@@ -57,19 +63,29 @@ class Batches:
         training = self.training
         if training.window_cache is None or (iteration % training.renew_every and self._cached):
             return
-        self._cached = {"paired": {}, "random": {}}
+        self._cached = {}
         rng = rng_for(self.seed, "bank", self.first, iteration // training.renew_every)
-        total = sum(map(len, self.sequences.values()))
-        for n_frames, members in self.sequences.items():
-            count = max(1, training.window_cache * len(members) // total)
-            if training.reconstruction_steps:
-                self._cached["paired"][n_frames] = self._draw("paired", n_frames, count, rng)
-            if training.discriminator_steps or training.generator_steps:
-                self._cached["random"][n_frames] = self._draw("random", n_frames, count, rng)
+        shares = {
+            n_frames: max(1, training.window_cache * len(members) // len(self.paired))
+            for n_frames, members in self.sequences.items()
+        }
+        counts = {"paired": shares} if training.reconstruction_steps else {}
+        if training.discriminator_steps or training.generator_steps:
+            counts["random"] = shares
+            if self.own_lengths:
+                drawn = (self.length("random", rng) for _ in range(training.window_cache))
+                counts["random"] = Counter(drawn)
+        for kind, lengths in counts.items():
+            self._cached[kind] = {n: self._draw(kind, n, lengths[n], rng) for n in lengths}
 
-    def length(self, rng: torch.Generator) -> int:
-        """Draw the window length of a step, in full-rate frames."""
-        return list(self.sequences)[int(torch.multinomial(self._frames, 1, generator=rng))]
+    def length(self, kind: str, rng: torch.Generator) -> int:
+        """Draw the length of the motions of a step, in full-rate frames; `kind` as in `windows`."""
+        weights: Mapping[int, float] = self._recorded
+        if kind == "random" and self.own_lengths:
+            cached = self._cached.get(kind, {})
+            weights = {n: len(windows) for n, windows in cached.items()} or self._spoken
+        shares = torch.tensor(list(weights.values()), dtype=torch.float32)
+        return list(weights)[int(torch.multinomial(shares, 1, generator=rng))]
 
     def windows(
         self, kind: str, n_frames: int, rng: torch.Generator, batches: int = 1
@@ -94,10 +110,24 @@ class Batches:
     def reals(
         self, n_frames: int, rng: torch.Generator, styles: list[int] | None = None
     ) -> list[Tensor]:
-        """Return recorded motion (B, D, T_i) for each discriminator, of the given styles."""
-        sequences = self.sequences[n_frames]
+        """Return recorded motion (B, D, T_i) for each discriminator, of the given styles.
+
+        It is shorter than `n_frames` where random steps have their own lengths and the recording
+        that is drawn has fewer frames.
+        """
+        sequences = self._sequences("random", n_frames)
+        if self.own_lengths:
+            own = [s for s in sequences if styles is None or s.style in styles]
+            sequences = [own[int(torch.randint(len(own), (), generator=rng))]]
+            n_frames = min(n_frames, sequences[0].n_frames)
         return self.bank.reals(sequences, n_frames, self.first, self.size, rng, styles)
 
     def _draw(self, kind: str, n_frames: int, count: int, rng: torch.Generator) -> Windows:
         draw = self.bank.paired if kind == "paired" else self.bank.random
-        return draw(self.sequences[n_frames], n_frames, self.first, count, rng)
+        return draw(self._sequences(kind, n_frames), n_frames, self.first, count, rng)
+
+    def _sequences(self, kind: str, n_frames: int) -> Sequence[PairedSequence]:
+        """Return the recordings with which motions of this length are made or compared."""
+        if kind == "random" and self.own_lengths:
+            return self.paired
+        return self.sequences[n_frames]

@@ -21,7 +21,7 @@ from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.network.resampling import reflect, resample
 from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.training.data.data_folder import load_data, save_data
@@ -35,8 +35,8 @@ from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.seeds import rng_for
 from gesturekit.training.trained_model import read_speakers, rig_values
 
-_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 1e-3, "height": 5e-3}
-"""Smallest scale of each kind of channel (6D entries, label, m, m; on the reference body). Fixed,
+_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 0.025, "height": 5e-3}
+"""Smallest scale of each kind of channel (6D entries, label, m/s, m; on the reference body). Fixed,
 so that the noise of channels without movement is not amplified."""
 
 
@@ -57,7 +57,7 @@ class Normaliser:
 
     @classmethod
     def fit(
-        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation
+        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation, fps: float
     ) -> Normaliser:
         """Compute mean and scale of encoded training motions, each (T, D)."""
         values = np.concatenate(motions)
@@ -72,7 +72,7 @@ class Normaliser:
             start += size
         root = representation.layout.root
         dx, height, dz = scale[root]
-        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"])
+        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"] / fps)
         scale[root] = across, max(height, _SCALE_FLOORS["height"]), across
         return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
 
@@ -172,7 +172,7 @@ class TrainingData:
     Attributes:
         paired: recordings with motion.
         unpaired: (S, T) speech without motion; that of `paired` if the corpus has none.
-        silence: (S, T) speech features of silence, one window long.
+        silence: (S, T) speech features of silence, as long as the longest motion of a step.
         conditioner: converts waves to speech features; None without speech input.
         styles: names of the styles, in alphabetical order; empty outside label mode. A model to
             start from may have more styles than the recordings.
@@ -287,12 +287,24 @@ class TrainingData:
         recalls = config.recall is not None
         return Conditions(self.conditioner, self.styles, config.residual, recalls)
 
+    @property
+    def own_lengths(self) -> bool:
+        """Return True if random steps have the lengths of unpaired clips, not of recordings."""
+        return self.window is None and self.n_speech > 0
+
+    def draw_weight(self, sequence: PairedSequence) -> float:
+        """Return how often a recording is drawn, relative to the others.
+
+        Whole recordings are drawn equally often (eq. 15), and so are windows, wherever they are.
+        """
+        return 1.0 if self.window is None else float(sequence.n_frames)
+
     def style_shares(self, sequences: Sequence[PairedSequence]) -> Tensor:
-        """Return the frames of each style (K,) in these sequences: its weight in random draws."""
-        frames = torch.zeros(len(self.styles))
+        """Return how often a recording of each style (K,) is drawn from these sequences."""
+        shares = torch.zeros(len(self.styles))
         for sequence in sequences:
-            frames[sequence.style] += sequence.n_frames
-        return frames
+            shares[sequence.style] += self.draw_weight(sequence)
+        return shares
 
     def window_lengths(self) -> dict[int, list[int]]:
         """Return {window length: indices of paired sequences with windows of that length}."""
@@ -303,16 +315,24 @@ class TrainingData:
             groups.setdefault(length, []).append(i)
         return groups
 
-    def speech_window(self, n_frames: int, rng: torch.Generator) -> Tensor:
-        """Draw a window (S, n_frames) of unpaired speech; a shorter clip is padded with silence."""
+    def speech_window(self, n_frames: int, margin: int, rng: torch.Generator) -> Tensor:
+        """Draw unpaired speech (S, n_frames + 2 margin) for a motion of a random step.
+
+        Without a window, it is a whole clip of `n_frames`, and its margins are those of generation.
+        A window that is longer than its clip continues with another one.
+        """
+        if self.own_lengths:
+            clips = [clip for clip in self.unpaired if clip.shape[-1] == n_frames]
+            return reflect(clips[int(torch.randint(len(clips), (), generator=rng))], margin)
+        missing = n_frames + 2 * margin
         if not self.n_speech:
-            return torch.zeros(0, n_frames)
-        weights = torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])
-        clip = self.unpaired[int(torch.multinomial(weights, 1, generator=rng))]
-        slack = clip.shape[-1] - n_frames
-        start = int(torch.randint(abs(slack) + 1, (), generator=rng))
-        if slack >= 0:
-            return clip[:, start : start + n_frames]
-        around = self.silence[:, :1].expand(-1, n_frames).clone()
-        around[:, start : start + clip.shape[-1]] = clip
-        return around
+            return torch.zeros(0, missing)
+        frames = torch.tensor([float(clip.shape[-1]) for clip in self.unpaired])
+        parts = []
+        while missing:
+            clip = self.unpaired[int(torch.multinomial(frames, 1, generator=rng))]
+            slack = max(0, clip.shape[-1] - missing)
+            start = int(torch.randint(slack + 1, (), generator=rng))
+            parts.append(clip[:, start : start + missing])
+            missing -= parts[-1].shape[-1]
+        return torch.cat(parts, dim=-1)

@@ -69,11 +69,12 @@ class VectorKinematics(nn.Module):
         dx, dz = values[:, self.layout.root_xz].unbind(dim=1)
         return torch.stack([dx, torch.zeros_like(dx), dz], dim=-1)
 
-    def foot_velocity(self, values: Tensor, stride: float) -> Tensor:
-        """Return the velocity (B, T - 1, F, 3) of the foot points in the world, m/s."""
+    def foot_velocity(self, values: Tensor, stride: float, time: str = "second") -> Tensor:
+        """Return the velocity (B, T - 1, F, 3) of the foot points in the world; see
+        `LossConfig.contact_time`."""
         feet = self._positions(self.feet, values)
-        drift = self._root_displacement(values)
-        return ((feet[:, 1:] - feet[:, :-1]) / stride + drift[:, 1:, None]) * self.fps
+        change, drift = feet[:, 1:] - feet[:, :-1], self._root_displacement(values)[:, 1:, None]
+        return change + drift if time == "frame" else (change / stride + drift) * self.fps
 
     def contact_labels(self, values: Tensor) -> Tensor:
         """Return (B, T - 1, F) the contact labels of all frames but the first."""

@@ -76,6 +76,7 @@ def load_training_data(config: MultiresConfig, device: str = "cpu") -> TrainingD
         ]
     longest, window = _longest(config, paired), config.training.window
     frames = None if window is None else max(config.network.levels, round(window * config.fps))
+    longest = max(longest, *(clip.shape[-1] for clip in unpaired), 0)
     silent = (frames or longest) + 2 * config.random_margin
     return TrainingData(
         paired=tuple(paired),
@@ -118,7 +119,7 @@ def _normaliser(
     if start is not None:
         return start.normaliser
     if config.normalise:
-        return Normaliser.fit(vectors, representation)
+        return Normaliser.fit(vectors, representation, config.fps)
     width = representation.n_features
     return Normaliser(torch.zeros(width), torch.ones(width))
 

@@ -27,7 +27,7 @@ from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.detail import DetailTarget, detail_targets
 from gesturekit.multires.training.kinematics import VectorKinematics
-from gesturekit.multires.training.window_cache import Windows
+from gesturekit.multires.training.window_cache import Windows, random_part
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.seeds import rng_for, seeded
 
@@ -164,12 +164,14 @@ class Stage:
         rng = rng_for(self.config.seed, "iteration", self.first, iteration)
         report: dict[str, float] = {}
         if training.discriminator_steps:
-            lengths = [self.batches.length(rng) for _ in range(training.discriminator_steps)]
+            steps = range(training.discriminator_steps)
+            lengths = [self.batches.length("random", rng) for _ in steps]
             report["discriminator"] = self._discriminator_steps(lengths, rng)
         for _ in range(training.generator_steps):
-            report.update(self._random_step(self.batches.length(rng), rng))
+            report.update(self._random_step(self.batches.length("random", rng), rng))
         for _ in range(training.reconstruction_steps):
-            report["reconstruction"] = self._reconstruction_step(self.batches.length(rng), rng)
+            n_frames = self.batches.length("paired", rng)
+            report["reconstruction"] = self._reconstruction_step(n_frames, rng)
         return report
 
     def _precision(self) -> torch.autocast:
@@ -255,11 +257,15 @@ class Stage:
         """Make one discriminator step on windows of `n_frames` at the full rate.
 
         `fakes` (B, D, T_i) of each level are this process's share; `styles` (B, L) are of the whole
-        batch.
+        batch. Fakes that are longer than the recordings are cropped.
         """
         batch, share = self.batches.size, self._share
         beside = styles[:, 0].tolist() if self.n_styles else None
         reals = self.batches.reals(n_frames, rng, beside)
+        # The penalty interpolates between both, so that they need the same length.
+        fakes = [
+            random_part(fake, real.shape[-1], rng) for fake, real in zip(fakes, reals, strict=True)
+        ]
         conditions = self._style_conditions(styles[share])
         mixes = [torch.rand(batch, 1, 1, generator=rng).to(self.device) for _ in reals]
         with self._precision():
@@ -299,12 +305,15 @@ class Stage:
             # One frame, the coarsest level of a very short recording, has no speed.
             moves = motion.shape[-1] > 1
             # Rounding makes strides of two levels straddle 2; half the full rate is meant.
-            smooth, detailed = weights.smoothness and stride < 2.05, level in self.details
+            smooth = weights.smoothness and stride < 2.05 and motion.shape[-1] > 2
+            detailed = level in self.details
             parts: dict[str, Tensor] = {}
             if weights.adversarial:
                 parts["scores"] = self._scores(i, motion, conditions[i])
             if weights.contact and moves:  # 0 on a rig without feet
-                parts["foot_velocity"] = kinematics.foot_velocity(values, stride)
+                parts["foot_velocity"] = kinematics.foot_velocity(
+                    values, stride, weights.contact_time
+                )
                 parts["contact_labels"] = kinematics.contact_labels(values)
             places = kinematics.places(values) if smooth or detailed else None
             if smooth:

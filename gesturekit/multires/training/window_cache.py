@@ -104,9 +104,9 @@ class WindowCache:
         Coarse levels have styles of these sequences, which are also the discriminator's real
         motions. The windows are `random_margin` frames longer at both ends.
         """
-        n_frames += 2 * self.config.random_margin
-        training = self.config.training
-        speech = torch.stack([self.data.speech_window(n_frames, rng) for _ in range(count)])
+        training, margin = self.config.training, self.config.random_margin
+        speech = torch.stack([self.data.speech_window(n_frames, margin, rng) for _ in range(count)])
+        n_frames += 2 * margin
         quiet = torch.rand(count, generator=rng) < training.silence
         speech[quiet] = self.data.silence[:, :n_frames]
         lengths = af.level_lengths(n_frames, self.config.network.levels)
@@ -312,6 +312,13 @@ def random_windows(
     starts = torch.tensor([float(sequence.n_frames - n_frames + 1) for sequence in sequences])
     for which in torch.multinomial(starts, count, replacement=True, generator=rng).tolist():
         yield sequences[which], int(torch.randint(int(starts[which]), (), generator=rng))
+
+
+def random_part(motion: Tensor, n_frames: int, rng: torch.Generator) -> Tensor:
+    """Return `n_frames` consecutive frames of a motion (B, D, T) that has at least as many."""
+    slack = motion.shape[-1] - n_frames
+    start = int(torch.randint(slack + 1, (), generator=rng)) if slack else 0
+    return motion[..., start : start + n_frames].contiguous()
 
 
 def every_window(
