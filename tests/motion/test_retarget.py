@@ -300,6 +300,8 @@ def test_hands_in_front_of_the_body_are_placed_and_hands_aside_are_not(person, i
     """
     theta = np.arccos(-inward)
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (10, person.n_joints, 1))
+    chest = Rotation.from_rotvec([0, 1.2, 0])  # "in front" turns with it
+    rotations[:, person.index("Chest")] = chest.as_quat()
     for side, sign in (("Left", -1.0), ("Right", 1.0)):
         upper = Rotation.from_rotvec([0, 0, sign * np.pi / 2])
         fore = upper.inv() * Rotation.from_rotvec([0, sign * theta, 0])
@@ -318,7 +320,7 @@ def test_hands_in_front_of_the_body_are_placed_and_hands_aside_are_not(person, i
         wide = own + [sign * 0.05, 0, 0]
         expected = weight * 0.735 / 0.685 * own + (1 - weight) * wide
         hand = person.index(f"{side}Hand")
-        np.testing.assert_allclose(places[hand] - middle, expected, atol=1e-6)
+        np.testing.assert_allclose(places[hand] - middle, chest.apply(expected), atol=1e-6)
         turned = rotation_angles(
             made.global_rotations()[:, hand], motion.global_rotations()[:, hand]
         )
@@ -533,6 +535,18 @@ def test_a_root_keeps_its_axes_above_hips_whose_axes_lie_anyhow(moving_person):
     made = retarget(moving_person, with_frames(rooted, turned), pose=stands)
     turns = multiply_quaternions(usual.global_rotations(), turned)
     assert rotation_angles(made.global_rotations(), turns).max() < 1e-5
+
+
+@pytest.mark.parametrize(("lean", "upright"), [(0.1, True), (0.6, False)])
+def test_a_body_that_leans_a_little_at_rest_is_upright(person, lean, upright):
+    """Up is the axis of the world that is nearest to the torso, or the torso of one that lies."""
+    pose = np.tile([0.0, 0.0, 0.0, 1.0], (person.n_joints, 1))
+    pose[0] = quaternion_from_rotation_vector(np.array([lean, 0.0, 0.0]))
+    frame = body_frame(person, find_parts(person), pose)
+    up = rotate_vectors(frame, np.array([0.0, 1.0, 0.0]))
+    torso = np.arctan2(0.01, 0.45)  # the chest is a little before the hips
+    expected = 0.0 if upright else lean + torso
+    np.testing.assert_allclose(up, [0, np.cos(expected), np.sin(expected)], atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
