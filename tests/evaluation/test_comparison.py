@@ -62,6 +62,18 @@ def test_recordings_against_themselves_are_perfect(folders):
     assert values["raw_fgd"] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_the_recordings_own_value_is_that_of_the_next_recording_in_place_of_a_clip(
+    folders, tmp_path
+):
+    for i in range(4):
+        following = Motion.load(folders / "recordings" / f"clip{(i + 1) % 4}.bvh")
+        following.save(_made(tmp_path / f"clip{i}.npz"))
+    (model,) = evaluate(tmp_path, folders / "recordings").models
+    for key in ("coverage", "global_diversity", "local_diversity", "cca"):
+        figure = model.figures[key]
+        assert figure.interval.value == pytest.approx(figure.recording, rel=1e-4), key
+
+
 def test_samples_of_one_recording_count_as_one_draw(folders):
     found = evaluate(folders / "samples", folders / "recordings", audio=folders / "sound")
     (model,) = found.models
