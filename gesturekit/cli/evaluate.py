@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 @click.option(
     "--split",
     type=click.Choice(["train", "valid", "test"]),
-    help="Split of --corpus to use.  [default: test]",
+    help="Split of --corpus to use.  [default: test; train with --protocol multires]",
 )
 @click.option("--audio", type=click.Path(path_type=Path), help="Sound of the recordings.")
 @click.option(
@@ -111,8 +111,9 @@ if TYPE_CHECKING:
     type=click.Choice(["multires", "lda"]),
     help="Evaluation of one of the papers. multires: patch metrics of each training sequence, 200 "
     "samples of twice its length. lda: Fréchet distances of 10 s windows, 3 samples each, against "
-    "all of REFERENCE. With a protocol, GENERATED and --compare may be model folders: motion is "
-    "sampled first.",
+    "all of REFERENCE or of --corpus. With a protocol, GENERATED and --compare may be model "
+    "folders: motion is sampled first, each recording in its own style; models with styles need "
+    "--corpus, which states them.",
 )
 @click.option(
     "--samples",
@@ -125,6 +126,12 @@ if TYPE_CHECKING:
     default=Path("evaluation_samples"),
     show_default=True,
     help="Folder for motion sampled from model folders.",
+)
+@click.option(
+    "--postprocess",
+    is_flag=True,
+    help="Lock feet and smooth in motion sampled from model folders, as gesturekit render does. "
+    "[default: the network's raw output, as in the papers]",
 )
 @weights_option
 @click.option(
@@ -139,6 +146,15 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=0, min_open=True),
     help="Coverage threshold: largest distance at which a patch counts as covered.  [default: "
     "2.0; none for paper]",
+)
+@click.option(
+    "--bas",
+    type=click.Choice(["seconds", "bailando"]),
+    default="seconds",
+    show_default=True,
+    help="Definition of beat alignment (BAS). seconds: speed low-passed at 6 Hz, beats between "
+    "frames, the same at any frame rate. bailando: frame differences, beats on frames, as in the "
+    "code of the papers.",
 )
 @click.option(
     "--sanity",
@@ -198,7 +214,7 @@ def command(
     tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
     out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
     answers = _answers(options["study"])
-    folders = folders_of(names, reference, options)
+    folders = folders_of(names, recordings, options)
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
     folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
     if answers:
@@ -288,7 +304,7 @@ def _evaluated(
     """Run the evaluation with the options of the command line."""
     import os
 
-    from gesturekit.evaluation import FeatureModel, PatchOptions, evaluate
+    from gesturekit.evaluation import FeatureModel, Variants, evaluate
     from gesturekit.progress import Progress
 
     features = options["features"]
@@ -299,7 +315,7 @@ def _evaluated(
             audio=options["audio"],
             semantic=options["semantic"],
             protocol=options["protocol"] or "",
-            patches=PatchOptions(options["variant"], options["threshold"]),
+            variants=Variants(options["variant"], options["threshold"], options["bas"]),
             baselines=[
                 name for name in comma_separated(options["baseline"]) if name not in folders
             ],
@@ -336,11 +352,8 @@ def _recordings(reference: Path | None, options: Mapping[str, Any]) -> Path | It
             "--corpus already gives the sound and how motion is read: leave out --audio and "
             "--in-..."
         )
-    if options["protocol"] is not None:
-        raise click.UsageError(
-            "--protocol needs a folder of recordings, and cannot be combined with --corpus"
-        )
-    return Items.of_manifest(corpus, split or "test")
+    usual = "train" if options["protocol"] == "multires" else "test"
+    return Items.of_manifest(corpus, split or usual)
 
 
 def _notes(found: Evaluation) -> Iterator[str]:

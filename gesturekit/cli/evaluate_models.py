@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import comma_separated, resumable
+from gesturekit.cli.options import RECORDING_OPTIONS, comma_separated, read_from, resumable
 from gesturekit.wording import did_you_mean
+
+if TYPE_CHECKING:
+    from gesturekit.corpus.item import Item
+    from gesturekit.evaluation import Items
 
 
 def _named(text: str) -> tuple[str | None, str]:
@@ -26,9 +30,9 @@ def place_of(text: str) -> str:
 
 
 def folders_of(
-    names: Sequence[str], reference: Path | None, options: Mapping[str, Any]
+    names: Sequence[str], recordings: Path | Items, options: Mapping[str, Any]
 ) -> dict[str, Path]:
-    """Return {label: folder of motion}; sample model folders first (not with --corpus)."""
+    """Return {label: folder of motion}; sample model folders first."""
     from gesturekit.systems import bundled_models
 
     folders: dict[str, Path] = {}
@@ -57,19 +61,19 @@ def folders_of(
                 "--protocol to sample it"
             )
         folders[label] = options["samples_dir"] / label.replace("/", "_")
-        _sample(name, label, folders[label], reference, options)
+        _sample(name, label, folders[label], recordings, options)
     return folders
 
 
 def _sample(
-    name: str, label: str, folder: Path, reference: Path | None, options: Mapping[str, Any]
+    name: str, label: str, folder: Path, recordings: Path | Items, options: Mapping[str, Any]
 ) -> None:
     """Sample a model by the protocol into a folder."""
     from gesturekit.progress import Progress
     from gesturekit.rendering import sampling
     from gesturekit.systems import load
 
-    skip, audio = options["existing"] == "skip", options["audio"]
+    skip = options["existing"] == "skip"
     if not skip and folder.is_dir() and any(folder.iterdir()):
         raise click.UsageError(
             f"{folder} holds samples of an earlier run, which would be measured too: "
@@ -77,18 +81,37 @@ def _sample(
             "the sampling with --existing skip"
         )
     model = load(name, weights=options["weights"])
-    settings = {"seed": options["seed"], "skip": skip}
-    if options["samples"] is not None:
-        settings["samples"] = options["samples"]
-    if options["protocol"] == "lda":
-        if audio is None:
-            raise click.UsageError("--protocol lda samples models on speech: give --audio")
-        files = sampling.sample_lda(model, audio, folder, **settings)
-    else:
-        files = sampling.sample_multires(model, reference, folder, audio=audio, **settings)
+    settings = sampling.SamplingOptions(
+        samples=options["samples"],
+        seed=options["seed"],
+        skip=skip,
+        postprocess=options["postprocess"],
+    )
+    sample = sampling.sample_lda if options["protocol"] == "lda" else sampling.sample_multires
+    files = sample(model, _items(recordings, options), folder, settings)
     with resumable(lambda: "The same command with --existing skip continues."):
         for _ in Progress(files, desc=f"sampling {label}", unit="clip"):
             pass
+
+
+def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Item]:
+    """Return the recordings that the protocol samples a model for.
+
+    Raises:
+        UsageError: speech is needed, and there is none.
+    """
+    from gesturekit.rendering.sampling import sequences_of, sounds_of
+
+    audio = options["audio"]
+    if options["corpus"] is not None:
+        return [item for item in recordings.items if item.motion is not None]
+    if options["protocol"] == "multires":
+        reading = read_from({name: options[name] for name in RECORDING_OPTIONS})
+        folder = recordings if isinstance(recordings, Path) else recordings.path
+        return sequences_of(folder, audio, reading)
+    if audio is None:
+        raise click.UsageError("--protocol lda samples models on speech: give --audio or --corpus")
+    return sounds_of(audio)
 
 
 RENDERED_BASELINES = ("retrieval", "speech_blind")

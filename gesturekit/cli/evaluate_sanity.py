@@ -10,7 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-_USED = ("sanity", "audio", "out", "json_out", "variant", "threshold", "seed", "workers")
+_USED = ("sanity", "audio", "out", "json_out", "variant", "threshold", "bas", "seed", "workers")
 """Options of `gesturekit evaluate` that --sanity takes."""
 
 
@@ -32,7 +32,7 @@ def sanity(
     if surplus:
         raise click.UsageError("--sanity takes only a folder of recordings, and --audio")
     _refuse_unused(click.get_current_context())
-    from gesturekit.evaluation import PatchOptions, write_report
+    from gesturekit.evaluation import Variants, write_report
     from gesturekit.evaluation.report.headline import headline_lines
     from gesturekit.evaluation.sanity.run import run_sanity
     from gesturekit.evaluation.sanity.table import conclusion, table_lines
@@ -41,7 +41,7 @@ def sanity(
     found = run_sanity(
         Path(str(recordings)),
         options["audio"],
-        patches=PatchOptions(options["variant"], options["threshold"]),
+        variants=Variants(options["variant"], options["threshold"], options["bas"]),
         seed=options["seed"],
         workers=options["workers"] or os.cpu_count() or 1,
         progress=lambda tasks, total, label: Progress(tasks, total=total, desc=label, unit="task"),

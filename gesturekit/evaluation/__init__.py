@@ -15,7 +15,7 @@ __all__, __getattr__, __dir__ = attach(
         "Items": "pairs",
         "JointLimits": "metrics.joint_limits",
         "MotionWindows": "metrics.two_sample",
-        "PatchOptions": "definitions",
+        "Variants": "definitions",
         "PatchScores": "metrics.patches",
         "PoseWindows": "metrics.frechet.poses",
         "SpeedHistogram": "metrics.distributions",

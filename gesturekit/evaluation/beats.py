@@ -6,6 +6,7 @@ import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -54,11 +55,13 @@ class MotionBeats:
         motion: generated or recorded motion of the clip.
         clip: the clip.
         mean_speed: {joint name: mean speed over the recordings, m/s}.
+        variant: of the beat alignment.
     """
 
     motion: Motion
     clip: Clip
     mean_speed: Mapping[str, float]
+    variant: Literal["seconds", "bailando"]
 
     def alignment(self, sound: Sound) -> rhythm.BeatResult:
         """Return the beat alignment with a sound, see `rhythm.beat_alignment`."""
@@ -71,7 +74,7 @@ class MotionBeats:
 
     @functools.cached_property
     def _whole(self) -> np.ndarray:
-        return rhythm.motion_beats(self.motion, joints=self.clip.joints)
+        return rhythm.motion_beats(self.motion, variant=self.variant, joints=self.clip.joints)
 
     @functools.cached_property
     def _by_joint(self) -> list[np.ndarray]:

@@ -20,7 +20,7 @@ from gesturekit.evaluation.definitions import (
     PATCHES,
     SIMILARITY,
     SPEECH,
-    PatchOptions,
+    Variants,
 )
 from gesturekit.evaluation.life.hands import hand_figures
 from gesturekit.evaluation.metrics import feet, physical, rhythm, similarity
@@ -112,15 +112,15 @@ class ClipMetrics:
     Args:
         statistics: of the recordings.
         groups: groups of `definitions` to compute.
-        patches: settings of the patch metrics.
+        variants: variants of the metrics.
     """
 
     def __init__(
-        self, statistics: ReferenceStatistics, groups: Sequence[str], patches: PatchOptions
+        self, statistics: ReferenceStatistics, groups: Sequence[str], variants: Variants
     ) -> None:
         self.statistics = statistics
         self.groups = groups
-        self.patches = patches
+        self.variants = variants
 
     def generated(self, clip: Clip) -> tuple[Values, Problems]:
         """Compute all metrics of the generated motion."""
@@ -154,7 +154,7 @@ class ClipMetrics:
     def mismatched_sound(self, clip: Clip, sounds: Sequence[Sound]) -> Values:
         """Average the speech metrics of the generated motion over other recordings' sounds."""
         every: dict[str, list[float]] = {}
-        beats = MotionBeats(clip.generated, clip, self.statistics.mean_speed)
+        beats = self._beats(clip, clip.generated)
         for sound in sounds:
             out = _Collected()
             self._speech(out, clip, beats, sound)
@@ -183,7 +183,7 @@ class ClipMetrics:
             except AudioFeaturesError as error:
                 out.problems.append(("speech", str(error)))
             else:
-                beats = MotionBeats(motion, clip, self.statistics.mean_speed)
+                beats = self._beats(clip, motion)
                 self._speech(out, clip, beats, sound)
         if LIFE in self.groups:
             _hands(out, motion)
@@ -207,6 +207,9 @@ class ClipMetrics:
         limits = self.statistics.limits
         if limits is not None:
             out("joint_limits", lambda: 100.0 * joint_limit_share(motion, limits))
+
+    def _beats(self, clip: Clip, motion: Motion) -> MotionBeats:
+        return MotionBeats(motion, clip, self.statistics.mean_speed, self.variants.bas)
 
     def _speech(self, out: _Collected, clip: Clip, beats: MotionBeats, sound: Sound) -> None:
         motion = beats.motion
@@ -239,16 +242,16 @@ class ClipMetrics:
         return similarity.srgr(ours, theirs, semantic, threshold=near)
 
     def _features(self, clip: Clip, motion: Motion) -> np.ndarray:
-        return patch_features(motion, self.patches.variant, joints=clip.joints)
+        return patch_features(motion, self.variants.patches, joints=clip.joints)
 
     def _patches(self, clip: Clip) -> Values:
         _check_size(clip.generated, clip.recording)
         scores = patch_scores(
             self._features(clip, clip.generated),
             self._features(clip, clip.recording),
-            30 if self.patches.has_coverage else None,
-            threshold=self.patches.threshold,
-            variant=self.patches.variant,
+            30 if self.variants.has_coverage else None,
+            threshold=self.variants.threshold,
+            variant=self.variants.patches,
         )
         figures = {
             "coverage": 100.0 * scores.coverage,

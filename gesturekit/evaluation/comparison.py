@@ -24,7 +24,7 @@ from gesturekit.evaluation.definitions import (
     MOVEMENT,
     PATCHES,
     SPEECH,
-    PatchOptions,
+    Variants,
 )
 from gesturekit.evaluation.frame_rate import RULE
 from gesturekit.evaluation.headline.questions import answers
@@ -43,6 +43,7 @@ from gesturekit.evaluation.pairs import (
     Excluded,
     Items,
     Pairs,
+    Stretch,
     find_pairs,
     recordings,
 )
@@ -84,8 +85,8 @@ class EvaluationOptions:
     """Folder or file of semantic tracks, for SRGR."""
     protocol: str = ""
     """ "", or "multires" or "lda", the evaluations of the two papers."""
-    patches: PatchOptions | None = None
-    """Settings of the patch metrics."""
+    variants: Variants = Variants()
+    """Variants of the metrics."""
     features: FeatureModel | None = None
     """The feature extractor of `gesturekit fit-features`; without it, FGD is left out."""
     baselines: Sequence[str] = ()
@@ -125,7 +126,8 @@ def evaluate(
         generated: folder or file of motion, or {label: folder} of several models; clips are
             matched with recordings by name (`pairs`).
         reference: folder or file of recordings, or a manifest (corpus.jsonl, or `Items` of it),
-            cut into its items; Fréchet distances compare with all of them.
+            cut into its items; Fréchet distances compare with all items of the split, with
+            protocol lda of all splits.
         options: the fields of `EvaluationOptions`, such as `audio` and `protocol`.
 
     Returns:
@@ -148,8 +150,9 @@ def evaluate(
     found = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(found.values())))
     found |= baseline_pairs(chosen.baselines, found, reference, fps)
-    statistics = ReferenceStatistics.of(recordings(reference), fps)
-    work = _work(found, statistics, reference, fps, chosen)
+    compared = _compared(reference, chosen.protocol)
+    statistics = ReferenceStatistics.of(compared, fps)
+    work = _work(found, statistics, compared, reference, fps, chosen)
     measured = measure_all(work, chosen.workers, chosen.progress)
     own = work.floors()
     run = _Comparison(work.measure, chosen.protocol, chosen.seed, own)
@@ -166,7 +169,7 @@ def evaluate(
         reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
         protocol=chosen.protocol,
-        settings=_settings(chosen, split, work.measure.patches),
+        settings=_settings(chosen, split),
         recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
         recorded_wrists=np.array(first.get("recorded_wrists", ())),
     )
@@ -192,12 +195,12 @@ def _pairs(
     return found
 
 
-def _settings(options: EvaluationOptions, split: str | None, patches: PatchOptions) -> dict:
+def _settings(options: EvaluationOptions, split: str | None) -> dict:
     """Return the settings of the report."""
     return {
         **options.to_json(),
         "split": split,
-        "patches": asdict(patches),
+        "variants": asdict(options.variants),
         "mismatched": MISMATCHED,
         "resampling": RULE,
     }
@@ -206,18 +209,16 @@ def _settings(options: EvaluationOptions, split: str | None, patches: PatchOptio
 def _work(
     found: Mapping[str, Pairs],
     statistics: ReferenceStatistics,
+    compared: Mapping[str, Path | Stretch],
     reference: Path | Items,
     fps: float,
     options: EvaluationOptions,
 ) -> Work:
     """Return all that is to be measured."""
-    every = recordings(reference)
     return Work(
-        measure=ClipMetrics(
-            statistics, PROTOCOLS[options.protocol], options.patches or PatchOptions()
-        ),
+        measure=ClipMetrics(statistics, PROTOCOLS[options.protocol], options.variants),
         pairs={label: pairs.pairs for label, pairs in found.items()},
-        recordings={key: every[key] for key in statistics.recordings},
+        recordings={key: compared[key] for key in statistics.recordings},
         reference=reference,
         fps=fps,
         length=MULTIRES_LENGTH if options.protocol == "multires" else 1.0,
@@ -226,6 +227,17 @@ def _work(
         without=joints_to_leave_out(found, fps),
         local=frozenset(options.baselines),
     )
+
+
+def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | Stretch]:
+    """Return the recordings that sets of clips are compared with.
+
+    In Table 4 of Alexanderson et al. 2023 this is the full dataset: all splits of a manifest.
+    """
+    every = recordings(reference)
+    if protocol == "lda" and isinstance(reference, Items):
+        every |= {item.id: Stretch(item) for item in reference.others}
+    return every
 
 
 def _recordings(reference: str | Path | Items, split: str | None) -> Path | Items:

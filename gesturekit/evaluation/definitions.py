@@ -25,21 +25,25 @@ HEADLINE, SPEECH, MOVEMENT, LIFE, SIMILARITY, PATCHES, FRECHET = GROUPS = (
 
 
 @dataclass(frozen=True)
-class PatchOptions:
-    """Settings of the patch metrics; see `gesturekit.evaluation.metrics.patches`.
+class Variants:
+    """Choices among published variants of metrics.
 
     Attributes:
-        variant: "ganimator" or "paper".
-        threshold: coverage threshold; None for the default of the variant.
+        patches: of the patch metrics (`gesturekit.evaluation.metrics.patches`): "ganimator" or
+            "paper".
+        threshold: coverage threshold; None for the default of `patches`.
+        bas: of beat alignment (`gesturekit.evaluation.metrics.rhythm.beat_alignment`): "seconds"
+            or "bailando".
     """
 
-    variant: str = "ganimator"
+    patches: str = "ganimator"
     threshold: float | None = None
+    bas: Literal["seconds", "bailando"] = "seconds"
 
     @property
     def has_coverage(self) -> bool:
         """True if coverage is defined: the variant "paper" needs a threshold."""
-        return self.variant != "paper" or self.threshold is not None
+        return self.patches != "paper" or self.threshold is not None
 
 
 @dataclass(frozen=True)
@@ -57,13 +61,14 @@ class Definition:
     fps_bound: bool = False
     cheap: bool = False
 
-    def at(self, fps: float, patches: PatchOptions) -> Definition:
+    def at(self, fps: float, variants: Variants) -> Definition:
         """Return the definition with the settings filled in.
 
         `{30}` becomes "30 frames (1.20 s)", `{threshold}` the threshold of coverage.
         """
-        changed = _PAPER.get(self.key, {}) if patches.variant == "paper" else {}
-        threshold = THRESHOLD if patches.threshold is None else patches.threshold
+        chosen = {variants.patches, variants.bas}
+        changed = next((new for name, new in _CHANGES[self.key].items() if name in chosen), {})
+        threshold = THRESHOLD if variants.threshold is None else variants.threshold
 
         def filled(text: str) -> str:
             text = " ".join(text.split()).replace("{threshold}", f"{threshold:g}")
@@ -73,6 +78,7 @@ class Definition:
             self,
             variant=filled(changed.get("variant", self.variant)),
             text=filled(changed.get("text", self.text)),
+            fps_bound=changed.get("fps_bound", self.fps_bound),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -81,5 +87,9 @@ class Definition:
 
 
 _TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-_PAPER = {key: fields.pop("paper") for key, fields in _TABLE.items() if "paper" in fields}
+_CHANGES = {
+    key: {name: fields.pop(name) for name in [*fields] if isinstance(fields[name], dict)}
+    for key, fields in _TABLE.items()
+}
+"""{key of a metric: {variant: fields that differ in it}}"""
 DEFINITIONS = {key: Definition(key, **fields) for key, fields in _TABLE.items()}

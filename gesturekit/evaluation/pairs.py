@@ -75,14 +75,14 @@ class Items:
         items: the recordings.
         aside: reason not to measure clips of other items of the manifest, by id: "no motion", or
             "split train".
-        training: items with motion of the manifest's training split, if `split` is another one.
+        others: items with motion of the manifest's other splits.
     """
 
     path: Path
     split: str
     items: tuple[ManifestItem, ...]
     aside: Mapping[str, str] = field(default_factory=dict)
-    training: tuple[ManifestItem, ...] = ()
+    others: tuple[ManifestItem, ...] = ()
 
     @classmethod
     def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
@@ -109,8 +109,13 @@ class Items:
         items = manifest.in_split(split, str(path))
         aside = {item.id: f"split {item.split}" for item in manifest if item.split != split}
         aside |= {item.id: "no motion" for item in manifest if item.motion is None}
-        training = [i for i in manifest if i.split == "train" != split and i.motion is not None]
-        return cls(path, split, items, aside, tuple(training))
+        others = [i for i in manifest if i.split != split and i.motion is not None]
+        return cls(path, split, items, aside, tuple(others))
+
+    @property
+    def training(self) -> tuple[ManifestItem, ...]:
+        """Items with motion of the manifest's training split, if `split` is another one."""
+        return tuple(item for item in self.others if item.split == "train")
 
     @cached_property
     def stretches(self) -> dict[str, Stretch]:

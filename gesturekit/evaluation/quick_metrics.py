@@ -9,7 +9,7 @@ import numpy as np
 
 from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
 from gesturekit.evaluation.clips import Clip
-from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, PatchOptions
+from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, Variants
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
@@ -27,7 +27,7 @@ def quick_metrics(generated: Sequence[Motion], recordings: Sequence[Motion]) -> 
         generated: motions of one rig.
         recordings: the same number of motions, of the same rig and frame rate.
     """
-    measure = ClipMetrics(ReferenceStatistics(), (MOVEMENT,), PatchOptions())
+    measure = ClipMetrics(ReferenceStatistics(), (MOVEMENT,), Variants())
     every: dict[str, list[float]] = {}
     for motion, recording in zip(generated, recordings, strict=True):
         clip = Clip(_NAMELESS, motion, recording, body_joints(recording.skeleton), None, ())

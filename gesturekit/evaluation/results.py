@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.atomic import atomic_write
-from gesturekit.evaluation.definitions import DEFINITIONS, Definition, PatchOptions
+from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
 from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
@@ -202,8 +202,8 @@ class Evaluation:
     def definitions(self) -> list[Definition]:
         """Return the definitions of all metrics that at least one model has."""
         keys = {key for model in self.models for key in model.figures}
-        patches = PatchOptions(**self.settings["patches"])
-        return [DEFINITIONS[key].at(self.fps, patches) for key in DEFINITIONS if key in keys]
+        variants = Variants(**self.settings["variants"])
+        return [DEFINITIONS[key].at(self.fps, variants) for key in DEFINITIONS if key in keys]
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values: format, versions, settings, definitions, and all metrics."""

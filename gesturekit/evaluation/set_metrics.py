@@ -197,7 +197,7 @@ class SetMetrics:
         if len(self._samples) >= INTER_SAMPLES:
             return
         try:
-            variant = self.measure.patches.variant
+            variant = self.measure.variants.patches
             self._samples.append(patch_features(clip.generated, variant, joints=clip.joints))
             if len(self._samples) > 1:
                 self._inter[clip.pair.stem] = inter_diversity(self._samples)

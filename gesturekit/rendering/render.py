@@ -163,25 +163,12 @@ class Renderer(Processor):
             found |= {"start": item.audio_start, "duration": item.duration}
             found |= {"channel": item.channel} if item.channel is not None else {}
             found |= {"audible": described(item.audible)} if item.audible else {}
-            found |= described(self.item_controls(item))
+            found |= described(self._item_controls(item))
         return found | described(task.options)
 
-    def item_controls(self, item: Item) -> dict[str, Any]:
-        """Return the controls of a manifest's item that the model has as inputs."""
-        inputs = self.model.inputs
-        found: dict[str, Any] = {}
-        if item.style in self.model.styles:
-            found["style"] = item.style
-        if item.speaker in self.model.speakers:
-            found["speaker"] = item.speaker
-        if inputs.path and (item.motion or "path" in item.conditions):
-            n_frames = max(1, int(item.duration * self.model.fps + 0.5))
-            found["path"] = item.load_path(self.model.fps, n_frames) or item.load_motion()
-        if events := [event for event in item.load_events() if event.name in inputs.events]:
-            found["events"] = ",".join(
-                f"{event.name}@{event.time:g}" + (f":{event.duration:g}" if event.duration else "")
-                for event in events
-            )
+    def _item_controls(self, item: Item) -> dict[str, Any]:
+        """Return the controls of a manifest's item that were not given for all inputs."""
+        found = item_controls(self.model, item)
         return {name: value for name, value in found.items() if name not in self.controls}
 
     def make(self, work: Work, made: Made) -> None:
@@ -210,7 +197,7 @@ class Renderer(Processor):
                 log.warning("%s: %s", task.source, fault)
         controls, seconds = self.controls, self.seconds
         if item is not None:
-            controls = self.item_controls(item) | controls
+            controls = self._item_controls(item) | controls
             seconds = item.duration if wave is None or not self._takes_speech() else None
         if task.options:
             own = {name: task.options.get(name) for name in ("seed", "style", "speaker")}
@@ -236,6 +223,28 @@ class Renderer(Processor):
         if file.suffix in (".html", ".mp4", ".png") and sound is not None:
             options["audio"] = sound
         motion.save(file, **options)
+
+
+def item_controls(model: Model, item: Item) -> dict[str, Any]:
+    """Return the controls of a manifest's item that the model has as inputs.
+
+    Raises:
+        GestureKitError: a file of the item cannot be read.
+    """
+    found: dict[str, Any] = {}
+    if item.style in model.styles:
+        found["style"] = item.style
+    if item.speaker in model.speakers:
+        found["speaker"] = item.speaker
+    if model.inputs.path and (item.motion or "path" in item.conditions):
+        n_frames = max(1, int(item.duration * model.fps + 0.5))
+        found["path"] = item.load_path(model.fps, n_frames) or item.load_motion()
+    if events := [event for event in item.load_events() if event.name in model.inputs.events]:
+        found["events"] = ",".join(
+            f"{event.name}@{event.time:g}" + (f":{event.duration:g}" if event.duration else "")
+            for event in events
+        )
+    return found
 
 
 def _without_defaults(arguments: Mapping[str, Any], kind: str) -> dict[str, Any]:

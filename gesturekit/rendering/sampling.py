@@ -1,112 +1,190 @@
 """Samples for the papers' evaluation protocols, written to a folder.
 
-`gesturekit.evaluation` only reads such folders, not models. Motion has the model's own frame rate.
+`gesturekit.evaluation` only reads such folders, not models. Motion has the model's own frame rate,
+each recording's own style and speaker, and noise drawn for each clip from the seed and its name.
 Clips are named after their recordings: `STEM_s1` ..., `STEM_w000_s1` ... for windows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import audio_features as af
+from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.comparison import LDA_SAMPLES, MULTIRES_LENGTH, MULTIRES_SAMPLES
-from gesturekit.evaluation.pairs import (
-    WINDOW_SECONDS,
-    files_by_key,
-    motion_files,
-)
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, files_by_key, motion_files
+from gesturekit.formats.conversion import load
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.model import Model
-from gesturekit.motion.motion import Motion
+from gesturekit.rendering.render import item_controls
+from gesturekit.training.seeds import rng_for
+from gesturekit.wording import listed
+
+RAW = {"foot_lock": False, "smooth": 0.0}
+"""Controls that leave motion as the network generates it, as both papers measure it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SamplingOptions:
+    """Settings of `sample_multires` and `sample_lda`.
+
+    Attributes:
+        samples: number of samples for each sequence or window; None for that of the paper.
+        seed: the noise of a clip is drawn from it and the name of the clip.
+        skip: keep existing samples, to continue an interrupted run.
+        postprocess: lock feet and smooth as `generate` does.
+    """
+
+    samples: int | None = None
+    seed: int = 0
+    skip: bool = False
+    postprocess: bool = False
 
 
 def sample_multires(
-    model: Model,
-    reference: Path,
-    out: Path,
-    *,
-    audio: Path | None = None,
-    samples: int = MULTIRES_SAMPLES,
-    seed: int = 0,
-    skip: bool = False,
+    model: Model, items: Sequence[Item], out: Path, options: SamplingOptions
 ) -> Iterator[Path]:
     """Sample for Table 1 of Moreno-Villamarín et al. 2024, twice as long as training sequences.
 
-    Noise is given to level 1 only, as in `generate`, and feet are not locked.
+    A model with speech input gets each sound twice in a row. Noise is given to level 1 only, as in
+    `generate`.
 
     Args:
         model: model from `gesturekit.load`.
-        reference: folder of the training sequences.
+        items: the training sequences.
         out: folder to fill with `STEM_s1.npz` ...
-        audio: folder of their sound; a model with speech input gets each sound twice in a row.
-            Without it, the model generates without speech.
-        samples: number of samples for each sequence.
-        seed: seed of the first sample of each; the others count up from it.
-        skip: keep existing samples, to continue an interrupted run.
+        options: settings.
 
     Yields:
         each file, as it is written.
 
     Raises:
-        CorpusError: an empty folder.
-        ConfigError: `audio` lacks the sound of a sequence.
+        ConfigError: the style of an item is not one of the model's.
     """
-    sequences = motion_files(reference)
-    sounds = {} if audio is None else files_by_key(audio, SPEECH_SUFFIXES, "sound")
-    missing = [stem for stem in sequences if audio is not None and stem not in sounds]
-    if missing:
-        raise ConfigError(f"{audio}: no sound file named {', '.join(missing[:3])}")
-    for stem, path in sequences.items():
-        if stem in sounds:
-            wave = af.Wave.load(sounds[stem])
-            whole = np.tile(wave.samples, round(MULTIRES_LENGTH))
-            asked = {"speech": af.Wave(whole, wave.sample_rate, wave.source)}
-        else:
-            asked = {"seconds": MULTIRES_LENGTH * Motion.load(path).duration}
-        yield from _samples(model, asked | {"foot_lock": False}, out, stem, samples, seed, skip)
+    _check_styles(model, items)
+    for item in items:
+        controls = _controls(model, item, options, round(MULTIRES_LENGTH))
+        yield from _samples(model, item.id, controls, out, options, MULTIRES_SAMPLES)
 
 
 def sample_lda(
-    model: Model,
-    audio: Path,
-    out: Path,
-    *,
-    samples: int = LDA_SAMPLES,
-    seed: int = 0,
-    skip: bool = False,
+    model: Model, items: Sequence[Item], out: Path, options: SamplingOptions
 ) -> Iterator[Path]:
     """Sample for Table 4 of Alexanderson et al. 2023: for adjacent 10 s windows of speech.
 
-    The rest of a recording after its last whole window is not used. Files are `STEM_w000_s1.npz`
-    ...; `audio` is the folder of the test recordings' sound, and the rest as in `sample_multires`.
+    The rest of an item after its last whole window is not used. Files are `STEM_w000_s1.npz` ...;
+    arguments are as in `sample_multires`, with the test recordings as items.
+
+    Raises:
+        ConfigError: no item is as long as a window, or the style of one is not the model's.
+    """
+    _check_styles(model, items)
+    made = 0
+    for item in items:
+        for number in range(int(item.duration / WINDOW_SECONDS + 1e-6)):
+            start = number * WINDOW_SECONDS
+            window = replace(
+                item,
+                id=f"{item.id}_w{number:03d}",
+                audio_start=item.audio_start + start,
+                motion_start=item.motion_start + start,
+                duration=WINDOW_SECONDS,
+            )
+            controls = _controls(model, window, options)
+            yield from _samples(model, window.id, controls, out, options, LDA_SAMPLES)
+            made += 1
+    if not made:
+        raise ConfigError(f"no recording is as long as a window of {WINDOW_SECONDS:g} s")
+
+
+def sequences_of(folder: Path, audio: Path | None, reading: Mapping[str, Any]) -> list[Item]:
+    """Return the motion of a folder as items, whose styles and speakers are not known.
+
+    Args:
+        folder: folder of motion.
+        audio: folder of its sound, or None.
+        reading: options of `gesturekit.formats.conversion.load`.
 
     Raises:
         CorpusError: an empty folder.
-        ConfigError: no recording is as long as a window.
+        ConfigError: `audio` lacks the sound of a motion.
     """
-    made = 0
-    for stem, path in files_by_key(audio, SPEECH_SUFFIXES, "sound").items():
-        wave = af.Wave.load(path)
-        for window in range(int(wave.duration / WINDOW_SECONDS + 1e-6)):
-            asked = {"speech": wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)}
-            yield from _samples(model, asked, out, f"{stem}_w{window:03d}", samples, seed, skip)
-            made += 1
-    if not made:
-        raise ConfigError(f"{audio}: no recording is as long as a window of {WINDOW_SECONDS:g} s")
+    motions = motion_files(folder)
+    sounds = {} if audio is None else files_by_key(audio, SPEECH_SUFFIXES, "sound")
+    missing = [stem for stem in motions if audio is not None and stem not in sounds]
+    if missing:
+        raise ConfigError(f"{audio}: no sound file named {', '.join(missing[:3])}")
+    return [
+        Item(
+            id=stem,
+            audio=sounds.get(stem),
+            motion=path,
+            duration=load(path, reading).duration,
+            reading=reading,
+        )
+        for stem, path in motions.items()
+    ]
+
+
+def sounds_of(folder: Path) -> list[Item]:
+    """Return the sounds of a folder as items, whose styles and speakers are not known.
+
+    Raises:
+        CorpusError: an empty folder.
+    """
+    sounds = files_by_key(folder, SPEECH_SUFFIXES, "sound")
+    return [
+        Item(id=stem, audio=path, motion=None, duration=af.Wave.load(path).duration)
+        for stem, path in sounds.items()
+    ]
+
+
+def _check_styles(model: Model, items: Sequence[Item]) -> None:
+    """Check that the model has the style of each item.
+
+    Raises:
+        ConfigError: it lacks one, or an item has none.
+    """
+    unknown = {str(item.style) for item in items if item.style not in model.styles}
+    if model.styles and unknown:
+        names = [item.id for item in items if item.style not in model.styles]
+        raise ConfigError(
+            f"style {listed(sorted(unknown), 3)} of {listed(names, 3)}: the model has "
+            f"{', '.join(model.styles)}. A protocol samples each recording in its own style: give "
+            "--corpus, a manifest with the recordings' styles"
+        )
+
+
+def _controls(
+    model: Model, item: Item, options: SamplingOptions, repeats: int = 1
+) -> dict[str, Any]:
+    """Return the arguments of `generate` for an item, several times as long as the item."""
+    found = item_controls(model, item) | ({} if options.postprocess else RAW)
+    if item.audio is None or not model.inputs.speech:
+        return found | {"seconds": repeats * item.duration}
+    wave = item.load_wave()
+    return found | {"speech": replace(wave, samples=np.tile(wave.samples, repeats))}
 
 
 def _samples(
-    model: Model, asked: dict[str, Any], out: Path, stem: str, samples: int, seed: int, skip: bool
+    model: Model,
+    name: str,
+    controls: Mapping[str, Any],
+    out: Path,
+    options: SamplingOptions,
+    usual: int,
 ) -> Iterator[Path]:
     # One at a time: 200 motions of some minutes do not fit into memory together.
-    for number in range(samples):
-        path = out / f"{stem}_s{number + 1}.npz"
+    for number in range(options.samples or usual):
+        path = out / f"{name}_s{number + 1}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
-        if not (skip and path.exists()):
-            model.generate(**asked, seed=seed + number, fps=model.fps).save(path)
+        if not (options.skip and path.exists()):
+            seed = rng_for(options.seed, name, number).initial_seed()
+            model.generate(**controls, seed=seed, fps=model.fps).save(path)
         yield path

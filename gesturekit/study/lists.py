@@ -43,14 +43,16 @@ def ordered_pairs(config: StudyConfig) -> list[tuple[str, str]]:
 def make_lists(config: StudyConfig, segments: Sequence[Segment]) -> list[list[Comparison]]:
     """Return the lists of a study, `config.lists` of them.
 
-    Each style has its share of `config.pairs`.
+    Each style has its share of `config.pairs`; styles follow the order of `config.styles`, as in
+    section 4.3.2 of the diffusion paper.
     """
-    groups: dict[str, list[Segment]] = defaultdict(list)
+    groups: dict[str, list[Segment]] = {style: [] for style in config.styles or [""]}
     for segment in segments:
         groups[segment.style].append(segment)
+    groups = {style: group for style, group in groups.items() if group}
     made: list[list[Comparison]] = [[] for _ in range(config.lists)]
     wanted = config.pairs if config.pairs is not None else len(segments)
-    for number, style in enumerate(sorted(groups)):
+    for number, style in enumerate(groups):
         share = (wanted + number) // len(groups)
         rng = np.random.default_rng([config.seed, number])
         found = _balanced(ordered_pairs(config), groups[style], config.lists, share, rng)

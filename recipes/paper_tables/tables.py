@@ -1,6 +1,6 @@
 """Run the evaluation of one of the two papers, and write its table with ours beside it.
 
-    python tables.py multires runs/labels/model recordings/
+    python tables.py multires runs/labels/model corpus.jsonl
     python tables.py lda runs/speech/model recordings/ --audio recordings/
 
 Samples go to out/samples, the results to out/PROTOCOL.json and the table to out/PROTOCOL.md. The
@@ -53,7 +53,10 @@ def main(argv: list[str] | None = None) -> None:
     out = options.out
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{options.protocol}.json"
-    command = [sys.executable, "-m", "gesturekit", "evaluate", options.model, options.recordings]
+    is_manifest = Path(options.recordings).suffix == ".jsonl"
+    command = [sys.executable, "-m", "gesturekit", "evaluate", options.model]
+    command += ["--corpus", options.recordings] if is_manifest else [options.recordings]
+    command += ["--bas", "bailando"] if options.protocol == "lda" else []
     command += ["--protocol", options.protocol, "--samples", str(options.samples)]
     command += ["--samples-dir", str(out / "samples"), "--existing", "replace", "--json", str(path)]
     for name in ("audio", "features"):
@@ -75,7 +78,7 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("protocol", choices=["multires", "lda"])
     parser.add_argument("model", help="model folder, or a folder of rendered samples")
-    parser.add_argument("recordings", help="folder of recordings")
+    parser.add_argument("recordings", help="folder of recordings, or manifest of a corpus")
     parser.add_argument("--audio", help="folder of the recordings' sound")
     parser.add_argument("--features", help="extractor of gesturekit fit-features, for FGD")
     parser.add_argument("--samples", type=int, default=3, help="of each sequence or window")

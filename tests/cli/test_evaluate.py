@@ -6,6 +6,7 @@ import csv
 import html
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +138,52 @@ def test_a_protocol_samples_models(
         "--samples", 1, "--samples-dir", tmp_path / "samples",
     )  # fmt: skip
     assert again.status == 2 and "samples of an earlier run" in again.err
+
+
+def test_a_protocol_samples_the_items_of_a_manifest(gesturekit, model, write_pair, tmp_path):
+    from gesturekit.corpus import Manifest
+    from gesturekit.corpus.item import Item
+
+    items = []
+    for name, split in (("talk", "test"), ("walk", "train")):
+        audio, motion = write_pair(tmp_path / "recordings", name, 11.0, fps=25.0)
+        items.append(Item(id=name, audio=audio, motion=motion, duration=11.0, split=split))
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    about = ["--corpus", tmp_path / "corpus.jsonl", "--samples", 1, "--json", tmp_path / "r.json"]
+    for protocol, clip, more in (
+        ("multires", "walk_s1", []),
+        ("lda", "talk_w000_s1", []),
+        ("lda", "walk_w000_s1", ["--split", "train", "--bas", "bailando"]),
+    ):
+        samples = tmp_path / f"samples {clip}"
+        done = gesturekit(
+            "evaluate", model, *about, "--protocol", protocol, "--samples-dir", samples, *more
+        )
+        assert done.status == 0, done.err
+        found = json.loads((tmp_path / "r.json").read_text())
+        assert [c["name"] for m in found["models"] for c in m["clips"]] == [clip]
+        assert found["settings"]["variants"]["bas"] == ("bailando" if more else "seconds")
+        if protocol == "multires":  # it has no Fréchet distances that could be left out
+            assert "Left out" not in done.err
+
+
+def test_a_model_with_styles_is_not_sampled_for_recordings_of_unknown_style(
+    gesturekit, corpus, write_pair, tiny, tmp_path
+):
+    from gesturekit.corpus import Manifest
+
+    styled = [replace(item, style="calm", split="train") for item in Manifest.load(corpus)]
+    Manifest(styled).save(tmp_path / "corpus.jsonl")
+    done = gesturekit(
+        "train", "multires_labels", *tiny, "noise_levels=6",
+        f"corpus={tmp_path / 'corpus.jsonl'}", f"out={tmp_path / 'run'}",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    write_pair(tmp_path / "recordings", "clip", 3.0)
+    about = ["--protocol", "multires", "--samples", 1, "--samples-dir", tmp_path / "samples"]
+    done = gesturekit("evaluate", tmp_path / "run" / "model", tmp_path / "recordings", *about)
+    assert done.status == 2 and not (tmp_path / "samples").exists()
+    assert "style None of clip: the model has calm" in done.err and "--corpus" in done.err
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from audio_features import Wave
+from gesturekit.corpus import Manifest
+from gesturekit.corpus.item import Item
 from gesturekit.errors import EvaluationError, GestureKitError
-from gesturekit.evaluation import PatchOptions, evaluate
+from gesturekit.evaluation import Variants, evaluate
+from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
 from gesturekit.evaluation.report.headline import interval_warnings
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.selection.joint_selection import keep_joints
@@ -56,6 +60,18 @@ def test_recordings_against_themselves_are_perfect(folders):
     assert values["local_diversity"] == pytest.approx(0.0, abs=1e-5)  # distances are rounded
     assert values["cca"] == pytest.approx(1.0) and values["cca_global"] == pytest.approx(1.0)
     assert values["raw_fgd"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_recordings_own_value_is_that_of_the_next_recording_in_place_of_a_clip(
+    folders, tmp_path
+):
+    for i in range(4):
+        following = Motion.load(folders / "recordings" / f"clip{(i + 1) % 4}.bvh")
+        following.save(_made(tmp_path / f"clip{i}.npz"))
+    (model,) = evaluate(tmp_path, folders / "recordings").models
+    for key in ("coverage", "global_diversity", "local_diversity", "cca"):
+        figure = model.figures[key]
+        assert figure.interval.value == pytest.approx(figure.recording, rel=1e-4), key
 
 
 def test_samples_of_one_recording_count_as_one_draw(folders):
@@ -131,6 +147,49 @@ def test_windows_are_compared_with_their_part_of_the_recording(tmp_path, gesture
     assert model.figures["fid_k"].recording is not None
 
 
+def test_windows_of_a_manifest_are_compared_with_all_of_its_splits(tmp_path, gesture, write_speech):
+    items = []
+    for k, (name, split) in enumerate((("a", "test"), ("b", "train"), ("c", "valid"))):
+        motion, sound = (_made(tmp_path / "recordings" / f"{name}.{s}") for s in ("npz", "wav"))
+        gesture(20.0, 25.0, seed=k).save(motion)
+        write_speech(sound, 20.0)
+        items.append(Item(id=name, audio=sound, motion=motion, duration=20.0, split=split))
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    for sample in range(6):
+        path = tmp_path / "made" / f"a_w{sample % 2:03d}_s{1 + sample // 2}.npz"
+        gesture(10.0, 25.0, seed=10 + sample).save(_made(path))
+    of_corpus = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", protocol="lda")
+    sound = tmp_path / "recordings"
+    of_folder = evaluate(tmp_path / "made", tmp_path / "recordings", audio=sound, protocol="lda")
+    (one,), (other,) = of_corpus.models, of_folder.models
+    assert one.excluded == other.excluded == [] and one.notes == []
+    for key in ("fid_k", "fid_g", "raw_fgd", "bas", "joint_limits"):
+        ours, theirs = one.figures[key], other.figures[key]
+        assert ours.interval.value == pytest.approx(theirs.interval.value), key
+        assert ours.recording == pytest.approx(theirs.recording), key
+    assert one.figures["fid_k"].recording > 0  # the windows' own distance to the full dataset
+
+
+def test_beat_alignment_is_that_of_the_chosen_variant(folders):
+    found = {}
+    for name in ("seconds", "bailando"):
+        result = evaluate(
+            folders / "samples",
+            folders / "recordings",
+            audio=folders / "sound",
+            protocol="lda",
+            variants=Variants(bas=name),
+        )
+        (clip, *_) = result.models[0].clips
+        pulse = music_beats(Wave.load(folders / "sound" / f"{clip.pair.stem}.wav"))
+        expected = beat_alignment(Motion.load(clip.pair.generated), pulse, variant=name)
+        assert clip.figures["bas"] == pytest.approx(expected.score)
+        (bas,) = (d for d in result.definitions() if d.key == "bas")
+        assert bas.fps_bound == (name == "bailando") == ("first frame" in bas.variant)
+        found[name] = clip.figures["bas"]
+    assert found["seconds"] != pytest.approx(found["bailando"], rel=1e-3)
+
+
 def test_the_multires_protocol_notes_missing_samples(folders):
     found = evaluate(folders / "samples", folders / "recordings", protocol="multires")
     (model,) = found.models
@@ -147,11 +206,13 @@ def test_the_papers_patch_variant_has_no_coverage_without_a_threshold(folders):
         found = evaluate(
             folders / "samples",
             folders / "recordings",
-            patches=PatchOptions("paper", threshold),
+            variants=Variants("paper", threshold),
             protocol="multires",
         )
         assert ("coverage" in found.models[0].figures) is has
-        assert found.settings["patches"] == {"variant": "paper", "threshold": threshold}
+        assert found.settings["variants"] == {
+            "patches": "paper", "threshold": threshold, "bas": "seconds"
+        }  # fmt: skip
         said = {d.key: d.variant for d in found.definitions()}
         assert said["local_diversity"] == "paper: 15 frames (0.60 s)"
     assert said["coverage"] == "paper: 30 frames (1.20 s), 40"

@@ -14,7 +14,7 @@ from gesturekit.evaluation import acceleration, arm_speed, foot_skate, jerk, joi
 from gesturekit.evaluation import wrist_speed as wrist_speeds
 from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
 from gesturekit.evaluation.clips import Clip
-from gesturekit.evaluation.definitions import GROUPS, PatchOptions
+from gesturekit.evaluation.definitions import GROUPS, Variants
 from gesturekit.evaluation.metrics.rhythm import (
     beat_alignment,
     beat_consistency,
@@ -118,7 +118,7 @@ def measured(pair_of_files, tmp_path_factory):
     table = folder / "speech.txt"
     table.write_text("gesture\t5.0\t20.0\t15.0\t0.5\t\n")
     statistics = ReferenceStatistics.of({"speech": folder / "speech.npz"}, recording.fps)
-    metrics = ClipMetrics(statistics, GROUPS, PatchOptions())
+    metrics = ClipMetrics(statistics, GROUPS, Variants())
     pair = Pair("speech", "speech", None, folder / "g.npz", folder / "speech.npz", sound)
     joints = body_joints(recording.skeleton)
 

@@ -271,6 +271,31 @@ def test_within_reach_counts_windows_that_have_a_near_one():
         within_reach(recorded, windows([0.0, 1.0], [0.0, 3.0]))
 
 
+def test_windows_of_two_clips_are_neighbours_whenever_they_begin():
+    def windows(values: list[float]) -> MotionWindows:
+        clips = tuple(np.full((25, 1), value / 5) for value in values)
+        return MotionWindows(clips, np.arange(len(values)), np.zeros(len(values), int))
+
+    # Nearest of another clip: 0 -> 1.0, 1 -> 1.0, 3 -> 2.0; median 1.0.
+    assert within_reach(windows([0.9]), windows([0.0, 1.0, 3.0])) == 2 / 3
+    assert within_reach(windows([2.1]), windows([0.0, 1.0, 3.0])) == 1 / 3
+
+
+def test_the_recordings_value_is_that_of_the_recordings_each_model_has_clips_of(talker, tmp_path):
+    for k, name in enumerate("abc"):
+        talker(k, 9.0).save(tmp_path / "recordings" / f"{name}.npz")
+        talker(5 + k, 9.0).save(tmp_path / "whole" / f"{name}.npz")
+        talker(8 + k, 9.0).save(tmp_path / "less" / f"{name}.npz")
+    (tmp_path / "less" / "c.npz").write_bytes(b"damaged")
+    folders = {name: tmp_path / name for name in ("whole", "less")}
+    whole, less = evaluate(folders, tmp_path / "recordings").models
+    (alone,) = evaluate({"less": tmp_path / "less"}, tmp_path / "recordings").models
+    for key in ("one_nn", "within_reach", "copying", "copying_low"):
+        own = less.figures[key].recording
+        assert own == pytest.approx(alone.figures[key].recording), key
+    assert whole.figures["copying"].recording != pytest.approx(less.figures["copying"].recording)
+
+
 def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
     training, held_out = talker(0, 60.0), talker(1, 20.0)
     new = copying(talker(2, 20.0), held_out, training)

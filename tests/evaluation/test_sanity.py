@@ -51,8 +51,8 @@ def test_no_bad_motion_is_bold_against_the_recording(spoken):
 def test_every_interval_is_stated(spoken):
     for model in spoken.evaluation.models:
         for key in ("in_time", "likeness", "novelty", "reach", "sync", "foot_skate"):
-            if key in model.figures:
-                assert model.figures[key].interval.low is not None, (model.label, key)
+            interval = model.figures[key].interval
+            assert interval.low <= interval.value <= interval.high, (model.label, key)
 
 
 def test_the_table_says_what_metrics_are_blind_to(spoken):
@@ -60,7 +60,7 @@ def test_the_table_says_what_metrics_are_blind_to(spoken):
     assert found["foot_skate"]["foot slide"] == "+"
     assert found["foot_skate"]["frozen"] == "!"  # a statue slides less than the recording
     assert found["reach"]["half reach"] == "+" and found["sync"]["half reach"] == "."
-    assert set(found["local_diversity"].values()) <= {"!"}  # as published: more is better
+    assert set(found["local_diversity"].values()) == {"!"}  # as published: more is better
 
 
 @pytest.mark.stress
@@ -74,7 +74,7 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
     done = run_sanity(tmp_path)
     found = noticed_by(done)
     assert {key for key, by in found.items() if not by} == {"another utterance"}
-    assert found["training recording"] == ["novelty"] or "novelty" in found["training recording"]
+    assert "novelty" in found["training recording"]
     assert "not informative here" in conclusion(done)
     assert ranking(done.evaluation)[0][0] in (RECORDING, "another utterance")
 

@@ -141,11 +141,12 @@ def test_the_rate_is_limited_and_recovers(client):
     assert rate.wait("a") == 0.0
 
 
-def test_the_rate_remembers_a_bounded_number_of_clients():
-    rate = Rate(1)
-    for number in range(10_500):
-        rate.wait(str(number))
-    assert len(rate._buckets) == 10_000
+def test_more_clients_than_are_remembered_leave_the_newest_one_limited(monkeypatch):
+    monkeypatch.setattr("gesturekit.serving.limits._MOST_CLIENTS", 3)
+    rate = Rate(1, clock=lambda: 0.0)
+    assert [rate.wait(name) for name in "abcad"] == [0, 0, 0, 60, 0]
+    # b was seen longest ago, and has a full bucket again; all others still wait.
+    assert [rate.wait(name) for name in "acdb"] == [60, 60, 60, 0]
 
 
 def test_figures_for_prometheus(client):

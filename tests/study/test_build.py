@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import ConfigError
+from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, OWN_COLUMNS
 from gesturekit.study import build_study
+from gesturekit.study.build import CODES, REASONS
 from gesturekit.study.clips import Segment, find_clips
 from gesturekit.study.config import StudyConfig, load_study_config
 from gesturekit.study.lists import make_lists, mismatches
@@ -52,6 +54,26 @@ def test_every_style_has_its_share():
     config = config_of(2, design="style", styles={"old": "an old person", "sad": "sad"}, pairs=10)
     found = make_lists(config, [*segments(8, "old"), *segments(8, "sad")])
     assert Counter(c.segment.style for c in found[0]) == {"old": 5, "sad": 5}
+
+
+def test_styles_come_in_the_order_of_the_configuration():
+    styles = {"sad": "sad", "happy": "happy", "old": "an old person"}
+    found = make_lists(
+        config_of(2, design="style", styles=styles, lists=3, pairs=10),
+        [segment for style in ("happy", "old", "sad") for segment in segments(8, style)],
+    )
+    for one in found:
+        shown = [comparison.segment.style for comparison in one]
+        assert list(dict.fromkeys(shown)) == ["sad", "happy", "old"]
+        assert sorted(Counter(shown).values()) == [3, 3, 4]
+
+
+def test_every_column_and_code_of_the_answers_is_documented():
+    page = (Path(__file__).parents[2] / "docs" / "study.md").read_text(encoding="utf-8")
+    codes = [*CODES, *(code for reasons in REASONS.values() for code in reasons)]
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert not [name for name in (*GENEA_COLUMNS, *OWN_COLUMNS) if f"`{name}`" not in "".join(rows)]
+    assert not [code for code in codes if f"`{code}`" not in page]
 
 
 def test_mismatched_motion_is_another_clip_of_the_same_folder():

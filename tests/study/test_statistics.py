@@ -20,7 +20,13 @@ from gesturekit.study.analysis.preference import (
     elo_estimates,
     merit_estimates,
 )
-from gesturekit.study.analysis.significance import anova, holm, two_proportions, wilson
+from gesturekit.study.analysis.significance import (
+    anova,
+    holm,
+    rater_test,
+    two_proportions,
+    wilson,
+)
 from gesturekit.study.analysis.votes import Votes
 
 BY_HAND = [
@@ -93,6 +99,13 @@ def test_pairs_are_tested_by_the_means_of_raters(simulate, answers_of):
         means.setdefault(answer.user, []).append(own)
     expected = stats.ttest_1samp([np.mean(scores) for scores in means.values()], 0)
     assert pair.p == pytest.approx(expected.pvalue)
+
+
+def test_the_raters_test_by_hand_leaves_out_raters_without_answers():
+    # Means 3/2, -1 and 2/4: t = (1/3) / sqrt(19/36) = 0.458831; with 2 degrees of freedom
+    # p = 1 - t / sqrt(2 + t²).
+    found = rater_test(np.array([3.0, 0.0, -1.0, 2.0]), np.array([2, 0, 1, 4]))
+    assert found == pytest.approx(0.691394, abs=1e-6)
 
 
 def test_holm_by_hand_and_undefined_p_values_stay():
@@ -250,6 +263,17 @@ def test_the_power_is_that_of_simulated_studies():
     scores = rng.choice([2, 1, -1, -2, 0], p=[*shares, 0.2], size=(2000, raters, 3)).mean(axis=2)
     p = stats.ttest_1samp(scores, 0, axis=1).pvalue
     assert (p < 0.05).mean() == pytest.approx(0.8, abs=0.04)
+
+
+@pytest.mark.parametrize("comparisons", [1, 3])
+def test_the_power_is_that_of_the_noncentral_t_distribution(comparisons):
+    # A score has mean 0.8 (0.65 - 0.35) (1 + 0.4) = 0.336 and variance
+    # 0.8 (0.6 + 0.4 · 4) - 0.336²; the mean of 6 answers of one rater has 0.1 + 0.9 / 6 of it.
+    d = 0.336 / np.sqrt((0.8 * 2.2 - 0.336**2) * 0.25)
+    critical = stats.t.isf(0.025 / comparisons, 39)
+    t = stats.nct(39, d * np.sqrt(40))
+    found = power_of(Expected(0.65, ties=0.2, clear=0.4, agreement=0.1), 40, 6, comparisons)
+    assert found == pytest.approx(t.sf(critical) + t.cdf(-critical), abs=1e-6)
 
 
 def test_correlated_answers_of_a_rater_need_more_raters():

@@ -141,7 +141,7 @@ def _set_metrics(
     if PATCHES in measure.groups:
         metrics["inter_diversity"] = lambda: inter_diversity(
             [
-                patch_features(motion, measure.patches.variant, joints=joints)
+                patch_features(motion, measure.variants.patches, joints=joints)
                 for motion in list(recordings.values())[:INTER]
             ]
         )

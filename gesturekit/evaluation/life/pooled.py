@@ -266,7 +266,7 @@ class LifeMetrics:
 
     @cached_property
     def _recordings(self) -> str:
-        """Digest of the recordings: clips of another length compare with less of them."""
+        """Digest of the recordings: a model lacks those whose clips cannot be read."""
         digest = hashlib.sha256()
         for motion in self._recorded.values():
             digest.update(np.ascontiguousarray(motion.rotations))

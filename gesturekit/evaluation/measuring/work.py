@@ -131,7 +131,7 @@ class Work:
         """Compute one part of the metrics of a model's clips."""
         groups = self.measure.groups
         groups = [g for g in groups if (g == FRECHET) == (task.part == "frechet")]
-        measure = ClipMetrics(self.measure.statistics, groups, self.measure.patches)
+        measure = ClipMetrics(self.measure.statistics, groups, self.measure.variants)
         training = TrainingMotion()
         if LIFE in groups:
             training = TrainingMotion.of(self.reference, self.seed)
@@ -150,7 +150,7 @@ class Work:
                 speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
                 wrists[window] = wrists_of(clip.recording)
             clip_set.add(clip, speeds[window])
-        if not windows:
+        if not windows or not groups:
             figures: dict[str, MetricResult] = {}
         elif task.part == "frechet":
             figures = self._frechet(clip_set, windows)
@@ -221,7 +221,7 @@ class Work:
             "fps": self.fps,
             "length": self.length,
             "groups": list(measure.groups),
-            "patches": asdict(measure.patches),
+            "variants": asdict(measure.variants),
             "statistics": measure.statistics.digest(),
             "without": sorted(self.without),
         }
@@ -282,7 +282,7 @@ class Work:
     def portable(self) -> Work:
         """Return the work for worker processes, without motion in memory."""
         statistics = replace(self.measure.statistics, recordings={})
-        measure = ClipMetrics(statistics, self.measure.groups, self.measure.patches)
+        measure = ClipMetrics(statistics, self.measure.groups, self.measure.variants)
         pairs = {key: pairs for key, pairs in self.pairs.items() if key not in self.local}
         return replace(self, measure=measure, pairs=pairs)
 

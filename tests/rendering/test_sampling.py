@@ -1,0 +1,183 @@
+"""Samples for the papers' protocols: each recording in its own style, with noise of its own."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import gesturekit as gk
+from gesturekit import Motion
+from gesturekit.corpus import Manifest
+from gesturekit.corpus.item import Item
+from gesturekit.errors import ConfigError
+from gesturekit.motion.contacts import foot_positions
+from gesturekit.rendering.sampling import (
+    SamplingOptions,
+    sample_lda,
+    sample_multires,
+    sounds_of,
+)
+from gesturekit.training.config import build
+
+RAISED = 2.0  # radians by which the arms of style b are higher
+FEW = {"first_stage": 30, "further_stages": 10, "discriminator_steps": 1, "batch": 4}
+SETTINGS = {
+    "multires": {
+        "network": {"levels": 4, "channels": [4, 4, 4], "embedding": 4, "modulate": "all"},
+        "training": FEW | {"window": 2.0, "window_cache": 4, "learning_rate": 1e-2},
+    },
+    "diffusion": {
+        "network": {
+            **{"blocks": 2, "layers": 1, "channels": 32, "heads": 2},
+            **{"feedforward": 32, "embedding": 16},
+        },
+        "noise": {"steps": 8, "last_beta": 0.5, "predict": "clean"},
+        "training": {"updates": 120, "batch": 8, "window": 2.0, "learning_rate": 5e-3},
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory, gesture, write_speech) -> Path:
+    """A manifest: arms hang in style a and are raised in style b; ids do not show the style."""
+    folder = tmp_path_factory.mktemp("styles")
+
+    def recording(name: str, style: str, seconds: float, split: str) -> Item:
+        motion = gesture(seconds, 25.0, seed=len(name))
+        angles = Rotation.from_quat(motion.rotations.reshape(-1, 4)).as_euler("xyz")
+        angles = angles.reshape(motion.n_frames, -1, 3)
+        for side, sign in (("LeftArm", 1), ("RightArm", -1)):
+            angles[:, motion.skeleton.index(side), 2] += sign * RAISED * (style == "b")
+        turned = Rotation.from_euler("xyz", angles.reshape(-1, 3)).as_quat()
+        path = folder / f"{name}.bvh"
+        replace(motion, rotations=turned.reshape(motion.rotations.shape)).save(path)
+        sound = write_speech(folder / f"{name}.wav", seconds)
+        return Item(
+            id=name, audio=sound, motion=path, duration=seconds, style=style, split=split
+        )  # fmt: skip
+
+    every = [("one", "a", 6.0, "train"), ("two", "b", 6.0, "train")]
+    every += [("three", "b", 32.0, "test"), ("four", "a", 11.0, "test")]
+    Manifest([recording(*values) for values in every]).save(folder / "corpus.jsonl")
+    return folder / "corpus.jsonl"
+
+
+@pytest.fixture(scope="module", params=["multires", "diffusion"])
+def styled(request, corpus, tmp_path_factory):
+    """A model that has learned both styles of the corpus."""
+    run = tmp_path_factory.mktemp("run") / request.param
+    values = {"corpus": str(corpus), "out": str(run), "fps": 25, "threads": 1, "features": None}
+    values |= {"system": request.param, "styles": {}, **SETTINGS[request.param]}
+    if request.param == "multires":
+        from gesturekit.multires.config import MultiresConfig as Config
+        from gesturekit.multires.training.trainer import train
+    else:
+        from gesturekit.diffusion.config import DiffusionConfig as Config
+        from gesturekit.diffusion.training.trainer import train
+    return gk.load(train(build(Config, values)))
+
+
+def named(corpus: Path, name: str) -> Item:
+    (item,) = (item for item in Manifest.load(corpus) if item.id == name)
+    return item
+
+
+def style_of(motion: Motion) -> str:
+    """Return the style that the height of the left hand above the hips shows."""
+    hand = motion.positions()[:, motion.skeleton.index("LeftHand"), 1]
+    return "b" if (hand - motion.positions()[:, 0, 1]).mean() > 0.35 else "a"
+
+
+def test_every_recording_is_sampled_in_its_own_style(styled, corpus, tmp_path):
+    manifest = Manifest.load(corpus)
+    for sample, split in ((sample_multires, "train"), (sample_lda, "test")):
+        items = manifest.in_split(split)
+        known = {item.id: item.style for item in items}
+        files = list(sample(styled, items, tmp_path / split, SamplingOptions(samples=2)))
+        found = {file.stem: style_of(Motion.load(file)) for file in files}
+        assert found == {name: known[name.split("_")[0]] for name in found}
+        assert {style_of(item.load_motion()) for item in items} == {"a", "b"}
+
+
+def test_windows_and_samples_have_noise_of_their_own(styled, corpus, tmp_path):
+    long = named(corpus, "three")
+    files = list(sample_lda(styled, [long], tmp_path, SamplingOptions(samples=2)))
+    assert [file.stem for file in files] == [
+        f"three_w{window:03d}_s{number}" for window in range(3) for number in (1, 2)
+    ]
+    moved = [Motion.load(file).rotations for file in files]
+    moved = [values - values.mean(axis=0) for values in moved]
+    together = [np.corrcoef(a.ravel(), b.ravel())[0, 1] for a, b in combinations(moved, 2)]
+    assert np.abs(together).max() < 0.3 and np.ptp(moved, axis=1).max() > 0.01
+    again = list(sample_lda(styled, [long], tmp_path / "again", SamplingOptions(samples=1)))
+    assert np.array_equal(Motion.load(again[0]).rotations, Motion.load(files[0]).rotations)
+    other = SamplingOptions(samples=1, seed=1)
+    (reseeded, *_) = sample_lda(styled, [long], tmp_path / "other", other)
+    assert not np.array_equal(Motion.load(reseeded).rotations, Motion.load(files[0]).rotations)
+
+
+def test_styles_that_are_not_known_are_refused_before_sampling(styled, corpus, tmp_path):
+    items = Manifest.load(corpus).in_split("test")
+    wrong = [items[0], replace(items[1], style="c")]
+    for sample in (sample_lda, sample_multires):
+        with pytest.raises(ConfigError, match=r"style c of three: the model has a, b\. .*--corpus"):
+            next(sample(styled, wrong, tmp_path, SamplingOptions()))
+        with pytest.raises(ConfigError, match="style None of four, one, three and 1 more"):
+            next(sample(styled, sounds_of(corpus.parent), tmp_path, SamplingOptions()))
+    assert not [*tmp_path.iterdir()]
+
+
+def both_ways(model, item: Item, out: Path) -> list[Motion]:
+    """Return a sample of a model as it is by default, and one with post-processing."""
+    options = (SamplingOptions(samples=1, postprocess=asked) for asked in (False, True))
+    files = (next(sample_multires(model, [item], out / str(o.postprocess), o)) for o in options)
+    return [Motion.load(file) for file in files]
+
+
+def test_samples_are_what_the_network_generates_unless_asked_otherwise(model, corpus, tmp_path):
+    item = named(corpus, "one")
+    silent = replace(item, audio=None, duration=2.0)
+    raw, locked = both_ways(gk.load("demo"), silent, tmp_path / "demo")
+    assert raw.duration == pytest.approx(4.0, abs=0.05)
+    slide = [np.abs(np.diff(foot_positions(motion), axis=0)).mean() for motion in (raw, locked)]
+    assert slide[1] < 0.1 * slide[0]
+    smoothed = copy.copy(model)
+    smoothed.smooth = 0.3
+    hand = model.skeleton.index("LeftHand")
+    shake = [
+        np.abs(np.diff(motion.positions()[:, hand], 3, axis=0)).mean()
+        for motion in both_ways(smoothed, item, tmp_path / "smoothed")
+    ]
+    assert shake[1] < 0.7 * shake[0]
+
+
+def test_the_speaker_is_the_items_where_the_model_has_several(model, corpus, tmp_path):
+    item = named(corpus, "one")
+    known = model.speakers
+    tall = replace(model.skeleton, offsets=1.2 * model.skeleton.offsets)
+    model.speakers = {"anna": model.skeleton, "ben": tall}
+    try:
+        one = SamplingOptions(samples=1)
+        anna, ben = (
+            Motion.load(next(sample_multires(model, [spoken], tmp_path / spoken.speaker, one)))
+            for spoken in (replace(item, speaker=name) for name in ("anna", "ben"))
+        )
+    finally:
+        model.speakers = known
+    assert ben.skeleton.offsets == pytest.approx(1.2 * anna.skeleton.offsets, abs=1e-6)
+
+
+def test_sampling_goes_on_where_it_was(model, tmp_path, write_speech):
+    write_speech(tmp_path / "in" / "a.wav", 10.0)
+    sounds, out = sounds_of(tmp_path / "in"), tmp_path / "out"
+    files = list(sample_lda(model, sounds, out, SamplingOptions(samples=2)))
+    files[1].unlink()
+    before = files[0].stat().st_mtime_ns
+    assert list(sample_lda(model, sounds, out, SamplingOptions(samples=2, skip=True))) == files
+    assert files[0].stat().st_mtime_ns == before and files[1].is_file()
