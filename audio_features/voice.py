@@ -97,29 +97,30 @@ def _pitch_salience(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for first in range(0, n_frames, _BLOCK):
         start = min(max(0, first - _CONTEXT), last)
         block = slice(first, min(first + _BLOCK, n_frames))
-        here = slice(block.start - start, block.stop - start)
-        salience[block], f0[block] = (
-            values[here] for values in _cepstral_peaks(frames[start : start + window])
-        )
+        wanted = slice(block.start - start, block.stop - start)
+        salience[block], f0[block] = _cepstral_peaks(frames[start : start + window], wanted)
     return salience, f0
 
 
-def _cepstral_peaks(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return salience and f0 of frames (T, 512), whose stationary spectrum is removed."""
+def _cepstral_peaks(frames: np.ndarray, wanted: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Return salience and f0 of the wanted of frames (T, 512), less their stationary spectrum."""
     from scipy.fft import irfft, rfft
     from scipy.ndimage import uniform_filter1d
 
     spectrum = rfft(frames * _window(), axis=1)
     power = 10.0 * np.log10(spectrum.real**2 + spectrum.imag**2 + np.float32(1e-20))
-    ordered = [round(share * (len(power) - 1)) for share in (_QUANTILE, _LOUD)]
-    floor, loud = np.partition(power, ordered, axis=0)[ordered]
-    above = np.maximum(power - np.maximum(floor, loud - _RANGE_DB), 0.0)
+    some = power[::2]  # frames overlap by two thirds
+    ordered = [round(share * (len(some) - 1)) for share in (_QUANTILE, _LOUD)]
+    floor, loud = np.partition(some, ordered, axis=0)[ordered]
+    first = max(0, wanted.start - 1)  # neighbours for the mean over three frames
+    above = np.maximum(power[first : wanted.stop + 1] - np.maximum(floor, loud - _RANGE_DB), 0.0)
     weights = _weights()
     above = (above - (above @ weights)[:, None] / weights.sum()) * weights
     size = _FINER * _FRAME
     cepstrum = irfft(above, size, axis=1) * (size / (_CHI_DB * np.linalg.norm(weights)))
     lags = np.arange(*(int(_FINER * _RATE / hertz) for hertz in reversed(_F0_RANGE)))
     cepstrum = uniform_filter1d(cepstrum[:, : lags[-1] + 1], 3, axis=0)
+    cepstrum = cepstrum[wanted.start - first :][: wanted.stop - wanted.start]
     peaks = cepstrum[:, lags] - np.maximum(cepstrum[:, lags // 2], 0.0)
     best = peaks.argmax(axis=1)
     return peaks[np.arange(len(peaks)), best], _FINER * _RATE / lags[best]
