@@ -106,7 +106,7 @@ def disturbed(
     active, samples = speech.active(), speech.samples
     level = 10 ** (speech.active_level() / 20)
     yield "clean", speech, active
-    yield "40 dB quieter", _wave(0.01 * samples), active
+    yield "20 dB quieter", _wave(0.1 * samples), active
     higher = af.Wave(samples, round(1.5 * RATE)).resample(RATE)
     yield "1.5 times as high and fast", higher, higher.active()
     telephone = butter(4, [300, 3400], "bandpass", fs=RATE, output="sos")
