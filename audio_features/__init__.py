@@ -45,6 +45,8 @@ _EXPORTS = {
     "resample_frames": "pyramid",
     "residual_level": "pyramid",
     "residual_pyramid": "pyramid",
+    "speech_only": "voice",
+    "voice_activity": "voice",
 }
 __all__ = sorted(_EXPORTS)
 

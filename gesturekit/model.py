@@ -50,6 +50,10 @@ class Controls:
     smooth: float | None = None
     """Smooth upper-body movements shorter than this many seconds, but keep the time and size of
     beat gestures. 0 turns smoothing off; the default is stored with the model."""
+    vad: bool | None = None
+    """Voice activity detection: stretches of at least 3 s of the sound without voice, such as a
+    noise floor, hum or typing, give idle motion. By default as in training; off, everything in the
+    sound moves the body, for example a whisper."""
     fps: float | None = None
     """Frames per second of the result; by default those of the training recordings."""
 
@@ -93,6 +97,7 @@ class ControlArguments(TypedDict, total=False):
     speaker: str | None
     foot_lock: bool
     smooth: float | None
+    vad: bool | None
     fps: float | None
 
 

@@ -16,6 +16,7 @@ import pytest
 import soundfile
 from chromium import Browser
 from scipy.spatial.transform import Rotation
+from sounds import voiced
 
 from gesturekit.motion import Motion, Skeleton
 
@@ -229,13 +230,11 @@ def save_as_others() -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def write_speech() -> Callable[..., Path]:
-    """write_speech(path, seconds, rate=16000): noise in bursts of a fifth of a second."""
+    """write_speech(path, seconds, rate=16000): a voice in syllables of a fifth of a second."""
 
     def write(path: Path, seconds: float, rate: int = 16000, *, level: float = 0.2) -> Path:
-        time = np.arange(round(seconds * rate)) / rate
-        noise = np.random.default_rng(0).standard_normal(len(time))
         path.parent.mkdir(parents=True, exist_ok=True)
-        soundfile.write(path, level * noise * (np.sin(2 * np.pi * 2.5 * time) > 0), rate)
+        soundfile.write(path, level * voiced(seconds, rate), rate)
         return path
 
     return write

@@ -140,3 +140,33 @@ def test_the_demo_command_leaves_every_format(tmp_path):
     assert "Blender" in run.stdout and str(tmp_path / "out" / "speech.bvh") in run.stdout
     with np.load(tmp_path / "out" / "speech.npz", allow_pickle=False) as arrays:
         assert arrays["rotations"].shape[0] == arrays["translation"].shape[0]
+
+
+def test_sound_without_voice_gives_idle_motion_and_a_warning(model, speech, caplog):
+    time = np.arange(6 * speech.sample_rate) / speech.sample_rate
+    silence = af.Wave(np.zeros(len(time), np.float32), speech.sample_rate)
+    idle = model.generate(silence)
+    caplog.clear()
+    for sound in (
+        1e-3 * np.random.default_rng(0).standard_normal(len(time)),
+        0.1 * sum(np.sin(2 * np.pi * 50 * k * time) / k for k in range(1, 9)),
+    ):
+        wave = af.Wave(sound.astype(np.float32), speech.sample_rate, "fan.wav")
+        motion = model.generate(wave)
+        np.testing.assert_array_equal(motion.rotations, idle.rotations)
+        (warning,) = caplog.messages
+        assert warning.startswith("fan.wav: no voice found") and "vad=False (--no-vad)" in warning
+        caplog.clear()
+        unjudged = model.generate(wave, vad=False)
+        assert not caplog.messages
+        assert arm_speed(unjudged).mean() > 5 * arm_speed(motion).mean()
+
+
+def test_a_noise_floor_between_sentences_is_idle(model, speech):
+    part, rate = speech.slice(0.0, 6.0), speech.sample_rate
+    sound = np.concatenate([part.samples, np.zeros(10 * rate, np.float32), part.samples])
+    level = 10 ** (speech.active_level() / 20 - 1)
+    floor = level * np.random.default_rng(0).standard_normal(len(sound))
+    speed = arm_speed(model.generate(af.Wave((sound + floor).astype(np.float32), rate)))
+    said, quiet = speed[: 6 * 30].mean(), speed[8 * 30 : 14 * 30].mean()
+    assert quiet < 0.15 * said and speed[-5 * 30 :].mean() > 0.7 * said

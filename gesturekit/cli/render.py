@@ -55,7 +55,7 @@ GROUPS = {
         "skip_existing",
     ),
     **BATCH_GROUPS,
-    "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth"),
+    "Controls of all models": ("speaker", "style", "path", "like", "foot_lock", "smooth", "vad"),
     "Controls of multires models": (
         *("level_style", "level_speech", "levels", "keyframes", "keyframe_level", "keep"),
         *("recall", "liveliness"),
@@ -194,6 +194,7 @@ GROUPS = {
 @click.option("--liveliness", cls=ControlOption, type=float, metavar="AMOUNT")
 @click.option("--foot-lock/--no-foot-lock", cls=ControlOption, default=True, note="[default: lock]")
 @click.option("--smooth", cls=ControlOption, type=click.FloatRange(min=0, max=2), metavar="SECONDS")
+@click.option("--vad/--no-vad", cls=ControlOption, default=None)
 @existing_option("refuse", alias=True)
 @click.pass_context
 def command(

@@ -79,6 +79,8 @@ class SpeechConditioner:
         normalisation: one of `Normalisation`.
         components: (W, N) projection of the W `wide` columns to N components, which follow the
             other columns; None for all columns as they are.
+        vad: voice activity detection: sound without voice is replaced by silence before features
+            are extracted, in training and in generation (`audio_features.speech_only`).
     """
 
     extractor: Any
@@ -88,6 +90,7 @@ class SpeechConditioner:
     scale: np.ndarray
     normalisation: Normalisation = "clip"
     components: np.ndarray | None = None
+    vad: bool = True
 
     @classmethod
     def fit(
@@ -202,11 +205,32 @@ class SpeechConditioner:
         projection = axes / max(np.sqrt(kept.mean()), 1e-3)
         return replace(self, components=np.ascontiguousarray(projection, np.float32))
 
-    def __call__(self, wave: af.Wave, n_frames: int | None = None) -> np.ndarray:
-        """Return (T, S) float32 normalised features; T from the wave's length by default."""
+    def __call__(
+        self, wave: af.Wave, n_frames: int | None = None, vad: bool | None = None
+    ) -> np.ndarray:
+        """Return (T, S) float32 normalised features; warn if the sound has no speech.
+
+        Args:
+            wave: the sound.
+            n_frames: T; by default from the length of the sound.
+            vad: whether to replace sound without voice by silence; by default as in training.
+        """
+        name, vad = wave.source or "the speech", self.vad if vad is None else vad
+        speech = af.speech_only(wave) if vad else wave
+        if wave.is_silent:
+            log.warning("%s: silent; the motion will be idle", name)
+        elif speech.is_silent:
+            log.warning(
+                "%s: no voice found (noise, hum or whispering); the motion will be idle. With "
+                "vad=False (--no-vad) it follows this sound all the same",
+                name,
+            )
+        return self._features(speech, n_frames)
+
+    def _features(self, speech: af.Wave, n_frames: int | None) -> np.ndarray:
         level = self.normalisation == "clip"
         with one_blas_thread():
-            features = extract(wave, self.extractor, self.fps, self.align, n_frames, level=level)
+            features = extract(speech, self.extractor, self.fps, self.align, n_frames, level=level)
         return self.normalise(*features)
 
     def normalise(self, values: np.ndarray, active: np.ndarray) -> np.ndarray:
@@ -245,7 +269,13 @@ class SpeechConditioner:
         rate = 16000
         seconds = max(1.0, n_frames / self.fps)
         nothing = af.Wave(np.zeros(int(np.ceil(seconds * rate)), np.float32), rate, None)
-        return self(nothing, n_frames)
+        return self._features(nothing, n_frames)
+
+
+def detects_voice(extractor: Any, vad: bool | None) -> bool:
+    """Return `vad`, or if it is None, True unless the features are those of music (`af.Music`)."""
+    parts = extractor.parts if isinstance(extractor, af.Stack) else (extractor,)
+    return not any(isinstance(part, af.Music) for part in parts) if vad is None else vad
 
 
 def wide_columns(extractor: Any, count: int) -> np.ndarray:
@@ -321,6 +351,7 @@ def speech_features(
     speech: str | Path | af.Wave | None,
     seconds: float | None,
     fps: float,
+    vad: bool | None = None,
 ) -> np.ndarray:
     """Return the speech features (T, S) float32 of a request; S is 0 without speech input.
 
@@ -329,6 +360,7 @@ def speech_features(
         speech: an audio file or a `Wave`; None for silence lasting `seconds`.
         seconds: length without speech.
         fps: frames per second of the motion.
+        vad: see `Controls.vad`.
 
     Raises:
         ModelError: speech for a model without speech input, neither speech nor seconds or both,
@@ -345,15 +377,13 @@ def speech_features(
         wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
         for repair in wave.repairs:
             log.warning("%s: %s", wave.source or "the speech", repair)
-        if wave.is_silent:
-            log.warning("%s: silent; the motion will be idle", wave.source or "the speech")
         n_frames = wave.n_frames(fps)
         if n_frames < 1:
             raise ModelError(
                 f"{wave.source or 'the speech'}: {wave.duration:.3f} s is shorter than half a "
                 f"frame at {fps:g} fps"
             )
-        return conditioner(wave, n_frames)
+        return conditioner(wave, n_frames, vad)
     if seconds is None:
         wanted = "seconds" if conditioner is None else "speech, or seconds for idle motion"
         raise ModelError(f"nothing to generate from: give {wanted}")

@@ -109,12 +109,14 @@ def _levels(file: soundfile.SoundFile) -> _Levels:
 
 def _speech(wave: af.Wave) -> dict[str, Any]:
     hop = 0.01
-    active = wave.active(hop)
+    speech = af.speech_only(wave)
+    active = speech.active(hop)
     # The longest run without speech: its edges are where speech begins or ends.
     edges = np.flatnonzero(np.diff(np.concatenate([[1], active.astype(np.int8), [1]])))
     pauses = edges[1::2] - edges[::2]
     return {
-        "active_level_dbfs": wave.active_level(),
+        "active_level_dbfs": speech.active_level(),
+        "has_voice": wave.is_silent or not speech.is_silent,
         "active_share": float(active.mean()) if len(active) else 0.0,
         "longest_pause": float(pauses.max(initial=0) * hop),
     }
@@ -159,7 +161,9 @@ def _rows(facts: dict[str, Any], levels: _Levels) -> list[tuple[str, str]]:
 
 def _problems(facts: dict[str, Any], refused: str | None) -> list[str]:
     found = [refused] if refused else list(facts["repairs"])
-    if refused is None and not facts["active_share"]:
+    if refused is None and not facts["has_voice"]:
+        found.append("no voice (noise, hum or whispering): models of speech will move idly")
+    elif refused is None and not facts["active_share"]:
         found.append("silence: no speech above -75 dBFS")
     elif refused is None and facts["active_level_dbfs"] < _QUIET_DBFS:
         found.append(f"quiet: speech is at {facts['active_level_dbfs']:.0f} dBFS")

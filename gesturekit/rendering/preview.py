@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import soundfile
 
+from audio_features import Wave
 from gesturekit.jobs.batch import Batch
 from gesturekit.jobs.work import Outcome, Work
 from gesturekit.rendering.tasks import Task
+from gesturekit.systems import bundled_speech
 
 _SHORT, _LONG = 0.5, 5.0  # seconds of sound
 
@@ -67,17 +68,17 @@ def preview(batch: Batch) -> Iterator[Preview]:
 
 
 def measured_cost(batch: Batch) -> Cost:
-    """Measure the cost of a short and a longer piece of noise, written to a temporary folder.
+    """Measure the cost of a short and a longer piece of speech, written to a temporary folder.
 
-    All costs are 0 if nothing can be made of noise with these settings.
+    All costs are 0 if nothing can be made of speech with these settings.
     """
-    found = []
+    found, speech = [], Wave.load(bundled_speech())
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
         processor = batch.processor.into(Path(folder))
         for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation
             wav = Path(folder) / f"{seconds:g}.wav"
-            noise = np.random.default_rng(0).standard_normal(int(seconds * 16_000))
-            soundfile.write(wav, 0.1 * noise, 16_000)
+            part = speech.slice(0.0, seconds)
+            soundfile.write(wav, part.samples, part.sample_rate)
             entry = processor(Work(Task(str(wav), wav.stem, wav))).entry
             size = sum(about["size"] for about in entry.files.values())
             found.append((entry.seconds, size))

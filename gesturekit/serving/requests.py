@@ -28,6 +28,7 @@ class MotionRequest(BaseModel, extra="forbid"):
     speaker: Annotated[str | None, Query(max_length=200)] = None
     foot_lock: bool = True
     smooth: Annotated[float | None, Query(ge=0, le=2, description="seconds")] = None
+    vad: Annotated[bool | None, Query(description="voice activity detection")] = None
 
 
 async def receive(request: Request, file: Path, limits: Limits) -> None:

@@ -17,6 +17,7 @@ from gesturekit.errors import GestureKitError
 from gesturekit.model import Model
 from gesturekit.serving.limits import Limits
 from gesturekit.serving.requests import MotionRequest
+from gesturekit.systems import bundled_speech
 
 
 class BusyError(Exception):
@@ -93,9 +94,5 @@ class Worker:
         """
         if not self.model.inputs.speech:
             raise GestureKitError("this model has no speech input; serve one that has")
-        import numpy as np
-
-        rng = np.random.default_rng(0)
-        noise = rng.normal(0, 0.1, 16_000).astype(np.float32)
-        self.model.generate(af.Wave.from_array(noise, 16_000))
+        self.model.generate(af.Wave.load(bundled_speech(), duration=1.0))
         threadpool_limits(1, user_api="blas")  # now that all libraries are loaded

@@ -18,6 +18,7 @@ import click
 import numpy as np
 import pytest
 import soundfile
+from sounds import voiced
 
 from gesturekit import Motion
 from gesturekit.cli.render import GROUPS
@@ -29,9 +30,9 @@ FPS = 30
 
 
 def make_sound(path: Path, n_samples: int, rate: int, channels: int = 1) -> Path:
-    rng = np.random.default_rng(n_samples)
     path.parent.mkdir(parents=True, exist_ok=True)
-    soundfile.write(path, 0.1 * rng.standard_normal((n_samples, channels)), rate)
+    sound = 0.1 * voiced(n_samples / rate, rate)
+    soundfile.write(path, np.tile(sound[:, None], (1, channels)), rate)
     return path
 
 
@@ -220,8 +221,8 @@ def test_a_broken_file_never_stops_the_others(model, wav, broken, tmp_path):
 
 
 def test_channel_selects_one_of_two_speakers(gesturekit, model, tmp_path, caplog):
-    rng = np.random.default_rng(0)
-    two = 0.1 * rng.standard_normal((32_000, 2)) * [[1.0, 0.5]] + [[0.0, 0.1]]
+    one = voiced(2.0)
+    two = 0.1 * np.stack([one, 0.5 * np.roll(one, 5_000)], axis=1) + [[0.0, 0.1]]
     soundfile.write(tmp_path / "two.wav", two, 16_000)
     soundfile.write(tmp_path / "second.wav", two[:, 1], 16_000)
     common = ("--model", model, "--out", tmp_path / "out", "--format", "bvh,html")
@@ -254,6 +255,23 @@ def test_a_silent_sound_gives_the_idle_motion_of_its_length(gesturekit, model, t
     silent, idle = (Motion.load(tmp_path / "out" / f"{name}.bvh") for name in ("zeros", "motion"))
     np.testing.assert_allclose(silent.positions(), idle.positions(), atol=1e-6)
     assert "zeros.wav: silent" in caplog.text
+
+
+def test_noise_is_idle_unless_voice_activity_detection_is_off(gesturekit, model, tmp_path, caplog):
+    noise = 0.1 * np.random.default_rng(0).standard_normal(32_000)
+    motions = {}
+    for name, sound, options in (
+        ("zeros", 0 * noise, []),
+        ("noise", noise, []),
+        ("whisper", noise, ["--no-vad"]),
+    ):
+        soundfile.write(tmp_path / f"{name}.wav", sound, 16_000)
+        common = ("--model", model, "--out", tmp_path / name, *options)
+        assert gesturekit("render", tmp_path / f"{name}.wav", *common).status == 0
+        motions[name] = Motion.load(tmp_path / name / f"{name}.bvh").rotations
+    assert "noise.wav: no voice found" in caplog.text and "whisper.wav" not in caplog.text
+    np.testing.assert_array_equal(motions["noise"], motions["zeros"])
+    assert not np.allclose(motions["whisper"], motions["zeros"], atol=1e-3)
 
 
 def test_files_with_difficult_names(gesturekit, model, wav, tmp_path):

@@ -193,6 +193,21 @@ def test_speech_changes_the_motion_and_sets_its_length(untrained, ears, write_sp
     assert same(told_nothing, model.generate(seconds=2.0, steps=4, guidance=0.0))
 
 
+def test_sound_without_voice_is_silence_to_a_model_and_its_experts(untrained, ears):
+    model = untrained(conditioner=ears, styles=("old",))
+    expert = untrained(seed=3, conditioner=replace(ears))
+    noise = 0.1 * np.random.default_rng(0).standard_normal(32_000).astype(np.float32)
+    asked = {"style": "old", "steps": 4, "experts": [(expert, 0.5)]}
+    idle, still = model.generate(seconds=2.0, **asked), np.zeros_like(noise)
+    assert same(model.generate(still, 16_000, **asked), idle)
+    assert same(model.generate(noise, 16_000, **asked), idle)
+    # Each of the two, alone.
+    assert not same(model.generate(noise, 16_000, style="old", steps=4, vad=False), idle)
+    own = model.generate(seconds=2.0, **asked | {"experts": [(expert, 1.0)]})
+    loud = model.generate(noise, 16_000, **asked | {"experts": [(expert, 1.0)]}, vad=False)
+    assert not same(loud, own)
+
+
 def test_a_saved_model_is_the_model(untrained, ears, tmp_path):
     models = [
         untrained(conditioner=ears, events=("kick",), **STYLES),

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from sounds import voiced
 
 import audio_features as af
 import gesturekit.viewer
@@ -37,22 +38,24 @@ def test_speech(write_speech, tmp_path):
     assert row(summary, "channels") == "mono" and not summary.problems
     facts = plain(summary)
     assert facts["sample_rate"] == 22_050
-    # Noise in bursts of a fifth of a second.
+    # Syllables of a fifth of a second.
     assert 0.4 < facts["active_share"] < 0.7 and 0.1 < facts["longest_pause"] < 0.25
 
 
 def test_sounds_with_something_wrong(tmp_path):
     rng = np.random.default_rng(0)
+    voice = 0.1 * np.tile(voiced(1.0)[:, None], (1, 2))
     noise = 0.1 * rng.standard_normal((16_000, 2))
     for name, samples, says in (
-        ("loud", np.clip(30 * noise, -1, 1), "at full scale"),
-        ("shifted", noise + 0.2, "DC offset of 0.2"),
-        ("half", noise * [1, 0], "channel 2 is silent"),
-        ("zeros", 0 * noise, "silence: no speech above -75 dBFS"),
-        ("opposite", noise[:, :1] * [1, -1], "the channels cancel each other"),
-        ("quiet", 0.01 * noise, "quiet: speech is at -6"),
-        ("nan", np.where(rng.random((16_000, 2)) < 0.02, np.nan, noise), "nan"),
-        ("few_nan", np.where(rng.random((16_000, 2)) < 0.0001, np.nan, noise), "interpolated"),
+        ("loud", np.clip(30 * voice, -1, 1), "at full scale"),
+        ("shifted", voice + 0.2, "DC offset of 0.2"),
+        ("half", voice * [1, 0], "channel 2 is silent"),
+        ("zeros", 0 * voice, "silence: no speech above -75 dBFS"),
+        ("opposite", voice[:, :1] * [1, -1], "the channels cancel each other"),
+        ("quiet", 0.01 * voice, "quiet: speech is at -6"),
+        ("nan", np.where(rng.random((16_000, 2)) < 0.02, np.nan, voice), "nan"),
+        ("few_nan", np.where(rng.random((16_000, 2)) < 0.0001, np.nan, voice), "interpolated"),
+        ("noise", noise, "no voice (noise, hum or whispering)"),
     ):
         path = tmp_path / f"{name}.wav"
         soundfile.write(path, samples, 16_000, subtype="FLOAT")
@@ -62,7 +65,7 @@ def test_sounds_with_something_wrong(tmp_path):
 
 
 def test_a_floating_point_sound_beyond_full_scale_is_not_clipped(tmp_path):
-    loud = 3.0 * np.sin(np.arange(16_000) / 100)
+    loud = 3.0 * voiced(1.0)
     soundfile.write(tmp_path / "a.wav", loud, 16_000, subtype="FLOAT")
     assert not any("clipped" in problem for problem in inspect(tmp_path / "a.wav").problems)
     soundfile.write(tmp_path / "b.wav", 10_000 * (loud - loud.mean()) + 50, 16_000, subtype="FLOAT")

@@ -86,7 +86,10 @@ def voice(seconds: float, *, lively: float | None = None, seed: int = 0) -> af.W
     at = np.arange(round(seconds * RATE)) / RATE
     own = liveliness_over(seconds) if lively is None else np.full(round(seconds * 30), lively)
     level = np.interp(at, np.arange(len(own)) / 30, own)
-    phase = 2 * np.pi * np.cumsum(110.0 + 110.0 * level) / RATE + seed
+    pitch = 110.0 + 110.0 * level
+    if lively is not None:  # a voice is never monotonous
+        pitch *= 1.0 + 0.08 * np.sin(2 * np.pi * 1.1 * at)
+    phase = 2 * np.pi * np.cumsum(pitch) / RATE + seed
     tone = sum(np.sin(k * phase) / k ** (2 - level) for k in range(1, 16))
     syllables = np.maximum(np.sin(2 * np.pi * (2.0 + level) * at + seed), 0.0)
     return af.Wave((0.1 * syllables * tone).astype(np.float32), RATE)

@@ -169,7 +169,7 @@ def test_the_pages_load_nothing_from_elsewhere(client):
     assert "POST /motion" in one.get("/docs").text
     schema = one.get("/openapi.json").json()
     names = {parameter["name"] for parameter in schema["paths"]["/motion"]["post"]["parameters"]}
-    assert names == {"format", "seed", "style", "speaker", "foot_lock", "smooth"}
+    assert names == {"format", "seed", "style", "speaker", "foot_lock", "smooth", "vad"}
 
 
 def test_limits_are_positive():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import soundfile
 
-from gesturekit.corpus import Manifest
+from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import (
     FeatureConfig,
@@ -68,3 +70,41 @@ def test_settings_are_compared_with_those_of_a_model_before_training(heard, coun
     values = feature_values(config.extractor(), config)
     assert values == conditioner_values(heard(config)[0])
     assert values["components"] == stored
+
+
+def test_sound_without_voice_counts_as_silence_in_training_too(tmp_path, write_speech, caplog):
+    noise = np.random.default_rng(0).standard_normal(64_000).astype(np.float32)
+    soundfile.write(tmp_path / "floor.wav", 0.01 * noise, 16_000)
+    soundfile.write(tmp_path / "still.wav", 0 * noise, 16_000)
+    write_speech(tmp_path / "talk.wav", 4.0)
+    prepare([], tmp_path / "corpus.jsonl", unpaired=[tmp_path], holdout=0.0)
+    items = sorted(Manifest.load(tmp_path / "corpus.jsonl"), key=lambda item: item.audio.stem)
+
+    def features(**settings):
+        config = FeatureConfig(EXTRACTORS, **settings)
+        return extract_features(items, [None] * 3, config.extractor(), 25.0, config)
+
+    conditioner, (floor, still, talk) = features()
+    (message,) = [text for text in caplog.messages if "voice" in text]
+    assert message.startswith("1 of 3 sounds have no voice") and "features.vad=false" in message
+    np.testing.assert_array_equal(floor, still)
+    assert not np.allclose(talk, still)
+    np.testing.assert_allclose(conditioner(items[0].load_wave()), floor, atol=1e-6)
+    caplog.clear()
+    conditioner, (floor, still, _) = features(vad=False)
+    assert not caplog.messages and not np.allclose(floor, still)
+    values, tensors = conditioner_values(conditioner), conditioner_tensors(conditioner)
+    again = load_conditioner(values, tensors, 25.0, None)
+    np.testing.assert_allclose(again(items[0].load_wave()), floor, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "is_on"),
+    [(["logmel", "prosody"], True), (["music"], False), (["logmel", "music"], False)],
+)
+def test_models_of_music_do_without_voice_activity(kinds, is_on):
+    config = FeatureConfig(tuple({"kind": kind} for kind in kinds))
+    assert feature_values(config.extractor(), config)["vad"] is is_on
+    for vad in (True, False):
+        chosen = replace(config, vad=vad)
+        assert feature_values(config.extractor(), chosen)["vad"] is vad

@@ -34,6 +34,7 @@ class Request:
         events: in order of time; None for no events.
         conditioner: of the first model with speech input; None without such a model.
         features: (T, S) speech features of that conditioner.
+        vad: see `Controls.vad`.
     """
 
     n_frames: int
@@ -44,6 +45,7 @@ class Request:
     events: tuple[Event, ...] | None
     conditioner: SpeechConditioner | None
     features: np.ndarray
+    vad: bool | None = None
 
     @classmethod
     def build(
@@ -91,12 +93,12 @@ class Request:
         if conditioner is None and wave is not None and seconds is None:
             # No model has speech input, but the beats of the sound are the times of events.
             sound, seconds = None, wave.n_frames(fps) / fps
-        features = speech_features(conditioner, sound, seconds, fps)
+        features = speech_features(conditioner, sound, seconds, fps, controls.vad)
         n_frames = len(features)
         found = None if events is None else asked_events(events, wave)
         if followed is not None:
             followed = smooth_path(followed, fps, n_frames)
-        return cls(n_frames, fps, wave, followed, scale, found, conditioner, features)
+        return cls(n_frames, fps, wave, followed, scale, found, conditioner, features, controls.vad)
 
     def condition(self, conditions: Conditions) -> np.ndarray:
         """Return a model's condition (T, C) float32, with its style left at zero."""
@@ -105,7 +107,10 @@ class Request:
             speech = self.features
         elif conditioner is not None:
             wave, n_frames = self.wave, self.n_frames
-            speech = conditioner.silence(n_frames) if wave is None else conditioner(wave, n_frames)
+            if wave is None:
+                speech = conditioner.silence(n_frames)
+            else:
+                speech = conditioner(wave, n_frames, self.vad)
         events = None
         if self.events is not None:
             events = [event for event in self.events if event.name in conditions.events]

@@ -105,7 +105,7 @@ class Request:
             seconds = _own_seconds(fps, start, clips, path)
         if conditions.conditioner is not None and not isinstance(speech, (af.Wave, NoneType)):
             speech = af.Wave.load(speech)
-        features = speech_features(conditions.conditioner, speech, seconds, fps)
+        features = speech_features(conditions.conditioner, speech, seconds, fps, controls.vad)
         n_frames = len(features)
         if controls.keyframes is not None and length_given:
             start = fitted(n_frames)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,9 +16,17 @@ import audio_features as af
 from audio_features.extractor import folder_in_spec, needs_weights
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.item import Item
-from gesturekit.corpus.speech import Normalisation, SpeechConditioner, extract, wide_columns
+from gesturekit.corpus.speech import (
+    Normalisation,
+    SpeechConditioner,
+    detects_voice,
+    extract,
+    wide_columns,
+)
 from gesturekit.progress import Progress
 from gesturekit.training.run_config import check_positive
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,10 @@ class FeatureConfig:
     reduced; null for no reduction. Extractors with no more columns than this, and vocal effort, are
     not reduced: WavLM is, prosody is not. Minutes of motion are too few for the 768 columns of an
     encoder."""
+    vad: bool | None = None
+    """Voice activity detection: stretches of at least 3 s without voice (noise floor, hum, typing)
+    are replaced by silence before features are extracted, here and in generation. By default it is
+    on, except with features of music. Turn it off for whispered speech."""
 
     def __post_init__(self) -> None:
         if self.components is not None:
@@ -99,10 +112,23 @@ def extract_features(
     """
     progress = Progress(items, desc="Extracting speech features", unit="file")
     align, level = settings.align, settings.normalise == "clip"
-    extracted = [extract(item.load_wave(), extractor, fps, align, level=level) for item in progress]
+    extracted, voiceless, vad = [], [], detects_voice(extractor, settings.vad)
+    for item in progress:
+        wave = item.load_wave()
+        speech = af.speech_only(wave) if vad else wave
+        if speech.is_silent and not wave.is_silent:
+            voiceless.append(item.id)
+        extracted.append(extract(speech, extractor, fps, align, level=level))
+    if voiceless:
+        log.warning(
+            "%d of %d sounds have no voice and count as silence (%s); features.vad=false uses them "
+            "as speech",
+            *(len(voiceless), len(items), ", ".join(voiceless[:3])),
+        )
     conditioner = fitted
     if conditioner is None:
         conditioner = SpeechConditioner.fit(extracted, extractor, fps, align, settings.normalise)
+        conditioner = replace(conditioner, vad=vad)
         if settings.components is not None:
             conditioner = conditioner.reduced(extracted, settings.components)
     # Each array is released as soon as it is normalised: features of a large corpus fill memory.
@@ -135,6 +161,7 @@ def conditioner_values(conditioner: SpeechConditioner) -> dict[str, Any]:
         "align": conditioner.align,
         "normalise": conditioner.normalisation,
         "components": None if components is None else components.shape[1],
+        "vad": conditioner.vad,
     }
 
 
@@ -146,6 +173,7 @@ def feature_values(extractor: Any, settings: FeatureConfig) -> dict[str, Any]:
         "align": settings.align,
         "normalise": settings.normalise,
         "components": count if count and wide_columns(extractor, count).any() else None,
+        "vad": detects_voice(extractor, settings.vad),
     }
 
 
@@ -173,4 +201,5 @@ def load_conditioner(
         tensors["features.scale"].numpy(),
         values.get("normalise", "clip"),
         tensors["features.components"].numpy() if reduced else None,
+        values["vad"],
     )
