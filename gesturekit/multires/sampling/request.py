@@ -150,7 +150,8 @@ def _level_speech(
     """Return `Request.level_speech`: the end of each speech is cut off, or silence follows it."""
     found = []
     for levels, speech in level_speech_ranges(controls, n_levels):
-        features = speech_features(conditions.conditioner, speech, None, fps)[:n_frames]
+        features = speech_features(conditions.conditioner, speech, None, fps, controls.vad)
+        features = features[:n_frames]
         if missing := n_frames - len(features):
             features = np.concatenate([features, conditions.conditioner.silence(missing)])
         found.append((levels, _with_margins(features, margin)))
