@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import soundfile
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
@@ -181,3 +182,18 @@ def test_sampling_goes_on_where_it_was(model, tmp_path, write_speech):
     before = files[0].stat().st_mtime_ns
     assert list(sample_lda(model, sounds, out, SamplingOptions(samples=2, skip=True))) == files
     assert files[0].stat().st_mtime_ns == before and files[1].is_file()
+
+
+def test_a_window_gets_its_own_part_of_the_sound(model, tmp_path, write_speech):
+    path = write_speech(tmp_path / "in" / "a.wav", 25.0)
+    one = SamplingOptions(samples=1)
+    before = list(sample_lda(model, sounds_of(path.parent), tmp_path / "before", one))
+    sound, rate = soundfile.read(path)
+    sound[int(10.5 * rate) :] = 0.0
+    soundfile.write(path, sound, rate)
+    after = list(sample_lda(model, sounds_of(path.parent), tmp_path / "after", one))
+    same = [
+        np.array_equal(Motion.load(a).rotations, Motion.load(b).rotations)
+        for a, b in zip(before, after, strict=True)
+    ]
+    assert same == [True, False]
