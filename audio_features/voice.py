@@ -87,7 +87,7 @@ def _pitch_salience(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Args:
         samples: (N,) float32 at 8 kHz.
     """
-    n_frames = len(samples) // _HOP + 1
+    n_frames = len(samples) // _HOP
     # Shorter sounds are judged between silence, or their only word would be the stationary sound.
     window = _BLOCK + 2 * _CONTEXT
     padded = np.pad(samples, (_FRAME // 2, _FRAME // 2 + _HOP * window))
@@ -131,10 +131,9 @@ def _window() -> np.ndarray:
 
 
 def _weights() -> np.ndarray:
-    """Return the weights (257,) float32 of the bins: 60 to 3,800 Hz, falling with frequency."""
+    """Return the weights (257,) float32 of the bins: from 60 Hz on, falling with frequency."""
     hertz = np.fft.rfftfreq(_FRAME, 1 / _RATE)
-    band = (hertz >= 60.0) * np.clip((3800.0 - hertz) / 300.0, 0.0, 1.0)
-    return (band / (1.0 + np.square(hertz / _CORNER))).astype(np.float32)
+    return ((hertz >= 60.0) / (1.0 + np.square(hertz / _CORNER))).astype(np.float32)
 
 
 def _voiced_sounds(salience: np.ndarray, f0: np.ndarray) -> list[tuple[int, int]]:
