@@ -14,6 +14,7 @@ from gesturekit.cli.batch import batch_options, pop_execution, print_preview, sh
 from gesturekit.cli.engines import run_elsewhere
 from gesturekit.cli.options import (
     RATE,
+    SEED,
     UNITS,
     ControlOption,
     GroupedCommand,
@@ -96,7 +97,7 @@ GROUPS = {
 )
 @body_option
 @size_option
-@click.option("--seed", default=0, show_default=True, help="Random seed.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
 @click.option(
     "--samples",
     type=click.IntRange(min=1),

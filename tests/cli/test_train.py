@@ -43,6 +43,7 @@ def error_line(done) -> str:
         ("network.kernel=4", "kernel: 4 must be odd"),
         ("network=3", "network"),
         ("training.batch=0", "batch"),
+        ("seed=-1", "seed: -1 must be at least 0"),
         ("levels", "key=value"),
         ("fps=[25", "not valid YAML"),
         ("training.window=.nan", "window"),
@@ -301,10 +302,23 @@ def test_common_mistakes_in_naming_a_run_a_recipe_or_a_setting(
     assert says in error_line(done)
 
 
-def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light):
-    done = gesturekit("train", light, "--training.first_stage", "20")
-    assert done.status == 2
-    assert "training.first_stage=VALUE" in done.err
+@pytest.mark.parametrize(
+    ("given", "setting"),
+    [
+        (["--training.first_stage", "20"], "training.first_stage=20"),
+        (["--corpus", "x.jsonl"], "corpus=x.jsonl"),
+        (["--corpus=x.jsonl"], "corpus=x.jsonl"),
+        (["--out", "seed=3"], "out=VALUE"),
+        (["--out"], "out=VALUE"),
+    ],
+)
+def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light, given, setting):
+    for arguments in ([light, *given], [*given, light])[: 2 - (given == ["--out"])]:
+        done = gesturekit("train", *arguments)
+        assert done.status == 2 and done.out == ""
+        assert f"No such option: {given[0]}; settings are written without --: {setting}\n" in (
+            done.err
+        )
 
 
 def test_the_model_of_a_run_stands_for_the_run(gesturekit, train, tmp_path):

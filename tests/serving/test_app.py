@@ -141,11 +141,12 @@ def test_the_rate_is_limited_and_recovers(client):
     assert rate.wait("a") == 0.0
 
 
-def test_the_rate_remembers_a_bounded_number_of_clients():
-    rate = Rate(1)
+def test_the_rate_forgets_the_clients_that_were_seen_longest_ago():
+    rate = Rate(1, lambda: 0.0)
     for number in range(10_500):
-        rate.wait(str(number))
-    assert len(rate._buckets) == 10_000
+        assert rate.wait(str(number)) == 0.0
+    assert rate.wait("10499") == rate.wait("501") == 60.0
+    assert rate.wait("0") == 0.0, "remembered for ever: memory would grow with every client"
 
 
 def test_figures_for_prometheus(client):

@@ -20,6 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gesturekit.errors import MotionError
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
@@ -69,9 +70,13 @@ def retarget(
         frame its position on it.
 
     Raises:
-        MotionError: parts of either rig that cannot be identified, or a source that never stands.
-            Legs are not needed.
+        MotionError: parts of either rig that cannot be identified, a source that never stands, or
+            `skeleton` is none, such as a motion. Legs are not needed.
     """
+    if not isinstance(skeleton, Skeleton):
+        kind = type(skeleton).__name__
+        hint = "; give its skeleton" if isinstance(skeleton, Motion) else ""
+        raise MotionError(f"skeleton is a {kind}, and must be a Skeleton{hint}")
     source_parts = find_parts(motion.skeleton, parts)
     source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
     source_feet = FootMotion.measure(motion, source) if source_parts.legs else None
