@@ -235,6 +235,15 @@ def command(
     renderer = _renderer(loaded, out, seconds, options, open_model)
     inputs = sound_inputs("render", [*sources, *items], out, seconds, renderer.channel)
     batch = Batch(renderer, inputs, execution)
+    if not all(map(renderer.has_speaker, batch.tasks)):
+        from gesturekit.wording import listed
+
+        click.echo(
+            f"Warning: the model has {len(loaded.speakers)} speakers and none is chosen: gestures "
+            "are those of all of them, on a skeleton of median size; choose one by --speaker "
+            f"({listed(sorted(loaded.speakers))})",
+            err=True,
+        )
     if is_dry:
         print_preview(batch)
         return

@@ -371,3 +371,57 @@ def test_every_setting_has_a_docstring(name, tmp_path):
     config.write_text(f"system: {name}\nstyles: {{}}\n")
     overrides = ["unpaired={}"] if name == "diffusion" else []
     assert not [s.name for s in resolved_settings(config, overrides) if not s.doc]
+
+
+@pytest.fixture
+def labelled(gesturekit, write_pair, tmp_path):
+    """A manifest of two speakers, each in a style of their own."""
+    for seed, name in enumerate(("ada_calm", "bob_wild")):
+        write_pair(tmp_path / "labelled", name, 4.0, seed=seed)
+    manifest = tmp_path / "labelled.jsonl"
+    pattern = ("--style-pattern", "(?P<speaker>[a-z]+)_(?P<style>[a-z]+)")
+    prepared = gesturekit(
+        "prepare", tmp_path / "labelled", "--out", manifest, "--holdout", 0, *pattern
+    )
+    assert prepared.status == 0
+    return manifest
+
+
+def test_styles_and_speakers_that_are_not_used_are_said(
+    gesturekit, labelled, recipe, tmp_path, caplog
+):
+    """Before and after training, and when a model of several speakers is rendered without one."""
+    styles = "2 styles in the corpus, none used; styles={} trains with them"
+    speakers = "2 speakers in the corpus, none used: gestures are those of all of them, and "
+    recall = ["recall=null"] if recipe[0].parent.name == "multires_speech" else []
+    for name, settings, said in (
+        ("plain", recall, (True, True)),
+        ("styled", ["styles={}", *recall], (False, True)),
+    ):
+        caplog.clear()
+        given = (*recipe, f"corpus={labelled}", f"out={tmp_path / name}", *settings)
+        assert gesturekit("train", *given).status == 0
+        card = (tmp_path / name / "model" / "README.md").read_text()
+        for text in (caplog.text, card):
+            assert (styles in text, speakers in text) == said, name
+        assert "- **Not used**: " in card
+    wav = tmp_path / "labelled" / "ada_calm.wav"
+    render = ("render", wav, "--model", tmp_path / "plain", "--out", tmp_path / "out")
+    warning = "the model has 2 speakers and none is chosen: gestures are those of all of them"
+    assert gesturekit(*render).err.count(warning) == 1
+    chosen = (
+        (*render, "--speaker", "bob"),
+        (*render[:1], "--corpus", labelled, "--split", "train", *render[2:]),
+    )
+    for command in chosen:
+        done = gesturekit(*command, "--existing", "replace")
+        assert done.status == 0 and warning not in done.err
+
+
+def test_a_speaker_whose_recordings_are_recalled_counts_as_used(
+    gesturekit, labelled, light, tiny, tmp_path, caplog
+):
+    given = (light, *tiny, f"corpus={labelled}", f"out={tmp_path / 'run'}", "recall.level=2")
+    assert gesturekit("train", *given).status == 0
+    assert "styles in the corpus, none used" in caplog.text
+    assert "speakers in the corpus" not in caplog.text
