@@ -155,7 +155,7 @@ def test_names_with_html_are_text_on_the_page(gesturekit, model, write_speech, t
     good, bad = 'x"onload="alert(1)"><script>alert(2)<', "<b onclick=alert(3)>bad"
     folder = tmp_path / "<i>in"
     write_speech(folder / f"{good}.wav", 0.4)
-    (folder / f"{bad}.wav").write_text("Dear diary,\n")
+    (folder / f"{bad}.wav").write_text("<script>alert(4)</script>")  # quoted in the reason
     out = tmp_path / "<u>out"
     assert gesturekit("render", folder, "--model", model, "--out", out).status == 1
     page = tmp_path / "page.html"
