@@ -236,14 +236,7 @@ def command(
     inputs = sound_inputs("render", [*sources, *items], out, seconds, renderer.channel)
     batch = Batch(renderer, inputs, execution)
     if not all(map(renderer.has_speaker, batch.tasks)):
-        from gesturekit.wording import listed
-
-        click.echo(
-            f"Warning: the model has {len(loaded.speakers)} speakers and none is chosen: gestures "
-            "are those of all of them, on a skeleton of median size; choose one by --speaker "
-            f"({listed(sorted(loaded.speakers))})",
-            err=True,
-        )
+        _warn_of_speakers(loaded)
     if is_dry:
         print_preview(batch)
         return
@@ -293,6 +286,18 @@ def _check(
         raise click.UsageError(
             "--seconds is for motion without audio; otherwise the audio sets it."
         )
+
+
+def _warn_of_speakers(model: Model) -> None:
+    """Print whose gestures a model of several speakers makes if none of them is chosen."""
+    from gesturekit.wording import listed
+
+    click.echo(
+        f"Warning: the model has {len(model.speakers)} speakers and none is chosen: gestures are "
+        "those of all of them, on a skeleton of median size; choose one by --speaker "
+        f"({listed(sorted(model.speakers))})",
+        err=True,
+    )
 
 
 def _write_page(batch: Batch) -> None:
