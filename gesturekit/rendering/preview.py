@@ -74,7 +74,7 @@ def preview(batch: Batch) -> Iterator[Preview]:
 
 def _unreadable(task: Task) -> str | None:
     """Return why the beginning of a task's sound cannot be read; None if it can, or has none."""
-    if task.audio is None or task.item is not None or task.duration is not None:
+    if task.audio is None or task.duration is not None:
         return None
     try:
         af.Wave.load(task.audio, duration=_SHORT)

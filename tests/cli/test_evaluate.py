@@ -56,6 +56,7 @@ def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_p
     for line, model in zip(lines, found["models"]):
         assert line == f"{model['label']}: {model['verdict']}"
         assert html.escape(line) in page
+    assert lines[-3:-1] == [f"written  {tmp_path / name}" for name in ("r.json", "r.html")]
 
 
 def test_baselines_are_columns_of_the_table(gesturekit, folders):

@@ -169,9 +169,9 @@ def test_names_with_html_are_text_on_the_page(gesturekit, model, write_speech, t
 def test_the_page_of_a_folder_is_html_whatever_its_journal_says(gesturekit, tmp_path):
     state = tmp_path / STATE
     (state / "journal").mkdir(parents=True)
-    write_plan(state / "plan.jsonl", [PlanItem(name) for name in "abc"], 1, "r")
+    write_plan(state / "plan.jsonl", [PlanItem(name) for name in "abcd"], 1, "r")
     journal = Journal(state, 1, 1, run="a", settings={}, about={})
-    for name, sound in zip("abc", (1.0, 2.0, math.inf)):
+    for name, sound in zip("abcd", (0.0, 1.0, 2.0, math.inf)):
         journal.finish(Entry("done", name, sound=sound, seconds=1.0))
     journal.close()
     for name in ("3", "page.bvh"):

@@ -563,12 +563,12 @@ def test_accessories_are_not_the_head(mixamo):
     assert [found.arms[side].wrist for side in ("left", "right")] == ["PalmL", "PalmR"]
 
 
-def animal(legs: int, named: tuple[str, str, str]) -> Skeleton:
-    """A body with so many legs of three joints, of which one pair has these names."""
+def animal(legs: int, named: tuple[str, ...]) -> Skeleton:
+    """A body with so many legs of equal length, of which one pair has joints of these names."""
     names, parents, offsets = ["Body"], [-1], [(0.0, 0.0, 0.0)]
     for k in range(legs):
         side, row = ("Left", "Right")[k % 2], k // 2
-        parts = named if row == 1 else [f"Limb{row}{part}" for part in "abc"]
+        parts = named if row == 1 else [f"Limb{row}{part}" for part in "abcd"[: len(named)]]
         for bone, part in enumerate(parts):
             names.append(f"{side}{part}")
             parents.append(len(names) - 2 if bone else 0)
@@ -577,13 +577,16 @@ def animal(legs: int, named: tuple[str, str, str]) -> Skeleton:
     return Skeleton(tuple(names), tuple(parents), np.array(offsets))
 
 
-@pytest.mark.parametrize("named", [("Coxa", "Leg", "Tip"), ("UpLeg", "Leg", "Foot")])
+@pytest.mark.parametrize(
+    "named", [("Coxa", "Leg", "Tip"), ("UpLeg", "Leg", "Foot"), ("Coxa", "UpLeg", "Leg", "Foot")]
+)
 def test_two_legs_of_a_crab_are_not_those_of_a_person(named):
     crab, two_legs = animal(10, named), animal(4, named)
     assert find_legs(crab) is None
     labels, reason = known_part_labels(crab)
     assert labels == {} and "cannot identify the arms and legs" in reason
-    by_hand = crab.with_parts({"left_hip": f"Left{named[0]}", "right_hip": f"Right{named[0]}"})
+    hip = named[named.index("Leg") - 1]
+    by_hand = crab.with_parts({"left_hip": f"Left{hip}", "right_hip": f"Right{hip}"})
     for rig in (two_legs, by_hand):
         labels, _ = known_part_labels(rig)
-        assert labels[f"Left{named[0]}"] == "left hip" and labels["RightLeg"] == "right knee"
+        assert labels[f"Left{hip}"] == "left hip" and labels["RightLeg"] == "right knee"
