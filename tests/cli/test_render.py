@@ -600,8 +600,10 @@ def test_a_dry_run_says_what_it_did_not_look_at(gesturekit, model, wav, tmp_path
     )
     assert done.status == 0 and "1 to make, 0 to keep, 3 to fail" in done.err
     assert "only the headers of sounds were read: damage inside them is not counted" in done.err
+    gk.load(model).generate(seconds=2.0).save(tmp_path / "edit.bvh")
     idle = gesturekit(
-        "render", "--seconds", 2, "--model", model, "--out", tmp_path / "out", "--dry-run"
+        *("render", "--keyframes", tmp_path / "edit.bvh", "--model", model),
+        *("--out", tmp_path / "out", "--dry-run"),
     )
     assert idle.status == 0 and "1 to make, 0 to keep, 0 to fail" in idle.err
     assert re.search(r"^fail .*text\.wav -> .*cannot be read as sound", done.out, re.MULTILINE)
