@@ -63,6 +63,14 @@ class FeatureTrack:
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "names", names)
 
+    def __repr__(self) -> str:
+        kind = f" of {self.spec['kind']}" if "kind" in self.spec else ""
+        frames, features = self.values.shape
+        return (
+            f"FeatureTrack({frames} frames of {features} features{kind}, "
+            f"{self.times[0]:.3f} to {self.times[-1]:.3f} s)"
+        )
+
     def at(self, times: np.ndarray) -> FeatureTrack:
         """Interpolate at times (M,) in seconds: linear, constant beyond both ends."""
         times = np.asarray(times, dtype=np.float64)

@@ -88,6 +88,12 @@ class Wave:
             )
         _check_finite(self.samples, self.sample_rate, name)
 
+    def __repr__(self) -> str:
+        source = "" if self.source is None else f" of {self.source!r}"
+        if self.offset:
+            source += f" from {self.offset:g} s"
+        return f"Wave({self.duration:.2f} s at {self.sample_rate} Hz{source})"
+
     @classmethod
     def load(
         cls,

@@ -6,6 +6,7 @@ The command line prints them on one line, without a traceback.
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -16,6 +17,8 @@ from audio_features.errors import (
     ShortMessage,
     WeightsError,
 )
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 class GestureKitError(ShortMessage):
@@ -44,6 +47,11 @@ class ConfigError(GestureKitError, ValueError):
 
 class OutputError(GestureKitError, OSError):
     """An output folder that can no longer be written to, such as on a full disk."""
+
+
+def is_full(error: Exception) -> bool:
+    """Return whether an error says that nothing more can be written, such as to a full disk."""
+    return isinstance(error, OSError) and error.errno in _FULL
 
 
 class ModelError(GestureKitError, ValueError):

@@ -44,7 +44,9 @@ class Controls:
     like: str | Path | Motion | None = None
     """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
     speaker: str | None = None
-    """The speaker whose skeleton to use, one of the model's `speakers`."""
+    """One of the model's `speakers`: their skeleton is used, and a model with recall recalls their
+    recordings only. Without it, gestures are those of all speakers, on a skeleton of median
+    size."""
     foot_lock: bool = True
     """Lock planted feet in place; without it, feet stay as the model generated them."""
     smooth: float | None = None

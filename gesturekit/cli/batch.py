@@ -151,6 +151,7 @@ def print_preview(batch: Batch) -> None:
     click.echo(
         f"{parts}; {time_in_words(sound)} of sound, about {size / 1e6:.1f} MB and "
         f"{took} with {batch.execution.workers} of --workers, besides loading: {batch.out} "
-        "(dry run: nothing was written)",
+        "(dry run: nothing was written, and only the headers of sounds were read: damage inside "
+        "them is not counted)",
         err=True,
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import existing_option, is_left, resumable
+from gesturekit.cli.options import SEED, existing_option, is_left, resumable
 
 
 @click.command("demo", epilog="Example: gesturekit demo --out gesturekit-demo")
@@ -17,7 +17,7 @@ from gesturekit.cli.options import existing_option, is_left, resumable
     show_default=True,
     help="Output folder.",
 )
-@click.option("--seed", default=0, show_default=True, help="Random seed.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
 @existing_option("refuse")
 @click.pass_context
 def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:

@@ -14,6 +14,7 @@ from gesturekit.cli.evaluate_models import folders_of, place_of, rendered_baseli
 from gesturekit.cli.evaluate_sanity import sanity
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
+    SEED,
     body_option,
     comma_separated,
     existing_option,
@@ -163,7 +164,11 @@ if TYPE_CHECKING:
     "motion made from them, and print which of it each metric detects.",
 )
 @click.option(
-    "--seed", default=0, show_default=True, help="Seed for samples and confidence intervals."
+    "--seed",
+    type=SEED,
+    default=0,
+    show_default=True,
+    help="Seed for samples and confidence intervals.",
 )
 @click.option(
     "--workers",
@@ -227,8 +232,11 @@ def command(
             click.echo(f"Warning: {model.label}: {warning}", err=True)
             model.notes.append(warning)
             model.marks.append("trained on these")
+    # First: the reader of a pipe, such as head, may leave before everything is printed.
+    written = _write(found, tables, json_out, out, options["body"])
     _print(found)
-    _write(found, tables, json_out, out, options["body"])
+    for path in written:
+        click.echo(f"written  {path}")
     click.echo(_summary(found, out or json_out))
     ctx.exit(0 if found.is_complete else 1)
 
@@ -249,8 +257,8 @@ def _write(
     json_out: Path | None,
     out: Path | None,
     body: str | None,
-) -> None:
-    """Write the requested files."""
+) -> list[Path]:
+    """Write the requested files and return them."""
     import sys
 
     from gesturekit.evaluation import write_report
@@ -259,14 +267,12 @@ def _write(
     for form, path in tables.items():
         if path is not None:
             write_table(found, path, form)
-            click.echo(f"written  {path}")
     if json_out is not None:
         found.write_json(json_out)
-        click.echo(f"written  {json_out}")
     if out is not None:
         command = shlex.join(["gesturekit", *sys.argv[1:]])
         write_report(found, out, command=command, body=body)
-        click.echo(f"written  {out}")
+    return [path for path in (*tables.values(), json_out, out) if path is not None]
 
 
 def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path | None) -> None:

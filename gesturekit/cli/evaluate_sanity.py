@@ -46,16 +46,17 @@ def sanity(
         workers=options["workers"] or os.cpu_count() or 1,
         progress=lambda tasks, total, label: Progress(tasks, total=total, desc=label, unit="task"),
     )
+    # First: the reader of a pipe may leave before everything is printed.
+    if json_out is not None:
+        found.evaluation.write_json(json_out)
+    if out is not None:
+        write_report(found.evaluation, out, title=f"Known-bad motion made from {recordings}")
     for line in (*headline_lines(found.evaluation), "", *table_lines(found), conclusion(found)):
         click.echo(line)
     for name, reason in found.left_out.items():
         click.echo(f"Left out: {name}: {reason}", err=True)
-    if json_out is not None:
-        found.evaluation.write_json(json_out)
-        click.echo(f"written  {json_out}")
-    if out is not None:
-        write_report(found.evaluation, out, title=f"Known-bad motion made from {recordings}")
-        click.echo(f"written  {out}")
+    for path in filter(None, (json_out, out)):
+        click.echo(f"written  {path}")
     return 1 if found.left_out else 0
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gesturekit.cli.options import existing_option, is_left
+from gesturekit.cli.options import SEED, existing_option, is_left
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 @click.option(
     "--steps", type=click.IntRange(1), default=2300, show_default=True, help="Training steps."
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Random seed.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
 @existing_option("refuse")
 def command(
     reference: tuple[Path, ...],

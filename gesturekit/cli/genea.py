@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import existing_option, weights_option, workers_option
+from gesturekit.cli.options import SEED, existing_option, weights_option, workers_option
 
 
 @click.command(
@@ -37,7 +37,7 @@ from gesturekit.cli.options import existing_option, weights_option, workers_opti
     show_default=True,
     help="Number of motions per sound; the leaderboard asks for 5 if the model is stochastic.",
 )
-@click.option("--seed", default=0, show_default=True, help="Random seed.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
 @weights_option
 @workers_option
 @existing_option("refuse")

@@ -41,6 +41,8 @@ def command(
     """
     from gesturekit.jobs.status import status_of
 
+    if page is not None and page.suffix.lower() not in (".html", ".htm"):
+        raise click.UsageError(f"--page {page}: the page is HTML: name it .html")
     status = status_of(out)
     if as_json:
         click.echo(_as_json(status))

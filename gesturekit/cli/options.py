@@ -17,6 +17,8 @@ UNITS = ("m", "cm", "mm", "inch", "cmu")
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 RATE = click.FloatRange(min=0, min_open=True, max=1000)
+SEED = click.IntRange(0, 2**63 - 1)
+"""Seeds that every random generator takes."""
 
 
 _RECORDING = (

@@ -8,6 +8,7 @@ import click
 
 from gesturekit.cli.options import (
     RECORDING_OPTIONS,
+    SEED,
     channel_option,
     existing_option,
     is_left,
@@ -75,7 +76,7 @@ from gesturekit.cli.options import (
 )
 @click.option(
     "--seed",
-    type=int,
+    type=SEED,
     default=0,
     show_default=True,
     help="Seed for choosing the held-out recordings.",

@@ -14,6 +14,7 @@ from gesturekit.cli.batch import batch_options, pop_execution, print_preview, sh
 from gesturekit.cli.engines import run_elsewhere
 from gesturekit.cli.options import (
     RATE,
+    SEED,
     UNITS,
     ControlOption,
     GroupedCommand,
@@ -97,7 +98,7 @@ GROUPS = {
 )
 @body_option
 @size_option
-@click.option("--seed", default=0, show_default=True, help="Random seed.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
 @click.option(
     "--samples",
     type=click.IntRange(min=1),
@@ -242,6 +243,8 @@ def command(
     renderer = _renderer(loaded, out, seconds, options, open_model)
     inputs = sound_inputs("render", [*sources, *items], out, seconds, renderer.channel)
     batch = Batch(renderer, inputs, execution)
+    if not all(map(renderer.has_speaker, batch.tasks)):
+        _warn_of_speakers(loaded)
     if is_dry:
         print_preview(batch)
         return
@@ -291,6 +294,18 @@ def _check(
         raise click.UsageError(
             "--seconds is for motion without audio; otherwise the audio sets it."
         )
+
+
+def _warn_of_speakers(model: Model) -> None:
+    """Print whose gestures a model of several speakers makes if none of them is chosen."""
+    from gesturekit.wording import listed
+
+    click.echo(
+        f"Warning: the model has {len(model.speakers)} speakers and none is chosen: gestures are "
+        "those of all of them, on a skeleton of median size; choose one by --speaker "
+        f"({listed(sorted(model.speakers))})",
+        err=True,
+    )
 
 
 def _write_page(batch: Batch) -> None:

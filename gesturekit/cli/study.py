@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gesturekit.cli.options import existing_option, is_left
+from gesturekit.cli.options import SEED, existing_option, is_left
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def power(
     show_default=True,
     help="Rounds of the bootstrap over raters.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the bootstrap.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the bootstrap.")
 @existing_option("refuse")
 def analyse(
     answers: tuple[Path, ...],
@@ -170,15 +170,16 @@ def analyse(
     found = analyse_study(
         read_answers(answers, failed_checks=failed_checks or None), rounds=rounds, seed=seed
     )
-    _print(found)
+    # First: the reader of a pipe may leave before everything is printed.
     if out is not None:
         write_study_report(found, out)
-        click.echo(out, err=True)
     if json_out is not None:
         from gesturekit.study.analysis.report import write_json
 
         write_json(found, json_out)
-        click.echo(json_out, err=True)
+    _print(found)
+    for path in files:
+        click.echo(path, err=True)
 
 
 def _print(found: StudyResult) -> None:

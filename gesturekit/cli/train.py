@@ -53,12 +53,7 @@ def command(
 
     if resume and only_plan:
         raise click.UsageError("--plan is for a new run; leave out --resume")
-    for text in (str(config), *overrides):
-        if text.startswith("-"):
-            key = text.lstrip("-").partition("=")[0]
-            if "." not in key:
-                raise click.NoSuchOption(text, possibilities=["--resume", "--plan", "--show"])
-            raise click.UsageError(f"No such option: {text}; a setting is written as {key}=VALUE.")
+    _refuse_options([str(config), *overrides])
     if show:
         _show(resolved_settings(config, overrides))
         return
@@ -74,6 +69,27 @@ def command(
     click.echo(f"Model: {model}")
     for line in _next_steps(model):
         click.echo(line)
+
+
+def _refuse_options(arguments: Sequence[str]) -> None:
+    """Refuse options that do not exist; most are settings written as options.
+
+    Raises:
+        UsageError: there is one.
+    """
+    from gesturekit.wording import did_you_mean
+
+    for text, after in zip(arguments, [*arguments[1:], ""], strict=True):
+        if not text.startswith("-"):
+            continue
+        name, _, value = text.partition("=")
+        if near := did_you_mean(name, ["--resume", "--plan", "--show"], "{}"):
+            raise click.NoSuchOption(text, possibilities=[near])
+        is_value = after and "=" not in after and not after.startswith("-")
+        setting = f"{name.lstrip('-')}={value or (after if is_value else 'VALUE')}"
+        raise click.UsageError(
+            f"No such option: {text}; settings are written without --: {setting}"
+        )
 
 
 def _show(settings: Sequence[Setting]) -> None:

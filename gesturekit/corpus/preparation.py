@@ -105,6 +105,8 @@ class PrepareOptions:
         splits.as_intervals(self.hold_out_seconds)
         if not 0 <= self.holdout < 1:
             raise CorpusError(f"holdout is {self.holdout}; it must be a fraction from 0 to below 1")
+        if self.seed < 0:
+            raise CorpusError(f"seed is {self.seed}: give a whole number from 0")
         if not 1 <= self.workers <= 1024:
             raise CorpusError(f"workers is {self.workers}: give at least 1")
         if not (math.isfinite(self.tolerance) and self.tolerance >= 0):

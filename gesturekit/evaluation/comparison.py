@@ -102,6 +102,8 @@ class EvaluationOptions:
         if self.protocol not in PROTOCOLS:
             known = ", ".join(filter(None, PROTOCOLS))
             raise EvaluationError(f"protocol {self.protocol!r}; expected one of {known}")
+        if self.seed < 0:
+            raise EvaluationError(f"seed is {self.seed}: give a whole number from 0")
 
     def to_json(self) -> dict[str, Any]:
         """Return the settings of the report as plain values."""

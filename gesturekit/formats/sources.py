@@ -20,9 +20,10 @@ SPEECH_SUFFIXES = (
     *(".wav", ".flac", ".mp3", ".ogg", ".oga", ".opus"),
     *(".aiff", ".aif", ".aifc", ".au"),
 )
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".3gp")
 OTHER_SPEECH_SUFFIXES = (
     *(".m4a", ".aac", ".wma", ".amr", ".ac3", ".mp2", ".caf", ".w64", ".ape", ".wv"),
-    *(".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".3gp"),
+    *VIDEO_SUFFIXES,
 )
 """Unsupported audio and video; ffmpeg converts them to wav."""
 OTHER_MOTION_SUFFIXES = (

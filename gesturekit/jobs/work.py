@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import time
@@ -12,14 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from gesturekit.errors import AudioFeaturesError, GestureKitError
+from gesturekit.errors import AudioFeaturesError, GestureKitError, is_full
 from gesturekit.jobs.journal import Entry
 from gesturekit.jobs.plan import PlanItem
 from gesturekit.jobs.record import file_facts, path_digest
 
 # torch raises RuntimeError when memory runs out.
 _FAILURES = (GestureKitError, AudioFeaturesError, OSError, MemoryError, RuntimeError)
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 class Task(Protocol):
@@ -175,15 +173,15 @@ class Processor(ABC):
         made = Made(task.source)
         found: dict[str, Any] = {}
         source = (file_facts(task.path) if task.path is not None else None) or {}
-        reason, is_full = None, False
+        reason, full = None, False
         try:
             found = self.input_of(task)
             self.make(work, made)
         except Exception as error:  # one strange file must not end a night's work
             reason = _reason(error, task.source, made.at)
-            is_full = isinstance(error, OSError) and error.errno in _FULL
+            full = is_full(error)
         entry = Entry(
-            "done" if reason is None else "dropped" if is_full else "failed",
+            "done" if reason is None else "dropped" if full else "failed",
             task.name,
             key=self.key(found),
             attempt=work.attempt,
@@ -202,7 +200,7 @@ class Processor(ABC):
         )
         files = tuple(made.files)
         outcome = Outcome(task.source, files, work.kept, reason, made.sound, made.facts)
-        return Done(outcome, entry, is_full)
+        return Done(outcome, entry, full)
 
 
 def digest_of(values: Any) -> str:

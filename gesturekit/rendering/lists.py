@@ -146,7 +146,8 @@ def _json_line(line: str, where: str) -> tuple[str | None, str | None, dict[str,
         is_valid = isinstance(value, FIELDS[name]) and not isinstance(value, bool)
         if is_valid and float in FIELDS[name]:
             is_valid = 0 <= value <= _MAX_SECONDS
-        if not is_valid or (name in ("seconds", "channel") and value <= 0):
+        is_positive = name in ("seconds", "channel")
+        if not is_valid or (is_positive and value <= 0) or (name == "seed" and value < 0):
             raise ConfigError(f"{where}: {name} is {json.dumps(value)[:80]}")
     audio, name = values.pop("audio", None), values.pop("id", None)
     if audio is None and not (name and "seconds" in values):

@@ -10,7 +10,7 @@ from typing import Literal
 
 import soundfile
 
-from audio_features import Wave
+import audio_features as af
 from gesturekit.jobs.batch import Batch
 from gesturekit.jobs.work import Outcome, Work
 from gesturekit.rendering.tasks import Task
@@ -55,16 +55,32 @@ class Cost:
 
 
 def preview(batch: Batch) -> Iterator[Preview]:
-    """Yield what would be done about each task; nothing is written."""
+    """Yield what would be done about each task; nothing is written.
+
+    Only the header of a sound is read, so that damage further on is not found.
+    """
     for task in batch.tasks:
         work = batch.work_on(task)
         if isinstance(work, Outcome):
             action = "keep" if work.error is None else "fail"
             yield Preview(task, action, work.kept, work.error)
+        elif reason := _unreadable(task):
+            yield Preview(task, "fail", (), reason)
         else:
             targets = batch.processor.targets(task)
             left = tuple(file for file in targets if file not in work.kept)
             yield Preview(task, "make", left)
+
+
+def _unreadable(task: Task) -> str | None:
+    """Return why the beginning of a task's sound cannot be read; None if it can, or has none."""
+    if task.audio is None or task.duration is not None:
+        return None
+    try:
+        af.Wave.load(task.audio, duration=_SHORT)
+    except (af.AudioError, OSError) as error:
+        return str(error)
+    return None
 
 
 def measured_cost(batch: Batch) -> Cost:
@@ -72,7 +88,7 @@ def measured_cost(batch: Batch) -> Cost:
 
     All costs are 0 if nothing can be made of speech with these settings.
     """
-    found, speech = [], Wave.load(bundled_speech())
+    found, speech = [], af.Wave.load(bundled_speech())
     with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
         processor = batch.processor.into(Path(folder))
         for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation

@@ -171,6 +171,13 @@ class Renderer(Processor):
         found = item_controls(self.model, item)
         return {name: value for name, value in found.items() if name not in self.controls}
 
+    def has_speaker(self, task: Task) -> bool:
+        """Return whether a speaker is chosen for a task, or the model has none to choose from."""
+        known = self.model.speakers
+        given = [self.controls.get("speaker"), task.options.get("speaker")]
+        given += [] if task.item is None else [task.item.speaker]
+        return len(known) < 2 or any(name in known for name in given)
+
     def make(self, work: Work, made: Made) -> None:
         """Generate the motions of a task and write them."""
         task = work.task

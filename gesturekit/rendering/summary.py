@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import math
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -95,7 +96,7 @@ def _counts(out: Path, status: Status) -> Iterator[str]:
 
 def _histogram(title: str, values: list[float]) -> Iterator[str]:
     """Yield a histogram with logarithmic classes, as SVG, and its quantiles."""
-    positive = np.array([value for value in values if value > 0])
+    positive = np.array([value for value in values if 0 < value < math.inf])
     if len(positive) < 2:
         return
     low, high = positive.min(), max(positive.max(), positive.min() * 1.01)

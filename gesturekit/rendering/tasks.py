@@ -20,6 +20,7 @@ from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.formats.sources import (
     OTHER_SPEECH_SUFFIXES,
     SPEECH_SUFFIXES,
+    VIDEO_SUFFIXES,
     unreadable_media,
     visible_folders,
 )
@@ -173,8 +174,9 @@ def sound_inputs(
 def find_tasks(sources: Source | Sequence[Source], out: Path) -> list[Task]:
     """List what to render.
 
-    A folder stands for all sounds below it, which keep their relative path; other files with
-    sound are warned about. Hidden files and `out` itself are skipped.
+    A folder stands for all sounds below it, which keep their relative path. Sounds of formats that
+    cannot be decoded fail when their turn comes, unless one of the same name beside them can be;
+    videos are warned about. Hidden files and `out` itself are skipped.
 
     Args:
         sources: sound files, folders, globs such as "speech/**/*.wav", lists (see
@@ -231,23 +233,28 @@ def _tasks_of(source: Source, out: Path) -> Iterator[Task]:
 
 def _below(folder: Path, out: Path) -> Iterator[Task]:
     trouble: list[OSError] = []
-    others: list[Path] = []
+    videos: list[Path] = []
     is_empty = True
     results = os.path.realpath(out)
     for here, folders, files in visible_folders(folder, trouble.append):
         if os.path.realpath(here) == results != os.path.realpath(folder):
             folders.clear()
             continue
-        others += [path for path in files if path.suffix.lower() in OTHER_SPEECH_SUFFIXES]
+        readable = {path.stem for path in files if path.suffix.lower() in SPEECH_SUFFIXES}
         for path in files:
-            if path.suffix.lower() in SPEECH_SUFFIXES:
+            suffix = path.suffix.lower()
+            if suffix in VIDEO_SUFFIXES:
+                videos.append(path)
+            elif suffix in SPEECH_SUFFIXES or (
+                suffix in OTHER_SPEECH_SUFFIXES and path.stem not in readable
+            ):
                 is_empty = False
                 name = path.relative_to(folder).with_suffix("").as_posix()
                 yield Task(str(path), name, path)
     for error in trouble:
         where = str(error.filename or folder)
         yield Task(where, "", error=f"{where}: {error.strerror}")
-    for line in _listed(others):
+    for line in _listed(videos):
         log.warning("%s", line)
     if is_empty and not trouble:
         raise ConfigError(f"{folder}: the folder holds no audio files that can be read")

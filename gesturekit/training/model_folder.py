@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.atomic import atomic_write, remove_unfinished
+from gesturekit.atomic import atomic_write, remove_unfinished, write_tensors
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion.parts import unidentified
 from gesturekit.training.config import dump_yaml, read_yaml
@@ -72,8 +73,7 @@ def save_model(
         remove_unfinished(folder / name)
     with atomic_write(folder / "skeleton.json") as temporary:
         temporary.write_text(json.dumps(rig), encoding="utf-8")
-    with atomic_write(folder / "model.safetensors") as temporary:
-        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary)
+    write_tensors(folder / "model.safetensors", tensors)
     with atomic_write(folder / "README.md") as temporary:
         temporary.write_text(readme, encoding="utf-8")
     # Last: a folder with a config.yaml is a whole model.
@@ -115,13 +115,19 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
         raise ModelError(
             f"{folder}: {memory_ran_out(error)}; free it, or load the model with device cpu"
         ) from error
-    except (KeyError, TypeError, ValueError, RuntimeError, OSError, MemoryError) as error:
+    except OSError as error:
+        named = Path(error.filename or "model.safetensors").name
+        raise ModelError(f"{folder}: {named} cannot be read ({error.strerror or error})") from None
+    except SafetensorError as error:
+        raise ModelError(f"{folder}: model.safetensors is damaged ({error})") from error
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
         # torch lists every tensor that does not fit, on a line of its own.
         reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")
         raise ModelError(f"{folder}: the model is damaged ({reason})") from error
     except Exception as error:
-        # safetensors raises an error class of its own for a damaged file.
-        raise ModelError(f"{folder}: model.safetensors is damaged ({error})") from error
+        # Not known to be damage: memory that ran out, a library that is missing.
+        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
+        raise ModelError(f"{folder}: the model cannot be loaded ({reason})") from error
     if missing := unidentified(model.skeleton):
         locked = "feet are not locked, and " if missing.startswith("legs") else ""
         log.warning(

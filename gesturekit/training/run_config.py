@@ -91,7 +91,7 @@ class RunConfig:
         check_positive(
             fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every
         )
-        check_not_negative(eval_every=self.eval_every)
+        check_not_negative(eval_every=self.eval_every, seed=self.seed)
         if self.smooth is not None:
             check_positive(smooth=self.smooth)
         for part, joint in self.parts.items():

@@ -22,12 +22,15 @@ def checked_seed(seed: int) -> int:
     """Return a seed as a plain whole number.
 
     Raises:
-        ModelError: it is not a whole number.
+        ModelError: it is not a whole number from 0.
     """
     try:
-        return operator.index(seed)
+        number = operator.index(seed)
     except TypeError:
-        raise ModelError(f"seed={seed!r}: give a whole number") from None
+        number = -1
+    if number < 0:
+        raise ModelError(f"seed={seed!r}: give a whole number from 0")
+    return number
 
 
 def rng_for(*keys: int | str) -> torch.Generator:

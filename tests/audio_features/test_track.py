@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -177,3 +178,14 @@ def test_values_that_are_not_finite_are_refused():
         FeatureTrack(np.array([[0, 0], [0, np.nan]]), np.arange(2.0), {}, ("a", "b"))
     with pytest.raises(FeatureError, match="ascend"):
         FeatureTrack(np.zeros((2, 1)), np.array([1.0, 0.0]))
+
+
+def test_it_is_shown_in_a_line(ramp):
+    shown = repr(replace(ramp, spec={"kind": "prosody", "hop": 0.02}))
+    n, (first, last) = len(ramp.times), ramp.times[[0, -1]]
+    assert shown == (
+        f"FeatureTrack({n} frames of 2 features of prosody, {first:.3f} to {last:.3f} s)"
+    )
+    assert repr(FeatureTrack(np.zeros((3, 1)), [0.0, 0.5, 1.0])) == (
+        "FeatureTrack(3 frames of 1 features, 0.000 to 1.000 s)"
+    )

@@ -422,3 +422,10 @@ def test_text_is_not_offered_to_ffmpeg(tmp_path, text):
     with pytest.raises(AudioError, match="cannot be read as sound") as caught:
         Wave.load(tmp_path / "a.bvh")
     assert "ffmpeg" not in str(caught.value)
+
+
+def test_it_is_shown_in_a_line(tmp_path):
+    assert repr(Wave(np.zeros(24_000, np.float32), 16_000)) == "Wave(1.50 s at 16000 Hz)"
+    soundfile.write(tmp_path / "a.wav", np.zeros(16_000), 16_000)
+    shown = repr(Wave.load(tmp_path / "a.wav", start=0.25, duration=0.5))
+    assert shown == f"Wave(0.50 s at 16000 Hz of {str(tmp_path / 'a.wav')!r} from 0.25 s)"

@@ -26,6 +26,22 @@ TINY = (
     "training.window_cache=2",
 )
 
+SMALL = LIGHT.parents[1] / "diffusion_speech" / "small.yaml"
+TINY_DIFFUSION = (
+    "threads=1",
+    "network.blocks=1",
+    "network.layers=1",
+    "network.channels=8",
+    "network.heads=2",
+    "network.feedforward=8",
+    "network.embedding=8",
+    "noise.steps=8",
+    "training.updates=6",
+    "training.batch=2",
+    "training.window=2",
+    "features.extractors=[{kind: logmel}]",
+)
+
 
 class Done(NamedTuple):
     """How a command ended."""
@@ -45,6 +61,12 @@ def tiny() -> tuple[str, ...]:
 def light() -> Path:
     """The recipe that asks for no weights."""
     return LIGHT
+
+
+@pytest.fixture(params=["multires", "diffusion"])
+def recipe(request) -> tuple[object, ...]:
+    """A recipe of each system that asks for no weights, and overrides that make it tiny."""
+    return (LIGHT, *TINY) if request.param == "multires" else (SMALL, *TINY_DIFFUSION)
 
 
 @pytest.fixture

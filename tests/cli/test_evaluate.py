@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import html
 import json
+import os
 import re
+import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,6 +57,7 @@ def test_it_prints_a_table_and_writes_report_and_json(gesturekit, folders, tmp_p
     for line, model in zip(lines, found["models"]):
         assert line == f"{model['label']}: {model['verdict']}"
         assert html.escape(line) in page
+    assert lines[-3:-1] == [f"written  {tmp_path / name}" for name in ("r.json", "r.html")]
 
 
 def test_baselines_are_columns_of_the_table(gesturekit, folders):
@@ -462,3 +467,38 @@ def test_sync_of_arms_that_hardly_move_is_not_given(gesturekit, write_pair, tmp_
     assert done.status == 0, done.err
     assert "less than 5 % of the recording's speed" in done.err
     assert not any(line.startswith("  Sync  ") for line in done.out.splitlines())
+
+
+@pytest.fixture
+def closed_pipe(monkeypatch) -> Iterator[None]:
+    """Standard output is a pipe whose reader has left: gesturekit ... | head."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        yield
+        monkeypatch.undo()
+        with contextlib.suppress(BrokenPipeError):
+            out.close()
+
+
+def test_results_are_written_whoever_reads_the_output(gesturekit, folders, tmp_path, closed_pipe):
+    answers = tmp_path / "answers.csv"
+    rows = [f"u{user},{clip},a,b,model_a,False" for user in range(6) for clip in "xyz"]
+    header = "user,input_code,model_a,model_b,winner,is_strong"
+    answers.write_text("\n".join([header, *rows]))
+    recordings = folders / "recordings"
+    for command, names in {
+        ("evaluate", folders / "ours", recordings): ["e.html", "e.json", "e.csv"],
+        ("study", "analyse", answers): ["a.html", "a.json"],
+    }.items():
+        options = [
+            text
+            for name in names
+            for text in (
+                {"html": "--out", "json": "--json", "csv": "--csv"}[name[2:]],
+                tmp_path / name,
+            )
+        ]
+        gesturekit(*command, *options)
+        assert all((tmp_path / name).stat().st_size > 0 for name in names)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +16,12 @@ from gesturekit.jobs.state import STATE
 
 ROOM = 200
 """Size of the disk, in kB."""
+
+
+def resize(disk: Path, kilobytes: int) -> None:
+    """Give a disk of `small_disk` another size."""
+    options = f"remount,size={kilobytes}k"
+    subprocess.run(["mount", "-o", options, str(disk)], check=True)
 
 
 @pytest.fixture
@@ -82,7 +89,37 @@ def test_a_disk_that_becomes_full(gesturekit, recordings, small_disk, tmp_path, 
     again = gesturekit(*command(recordings, out))
     assert again.status in (1, 2) and "No space left" in again.err
     assert content(out).items() >= made.items()
-    options = f"remount,size={100 * ROOM}k"
-    subprocess.run(["mount", "-o", options, str(small_disk)], check=True)
+    resize(small_disk, 100 * ROOM)
     assert gesturekit(*command(recordings, out)).status == 0
     assert content(out) == whole
+
+
+def kilobytes(folder: Path) -> int:
+    """Space that the files below a folder take, in whole blocks."""
+    return sum(4 + path.stat().st_size // 1024 for path in folder.rglob("*") if path.is_file())
+
+
+def test_a_disk_that_becomes_full_during_training(gesturekit, corpus, recipe, small_disk, tmp_path):
+    settings = (*recipe, f"corpus={corpus}", "checkpoint_every=1", "log_every=1")
+    whole, run = tmp_path / "whole", small_disk / "run"
+    assert gesturekit("train", *settings, f"out={whole}").status == 0
+    new, resumed = ["train", *settings, f"out={run}"], ["train", "--resume", run]
+    checkpoint = kilobytes(whole / "checkpoints") // 2
+    for room, command, then in (
+        (kilobytes(whole / "data") // 2, new, "start again"),
+        (
+            kilobytes(whole) - checkpoint // 2,
+            new,
+            f"continue from the last checkpoint: gesturekit train --resume {run}",
+        ),
+    ):
+        resize(small_disk, room)
+        stopped = gesturekit(*command)
+        assert stopped.status == 2 and "Traceback" not in stopped.err
+        (line,) = [line for line in re.split(r"[\r\n]", stopped.err) if "No space left" in line]
+        assert line == f"Error: {run}: No space left on device; make room, then {then}"
+    assert list((run / "checkpoints").glob("*.pt"))
+    resize(small_disk, 100 * ROOM)
+    assert gesturekit(*resumed).status == 0
+    for name in ("model.safetensors", "config.yaml"):
+        assert (run / "model" / name).read_bytes() == (whole / "model" / name).read_bytes()

@@ -124,3 +124,22 @@ def test_ctrl_c_prints_how_to_continue(gesturekit, write_pair, tmp_path, monkeyp
     done = gesturekit(verb, source, *options)
     assert done.status == 130
     assert done.err.splitlines()[-1].startswith("Interrupted. 0 done") and says in done.err
+
+
+def test_a_seed_below_0_is_refused_at_once_everywhere(gesturekit, model, corpus, tmp_path):
+    """Before files are read: none of these inputs exists."""
+    for verb in ("render", "demo", "genea", "evaluate", "prepare", "fit-features", "study"):
+        command = [verb, "analyse"] if verb == "study" else [verb]
+        done = gesturekit(*command, "x", "y", "--seed", -1)
+        assert done.status == 2 and "Invalid value for '--seed': -1" in done.err, verb
+    loaded = gk.load(model)
+    for call in (
+        lambda: loaded.generate(seconds=1.0, seed=-1),
+        lambda: loaded.check_controls(seed=-1),
+        lambda: gk.evaluate(tmp_path, tmp_path, seed=-1),
+        lambda: gk.prepare([tmp_path], tmp_path / "c.jsonl", seed=-1),
+        lambda: gk.train("multires_speech/light", corpus=corpus, out=tmp_path / "run", seed=-1),
+    ):
+        with pytest.raises(gk.GestureKitError, match=r"seed.*-1"):
+            call()
+    assert list(tmp_path.iterdir()) == []

@@ -20,11 +20,13 @@ import pytest
 import soundfile
 from sounds import voiced
 
+import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.cli.render import GROUPS
 from gesturekit.cli.render import command as render
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import SPLITS
+from gesturekit.multires.network.generator import MultiresGenerator
 
 FPS = 30
 
@@ -178,9 +180,21 @@ def test_another_body(gesturekit, model, wav, gesture, tmp_path):
 
 
 def test_feet_may_be_left_and_the_arms_smoothed(gesturekit, model, wav, tmp_path):
-    for name, flags in (("as-is", ["--no-foot-lock"]), ("smooth", ["--smooth", 0.2])):
-        made = gesturekit("render", wav, "--model", model, "--out", tmp_path / name, *flags)
-        assert made.status == 0 and (tmp_path / name / "speech.bvh").is_file()
+    loaded, usual = gk.load(model), None
+    for name, flags, controls in (
+        ("usual", [], {}),
+        ("locked", ["--foot-lock"], {}),
+        ("as-is", ["--no-foot-lock"], {"foot_lock": False}),
+        ("smooth", ["--smooth", 0.2], {"smooth": 0.2}),
+    ):
+        command = ("render", wav, "--model", model, "--out", tmp_path / name, "--format", "npz")
+        assert gesturekit(*command, *flags).status == 0
+        made = Motion.load(tmp_path / name / "speech.npz")
+        wanted = loaded.generate(wav, **controls)
+        assert (made.rotations == wanted.rotations).all(), name
+        assert (made.translation == wanted.translation).all(), name
+        usual = made if usual is None else usual
+        assert (made.rotations == usual.rotations).all() == (not controls), name
     done = gesturekit("render", wav, "--model", model, "--out", tmp_path, "--smooth", -1)
     assert done.status == 2 and "--smooth" in done.err
 
@@ -367,7 +381,9 @@ DAMAGES = {
     "lacks model.safetensors": lambda m: (m / "model.safetensors").unlink(),
     "lacks skeleton.json": lambda m: (m / "skeleton.json").unlink(),
     "config.yaml: no such": lambda m: (m / "config.yaml").unlink(),
-    "damaged": lambda m: (m / "model.safetensors").write_bytes(random.Random(0).randbytes(5000)),
+    "model.safetensors is damaged": lambda m: (m / "model.safetensors").write_bytes(
+        random.Random(0).randbytes(5000)
+    ),
     "model is damaged": lambda m: (m / "skeleton.json").write_bytes(random.Random(0).randbytes(99)),
     "the model is damaged": lambda m: (m / "skeleton.json").write_text('{"skeleton": [1]}'),
     "config.yaml: cannot be read": lambda m: (m / "config.yaml").write_bytes(b"\xff\xfe\x00"),
@@ -386,6 +402,30 @@ def test_a_damaged_model_is_refused_in_one_line(gesturekit, model, wav, tmp_path
     (line,) = done.err.splitlines()
     assert line.startswith("Error: ") and str(copy) in line and says in line
     assert not (tmp_path / "out").exists()
+
+
+def test_only_a_damaged_file_is_called_damaged(gesturekit, model, wav, tmp_path, monkeypatch):
+    def failing(error):
+        def load_state_dict(self, *arguments, **keywords):
+            raise error
+
+        return load_state_dict
+
+    command = ("render", wav, "--model", model, "--out", tmp_path / "out")
+    for error, says in (
+        (MemoryError(), "the model cannot be loaded (MemoryError)"),
+        (ImportError("no numba"), "the model cannot be loaded (ImportError: no numba)"),
+        (
+            PermissionError(13, "Permission denied", "a/skeleton.json"),
+            "skeleton.json cannot be read",
+        ),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(MultiresGenerator, "load_state_dict", failing(error))
+            done = gesturekit(*command)
+        assert done.status == 2 and done.err.startswith(f"Error: {model}: {says}")
+        assert "damaged" not in done.err
+    assert gesturekit(*command).status == 0
 
 
 def test_a_run_folder_stands_for_its_model(gesturekit, model, wav, tmp_path):
@@ -503,8 +543,10 @@ def test_an_output_rate_other_than_the_models_is_reported_once(gesturekit, model
 def test_a_sound_that_cannot_be_read_is_named_with_what_to_do(gesturekit, model, tmp_path):
     for name, content, says in (
         ("talk.m4a", b"\0\0\0\x20ftypM4A " + bytes(100), "ffmpeg"),
+        ("day/talk.aac", b"\xff\xf1" + bytes(100), "ffmpeg"),
         ("none.wav", None, "no such file"),
     ):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         if content is not None:
             (tmp_path / name).write_bytes(content)
         done = gesturekit("render", tmp_path / name, "--model", model, "--out", tmp_path / "out")
@@ -552,3 +594,34 @@ def test_a_missing_control_file_stops_before_the_first_item(gesturekit, wav, opt
     done = gesturekit("render", wav, "--model", "demo", option, "no.bvh", "--out", tmp_path / "out")
     assert done.status == 2 and f"{option[2:]}: no.bvh: no such file" in done.err
     assert not (tmp_path / "out").exists()
+
+
+def test_sounds_in_a_folder_that_cannot_be_decoded_fail_as_they_do_alone(
+    gesturekit, model, wav, tmp_path
+):
+    folder = wav.parent
+    (folder / "talk.m4a").write_bytes(b"\0\0\0\x20ftypM4A " + bytes(100))
+    (folder / f"{wav.stem}.m4a").write_bytes(b"\0\0\0\x20ftypM4A " + bytes(100))
+    for verb, model_of in (("render", ("--model", model)), ("features", ())):
+        done = gesturekit(verb, folder, *model_of, "--out", tmp_path / verb)
+        (line,) = [line for line in done.err.splitlines() if "m4a" in line]
+        assert done.status == 1 and "ffmpeg -i" in line and "talk.m4a" in line
+        assert [path.stem for path in (tmp_path / verb).glob("*.[bn]*")] == [wav.stem]
+
+
+def test_a_dry_run_says_what_it_did_not_look_at(gesturekit, model, wav, tmp_path):
+    (wav.parent / "talk.m4a").write_bytes(b"\0\0\0\x20ftypM4A " + bytes(100))
+    (wav.parent / "text.wav").write_text("Dear diary,\n")
+    (wav.parent / "void.flac").touch()
+    done = gesturekit(
+        "render", wav.parent, "--model", model, "--out", tmp_path / "out", "--dry-run"
+    )
+    assert done.status == 0 and "1 to make, 0 to keep, 3 to fail" in done.err
+    assert "only the headers of sounds were read: damage inside them is not counted" in done.err
+    gk.load(model).generate(seconds=2.0).save(tmp_path / "edit.bvh")
+    idle = gesturekit(
+        *("render", "--keyframes", tmp_path / "edit.bvh", "--model", model),
+        *("--out", tmp_path / "out", "--dry-run"),
+    )
+    assert idle.status == 0 and "1 to make, 0 to keep, 0 to fail" in idle.err
+    assert re.search(r"^fail .*text\.wav -> .*cannot be read as sound", done.out, re.MULTILINE)

@@ -43,6 +43,7 @@ def error_line(done) -> str:
         ("network.kernel=4", "kernel: 4 must be odd"),
         ("network=3", "network"),
         ("training.batch=0", "batch"),
+        ("seed=-1", "seed: -1 must be at least 0"),
         ("levels", "key=value"),
         ("fps=[25", "not valid YAML"),
         ("training.window=.nan", "window"),
@@ -301,10 +302,23 @@ def test_common_mistakes_in_naming_a_run_a_recipe_or_a_setting(
     assert says in error_line(done)
 
 
-def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light):
-    done = gesturekit("train", light, "--training.first_stage", "20")
-    assert done.status == 2
-    assert "training.first_stage=VALUE" in done.err
+@pytest.mark.parametrize(
+    ("given", "setting"),
+    [
+        (["--training.first_stage", "20"], "training.first_stage=20"),
+        (["--corpus", "x.jsonl"], "corpus=x.jsonl"),
+        (["--corpus=x.jsonl"], "corpus=x.jsonl"),
+        (["--out", "seed=3"], "out=VALUE"),
+        (["--out"], "out=VALUE"),
+    ],
+)
+def test_a_setting_written_as_an_option_is_shown_as_a_setting(gesturekit, light, given, setting):
+    for arguments in ([light, *given], [*given, light])[: 2 - (given == ["--out"])]:
+        done = gesturekit("train", *arguments)
+        assert done.status == 2 and done.out == ""
+        assert f"No such option: {given[0]}; settings are written without --: {setting}\n" in (
+            done.err
+        )
 
 
 def test_the_model_of_a_run_stands_for_the_run(gesturekit, train, tmp_path):
@@ -357,3 +371,57 @@ def test_every_setting_has_a_docstring(name, tmp_path):
     config.write_text(f"system: {name}\nstyles: {{}}\n")
     overrides = ["unpaired={}"] if name == "diffusion" else []
     assert not [s.name for s in resolved_settings(config, overrides) if not s.doc]
+
+
+@pytest.fixture
+def labelled(gesturekit, write_pair, tmp_path):
+    """A manifest of two speakers, each in a style of their own."""
+    for seed, name in enumerate(("ada_calm", "bob_wild")):
+        write_pair(tmp_path / "labelled", name, 4.0, seed=seed)
+    manifest = tmp_path / "labelled.jsonl"
+    pattern = ("--style-pattern", "(?P<speaker>[a-z]+)_(?P<style>[a-z]+)")
+    prepared = gesturekit(
+        "prepare", tmp_path / "labelled", "--out", manifest, "--holdout", 0, *pattern
+    )
+    assert prepared.status == 0
+    return manifest
+
+
+def test_styles_and_speakers_that_are_not_used_are_said(
+    gesturekit, labelled, recipe, tmp_path, caplog
+):
+    """Before and after training, and when a model of several speakers is rendered without one."""
+    styles = "2 styles in the corpus, none used; styles={} trains with them"
+    speakers = "2 speakers in the corpus, none used: gestures are those of all of them, and "
+    recall = ["recall=null"] if recipe[0].parent.name == "multires_speech" else []
+    for name, settings, said in (
+        ("plain", recall, (True, True)),
+        ("styled", ["styles={}", *recall], (False, True)),
+    ):
+        caplog.clear()
+        given = (*recipe, f"corpus={labelled}", f"out={tmp_path / name}", *settings)
+        assert gesturekit("train", *given).status == 0
+        card = (tmp_path / name / "model" / "README.md").read_text()
+        for text in (caplog.text, card):
+            assert (styles in text, speakers in text) == said, name
+        assert "- **Not used**: " in card
+    wav = tmp_path / "labelled" / "ada_calm.wav"
+    render = ("render", wav, "--model", tmp_path / "plain", "--out", tmp_path / "out")
+    warning = "the model has 2 speakers and none is chosen: gestures are those of all of them"
+    assert gesturekit(*render).err.count(warning) == 1
+    chosen = (
+        (*render, "--speaker", "bob"),
+        (*render[:1], "--corpus", labelled, "--split", "train", *render[2:]),
+    )
+    for command in chosen:
+        done = gesturekit(*command, "--existing", "replace")
+        assert done.status == 0 and warning not in done.err
+
+
+def test_a_speaker_whose_recordings_are_recalled_counts_as_used(
+    gesturekit, labelled, light, tiny, tmp_path, caplog
+):
+    given = (light, *tiny, f"corpus={labelled}", f"out={tmp_path / 'run'}", "recall.level=2")
+    assert gesturekit("train", *given).status == 0
+    assert "styles in the corpus, none used" in caplog.text
+    assert "speakers in the corpus" not in caplog.text

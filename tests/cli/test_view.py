@@ -38,3 +38,15 @@ def test_convert_writes_videos_and_pictures(tmp_path, clip, gesturekit):
     assert done.status == 0
     assert facts(tmp_path / "o" / "a \u00fc.mp4")["size"] == (1920, 1080)
     assert (tmp_path / "o" / "a \u00fc.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_folder_with_a_broken_motion_is_shown_without_it_and_the_exit_code_is_1(
+    tmp_path, clip, gesturekit
+):
+    command = ("view", tmp_path, "-o", tmp_path / "v.html")
+    assert gesturekit(*command).status == 0
+    (tmp_path / "broken.bvh").write_text("HIERARCHY\n")
+    done = gesturekit(*command)
+    assert done.status == 1 and "motion" in (tmp_path / "v.html").read_text(encoding="utf-8")
+    assert [line[:8] for line in done.err.splitlines() if "broken.bvh" in line] == ["Failed: "]
+    assert gesturekit("view", tmp_path / "broken.bvh", "-o", tmp_path / "w.html").status == 2

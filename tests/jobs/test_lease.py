@@ -65,8 +65,12 @@ def test_a_lock_that_outlives_its_process_for_a_moment_is_waited_for(tmp_path):
     path.write_text(json.dumps(about))
     lock = FileLock(path.with_suffix(".lock"), thread_local=False)
     lock.acquire()
+    begun = time.monotonic()
     threading.Timer(0.2, lock.release).start()
-    Lease(tmp_path, 1, 1, RUN).release()
+    lease = Lease(tmp_path, 1, 1, RUN)
+    assert time.monotonic() - begun >= 0.2
+    assert [about["pid"] for about in live_leases(tmp_path)] == [os.getpid()]
+    lease.release()
 
 
 def test_a_lease_of_another_host_expires_without_heartbeats(tmp_path):

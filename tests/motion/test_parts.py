@@ -12,7 +12,9 @@ from gesturekit.motion.parts import (
     BodyParts,
     arm_joints,
     body_joints,
+    find_legs,
     find_parts,
+    known_part_labels,
     left_right_pairs,
     leg_length,
     part_labels,
@@ -559,3 +561,32 @@ def test_accessories_are_not_the_head(mixamo):
     found = find_parts(odd)
     assert found.head == "skull"
     assert [found.arms[side].wrist for side in ("left", "right")] == ["PalmL", "PalmR"]
+
+
+def animal(legs: int, named: tuple[str, ...]) -> Skeleton:
+    """A body with so many legs of equal length, of which one pair has joints of these names."""
+    names, parents, offsets = ["Body"], [-1], [(0.0, 0.0, 0.0)]
+    for k in range(legs):
+        side, row = ("Left", "Right")[k % 2], k // 2
+        parts = named if row == 1 else [f"Limb{row}{part}" for part in "abcd"[: len(named)]]
+        for bone, part in enumerate(parts):
+            names.append(f"{side}{part}")
+            parents.append(len(names) - 2 if bone else 0)
+            x = 0.1 if k % 2 == 0 else -0.1
+            offsets.append((x, 0.0, 0.1 * row) if bone == 0 else (x, -0.05, 0.0))
+    return Skeleton(tuple(names), tuple(parents), np.array(offsets))
+
+
+@pytest.mark.parametrize(
+    "named", [("Coxa", "Leg", "Tip"), ("UpLeg", "Leg", "Foot"), ("Coxa", "UpLeg", "Leg", "Foot")]
+)
+def test_two_legs_of_a_crab_are_not_those_of_a_person(named):
+    crab, two_legs = animal(10, named), animal(4, named)
+    assert find_legs(crab) is None
+    labels, reason = known_part_labels(crab)
+    assert labels == {} and "cannot identify the arms and legs" in reason
+    hip = named[named.index("Leg") - 1]
+    by_hand = crab.with_parts({"left_hip": f"Left{hip}", "right_hip": f"Right{hip}"})
+    for rig in (two_legs, by_hand):
+        labels, _ = known_part_labels(rig)
+        assert labels[f"Left{hip}"] == "left hip" and labels["RightLeg"] == "right knee"

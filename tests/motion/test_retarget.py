@@ -625,3 +625,10 @@ def test_a_body_that_never_stands_is_refused(moving_person):
     lying = Motion(heap, np.tile([0.0, 0, 0, 1], (10, 19, 1)), np.zeros((10, 3)), 30.0)
     with pytest.raises(MotionError, match="stands upright neither at rest nor in any frame"):
         retarget(lying, person)
+
+
+def test_a_motion_in_place_of_its_skeleton_is_refused_with_what_to_give(moving_person):
+    with pytest.raises(MotionError, match="skeleton is a Motion, and must be a Skeleton; give its"):
+        retarget(moving_person, moving_person)
+    with pytest.raises(MotionError, match="skeleton is a str, and must be a Skeleton$"):
+        retarget(moving_person, "avatar.bvh")

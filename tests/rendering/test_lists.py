@@ -94,6 +94,7 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
         ("l.jsonl", '{"id": "a", "seconds": 1e99}', "seconds is 1e"),
         ("l.jsonl", '{"id": "a", "seconds": NaN}', "seconds is NaN"),
         ("l.jsonl", '{"audio": "a.wav", "seed": true}', "seed is true"),
+        ("l.jsonl", '{"audio": "a.wav", "seed": -1}', "l.jsonl:1: seed is -1"),
         ("l.jsonl", '{"seed": 3}', "give audio, or id and seconds"),
         ("l.jsonl", '{"schema": 1}', "--corpus"),
         ("l.jsonl", "[" * 20_000, "not a JSON object"),

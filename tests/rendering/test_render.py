@@ -233,14 +233,14 @@ def test_folders_are_searched_to_the_bottom_and_keep_their_shape(
 ):
     folder = sounds[0].parent
     write_speech(folder / "day 1" / "a.wav", 1.0)
-    (folder / "day 1" / "call.m4a").touch()
+    (folder / "day 1" / "call.mp4").touch()
     out = folder / "out"
     outcomes = list(render(model, [folder], out))
     assert [outcome.files for outcome in outcomes] == [
         (out / name,) for name in ("a.bvh", "b.bvh", "c.bvh", "day 1/a.bvh")
     ]
     (said,) = [record.getMessage() for record in caplog.records]
-    assert "call.m4a: left out" in said and "ffmpeg" in said
+    assert "call.mp4: left out" in said and "ffmpeg" in said
 
 
 def test_a_link_in_the_output_folder_leads_nowhere(model, sounds, tmp_path, write_speech):

@@ -135,13 +135,26 @@ def test_answers_do_not_depend_on_other_requests(port):
     assert together == alone * 3
 
 
-def test_other_addresses_need_a_token():
-    command = [sys.executable, "-m", "gesturekit", "serve", "--model", "demo"]
+def test_a_public_address_answers_nobody_without_its_token(tmp_path):
+    """Refused at the start without a token; with one, a request that lacks it is refused."""
+    command = [sys.executable, "-m", "gesturekit", "serve", "--model", "demo", "--host", "0.0.0.0"]
     environment = {name: value for name, value in os.environ.items() if "TOKEN" not in name}
-    done = subprocess.run(
-        [*command, "--host", "0.0.0.0"], capture_output=True, text=True, env=environment
-    )
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
     assert done.returncode == 2 and "give a token" in done.stderr
+    (tmp_path / "token").write_text("0123456789abcdef\n")
+    command += ["--port", "0", "--token-file", str(tmp_path / "token")]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+    try:
+        port = int(re.search(r"http://0\.0\.0\.0:(\d+)/", process.stderr.readline())[1])
+        right = {"Authorization": "Bearer 0123456789abcdef"}
+        wrong = {"Authorization": "Bearer 0123456789abcdee"}
+        for headers, status in (({}, 401), (wrong, 401), (right, 200)):
+            assert post(port, wav(0.5), **headers, Host="any.name")[0] == status
+        assert post(port, wav(0.5), Host="any.name", Authorization="Basic x")[0] == 401
+    finally:
+        process.terminate()
+        process.wait(20)
+        process.stderr.close()
 
 
 def test_a_port_in_use_is_one_line_and_exit_2(capsys):

@@ -25,7 +25,7 @@ from gesturekit.diffusion.training.monitor import STEPS, Monitor
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.selection.point_kinematics import foot_kinematics
-from gesturekit.training.data.sources import described, save_sources
+from gesturekit.training.data.sources import described, save_sources, unused_labels
 from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
@@ -105,7 +105,8 @@ class _Trainer:
         if processes.is_first:
             self._log_missing_parts()
         updates = counted(config.training.updates, "update")
-        self.loop.announce(["diffusion", self._mode(), updates], self._description())
+        self.unused = unused_labels(self.data.sources, self.data.conditions.styles)
+        self.loop.announce(["diffusion", self._mode(), updates], self._description(), self.unused)
         self.network = self._network().to(device)
         # The weights of the final model.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
@@ -313,6 +314,7 @@ class _Trainer:
             notes={
                 "Recordings": described(self.data.sources, paired, self.config.fps),
                 "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
+                **({"Not used": "; ".join(self.unused)} if self.unused else {}),
                 "Began with": self.config.began_with,
                 "Training steps": str(training.updates),
                 "Last losses": last_losses(self.folder),

@@ -39,6 +39,9 @@ _TWIST = ("twist", "roll")
 _STUB = 0.5
 """Shortest chain below the chest that may be a leg, as a share of an arm; shorter ones are stubs of
 hips, end joints and helpers."""
+_MANY_LEGS, _ALIKE = 6, 0.8
+"""Number of chains from one joint, each at least this share of a leg's length, that are legs of an
+animal with more than two."""
 
 
 def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
@@ -50,7 +53,7 @@ def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
     finder._read_names(skeleton, skeleton.parts)
     for side in SIDES:
         finder._leg(side)
-    if finder.missing:
+    if finder.missing or finder.has_many_legs():
         return None
     try:
         check_limbs(skeleton, finder.limbs, guessed=False)
@@ -104,8 +107,26 @@ class PartFinder:
                     check_limbs(skeleton, parts, guessed=False)
                 except MotionError:
                     found.limbs |= {p: found.by_hand.get(p) for p in parts}
+        if found.has_many_legs():
+            legs = [f"{side}_{part}" for side in SIDES for part in LEG]
+            found.limbs |= dict.fromkeys(legs)
+            found.missing += ["left_knee", "right_knee"]
         found._known_trunk()
         return found
+
+    def has_many_legs(self) -> bool:
+        """Return whether a leg that names identify is one of six or more chains from one joint."""
+        skeleton = self.skeleton
+        hips = [self.limbs[p] for p in ("left_hip", "right_hip") if p not in self.by_hand]
+        for joint in filter(None, hips):
+            above = skeleton.parents[joint]
+            while above > 0 and len(skeleton.children(above)) == 1:
+                joint, above = above, skeleton.parents[above]
+            least = _ALIKE * _reach(skeleton, joint)
+            chains = [j for j in skeleton.children(above) if _reach(skeleton, j) >= least]
+            if len(chains) >= _MANY_LEGS:
+                return True
+        return False
 
     def missing_limbs(self) -> str:
         """Return the limbs with missing joints, in words: "arms and left leg"."""

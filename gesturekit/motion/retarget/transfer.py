@@ -17,9 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from gesturekit.errors import MotionError
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
@@ -65,13 +67,13 @@ def retarget(
             Without one only the joint positions are right.
 
     Returns:
-        The motion on `skeleton` at the same frame rate. The floor keeps its height, and the first
-        frame its position on it.
+        The motion on `skeleton`. The floor keeps its height, the first frame its place on it.
 
     Raises:
-        MotionError: parts of either rig that cannot be identified, or a source that never stands.
-            Legs are not needed.
+        MotionError: parts of either rig that cannot be identified, a source that never stands, or a
+            target that is no skeleton. Legs are not needed.
     """
+    _check_target(skeleton)
     source_parts = find_parts(motion.skeleton, parts)
     source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
     source_feet = FootMotion.measure(motion, source) if source_parts.legs else None
@@ -102,6 +104,14 @@ def retarget(
         rotations, root = _solved(motion, source, targets, world, moving, carrier, feet)
     made = _placed(motion, skeleton, rotations, moving, carrier, root)
     return replace(made, expressions=motion.expressions) if same else made
+
+
+def _check_target(skeleton: Any) -> None:
+    """Raise MotionError for a target that is no skeleton, such as a motion on it."""
+    if not isinstance(skeleton, Skeleton):
+        kind = type(skeleton).__name__
+        hint = "; give its skeleton" if isinstance(skeleton, Motion) else ""
+        raise MotionError(f"skeleton is a {kind}, and must be a Skeleton{hint}")
 
 
 def _solved(

@@ -24,7 +24,7 @@ from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.stage import Stage
-from gesturekit.training.data.sources import described, save_sources
+from gesturekit.training.data.sources import described, save_sources, unused_labels
 from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.loop import Loop, Stretch, last_losses, read_once
@@ -105,7 +105,10 @@ class Trainer:
         self.loop = Loop(config, run, processes, self.held_out)
         levels, steps = config.network.levels, sum(count for _, count in self.stages())
         length = [f"{levels} levels", counted(steps, "iteration")]
-        self.loop.announce(["multires", self._mode(), *length], self._contents())
+        self.unused = unused_labels(
+            self.data.sources, self.data.styles, recalls=config.recall is not None
+        )
+        self.loop.announce(["multires", self._mode(), *length], self._contents(), self.unused)
         self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
@@ -288,6 +291,7 @@ class Trainer:
                 "Unpaired speech": f"{roughly(self.unpaired_seconds)} in {counted(files, 'file')}"
                 if files and self.data.n_speech
                 else "none",
+                **({"Not used": "; ".join(self.unused)} if self.unused else {}),
                 "Began with": self.config.began_with,
                 **notes,
                 **{str(key): str(value) for key, value in self.config.notes.items()},

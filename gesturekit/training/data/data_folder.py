@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.atomic import atomic_write, remove_unfinished
+from gesturekit.atomic import atomic_write, remove_unfinished, write_tensors
 from gesturekit.errors import ConfigError
 
 Data = TypeVar("Data")
@@ -26,8 +26,7 @@ def save_data(folder: Path, tensors: dict[str, Tensor], about: Mapping[str, Any]
     """Write `data.safetensors` and `data.json`, which holds plain values."""
     for name in ("data.safetensors", "data.json"):
         remove_unfinished(folder / name)
-    with atomic_write(folder / "data.safetensors") as temporary:
-        save_file(tensors, temporary)
+    write_tensors(folder / "data.safetensors", tensors)
     with atomic_write(folder / "data.json") as temporary:
         temporary.write_text(json.dumps(about), encoding="utf-8")
 

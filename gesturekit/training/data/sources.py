@@ -32,6 +32,7 @@ class Source:
         start: start of the segment in the motion file, seconds.
         duration: its length, seconds.
         fps: frame rate of the motion file.
+        style, speaker: as the manifest names them; None if it does not.
     """
 
     id: str
@@ -40,6 +41,8 @@ class Source:
     start: float
     duration: float
     fps: float
+    style: str | None = None
+    speaker: str | None = None
 
     @classmethod
     def of(cls, item: Item, motion: Motion) -> Source:
@@ -51,6 +54,8 @@ class Source:
             start=item.motion_start,
             duration=item.duration,
             fps=motion.fps,
+            style=item.style,
+            speaker=item.speaker,
         )
 
 
@@ -84,6 +89,29 @@ def described(sources: Sequence[Source], seconds: float, fps: float) -> str:
     count = n_recordings(sources)
     parts = f" in {len(sources)} parts" if len(sources) > count else ""
     return f"{counted(count, 'recording')}{parts}, {roughly(seconds)} {rates(sources, fps)}"
+
+
+def unused_labels(
+    sources: Iterable[Source], styles: Sequence[str], *, recalls: bool = False
+) -> list[str]:
+    """Return a sentence for the styles, and one for the speakers, that a model does not use.
+
+    Args:
+        sources: of the model.
+        styles: of the model; empty for a model without.
+        recalls: whether it recalls the recordings of a chosen speaker.
+    """
+    found, known = [], list(sources)
+    names = {source.style for source in known} - {None}
+    if len(names) > 1 and not styles:
+        found.append(f"{len(names)} styles in the corpus, none used; styles={{}} trains with them")
+    names = {source.speaker for source in known} - {None}
+    if len(names) > 1 and not recalls:
+        found.append(
+            f"{len(names)} speakers in the corpus, none used: gestures are those of all of them, "
+            "and --speaker only chooses a skeleton"
+        )
+    return found
 
 
 def is_trained_on(

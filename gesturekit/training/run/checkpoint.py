@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import re
 from pathlib import Path
@@ -42,7 +43,10 @@ class Checkpoints:
         """Write the state of `step`, then delete all but the last `keep` checkpoints."""
         remove_unfinished(self.path(step))  # of a run that was killed while it wrote it
         with atomic_write(self.path(step)) as temporary:
-            torch.save(state, temporary)
+            # In memory first: torch raises a RuntimeError without a reason on a full disk.
+            content = io.BytesIO()
+            torch.save(state, content)
+            temporary.write_bytes(content.getbuffer())
         for old in self.steps()[: -self.keep]:
             self.path(old).unlink()
 

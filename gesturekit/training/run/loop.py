@@ -104,16 +104,19 @@ class Loop:
         self.processes = processes
         self.held_out = held_out
 
-    def announce(self, kind: Sequence[str], contents: Sequence[str]) -> None:
+    def announce(self, kind: Sequence[str], contents: Sequence[str], unused: Sequence[str]) -> None:
         """Log the run folder, kind of training, data and held-out recordings, on one process.
 
         Args:
             kind: system, mode and length of the training.
             contents: training data.
+            unused: sentences about labels of the corpus, see `unused_labels`.
         """
         if self.processes.is_first:
             log.info("Run folder %s: %s.", self.config.out, ", ".join(kind))
             log.info("Training on %s.", ", ".join(contents))
+            for line in unused:
+                log.warning("%s.", line)
             log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
 
     def resume(self) -> tuple[int, dict[str, Any] | None]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import shlex
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import torch
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from gesturekit.errors import ConfigError, ModelError
+from gesturekit.errors import ConfigError, ModelError, OutputError, is_full
 from gesturekit.progress import Progress
 from gesturekit.training.config import to_dict
 from gesturekit.training.run.device import memory_ran_out, prepare_device
@@ -31,7 +32,7 @@ def session(
 ) -> Iterator[tuple[Run, torch.device, Processes]]:
     """Join torchrun's processes, if any, and open the run folder.
 
-    After Ctrl-C it logs the command that resumes the run.
+    After Ctrl-C it logs the command that resumes the run; on a full disk the error names it.
 
     Args:
         config: of the run.
@@ -41,17 +42,20 @@ def session(
     Raises:
         ConfigError: `config.out` holds a run already (or none to resume), or no such device.
         ModelError: a GPU's memory ran out.
+        OutputError: the disk of the run folder is full.
     """
     with (
         Processes.from_environment(config.device) as processes,
         logging_redirect_tqdm(tqdm_class=Progress),
+        _quiet_threads(),
     ):
         device = prepare_device(processes.device(config.device), config.threads)
         run = Run(folder or config.out, to_dict(config), resume=resume)
         # All processes check the folder before the first one writes into it.
         processes.wait()
         try:
-            yield run, device, processes
+            with closing(run):
+                yield run, device, processes
         except KeyboardInterrupt:
             if processes.is_first and folder is None and run.has_begun:
                 log.warning("Stopped. Continue with: %s", resume_command(run.folder, processes))
@@ -61,8 +65,28 @@ def session(
                 f"device {device}: {memory_ran_out(error)}; set a smaller training.batch or "
                 "training.window, or device=cpu"
             ) from error
-        finally:
-            run.close()
+        except OSError as error:
+            if not is_full(error):
+                raise
+            again = "start again"
+            if run.has_begun:
+                command = resume_command(run.folder, processes)
+                again = f"continue from the last checkpoint: {command}"
+            raise OutputError(f"{run.folder}: {error.strerror}; make room, then {again}") from error
+
+
+@contextmanager
+def _quiet_threads() -> Iterator[None]:
+    """Print no traceback of a thread that found the disk full.
+
+    TensorBoard's thread of writing raises its error in the main thread too.
+    """
+    usual = threading.excepthook
+    threading.excepthook = lambda failed: None if is_full(failed.exc_value) else usual(failed)
+    try:
+        yield
+    finally:
+        threading.excepthook = usual
 
 
 def resume_command(folder: Path, processes: Processes) -> str:

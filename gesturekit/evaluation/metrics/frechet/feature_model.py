@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
-from gesturekit.atomic import atomic_write
+from gesturekit.atomic import atomic_write, write_tensors
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.frechet.feature_network import (
     PoseAutoencoder,
@@ -149,8 +149,7 @@ class FeatureModel:
             "training": self.training,
             "fingerprint": self.fingerprint,
         }
-        with atomic_write(folder / _TENSORS) as temporary:
-            save_file(self._tensors(), temporary)
+        write_tensors(folder / _TENSORS, self._tensors())
         with atomic_write(folder / _JSON) as temporary:
             temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
 
