@@ -109,8 +109,9 @@ def test_only_long_pauses_become_silent_and_the_sound_beside_them_fades():
     assert not silenced[stop:start].any()
     np.testing.assert_array_equal(silenced[: stop - RATE // 4], sound.samples[: stop - RATE // 4])
     np.testing.assert_array_equal(silenced[start + RATE // 4 :], sound.samples[start + RATE // 4 :])
-    near = slice(start, start + RATE // 25)
+    near, half = slice(start, start + RATE // 25), start + RATE // 8
     assert np.abs(silenced[near]).max() < 0.02 * np.abs(sound.samples[near]).max()
+    assert silenced[half] == pytest.approx(sound.samples[half] / 8, rel=0.01)
 
 
 def test_a_pause_of_three_seconds_at_an_end_becomes_silent():
