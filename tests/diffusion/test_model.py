@@ -16,6 +16,7 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import smooth_path
+from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.event_times import asked_events
 from gesturekit.diffusion.standardiser import Standardiser
@@ -229,6 +230,20 @@ def test_smoothing_defaults_to_the_models_setting(untrained, tmp_path):
     plain = model.generate(**asked, smooth=0)
     made = gk.load(tmp_path / "model").generate(**asked)
     assert same(made, smooth_motion(plain, 0.3)) and not same(made, plain)
+
+
+def test_clipping_defaults_to_the_models_setting(untrained, tmp_path):
+    """A network that predicts no noise diverges unless its prediction is clipped."""
+    clipped = replace(untrained(), noise_config=NoiseConfig())
+    torch.nn.init.zeros_(clipped.network.leave.weight)
+    made = clipped.generate(seconds=0.5)
+    with pytest.raises(ModelError, match="out of range"):
+        clipped.generate(seconds=0.5, clip_denoised=False)
+    replace(clipped, clip_denoised=False).save(tmp_path / "model")
+    plain = gk.load(tmp_path / "model")
+    with pytest.raises(ModelError, match="out of range"):
+        plain.generate(seconds=0.5)
+    assert same(plain.generate(seconds=0.5, clip_denoised=True), made)
 
 
 def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
