@@ -83,6 +83,20 @@ def test_styles_are_followed_mixed_and_changed_over_time(model):
     assert any(drawn) and not all(drawn)
 
 
+def test_without_a_style_each_sample_draws_its_own(model):
+    """The same noise with either style, so that the style of a sample is told by its motion."""
+    drawn = set()
+    for seed in (0, 1):
+        free = model.generate(**QUICK, samples=6, seed=seed)
+        styled = [
+            model.generate(**QUICK, samples=6, seed=seed, style=name) for name in model.styles
+        ]
+        chosen = [[same(made, one[k]) for one in styled] for k, made in enumerate(free)]
+        assert all(sum(found) == 1 for found in chosen)
+        drawn.add(tuple(found.index(True) for found in chosen))
+    assert len(drawn) == 2 and all(set(styles) == {0, 1} for styles in drawn)
+
+
 def test_guidance_leads_from_the_unconditional_to_the_conditional_and_beyond(model, untrained):
     asked = QUICK | {"style": "old", "foot_lock": False}
     plain = model.generate(**asked)
