@@ -63,6 +63,7 @@ GROUPS = {
     ),
     "Controls of diffusion models": (
         *("guidance", "unconditional", "events", "experts", "steps", "solver", "change"),
+        "clip_denoised",
     ),
     "Computing": ("device", "dtype"),
 }
@@ -184,6 +185,7 @@ GROUPS = {
     type=click.FloatRange(min=0, min_open=True, max=1),
     metavar="SHARE",
 )
+@click.option("--clip-denoised/--no-clip-denoised", cls=ControlOption, default=None)
 @click.option("--path", cls=ControlOption, type=click.Path(path_type=Path), metavar="PATH.csv")
 @click.option(
     "--keep",

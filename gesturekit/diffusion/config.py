@@ -213,7 +213,9 @@ class DiffusionConfig(RunConfig):
     """Name of the system; always `diffusion` here."""
     out: Path = field(default_factory=lambda: Path("runs/diffusion"))
     fps: float = 30.0
-    """Frame rate of the network, in frames per second; recordings are resampled to it."""
+    """Frame rate of the network, in frames per second; recordings are resampled to it. Dilations
+    and receptive fields of `network` are in frames: at another frame rate than the paper's 30,
+    their lengths in seconds differ."""
     features: FeatureConfig | None = field(default_factory=FeatureConfig)
     """Features of speech or music; null for a model without sound input."""
     path: bool = False
@@ -228,6 +230,11 @@ class DiffusionConfig(RunConfig):
     moves_like: Path | None = None
     """Model folder whose rig, joints and standardisation are used, but not its weights. The two
     models can then be combined in a product of experts, even if their conditions differ."""
+    clip_denoised: bool = True
+    """Clip the predicted clean motion to 10 standard deviations (Ho et al. 2020), and skip the
+    network at steps with less than 1e-8 of the motion. False, as in the paper's released code, does
+    neither: a network that was trained too little then diverges. Applied in generation, and stored
+    with the model; it does not affect training."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)

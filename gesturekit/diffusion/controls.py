@@ -41,6 +41,10 @@ class DiffusionControls(Controls):
     default is ancestral if all steps are used, and dpm otherwise."""
     steps: int | None = None
     """Number of denoising steps; by default all that the model was trained with."""
+    clip_denoised: bool | None = None
+    """Clip the predicted clean motion to 10 standard deviations, and skip the network at steps of
+    almost pure noise (--no-clip-denoised: neither, as in the released code). The default is stored
+    with the model."""
     batch: int = 1
     """Number of samples to generate at once. Larger batches are faster on a GPU; results then
     differ in the last digits from samples generated one by one."""
@@ -56,4 +60,5 @@ class DiffusionControlArguments(ControlArguments, total=False):
     change: float
     solver: Solver | None
     steps: int | None
+    clip_denoised: bool | None
     batch: int

@@ -143,6 +143,7 @@ class DiffusionModel(TrainedModel):
             begin = (start.clean(request.n_frames), start.step)
             steps = None if steps is None else min(steps, start.step + 1)
         visited = len(chosen_steps(self.schedule, steps, None if start is None else start.step))
+        clip = self.clip_denoised if controls.clip_denoised is None else controls.clip_denoised
         # One at a time by default: batching changes the order of sums, and the last digits of a
         # sample would depend on the number of samples.
         size = controls.batch
@@ -150,7 +151,8 @@ class DiffusionModel(TrainedModel):
         with Progress(total=len(batches) * visited, desc="Denoising", unit="step") as progress:
             for numbers in batches:
                 predict = tiled(product_of(terms, seed, numbers), self.window)
-                predict = _counted(clip_denoised(predict, self.schedule), progress)
+                predict = clip_denoised(predict, self.schedule) if clip else predict
+                predict = _counted(predict, progress)
                 shape = (request.n_frames, self.network.n_motion)
                 noise = _noise(seed, numbers, shape, self.device)
                 yield sample(predict, noise, self.schedule, solver=solver, steps=steps, start=begin)

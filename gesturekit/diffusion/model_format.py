@@ -30,6 +30,7 @@ def model_parts(
         **model.conditions.to_values(),
         "droppable": list(model.droppable),
         "window": model.window,
+        "clip_denoised": model.clip_denoised,
         "smooth": model.smooth,
         "noise": to_dict(model.noise_config),
         "network": to_dict(model.network.config),
@@ -103,4 +104,5 @@ def model_arguments(parts: ModelParts, weights: WeightPlaces | None, device: str
         "network": network,
         "droppable": tuple(map(str, config["droppable"])),
         "window": int(config["window"]),
+        "clip_denoised": bool(config["clip_denoised"]),
     }

@@ -31,6 +31,7 @@ class TrainedModel(BaseModel):
         network: the denoiser.
         droppable: conditions dropped in training, which guidance needs: "styles" or "all".
         window: frames of the longest motion that is generated without tiling.
+        clip_denoised: whether generation clips the predicted clean motion, see `DiffusionConfig`.
     """
 
     kind: ClassVar[str] = "diffusion"
@@ -42,6 +43,7 @@ class TrainedModel(BaseModel):
     network: Denoiser
     droppable: tuple[str, ...] = ()
     window: int = MAX_FRAMES
+    clip_denoised: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -56,6 +56,13 @@ def test_windows_follow_a_voice_that_becomes_calmer():
     assert np.ptp(effort(halves, seconds=120)[:, 0]) < np.ptp(median) / 4
 
 
+def test_a_window_holds_half_a_second_of_the_clips_own_value():
+    """Most of the clip is at 100 Hz, 8.84 semitones; 4 s at 200 Hz, 20.84: (4 + 0.5) s in all."""
+    samples = np.concatenate([harmonic(100.0, 12.0), harmonic(200.0, 6.0)])
+    median = effort(samples, seconds=4.0)[:, 0]
+    assert median[1500] == pytest.approx((4.0 * 20.84 + 0.5 * 8.84) / 4.5, abs=0.15)
+
+
 def test_tilt_is_the_power_above_1_khz_over_that_below():
     time = np.arange(3 * RATE) / RATE
 

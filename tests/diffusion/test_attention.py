@@ -53,6 +53,16 @@ def test_slopes_are_those_of_the_published_sizes():
     assert not slopes.requires_grad
 
 
+def test_the_bias_starts_as_in_the_released_code():
+    """Amplitudes are drawn from N(0, 0.01), offsets from N(0, 15); widths are 5 and floors 1."""
+    torch.manual_seed(0)
+    bias = PositionBias(NetworkConfig(channels=512, heads=64, kernels=200))
+    for values, spread in ((bias.amplitudes.detach(), 0.01), (bias.offsets.detach(), 15.0)):
+        assert float(values.std()) == pytest.approx(spread, rel=0.05)
+        assert abs(float(values.mean())) < 0.05 * spread
+    assert (bias.widths == 5).all() and (bias.floors == 1).all()
+
+
 def test_table_is_the_kernel_sum_at_every_pair_of_frames():
     config = NetworkConfig()
     bias = bent_bias(config)

@@ -16,6 +16,7 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import smooth_path
+from gesturekit.diffusion.config import NoiseConfig
 from gesturekit.diffusion.network.denoiser import Denoiser
 from gesturekit.diffusion.sampling.event_times import asked_events
 from gesturekit.diffusion.standardiser import Standardiser
@@ -80,6 +81,20 @@ def test_styles_are_followed_mixed_and_changed_over_time(model):
     assert np.abs(changing.rotations[180:, 1:] - old.rotations[180:, 1:]).max() > 1e-3
     drawn = [same(styled(None, seed=seed), styled("old", seed=seed)) for seed in range(4)]
     assert any(drawn) and not all(drawn)
+
+
+def test_without_a_style_each_sample_draws_its_own(model):
+    """The same noise with either style, so that the style of a sample is told by its motion."""
+    drawn = set()
+    for seed in (0, 1):
+        free = model.generate(**QUICK, samples=6, seed=seed)
+        styled = [
+            model.generate(**QUICK, samples=6, seed=seed, style=name) for name in model.styles
+        ]
+        chosen = [[same(made, one[k]) for one in styled] for k, made in enumerate(free)]
+        assert all(sum(found) == 1 for found in chosen)
+        drawn.add(tuple(found.index(True) for found in chosen))
+    assert len(drawn) == 2 and all(set(styles) == {0, 1} for styles in drawn)
 
 
 def test_guidance_leads_from_the_unconditional_to_the_conditional_and_beyond(model, untrained):
@@ -244,6 +259,20 @@ def test_smoothing_defaults_to_the_models_setting(untrained, tmp_path):
     plain = model.generate(**asked, smooth=0)
     made = gk.load(tmp_path / "model").generate(**asked)
     assert same(made, smooth_motion(plain, 0.3)) and not same(made, plain)
+
+
+def test_clipping_defaults_to_the_models_setting(untrained, tmp_path):
+    """A network that predicts no noise diverges unless its prediction is clipped."""
+    clipped = replace(untrained(), noise_config=NoiseConfig())
+    torch.nn.init.zeros_(clipped.network.leave.weight)
+    made = clipped.generate(seconds=0.5)
+    with pytest.raises(ModelError, match="out of range"):
+        clipped.generate(seconds=0.5, clip_denoised=False)
+    replace(clipped, clip_denoised=False).save(tmp_path / "model")
+    plain = gk.load(tmp_path / "model")
+    with pytest.raises(ModelError, match="out of range"):
+        plain.generate(seconds=0.5)
+    assert same(plain.generate(seconds=0.5, clip_denoised=True), made)
 
 
 def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):

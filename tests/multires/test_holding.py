@@ -8,17 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 import gesturekit as gk
+from audio_features import level_lengths
 from gesturekit.cli import main
 from gesturekit.errors import ModelError
+from gesturekit.motion.heading import heading
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
     multiply_quaternions,
     quaternion_from_rotation_vector,
+    rotate_vectors,
     rotation_angles,
 )
 from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.constraints.inbetweening import InbetweenClips, InbetweenConstraint
 from gesturekit.multires.training.trainer import train
 from gesturekit.training.config import build
 
@@ -100,10 +105,8 @@ def test_a_path_faster_than_the_recordings_is_reported(model, caplog):
 
 def test_a_clip_is_continued_without_a_seam(model, gesture):
     clip = swaying(gesture(3.0, seed=1)).resample(25.0)
-    turn = quaternion_from_rotation_vector(np.array([0.0, 2.0, 0.0]))
-    rotations = clip.rotations.copy()
-    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
-    clip = replace(clip, rotations=rotations, translation=clip.translation + [3.0, 0.0, 1.0])
+    clip = turned_about(clip, 2.0)
+    clip = replace(clip, translation=clip.translation + [3.0, 0.0, 1.0])
     made = model.generate(keep={0.0: clip}, seconds=6.0, seed=1)
     assert made.n_frames == 150
     np.testing.assert_allclose(made.positions()[:75], clip.positions(), atol=1e-9)
@@ -134,6 +137,56 @@ def test_the_time_between_two_clips_is_filled(model, gesture):
     assert steps[49:101].max() < 3 * 0.3 / 50 + 0.5 / 25
     # Something happens between them.
     assert rotation_angles(made.rotations[60], made.rotations[90]).max() > 0.05
+
+
+def turned_about(motion, angle: float):
+    """The whole motion turned about the world's Y axis by an angle in radians."""
+    turn = quaternion_from_rotation_vector(np.array([0.0, angle, 0.0]))
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
+    return replace(
+        motion, rotations=rotations, translation=rotate_vectors(turn, motion.translation)
+    )
+
+
+def test_clips_that_are_turned_together_give_the_same_motion_turned(model, gesture):
+    clips = {0.0: swaying(gesture(2.0, seed=1)), 3.0: turned_about(gesture(1.0, seed=2), 0.7)}
+    made = model.generate(keep=clips, seed=1, foot_lock=False)
+    turned = {second: turned_about(clip, 2.5) for second, clip in clips.items()}
+    other = model.generate(keep=turned, seed=1, foot_lock=False)
+    expected = turned_about(made, 2.5).positions()
+    np.testing.assert_allclose(other.positions(), expected, atol=1e-3)
+
+
+def standing(gesture, frames: int):
+    """One pose that faces +Z."""
+    pose = gesture(0.04, 25.0)
+    pose = turned_about(pose, -heading(pose))
+    rotations, places = (part.repeat(frames, axis=0) for part in (pose.rotations, pose.translation))
+    return replace(pose, rotations=rotations, translation=places)
+
+
+def test_every_frame_of_the_clips_counts_the_same_in_their_mean_heading(model, gesture):
+    """Three seconds at 0 degrees and one at 90 have a mean of atan(1 / 3) = 18.43 degrees."""
+    clips = {0.0: standing(gesture, 75), 4.0: turned_about(standing(gesture, 25), np.pi / 2)}
+    found = InbetweenClips(clips, model.representation, 25.0).heading
+    assert np.degrees(found) == pytest.approx(18.43, abs=0.01)
+
+
+def test_at_every_level_the_root_moves_from_one_clip_to_the_next(model, gesture):
+    first = standing(gesture, 50)
+    last = replace(first, translation=first.translation + [0.1, 0.0, -0.2])
+    clips = InbetweenClips({0.0: first, 4.0: last}, model.representation, 25.0)
+    lengths = level_lengths(150, 4)
+    constraint = InbetweenConstraint(clips, model.normaliser, lengths, margin=0)
+    layout, scale = model.representation.layout, model.representation.scale
+    rng = torch.Generator().manual_seed(0)
+    for level, n_frames in enumerate(lengths):
+        noise = 0.3 * torch.randn(1, model.representation.n_features, n_frames, generator=rng)
+        values = model.normaliser.inverse(constraint(level, noise))[0]
+        # A step of a coarse level is the mean of the full-rate steps that it stands for.
+        moved = values[layout.root_xz].mean(dim=1) * 150 * scale
+        np.testing.assert_allclose(moved, [0.1, -0.2], atol=2e-3)
 
 
 def test_a_single_pose_is_kept(model, gesture):

@@ -484,6 +484,27 @@ def test_fingers_move_with_their_arm(model, speech):
     assert rest.tolist() == [*range(12, 112)]
 
 
+def test_fingers_keep_time_with_their_arm(model, speech):
+    """A finger that copies its elbow in the recordings copies it in the generated motion."""
+    changed = copy.copy(model)
+    changed.network = copy.deepcopy(model.network)
+    for weight in changed.network.parameters():
+        torch.nn.init.zeros_(weight)  # finer levels add nothing
+    elbows = [model.representation.joint_columns(f"{side}_elbow") for side in ("left", "right")]
+    copied = []
+    for own in model.library.recordings:
+        plain = model.normaliser.inverse(own.motion[None])[0]
+        passive = torch.cat([*(plain[columns] for columns in elbows), own.passive[12:]])
+        copied.append(replace(own, passive=passive))
+    changed.library = replace(model.library, recordings=tuple(copied))
+    made = changed.generate(speech, seed=1)
+    for finger, elbow in zip(FINGERS, ("left_elbow", "right_elbow"), strict=True):
+        one, other = (made.rotations[:, made.skeleton.index(name)] for name in (finger, elbow))
+        angle = 2 * np.arctan2(*one[:, [0, 3]].T), 2 * np.arctan2(*other[:, [0, 3]].T)
+        assert np.ptp(angle[0]) > 0.05
+        np.testing.assert_allclose(*angle, atol=0.02)
+
+
 def test_no_speech_is_silence(model):
     motion = model.generate(seconds=3.0)
     assert motion.n_frames == 75 and np.isfinite(motion.rotations).all()

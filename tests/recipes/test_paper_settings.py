@@ -29,7 +29,8 @@ NOT_THE_PAPERS = {
 ZEROEGGS = {
     "fps": (30.0, "4.1"),
     "joints": ("body", "A.1: no fingers"),
-    "smooth": (None, "4.4: no post-processing"),
+    "smooth": (None, "4.6: no foot stabilisation in any motion"),
+    "clip_denoised": (True, "ours: the code has none"),
     "features.extractors": (({"kind": "mfcc", "n": 16},), "Table 1: 16 audio features"),
     "features.weights": (None, "no WavLM"),
     "features.align": ("mean", "ours"),

@@ -300,6 +300,7 @@ class _Trainer:
             network=network,
             speakers=self.data.speakers,
             droppable=tuple(name for name, share in droppable.items() if share),
+            clip_denoised=self.config.clip_denoised,
             smooth=self.config.smooth,
             recorded_fps=self.data.recorded_fps,
         )

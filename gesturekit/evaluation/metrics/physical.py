@@ -41,7 +41,7 @@ def arm_speed(motion: Motion) -> np.ndarray:
 def wrist_speed(motion: Motion) -> np.ndarray:
     """Return the mean speed of both wrists in the world, from each frame to the next.
 
-    Alexanderson et al. 2023 (section 5) plot its distribution.
+    Alexanderson et al. 2023 (section 5.3) plot its distribution.
 
     Returns:
         (T - 1,) metres per second.

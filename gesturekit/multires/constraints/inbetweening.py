@@ -69,11 +69,7 @@ class InbetweenClips:
         # All clips are turned together, so that their mean heading is +Z as in training.
         each = [heading(clip) for _, clip in self.clips]
         weight = [clip.n_frames for _, clip in self.clips]
-        self.heading = float(
-            np.arctan2(
-                np.average(np.sin(each), weights=weight), np.cos(each) @ weight / sum(weight)
-            )
-        )
+        self.heading = float(np.arctan2(np.sin(each) @ weight, np.cos(each) @ weight))
 
     @property
     def end(self) -> int:
