@@ -150,7 +150,7 @@ def test_every_motion_here_loads(shared_data):
     for path in files:
         motion = Motion.load(path)
         assert np.isfinite(motion.positions()[:: max(1, motion.n_frames // 10)]).all()
-        assert motion.info["up"] in ("y", "z")
+        assert motion.info["up"] in ("y", "z", "-y")
 
 
 def test_units_and_axes_detected_in_real_files(shared_data):
