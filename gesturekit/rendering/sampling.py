@@ -96,7 +96,7 @@ def sample_lda(
                 motion_start=item.motion_start + start,
                 duration=WINDOW_SECONDS,
             )
-            controls = _controls(model, window, options)
+            controls = _controls(model, window, options, 1)
             yield from _samples(model, window.id, controls, out, options, LDA_SAMPLES)
             made += 1
     if not made:
@@ -161,9 +161,7 @@ def _check_styles(model: Model, items: Sequence[Item]) -> None:
         )
 
 
-def _controls(
-    model: Model, item: Item, options: SamplingOptions, repeats: int = 1
-) -> dict[str, Any]:
+def _controls(model: Model, item: Item, options: SamplingOptions, repeats: int) -> dict[str, Any]:
     """Return the arguments of `generate` for an item, several times as long as the item."""
     found = item_controls(model, item) | ({} if options.postprocess else RAW)
     if item.audio is None or not model.inputs.speech:

@@ -586,6 +586,14 @@ def test_two_legs_of_a_crab_are_not_those_of_a_person(named):
     labels, reason = known_part_labels(crab)
     assert labels == {} and "cannot identify the arms and legs" in reason
     hip = named[named.index("Leg") - 1]
+    below_a_root = replace(
+        crab,
+        names=("Root", *crab.names),
+        parents=(-1, *(parent + 1 for parent in crab.parents)),
+        offsets=np.concatenate([[[0.0, 0.5, 0.0]], crab.offsets]),
+        rotation_orders=(),
+    )
+    assert find_legs(below_a_root) is None
     by_hand = crab.with_parts({"left_hip": f"Left{hip}", "right_hip": f"Right{hip}"})
     for rig in (two_legs, by_hand):
         labels, _ = known_part_labels(rig)

@@ -355,7 +355,7 @@ def test_without_unpaired_speech_the_run_says_what_it_does(make_config, tmp_path
     alone.write_text("\n".join(kept) + "\n")
     with caplog.at_level(logging.WARNING):
         train(make_config(corpus=str(alone), training={"first_stage": 1, "further_stages": 1}))
-    assert "random steps draw windows of the paired speech" in caplog.text
+    assert "random steps take the paired speech" in caplog.text
 
 
 RANDOM = {"discriminator", "adversarial", "contact", "smoothness", "arm_speed"}

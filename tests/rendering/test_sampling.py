@@ -22,6 +22,7 @@ from gesturekit.rendering.sampling import (
     SamplingOptions,
     sample_lda,
     sample_multires,
+    sequences_of,
     sounds_of,
 )
 from gesturekit.training.config import build
@@ -197,3 +198,10 @@ def test_a_window_gets_its_own_part_of_the_sound(model, tmp_path, write_speech):
         for a, b in zip(before, after, strict=True)
     ]
     assert same == [True, False]
+
+
+def test_a_motion_without_its_sound_is_named(corpus, tmp_path):
+    for name in ("one.wav", "two.wav"):
+        (tmp_path / name).symlink_to(corpus.parent / name)
+    with pytest.raises(ConfigError, match=r"no sound file named (three|four), (three|four)$"):
+        sequences_of(corpus.parent, tmp_path, {})

@@ -102,7 +102,7 @@ def _cut(where: str, row: Mapping[str, str], gait: str) -> tuple[float, float] |
 def read_trinity(folder: Path) -> Listing:
     """Read Trinity Speech-Gesture as GENEA 2020 published it: source/{bvh,audio}/Recording_001.
 
-    Recording_008 is the test split.
+    Recording_008 becomes the test split.
 
     Raises:
         CorpusError: another form of the corpus, or none.

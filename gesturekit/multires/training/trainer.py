@@ -94,9 +94,7 @@ class Trainer:
         )
         self.config = config = self._adapted(config)
         if self.data.unpaired_is_paired and processes.is_first:
-            log.warning(
-                "The corpus has no unpaired speech: random steps draw windows of the paired speech."
-            )
+            log.warning("The corpus has no unpaired speech: random steps take the paired speech.")
         self.seconds = sum(sequence.n_frames for sequence in self.data.paired) / config.fps
         self.unpaired_seconds = sum(clip.shape[-1] for clip in self.data.unpaired) / config.fps
         self.held_out = HeldOut(

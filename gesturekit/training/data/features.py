@@ -45,7 +45,7 @@ class FeatureConfig:
     """Normalisation of features. `clip` normalises the loudness of the speech, and the features of
     each clip to zero mean and comparable spread; `corpus` normalises features to zero mean and unit
     variance over all training speech; `none` does neither. Without `clip`, loudness changes the
-    motion."""
+    features of encoders; acoustic features normalise it themselves."""
     components: int | None = None
     """Number of principal components (fitted to the training speech) to which wide features are
     reduced; null for no reduction. Extractors with no more columns than this, and vocal effort, are
