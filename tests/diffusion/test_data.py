@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.diffusion.conditions import smooth_path
@@ -173,6 +174,38 @@ def test_a_path_is_a_condition_and_is_followed(make_config, tmp_path, write_pair
     zero = -data.conditions.path_mean / data.conditions.path_scale
     one, other = (recording.condition - zero for recording in data.recordings)
     assert np.abs(one).max() > 0.5 and np.allclose(one * [-1, 1, -1], other, atol=1e-4)
+
+
+def test_stretched_windows_of_a_straight_path_stay_straight(make_config, tmp_path, gesture):
+    """Only speed changes, by up to a tenth; so it does for a path that turns at a constant rate."""
+    time = np.arange(180) / 30
+    ways = {"straight": 0.0 * time, "turning": 0.5 * time}  # headings, radians
+    (tmp_path / "in").mkdir()
+    for name, heading in ways.items():
+        walk = gesture(6.0)
+        steps = 0.03 * np.stack([np.sin(heading), np.cos(heading)], axis=1)
+        walk.translation[:, [0, 2]] = np.cumsum(steps, axis=0)
+        walk.rotations[:, 0] = Rotation.from_euler("y", heading[:, None]).as_quat()
+        walk.save(tmp_path / "in" / f"{name}.bvh")
+    prepare([], tmp_path / "c.jsonl", unpaired_motion=[tmp_path / "in"], holdout=0.0)
+    config = make_config(
+        corpus=str(tmp_path / "c.jsonl"),
+        path=True,
+        features=None,
+        augmentation={"mirror": False, "stretch": 1.0},
+        training={"batch": 40},
+    )
+    data = load_training_data(config)
+    conditions = Batches(data, config).draw(0, slice(0, 40)).condition[:, 10:-10].numpy()
+    turn, forward, lateral = np.moveaxis(
+        conditions * data.conditions.path_scale + data.conditions.path_mean, -1, 0
+    )
+    straight = np.abs(turn).max(axis=1) < 0.008
+    assert 5 < straight.sum() < 35
+    assert np.abs(turn[straight]).max() < 1e-4 and np.abs(lateral[straight]).max() < 1e-4
+    rates = {"forward": forward[straight] / 0.03, "turn": turn[~straight] / (0.5 / 30)}
+    for rate in rates.values():
+        assert 0.85 < rate.min() < 0.95 and 1.05 < rate.max() < 1.15
 
 
 def test_events_keep_their_frames_however_windows_are_stretched(make_config, tmp_path, write_pair):

@@ -8,6 +8,7 @@ import tracemalloc
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 
 from gesturekit.multires.recall.building import _weighted
 from gesturekit.multires.recall.library import (
@@ -81,6 +82,24 @@ def test_finer_levels_add_nothing_to_a_part_that_rests(speed, share):
     mean = (np.exp(-1.0) - 0.05 - 0.1) / 0.5  # the right hand moves at the mean log speed
     np.testing.assert_allclose(detail[1], mean, atol=1e-5)
     assert (detail[[3, 5]] == 1.0).all(), "legs and the root keep their detail"
+
+
+@pytest.mark.parametrize("fps, frames", [(31.25, 3), (93.75, 8)])
+def test_detail_returns_within_a_tenth_of_a_second_at_any_frame_rate(fps, frames):
+    """A Gaussian of 0.08 s: 0.08 s before a rest ends, detail is that of one sd below the mean."""
+    left = MotionPart("left", np.array([0]), (), (), np.array([0]), 0.35, 1.0)
+    n_frames, ends = 60, 30
+    profiles = torch.full((2, n_frames), float(np.log(0.05 + 0.05)))
+    profiles[0, ends:] = float(np.log(2.0 + 0.05))
+    empty = torch.zeros(0, n_frames)
+    recording = RecalledRecording(torch.zeros(1, n_frames), empty, profiles, empty)
+    library = RecallLibrary(2, 4, fps, 1.0, 0.2, (left,), (recording,), np.array([1.0]), 0.0, None)
+    pieces = Pieces(np.array([0]), np.array([0]), hop=n_frames, overlap=0, n_frames=n_frames)
+    detail = library.detail(RecalledMotion((left,), (pieces,), (n_frames,)), n_frames)[0]
+    # The edge lies half a frame before the first fast frame.
+    assert (frames - 0.5) / fps == pytest.approx(0.08)
+    assert detail[ends - frames] == pytest.approx(norm.cdf(-1.0), abs=0.005)
+    assert detail[ends - 1 + frames] == pytest.approx(norm.cdf(1.0), abs=0.005)
 
 
 @pytest.mark.parametrize("r, spread", [(0.0, 0.0), (0.6, 0.5625), (-0.8, 16 / 9), (1.0, 16 / 9)])

@@ -291,20 +291,42 @@ def test_with_margins_losses_use_the_middle_of_longer_motions(make_config, monke
         seen.add(x.shape[-1])
         return original(self, x, *others)
 
-    generated = set()
-    generate = Stage._generate
+    generated = {}
+    within = Stage._within
 
-    def longer(self, windows):
-        made = generate(self, windows)
-        if windows.targets is None:
-            generated.update(level.shape[-1] for level in made)
-        return made
+    def kept(self, made, n_frames):
+        middles = within(self, made, n_frames)
+        generated.update({m.shape[-1]: (m, middle) for m, middle in zip(made, middles)})
+        return middles
 
     monkeypatch.setattr(LevelDiscriminator, "forward", forward)
-    monkeypatch.setattr(Stage, "_generate", longer)
+    monkeypatch.setattr(Stage, "_within", kept)
     train(config)
     assert config.network.margin == 5
-    assert seen == {21, 28, 38, 50} and generated == {25, 34, 45, 60}
+    assert seen == {21, 28, 38, 50} and set(generated) == {25, 34, 45, 60}
+    for motion, middle in generated.values():
+        before = (motion.shape[-1] - middle.shape[-1]) // 2
+        assert torch.equal(middle, motion[..., before : before + middle.shape[-1]])
+
+
+def test_a_model_keeps_the_speed_of_its_fastest_second_in_metres(make_config, gesture, tmp_path):
+    """In-betweening plans gaps by it. Bodies of twice the usual size; walks of 0.4 and 1.8 m/s."""
+    (tmp_path / "walks").mkdir()
+    for name, speed in {"slow": 0.4, "fast": 1.8}.items():
+        walk = gesture(3.0)
+        there = np.clip(walk.times - 1.0, 0.0, 1.0) * speed  # one second in the middle
+        walk.translation[:] = np.stack([there, np.full_like(there, 1.8), 0 * there], axis=1)
+        giant = replace(walk.skeleton, offsets=2.0 * walk.skeleton.offsets)
+        replace(walk, skeleton=giant).save(tmp_path / "walks" / f"{name}.bvh")
+    prepare([], tmp_path / "w.jsonl", unpaired_motion=[tmp_path / "walks"], holdout=0.0)
+    config = make_config(
+        corpus=str(tmp_path / "w.jsonl"),
+        features=None,
+        training={"first_stage": 1},
+    )
+    model = gk.load(train(config))
+    assert model.representation.scale == pytest.approx(2.0, rel=0.2)
+    assert model.fastest == pytest.approx(1.8, rel=0.02)
 
 
 def test_a_recording_of_one_frame_at_the_coarsest_level_trains(make_config, write_pair, tmp_path):
