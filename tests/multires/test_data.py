@@ -185,6 +185,22 @@ def test_a_style_of_whole_recordings_is_drawn_as_often_as_it_was_recorded(make_c
         assert data.style_shares(data.paired).tolist() == pytest.approx(wanted)
 
 
+@pytest.mark.parametrize("cached", [None, 8])
+def test_without_speech_random_motions_are_as_long_as_a_recording_of_their_style(
+    make_config, motions, cached
+):
+    corpus = str(motions(old=[2.0], angry=[6.0]))
+    told = {"window": None, "window_cache": cached}
+    config = make_config(corpus=corpus, features=None, styles={"mixing": 0.0}, training=told)
+    data = load_training_data(config)
+    network = MultiresGenerator(data.representation, len(data.styles), config.network)
+    batches = Batches(data, config, network, 0, convolve_dense)
+    batches.renew(0)
+    for n_frames, style in ((150, 0), (50, 1)):
+        windows, _ = batches.windows("random", n_frames, torch.Generator().manual_seed(0), 6)
+        assert data.styles == ("angry", "old") and (windows.styles == style).all()
+
+
 def test_rigs_that_differ_are_refused_by_name(two_performers, gesture, tmp_path, make_config):
     motion = gesture(4.0)
     names = tuple("Pelvis" if n == "Hips" else n for n in motion.skeleton.names)

@@ -44,8 +44,9 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, answers_of,
     answers = [Answer(a.user, a.clip, names[a.left], names[a.right], a.score) for a in answers]
     path = write(tmp_path / "all answers.csv", answers, {"r00007": 1})
     report, figures = tmp_path / "report.html", tmp_path / "figures.json"
-    code, out, _ = run("analyse", path, "--out", report, "--json", figures, "--rounds", 300)
+    code, out, err = run("analyse", path, "--out", report, "--json", figures, "--rounds", 300)
     assert code == 0
+    assert err.splitlines()[-2:] == [str(report), str(figures)], "beside what a pipe reads"
     assert "of 39 raters on 36 speech segments; 1 rater excluded by attention checks." in out
     assert f"best first: ours, {names['b']}, third." in out
     assert f"ours is preferred to {names['b']}: win rate" in out and "p < .001" in out
