@@ -110,7 +110,10 @@ def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Ite
         folder = recordings if isinstance(recordings, Path) else recordings.path
         return sequences_of(folder, audio, reading)
     if audio is None:
-        raise click.UsageError("--protocol lda samples models on speech: give --audio or --corpus")
+        raise click.UsageError(
+            "--protocol lda samples models for the recordings' windows: give --corpus, or --audio "
+            "for a model that needs speech alone"
+        )
     return sounds_of(audio)
 
 

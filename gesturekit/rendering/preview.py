@@ -93,7 +93,7 @@ def measured_cost(batch: Batch) -> Cost:
         processor = batch.processor.into(Path(folder))
         for seconds in (_LONG, _SHORT, _LONG):  # the first includes compilation
             wav = Path(folder) / f"{seconds:g}.wav"
-            part = speech.slice(0.0, seconds)
+            part = speech.slice(1.0, seconds)  # it begins with silence
             soundfile.write(wav, part.samples, part.sample_rate)
             entry = processor(Work(Task(str(wav), wav.stem, wav))).entry
             size = sum(about["size"] for about in entry.files.values())

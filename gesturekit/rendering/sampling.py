@@ -7,6 +7,7 @@ Clips are named after their recordings: `STEM_s1` ..., `STEM_w000_s1` ... for wi
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -100,7 +101,11 @@ def sample_lda(
             yield from _samples(model, window.id, controls, out, options, LDA_SAMPLES)
             made += 1
     if not made:
-        raise ConfigError(f"no recording is as long as a window of {WINDOW_SECONDS:g} s")
+        longest = max((item.duration for item in items), default=0.0)
+        raise ConfigError(
+            f"no recording is as long as a window of {WINDOW_SECONDS:g} s; the longest has "
+            f"{longest:.1f} s. Give another --split or longer recordings, or --protocol multires"
+        )
 
 
 def sequences_of(folder: Path, audio: Path | None, reading: Mapping[str, Any]) -> list[Item]:
@@ -184,5 +189,9 @@ def _samples(
         path.parent.mkdir(parents=True, exist_ok=True)
         if not (options.skip and path.exists()):
             seed = rng_for(options.seed, name, number).initial_seed()
-            model.generate(**controls, seed=seed, fps=model.fps).save(path)
+            motion = model.generate(**controls, seed=seed, fps=model.fps)
+            with warnings.catch_warnings():
+                # Limits of other readers of npz do not matter: only `evaluate` reads samples.
+                warnings.simplefilter("ignore")
+                motion.save(path)
         yield path
