@@ -9,6 +9,8 @@ import pytest
 
 from gesturekit import Motion
 from gesturekit.cli import main
+from gesturekit.corpus import Manifest
+from gesturekit.corpus.item import Item
 
 
 @pytest.fixture
@@ -106,6 +108,31 @@ def test_a_motion_to_begin_from(render, folders, untrained, gesture, tmp_path):
         status, motion, err = render(folders.get(name, name), *wrong)
         assert status in (1, 2) and motion is None
         assert told in err and "Traceback" not in err
+
+
+def test_events_of_a_manifest_keep_their_durations(render, folders, untrained, gesture, tmp_path):
+    """An event that starts before the item, and one that the model does not know, are left out."""
+    gesture(3.0).save(tmp_path / "motion.bvh")
+    table = "time,name,duration\n0.2,kick,0.1\n1.5,kick,0.3\n2.0,kick,\n2.2,jump,0.5\n"
+    (tmp_path / "motion.events.csv").write_text(table)
+    item = Item(
+        id="motion",
+        audio=None,
+        motion=tmp_path / "motion.bvh",
+        motion_start=1.0,
+        duration=2.0,
+        style="old",
+        split="test",
+        conditions={"events": tmp_path / "motion.events.csv"},
+    )
+    Manifest([item]).save(tmp_path / "c.jsonl")
+    status, motion, _ = render(folders["styled"], "--corpus", tmp_path / "c.jsonl", "--steps", 3)
+    model = untrained(styles=("old", "angry"), events=("kick",), droppable=("styles",))
+    expected = model.generate(
+        seconds=2.0, style="old", events="kick@0.5:0.3,kick@1.0", steps=3, seed=0
+    )
+    assert status == 0
+    np.testing.assert_allclose(motion.rotations, expected.rotations, atol=1e-6)
 
 
 def test_a_path_gives_the_length(render, folders, tmp_path):
