@@ -205,3 +205,10 @@ def test_a_motion_without_its_sound_is_named(corpus, tmp_path):
         (tmp_path / name).symlink_to(corpus.parent / name)
     with pytest.raises(ConfigError, match=r"no sound file named (three|four), (three|four)$"):
         sequences_of(corpus.parent, tmp_path, {})
+
+
+def test_a_training_sequence_is_sampled_at_twice_its_length(model, corpus, tmp_path):
+    item = named(corpus, "one")
+    for name, given in {"speech": item, "silence": replace(item, audio=None)}.items():
+        path = next(sample_multires(model, [given], tmp_path / name, SamplingOptions(samples=1)))
+        assert Motion.load(path).duration == pytest.approx(12.0, abs=0.05)
