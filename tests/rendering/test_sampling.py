@@ -207,8 +207,12 @@ def test_a_motion_without_its_sound_is_named(corpus, tmp_path):
         sequences_of(corpus.parent, tmp_path, {})
 
 
-def test_a_training_sequence_is_sampled_at_twice_its_length(model, corpus, tmp_path):
-    item = named(corpus, "one")
+def test_a_training_sequence_is_sampled_at_twice_its_length_and_the_models_own_rate(
+    model, corpus, tmp_path
+):
+    item, faster = named(corpus, "one"), copy.copy(model)
+    faster.recorded_fps = 50.0  # the rate at which `generate` returns motion by default
     for name, given in {"speech": item, "silence": replace(item, audio=None)}.items():
-        path = next(sample_multires(model, [given], tmp_path / name, SamplingOptions(samples=1)))
-        assert Motion.load(path).duration == pytest.approx(12.0, abs=0.05)
+        path = next(sample_multires(faster, [given], tmp_path / name, SamplingOptions(samples=1)))
+        motion = Motion.load(path)
+        assert (motion.fps, motion.duration) == (25.0, pytest.approx(12.0, abs=0.05))
