@@ -112,6 +112,9 @@ def test_only_long_pauses_become_silent_and_the_sound_beside_them_fades():
     near, half = slice(start, start + RATE // 25), start + RATE // 8
     assert np.abs(silenced[near]).max() < 0.02 * np.abs(sound.samples[near]).max()
     assert silenced[half] == pytest.approx(sound.samples[half] / 8, rel=0.01)
+    last, half = slice(stop - RATE // 25, stop), stop - RATE // 8
+    assert np.abs(silenced[last]).max() < 0.02 * np.abs(sound.samples[last]).max()
+    assert silenced[half] == pytest.approx(sound.samples[half] / 8, rel=0.01)
 
 
 def test_a_pause_of_three_seconds_at_an_end_becomes_silent():
