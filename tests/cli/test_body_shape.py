@@ -68,13 +68,13 @@ def body_models(tmp_path_factory, capsule_body) -> Path:
 
 @pytest.fixture
 def recordings(tmp_path) -> Path:
-    """Two of ann, female, with other betas in each, and one of bob, neutral."""
+    """Two of ann, female, with other betas in each, and one of abe, neutral."""
     folder = tmp_path / "takes"
     for k, (name, gender, betas) in enumerate(
         (
             ("ann/a", "female", [1.0, -0.5]),
             ("ann/b", "female", [2.0, -0.5, 1.0]),
-            ("bob/c", "neutral", np.arange(1.0, 7.0) / 4),
+            ("abe/c", "neutral", np.arange(1.0, 7.0) / 4),
         )
     ):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -113,7 +113,7 @@ def test_each_speaker_keeps_the_recorded_body(
     corpus, run = tmp_path / "corpus.jsonl", tmp_path / "run"
     done = gesturekit(
         *("prepare", "--unpaired-motion", recordings, "--out", corpus, "--holdout", 0),
-        *("--style-pattern", "(?P<speaker>ann|bob)/", "--body-model", body_models),
+        *("--style-pattern", "(?P<speaker>ann|abe)/", "--body-model", body_models),
     )
     assert done.status == 0, done.err
     settings = {"system": system, "corpus": str(corpus), "out": str(run), **CONFIGS[system]}
@@ -125,7 +125,7 @@ def test_each_speaker_keeps_the_recorded_body(
     assert len(foot_points(gk.load(run / "model").skeleton)) == 6
 
     rendered = {}
-    for speaker in ("ann", "bob", None):
+    for speaker in ("ann", "abe", None):
         out = tmp_path / f"of_{speaker}"
         chosen = [] if speaker is None else ["--speaker", speaker]
         model = ("--model", run / "model", "--seconds", 1, "--format", "npz")
@@ -134,14 +134,14 @@ def test_each_speaker_keeps_the_recorded_body(
         (file,) = out.glob("*.npz")
         with np.load(file) as arrays:
             rendered[speaker] = dict(arrays)
-    ann, bob = rendered["ann"], rendered["bob"]
-    assert (str(ann["gender"]), str(bob["gender"])) == ("female", "neutral")
+    ann, abe = rendered["ann"], rendered["abe"]
+    assert (str(ann["gender"]), str(abe["gender"])) == ("female", "neutral")
     np.testing.assert_allclose(ann["betas"], [1.5, -0.5, 0.5, *[0] * 297], atol=1e-7)
-    np.testing.assert_array_equal(bob["betas"], [*np.arange(1.0, 7.0) / 4, *[0] * 294])
+    np.testing.assert_array_equal(abe["betas"], [*np.arange(1.0, 7.0) / 4, *[0] * 294])
     check_body(ann, body_models, "SMPLX_FEMALE", ann["betas"][:10])
-    check_body(bob, body_models, "SMPLX_NEUTRAL_2020", bob["betas"][:10])
+    check_body(abe, body_models, "SMPLX_NEUTRAL_2020", abe["betas"][:10])
     assert str(rendered[None]["gender"]) in ("female", "neutral")
-    own = bob if str(rendered[None]["gender"]) == "neutral" else ann
+    own = abe if str(rendered[None]["gender"]) == "neutral" else ann
     np.testing.assert_array_equal(rendered[None]["betas"], own["betas"])
     np.testing.assert_array_equal(rendered[None]["offsets"], own["offsets"])
 
@@ -151,7 +151,7 @@ def test_a_model_trained_further_on_another_speaker_gets_their_body(
     system, gesturekit, recordings, tmp_path
 ):
     bodies, start = {}, None
-    for speaker in ("ann", "bob"):
+    for speaker in ("ann", "abe"):
         corpus, run = tmp_path / f"{speaker}.jsonl", tmp_path / speaker
         prepare = ("prepare", "--unpaired-motion", recordings / speaker, "--holdout", 0)
         assert gesturekit(*prepare, "--out", corpus).status == 0
@@ -164,8 +164,8 @@ def test_a_model_trained_further_on_another_speaker_gets_their_body(
         start = run / "model"
         bodies[speaker] = gk.load(start).generate(seconds=0.5).skeleton.body_shape
     assert bodies["ann"].betas == (1.5, -0.5, 0.5) and bodies["ann"].gender == "female"
-    assert bodies["bob"].betas == (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-    assert bodies["bob"].gender == "neutral"
+    assert bodies["abe"].betas == (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+    assert bodies["abe"].gender == "neutral"
 
 
 @pytest.mark.parametrize("system", CONFIGS)
@@ -195,7 +195,7 @@ def test_convert_fits_npz_to_the_body_model_of_their_gender(
         *("--body-model", body_models),
     )
     assert done.status == 0, done.err
-    for name, model in (("ann/b", "SMPLX_FEMALE"), ("bob/c", "SMPLX_NEUTRAL_2020")):
+    for name, model in (("ann/b", "SMPLX_FEMALE"), ("abe/c", "SMPLX_NEUTRAL_2020")):
         with np.load(recordings / f"{name}.npz") as source:
             source = dict(source)
         with np.load(tmp_path / "out" / f"{name}.npz") as made:
@@ -214,7 +214,7 @@ def test_convert_fits_npz_to_the_body_model_of_their_gender(
 
 
 def test_changes_of_a_motion_keep_the_body(gesturekit, recordings, tmp_path):
-    (tmp_path / "bob.npz").write_bytes((recordings / "bob/c.npz").read_bytes())
+    (tmp_path / "abe.npz").write_bytes((recordings / "abe/c.npz").read_bytes())
     for change in (["--mirror"], ["--joints", "body"], ["--trim", "0.2:1"], ["--fps", 60]):
         target = tmp_path / "made.npz"
         done = gesturekit(
@@ -224,6 +224,6 @@ def test_changes_of_a_motion_keep_the_body(gesturekit, recordings, tmp_path):
         shape = gk.Motion.load(target).skeleton.body_shape
         assert (shape.betas, shape.gender) == ((2.0, -0.5, 1.0), "female"), change
     onto = ("convert", recordings / "ann/b.npz", target, "--existing", "replace")
-    assert gesturekit(*onto, "--rig", tmp_path / "bob.npz").status == 0
+    assert gesturekit(*onto, "--rig", tmp_path / "abe.npz").status == 0
     shape = gk.Motion.load(target).skeleton.body_shape  # that of the other person
     assert (shape.betas, shape.gender) == (tuple(np.arange(1.0, 7.0) / 4), "neutral")
