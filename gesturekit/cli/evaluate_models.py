@@ -111,8 +111,8 @@ def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Ite
         return sequences_of(folder, audio, reading)
     if audio is None:
         raise click.UsageError(
-            "--protocol lda samples models for the recordings' windows: give --corpus, or --audio "
-            "for a model that needs speech alone"
+            "--protocol lda samples models for the recordings' windows: give --audio, or --corpus "
+            "for a model with styles or without speech"
         )
     return sounds_of(audio)
 
