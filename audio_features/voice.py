@@ -24,7 +24,7 @@ _VOICED = 7  # frames of a voiced sound
 _SHORTEST = 1.0  # s; shorter sounds are too short to judge
 _GAP = 3.0  # s; longer stretches without a voiced sound are not speech
 _MARGIN = 0.5  # s of speech before the first and after the last voiced sound: consonants, breath
-_FADE = 0.25  # s at the ends of a stretch: a noise floor that begins at once would be an onset
+_FADE = 0.25  # s at the ends of a stretch: a noise floor that begins abruptly is an onset
 
 
 def voice_activity(wave: Wave) -> np.ndarray:

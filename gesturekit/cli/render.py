@@ -169,12 +169,7 @@ GROUPS = {
 )
 @click.option("--solver", cls=ControlOption, type=click.Choice(["ancestral", "ddim", "dpm"]))
 @click.option("--level-style", cls=ControlOption, metavar="LEVELS=NAME,...")
-@click.option(
-    "--level-speech",
-    cls=ControlOption,
-    metavar="LEVELS=FILE,...",
-    note="Levels count from 1, the coarsest.",
-)
+@click.option("--level-speech", cls=ControlOption, metavar="LEVELS=FILE,...")
 @click.option("--levels", cls=ControlOption, type=click.IntRange(min=1), metavar="N")
 @click.option("--keyframes", cls=ControlOption, type=click.Path(path_type=Path), metavar="EDIT.bvh")
 @click.option("--keyframe-level", cls=ControlOption, type=click.IntRange(min=1), metavar="N")

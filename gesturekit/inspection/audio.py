@@ -116,7 +116,8 @@ def _speech(wave: af.Wave) -> dict[str, Any]:
     pauses = edges[1::2] - edges[::2]
     return {
         "active_level_dbfs": speech.active_level(),
-        "has_voice": wave.is_silent or not speech.is_silent,
+        "is_silent": wave.is_silent,
+        "has_voice": not speech.is_silent,
         "active_share": float(active.mean()) if len(active) else 0.0,
         "longest_pause": float(pauses.max(initial=0) * hop),
     }
@@ -161,10 +162,10 @@ def _rows(facts: dict[str, Any], levels: _Levels) -> list[tuple[str, str]]:
 
 def _problems(facts: dict[str, Any], refused: str | None) -> list[str]:
     found = [refused] if refused else list(facts["repairs"])
-    if refused is None and not facts["has_voice"]:
-        found.append("no voice (noise, hum or whispering): models of speech will move idly")
-    elif refused is None and not facts["active_share"]:
+    if refused is None and facts["is_silent"]:
         found.append("silence: no speech above -75 dBFS")
+    elif refused is None and not facts["has_voice"]:
+        found.append("no voice (noise, hum or whispering): models of speech generate idle motion")
     elif refused is None and facts["active_level_dbfs"] < _QUIET_DBFS:
         found.append(f"quiet: speech is at {facts['active_level_dbfs']:.0f} dBFS")
     clipped = sum(facts["clipped"])

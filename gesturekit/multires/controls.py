@@ -27,8 +27,9 @@ class MultiresControls(Controls):
     """Styles of single levels, counted from 1 (coarsest), which override style:
     1-4=describe,5-8=angry."""
     level_speech: Mapping[str, str | Path | af.Wave] | None = None
-    """Speech of single levels, in place of the main speech: {"7-10": "b.wav"}. It is cut to the
-    length of the motion, or continues with silence. Recall follows the main speech."""
+    """Speech of single levels, counted from 1 (coarsest), in place of the main speech:
+    7-10=b.wav, in Python {"7-10": "b.wav"}. It is cut to the length of the motion, or continues
+    with silence. Recall follows the main speech."""
     levels: int | None = None
     """Stop after this many levels. The motion has the lower frame rate of that level and can be
     edited and passed back as keyframes. Only style, level_style, speech and level_speech can be

@@ -57,7 +57,7 @@ class Cost:
 def preview(batch: Batch) -> Iterator[Preview]:
     """Yield what would be done about each task; nothing is written.
 
-    Only the header of a sound is read, so that damage further on is not found.
+    Only the first half second of a sound is read, so that damage further on is not found.
     """
     for task in batch.tasks:
         work = batch.work_on(task)

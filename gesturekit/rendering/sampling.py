@@ -111,6 +111,8 @@ def sample_lda(
 def sequences_of(folder: Path, audio: Path | None, reading: Mapping[str, Any]) -> list[Item]:
     """Return the motion of a folder as items, whose styles and speakers are not known.
 
+    An item is as long as the shorter of its motion and its sound.
+
     Args:
         folder: folder of motion.
         audio: folder of its sound, or None.
@@ -125,16 +127,13 @@ def sequences_of(folder: Path, audio: Path | None, reading: Mapping[str, Any]) -
     missing = [stem for stem in motions if audio is not None and stem not in sounds]
     if missing:
         raise ConfigError(f"{audio}: no sound file named {', '.join(missing[:3])}")
-    return [
-        Item(
-            id=stem,
-            audio=sounds.get(stem),
-            motion=path,
-            duration=load(path, reading).duration,
-            reading=reading,
-        )
-        for stem, path in motions.items()
-    ]
+    items = []
+    for stem, path in motions.items():
+        duration, sound = load(path, reading).duration, sounds.get(stem)
+        if sound is not None:
+            duration = min(duration, af.Wave.load(sound).duration)
+        items.append(Item(id=stem, audio=sound, motion=path, duration=duration, reading=reading))
+    return items
 
 
 def sounds_of(folder: Path) -> list[Item]:

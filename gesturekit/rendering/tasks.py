@@ -175,8 +175,8 @@ def find_tasks(sources: Source | Sequence[Source], out: Path) -> list[Task]:
     """List what to render.
 
     A folder stands for all sounds below it, which keep their relative path. Sounds of formats that
-    cannot be decoded fail when their turn comes, unless one of the same name beside them can be;
-    videos are warned about. Hidden files and `out` itself are skipped.
+    cannot be decoded are tasks that fail, unless a readable sound of the same name lies beside
+    them; videos are warned about. Hidden files and `out` itself are skipped.
 
     Args:
         sources: sound files, folders, globs such as "speech/**/*.wav", lists (see

@@ -42,7 +42,7 @@ def typing(seconds: float) -> np.ndarray:
 
 
 def breath(seconds: float) -> np.ndarray:
-    """Noise through a resonance at 600 Hz, twice a second louder and softer than before."""
+    """Noise through a resonance at 600 Hz, which swells and fades every 1.25 s."""
     time = np.arange(round(seconds * RATE)) / RATE
     noise = lfilter([1.0], [1.0, -1.87, 0.93], coloured(0.0, seconds))
     return noise / noise.std() * np.square(np.sin(2 * np.pi * 0.4 * time))
@@ -139,6 +139,7 @@ def test_a_word_in_ten_seconds_of_noise_is_found():
 
 def test_recorded_speech_is_found_down_to_10_db(shared_data):
     files = sorted((shared_data / "speech").glob("*/*.flac"))[1::6]
+    assert files
     for number, file in enumerate(files):
         speech = af.Wave.load(file).resample(RATE)
         level = 10 ** (speech.active_level() / 20 - 0.5)

@@ -44,7 +44,7 @@ TINY_DIFFUSION = (
 
 
 class Done(NamedTuple):
-    """How a command ended."""
+    """Exit status and output of a command."""
 
     status: int
     out: str

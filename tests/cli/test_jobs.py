@@ -151,7 +151,7 @@ class Tags(HTMLParser):
 
 
 def test_names_with_html_are_text_on_the_page(gesturekit, model, write_speech, tmp_path):
-    """Of results, of failures and of the folder itself."""
+    """Names of results, of failures and of the folder itself."""
     good, bad = 'x"onload="alert(1)"><script>alert(2)<', "<b onclick=alert(3)>bad"
     folder = tmp_path / "<i>in"
     write_speech(folder / f"{good}.wav", 0.4)

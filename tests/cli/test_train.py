@@ -387,9 +387,7 @@ def labelled(gesturekit, write_pair, tmp_path):
     return manifest
 
 
-def test_styles_and_speakers_that_are_not_used_are_said(
-    gesturekit, labelled, recipe, tmp_path, caplog
-):
+def test_unused_styles_and_speakers_are_reported(gesturekit, labelled, recipe, tmp_path, caplog):
     """Before and after training, and when a model of several speakers is rendered without one."""
     styles = "2 styles in the corpus, none used; styles={} trains with them"
     speakers = "2 speakers in the corpus, none used: gestures are those of all of them, and "

@@ -84,7 +84,7 @@ def test_styles_are_followed_mixed_and_changed_over_time(model):
 
 
 def test_without_a_style_each_sample_draws_its_own(model):
-    """The same noise with either style, so that the style of a sample is told by its motion."""
+    """The same noise with either style, so that the motion of a sample shows its style."""
     drawn = set()
     for seed in (0, 1):
         free = model.generate(**QUICK, samples=6, seed=seed)

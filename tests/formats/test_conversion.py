@@ -239,7 +239,7 @@ def test_changes_are_made_in_order(take, tmp_path):
 
 
 def test_a_trim_beyond_the_end_keeps_what_there_is(take, tmp_path):
-    """Of a folder, some clips are shorter than the range."""
+    """Some clips of a folder are shorter than the range."""
     (done,) = outcomes(take, tmp_path / "a.npz", changes=Changes(trim=(0.5, 60.0)))
     assert done.error is None and done.done == ("cut to 1.50 s",)
     motion, source = Motion.load(tmp_path / "a.npz"), Motion.load(take)

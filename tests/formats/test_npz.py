@@ -275,7 +275,9 @@ def test_a_body_in_the_axes_of_a_camera_is_turned_upright(tmp_path, up):
 
 
 def test_real_bodies_fitted_to_video_stand_with_the_head_up(shared_data):
-    for file in sorted((shared_data / "takes" / "show").glob("*.npz")):
+    files = sorted((shared_data / "takes" / "show").glob("*.npz"))
+    assert files
+    for file in files:
         motion = read_npz(file)
         head, pelvis = (motion.skeleton.index(name) for name in ("head", "pelvis"))
         places = motion.positions()

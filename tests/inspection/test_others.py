@@ -61,7 +61,9 @@ def test_sounds_with_something_wrong(tmp_path):
         soundfile.write(path, samples, 16_000, subtype="FLOAT")
         summary = inspect(path)
         assert any(says in problem for problem in summary.problems), (name, summary.problems)
-        assert plain(summary)["channels"] == 2 and "\n".join(summary.lines())
+        facts = plain(summary)
+        assert facts["channels"] == 2 and "\n".join(summary.lines())
+        assert facts.get("has_voice", True) == (name not in ("zeros", "noise")), name
 
 
 def test_a_floating_point_sound_beyond_full_scale_is_not_clipped(tmp_path):

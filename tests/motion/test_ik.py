@@ -72,7 +72,7 @@ def test_the_ankle_reaches_its_target_and_bones_keep_their_lengths():
 
 @pytest.mark.parametrize("reach", [0.25, 0.3, 0.45])
 def test_a_shank_longer_than_the_thigh_folds_past_the_hip(reach):
-    """With sides 0.3 and 0.5 m the angle at the hip is obtuse below a reach of 0.4 m (3-4-5).
+    """The angle at the hip, between 0.3 and 0.5 m, is obtuse below a reach of 0.4 m (3-4-5).
 
     At 0.3 m the cosine is (0.3^2 + 0.3^2 - 0.5^2) / (2 * 0.3 * 0.3) = -7 / 18.
     """

@@ -190,8 +190,8 @@ def test_without_speech_random_motions_are_as_long_as_a_recording_of_their_style
     make_config, motions, cached
 ):
     corpus = str(motions(old=[2.0], angry=[6.0]))
-    told = {"window": None, "window_cache": cached}
-    config = make_config(corpus=corpus, features=None, styles={"mixing": 0.0}, training=told)
+    training = {"window": None, "window_cache": cached}
+    config = make_config(corpus=corpus, features=None, styles={"mixing": 0.0}, training=training)
     data = load_training_data(config)
     network = MultiresGenerator(data.representation, len(data.styles), config.network)
     batches = Batches(data, config, network, 0, convolve_dense)

@@ -62,7 +62,7 @@ def test_only_labels_above_one_half_are_contacts():
 
 
 def test_a_trembling_foot_stands_unless_its_labels_say_that_it_moves():
-    """To and fro by 8 mm in each frame is 0.8 m/s at 50 fps; smoothed, it is still."""
+    """8 mm to and fro in each frame are 0.8 m/s at 50 fps; smoothed, the foot is still."""
     trembling = path(0.008 * (-1.0) ** np.arange(60), 0.05)
     stands, _ = contact_frames(trembling, FPS, 1.0)
     assert stands.all()

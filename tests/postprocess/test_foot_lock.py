@@ -304,7 +304,7 @@ def test_hips_that_sway_over_straight_legs_come_down_in_an_arc(with_toes, way):
 
 
 def test_a_heel_that_is_lifted_while_labelled_stays_lifted(with_toes):
-    """By 0.025 m for a third of the time.
+    """The heel is lifted by 0.025 m for a third of the time.
 
     What is above the noise of 0.01 m is kept: 0.025^3 / (0.025^2 + 0.01^2) = 0.02155 m. The lifted
     heel is 0.1284 m behind the ball instead of 0.14 m, in the mean 0.1361 m, and is pinned there:
@@ -423,9 +423,9 @@ def test_feet_are_locked_alike_in_all_directions_on_both_sides_and_at_any_size(
 
 @pytest.mark.parametrize(("degrees", "heel_slides"), [(4.0, 1e-4), (8.0, 4e-3)])
 def test_heel_and_ball_of_a_flat_foot_stay_while_it_turns(with_toes, degrees, heel_slides):
-    """By 4 degrees to either side: the foot is turned back, sole level, and its toes with it.
+    """A foot that turns by 4 degrees to either side is turned back, sole level, with its toes.
 
-    By 8 degrees is more than it may be turned at once, so that the heel gives way to the ball.
+    8 degrees are more than the limit of a turn, so that the ball stays and the heel slides.
     """
     motion = standing(with_toes)
     yaw = np.radians(degrees) * np.sin(2 * np.pi * 0.5 * motion.times)

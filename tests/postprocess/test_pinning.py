@@ -110,7 +110,7 @@ def test_fades_begin_at_the_first_and_last_correction_of_a_contact():
 
 
 def test_a_point_above_the_floor_is_lowered_only_while_it_stands():
-    """In flight it would be pulled to the floor, and slide there."""
+    """A point in flight would be pulled to the floor, and slide there."""
     offset, hold = pinned(at_heights(120, (0, 120, SMALL)), (40, 80))
     assert not offset[:40].any() and not offset[80:].any()
     np.testing.assert_allclose(offset[:, 1], offset[::-1, 1], atol=1e-12)
@@ -124,7 +124,7 @@ def test_a_point_above_the_floor_is_lowered_only_while_it_stands():
 
 
 def test_a_short_contact_is_lowered_by_its_middle():
-    """Of 10 frames, 5 are left for either side: 1/6, 2/6, ... of the way down."""
+    """A contact of 10 frames leaves 5 for either side: 1/6, 2/6, ... of the way down."""
     offset, _ = pinned(at_heights(120, (0, 120, SMALL)), (50, 60))
     way = np.arange(1, 6) / 6
     expected = -SMALL * way**2 * (3 - 2 * way)
@@ -140,7 +140,7 @@ def test_a_foot_that_is_put_down_and_lifted_keeps_its_height():
     np.testing.assert_allclose(offset, 0, atol=1e-12)
     offset, _ = pinned(places[29:131], (1, 101))
     np.testing.assert_allclose(offset, 0, atol=1e-12)
-    # Where the motion begins and ends within the contact, nobody saw it come or go.
+    # A contact that lasts from the first to the last frame has no landing and no leaving.
     offset, _ = pinned(places[30:130], (0, 100))
     np.testing.assert_allclose(offset[:, 1], -places[30:130, 1], atol=1e-12)
 

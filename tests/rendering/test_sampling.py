@@ -200,6 +200,15 @@ def test_a_window_gets_its_own_part_of_the_sound(model, tmp_path, write_speech):
     assert same == [True, False]
 
 
+def test_a_sound_shorter_than_its_motion_sets_the_length(model, corpus, tmp_path, write_speech):
+    (tmp_path / "motion").mkdir()
+    named(corpus, "one").load_motion().save(tmp_path / "motion" / "one.npz")  # 6 s
+    write_speech(tmp_path / "sound" / "one.wav", 4.0)
+    (item,) = sequences_of(tmp_path / "motion", tmp_path / "sound", {})
+    path = next(sample_multires(model, [item], tmp_path / "out", SamplingOptions(samples=1)))
+    assert Motion.load(path).duration == pytest.approx(8.0, abs=0.05)
+
+
 def test_a_motion_without_its_sound_is_named(corpus, tmp_path):
     for name in ("one.wav", "two.wav"):
         (tmp_path / name).symlink_to(corpus.parent / name)

@@ -12,9 +12,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gesturekit.corpus.styles import style_track
+from gesturekit.errors import ModelError
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.conditions import level_range
+
+_EXAMPLE = "1-4=describe,5-8=angry"
 
 
 def style_levels(styles: Tensor, n_styles: int, lengths: Sequence[int]) -> list[Tensor]:
@@ -111,9 +114,8 @@ def requested_styles(
     tracks = [with_margins(style)] * len(lengths)
     for text in level_style.split(",") if level_style else ():
         numbers, _, name = text.strip().partition("=")
-        example = "1-4=describe,5-8=angry"
-        levels = level_range(
-            numbers if name else f"{numbers}=", len(lengths), "level style", example
-        )
+        if not name:
+            raise ModelError(f"level style {numbers!r} names no style: {_EXAMPLE} does")
+        levels = level_range(numbers, len(lengths), "level style", _EXAMPLE)
         tracks[levels.start : levels.stop] = [with_margins(name)] * len(levels)
     return [resample(own, n)[None] for own, n in zip(tracks, lengths, strict=True)]
