@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from audio_features import FeatureError, FeatureTrack, Wave
@@ -96,7 +96,7 @@ def test_length_ratio_is_torchs_interpolation_with_aligned_corners(n_in, n_out):
         track.to_rate(25, n_out, method="nearest")
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=1000, deadline=None, derandomize=True)
 @given(
     n=st.integers(4_800, 100_000),
     rate=st.sampled_from([8_000, 11_025, 16_000, 22_050, 44_100, 48_000]),
@@ -104,6 +104,7 @@ def test_length_ratio_is_torchs_interpolation_with_aligned_corners(n_in, n_out):
     at=st.floats(0.05, 0.95),
     base=st.sampled_from(["light", "WavLM's"]),
 )
+@example(n=4800, rate=16_000, fps=25, at=0.95, base="WavLM's")
 def test_frame_count_and_frame_times(n, rate, fps, at, base):
     """Rows follow from the sample count alone, and a click is in the row of its time."""
     samples = np.zeros(n, np.float32)
@@ -119,6 +120,7 @@ def test_frame_count_and_frame_times(n, rate, fps, at, base):
         short = np.lib.stride_tricks.sliding_window_view(wave.resample(16_000).samples, 400)[::320]
         energy = np.square(short * np.hanning(400)).sum(axis=1)
         times = 0.0125 + 0.02 * np.arange(len(short))
+        assume(click < times[-1])  # up to 20 ms at the end are in no frame
     track = FeatureTrack(energy[:, None], times).to_rate(fps, wave.n_frames(fps), method="mean")
     assert len(track.values) == rows
     row = int(np.argmax(track.values[:, 0]))
