@@ -15,10 +15,15 @@ import numpy as np
 import pytest
 import soundfile
 from chromium import Browser
+from hypothesis import settings
 from scipy.spatial.transform import Rotation
 from sounds import voiced
 
 from gesturekit.motion import Motion, Skeleton
+
+# Examples follow from the test alone: a run on another day finds no other failure.
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile("repeatable")
 
 NEVER_SKIPPED_IN_CI = ("Chromium", "smplx", "ffmpeg")
 

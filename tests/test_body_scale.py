@@ -141,7 +141,7 @@ def test_a_quadruped_is_checked_alike_at_any_size(quadruped, tmp_path):
     assert_judged_alike(flawed(quadruped), tmp_path)
 
 
-@settings(deadline=None, max_examples=15, derandomize=True)
+@settings(deadline=None, max_examples=15)
 @given(scale=st.floats(0.1, 10.0))
 def test_clips_are_checked_alike_at_random_scales(scale, skeleton, tmp_path_factory):
     folder = tmp_path_factory.mktemp("any")
