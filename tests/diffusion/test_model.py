@@ -275,6 +275,18 @@ def test_clipping_defaults_to_the_models_setting(untrained, tmp_path):
     assert same(plain.generate(seconds=0.5, clip_denoised=True), made)
 
 
+def test_only_with_clipping_are_steps_of_almost_pure_noise_not_predicted(untrained):
+    """A beta of 0.999 leaves 1e-3, 1e-6, 1e-9, ... of the motion: the third step is below 1e-8."""
+    noise = NoiseConfig(steps=6, first_beta=0.999, last_beta=0.999, predict="velocity")
+    model = replace(untrained(), noise_config=noise)
+    calls = []
+    model.network.leave.register_forward_hook(lambda *call: calls.append(call))
+    for clip, predicted in ((True, 2), (False, 6)):
+        calls.clear()
+        model.generate(seconds=0.5, clip_denoised=clip)
+        assert len(calls) == predicted
+
+
 def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
     model.save(tmp_path / "model")
     short = gk.load(tmp_path / "model", dtype="bf16")

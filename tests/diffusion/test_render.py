@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from gesturekit import Motion
 from gesturekit.cli import main
 from gesturekit.corpus import Manifest
 from gesturekit.corpus.item import Item
+from gesturekit.diffusion.config import NoiseConfig
 
 
 @pytest.fixture
@@ -74,6 +77,16 @@ def test_options_reach_the_model(render, folders, untrained):
         folders["plain"], "--seconds", 1, "--steps", 2, "--no-foot-lock", "--dtype", "bf16"
     )
     assert not np.array_equal(motion.rotations, expected.rotations)
+
+
+def test_clipping_is_turned_off_by_its_option(render, untrained, tmp_path):
+    """A network that predicts no noise diverges unless its prediction is clipped."""
+    model = replace(untrained(), noise_config=NoiseConfig())
+    torch.nn.init.zeros_(model.network.leave.weight)
+    model.save(tmp_path / "model")
+    assert render(tmp_path / "model", "--seconds", 0.5, "--clip-denoised")[0] == 0
+    status, motion, said = render(tmp_path / "model", "--seconds", 0.5, "--no-clip-denoised")
+    assert status == 1 and motion is None and "out of range" in said
 
 
 def test_experts_weights_over_time(render, folders, untrained):

@@ -32,7 +32,7 @@ def logged(config):
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
-    config = make_config(eval_every=4, fps=15.0)
+    config = make_config(eval_every=4, fps=15.0, clip_denoised=False)
     folder = train(config)
     assert [line["step"] for line in logged(config)] == [2, 4, 4, 6, 6]
     assert {"arm_speed_ratio", "jerk_ratio"} <= logged(config)[-1].keys()
@@ -40,8 +40,8 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
     for name in ("config.yaml", "command.txt", "versions.json", "events"):
         assert (config.out / name).exists(), name
     model = gk.load(folder)
-    assert (model.fps, model.recorded_fps) == (15.0, 30.0)
-    motion = model.generate(seconds=2.0)
+    assert (model.fps, model.recorded_fps, model.clip_denoised) == (15.0, 30.0, False)
+    motion = model.generate(seconds=2.0, clip_denoised=True)
     assert motion.n_frames == 60 and motion.skeleton.n_joints == 19
 
 
