@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import hashlib
+import io
 import json
 import os
 import re
@@ -165,9 +167,6 @@ def lines_of(name: str, data: bytes, table: dict[str, Any]) -> list[str] | None:
 
 def array_lines(data: bytes) -> Iterator[str]:
     """Yield a line for each array of an npz file: name, type, shape and content."""
-    import hashlib
-    import io
-
     with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
         for name in sorted(arrays.files):
             array = arrays[name]

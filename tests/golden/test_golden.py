@@ -58,7 +58,7 @@ def test_command_lines_are_read_as_typed_and_spelled_as_base_does():
 
 @pytest.mark.stress
 def test_the_last_commit_writes_what_the_files_here_write():
-    """With uncommitted changes, it fails where these change what is written."""
+    """Uncommitted changes make it fail where they change what is written."""
     script = Path(__file__).with_name("golden.py")
     run = subprocess.run([sys.executable, str(script), "HEAD"], capture_output=True, text=True)
     assert run.returncode == 0, run.stdout
