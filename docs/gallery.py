@@ -9,7 +9,7 @@ from typing import Any
 
 import gesturekit as gk
 from audio_features import Wave
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.systems import bundled_speech
 from gesturekit.viewer import contact_sheet, speech_and_motion
 

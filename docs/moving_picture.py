@@ -15,7 +15,7 @@ from PIL import Image
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.evaluation import arm_speed
 from gesturekit.evaluation.metrics.sync import speech_envelope
 from gesturekit.motion import Motion

@@ -47,8 +47,6 @@ MAY_IMPORT["systems"] = {"model", "training"}
 MAY_IMPORT["diagnosis"] = {"systems"}
 EVERYONE_MAY_IMPORT = {
     "errors",
-    "atomic",
-    "archive",
     "compiled",
     "field_docs",
     "lazy",

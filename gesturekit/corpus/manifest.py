@@ -15,7 +15,7 @@ from dataclasses import fields
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.corpus.item import SPLITS, Item
 from gesturekit.errors import CorpusError
 

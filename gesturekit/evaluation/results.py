@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
 from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gesturekit.archive import open_archive
+from audio_features.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.jobs.targets import EXISTING, refuse_existing, refuse_leaving
@@ -182,7 +182,7 @@ def is_body_model(path: Path) -> bool:
 
 def _has_keys(path: Path, *keys: str) -> bool:
     try:
-        with open_archive(path) as archive:
+        with open_archive(path, FormatError) as archive:
             return all(key in archive for key in keys)
     except FormatError:
         return False  # the reader reports the error

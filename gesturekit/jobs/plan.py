@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.state import FORMAT, MAX_LINE, parse_line
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import GestureKitError
 from gesturekit.jobs.journal import Entry, History
 from gesturekit.jobs.state import STATE

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from audio_features import Wave
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.evaluation.agreement.answers import MISMATCHED
 from gesturekit.formats.conversion import load

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from audio_features import Wave
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer import tracks

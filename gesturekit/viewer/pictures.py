@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import Ellipse, Polygon
 
 from audio_features import LogMel, Wave
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import MotionError
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.drawn_body import DrawnBody

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.archive import open_archive
+from audio_features.archive import open_archive
 from gesturekit.corpus.layouts.listing import Listing, root_with
 from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import Recording
@@ -82,7 +82,7 @@ def _read_split(root: Path, kind: str, name: str, split: str, listing: Listing) 
 def _valid_runs(recording: Recording, listing: Listing) -> list[Recording]:
     """Return a recording for each run of valid frames."""
     try:
-        with open_archive(recording.motion) as archive:
+        with open_archive(recording.motion, FormatError) as archive:
             if "smplh:is_valid" not in archive:
                 return [recording]
             valid = archive["smplh:is_valid"].reshape(-1) != 0

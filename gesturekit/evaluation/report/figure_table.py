@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.evaluation.contest.paired import Contest, contests
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
 from gesturekit.evaluation.report.headline import headline_lines

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.evaluation.contest.paired import contests
 from gesturekit.evaluation.report import tables
 from gesturekit.evaluation.report.figure_table import agreement_lines

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import file_axes, with_y_up
 from gesturekit.formats.bvh import mark as bvh_mark

@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.study.analysis.conclusions import (
     conclusions,
     is_significant,

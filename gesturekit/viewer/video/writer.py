@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from audio_features import Wave
-from gesturekit.atomic import atomic_write
+from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.motion.resampling import checked_fps

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from safetensors.torch import load_file
 
-from gesturekit.atomic import atomic_write, write_tensors
+from audio_features.atomic import atomic_write, write_tensors
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.frechet.feature_network import (
     PoseAutoencoder,
