@@ -8,22 +8,22 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from audio_features.acoustic.effort import Effort
+from audio_features.acoustic.analysis import ShortTimeSpectrum
 from audio_features.acoustic.extractors import (
     MFCC,
     AcousticExtractor,
+    Effort,
     Liveliness,
     LogMel,
     Onset,
     Prosody,
 )
 from audio_features.acoustic.music import Music
-from audio_features.acoustic.spectrum import ShortTimeSpectrum
 from audio_features.errors import FeatureError, WeightsError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.weight_files import WeightPlaces
-from audio_features.word_features import Words
+from audio_features.words import Words
 
 LIGHT = {
     "logmel": LogMel,
@@ -180,7 +180,7 @@ def _encoder(
     kind: str, settings: dict[str, Any], place: str | os.PathLike[str] | None, device: str
 ) -> Extractor:
     if kind == "wavlm":
-        from audio_features.wavlm import WavLM
+        from audio_features.wavlm.extractor import WavLM
 
         return WavLM.from_spec(settings, place, device)
     if kind == "hf":

@@ -6,9 +6,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from audio_features.acoustic.analysis import (
+    FRAME_RATE,
+    SAMPLE_RATE,
+    ShortTimeSpectrum,
+    centred_frames,
+)
 from audio_features.acoustic.extractors import AcousticExtractor, whole_number
-from audio_features.acoustic.frames import FRAME_RATE, SAMPLE_RATE, centred_frames
-from audio_features.acoustic.spectrum import ShortTimeSpectrum
 from audio_features.errors import FeatureError
 
 BEATS_PER_MINUTE = (50.0, 200.0)

@@ -11,20 +11,21 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from audio_features.containers import flac, mpeg, ogg, plain, wav
+from audio_features.containers.compressed import read_flac, read_mpeg, read_ogg
 from audio_features.containers.header import Header, copy_again, ffmpeg_line, raw_line
 from audio_features.containers.samples import ChannelLevels
+from audio_features.containers.uncompressed import read_aiff, read_au, read_nist, read_wav
 from audio_features.errors import AudioError
 
 _READERS = {
-    b"RIFF": wav.read_header,
-    b"RIFX": wav.read_header,
-    b"RF64": wav.read_header,
-    b"fLaC": flac.read_header,
-    b"OggS": ogg.read_header,
-    b"FORM": plain.read_aiff,
-    b".snd": plain.read_au,
-    b"NIST": plain.read_nist,
+    b"RIFF": read_wav,
+    b"RIFX": read_wav,
+    b"RF64": read_wav,
+    b"fLaC": read_flac,
+    b"OggS": read_ogg,
+    b"FORM": read_aiff,
+    b".snd": read_au,
+    b"NIST": read_nist,
 }
 """Header reader by the first four bytes of the file."""
 
@@ -91,7 +92,7 @@ def read_header(name: str) -> Header:
             return _READERS[head[:4]](file, name, size)
         if head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0):
             file.seek(0)
-            return mpeg.read_header(file, name, size)
+            return read_mpeg(file, name, size)
     is_text = all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in head)
     raise AudioError(
         f"{name}: cannot be read as sound (it begins with {head[:8]!r}): give a wav, flac, ogg, "

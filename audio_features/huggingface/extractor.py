@@ -9,14 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from audio_features.errors import AudioError, FeatureError
-from audio_features.inference import checked_device, chunk_slices, normalized
+from audio_features.speech_encoders import (
+    SAMPLE_RATE,
+    LayerChoice,
+    Options,
+    checked_device,
+    chunk_slices,
+    normalized,
+)
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
-from audio_features.wavlm.options import SAMPLE_RATE, Options
 from audio_features.weight_files import check_fingerprint, weights_needed
 
 if TYPE_CHECKING:
-    from audio_features.wavlm.layer_selection import Layer
+    from audio_features.speech_encoders import Layer
 
 _SECONDS = {"full_context": 30.0, "chunk": 30.0, "context": 5.0}
 _KNOWN = ("layer", "normalize", *_SECONDS, "fingerprint", "model")
@@ -68,10 +74,8 @@ class HuggingFace:
         device: str = "cpu",
         **options: bool | float | None,
     ) -> None:
-        from audio_features.huggingface.front_ends import front_end
-        from audio_features.huggingface.layers import Layers
+        from audio_features.huggingface.network import Layers, front_end
         from audio_features.huggingface.weights import read_encoder
-        from audio_features.wavlm.layer_selection import LayerChoice
 
         _check_names(options)
         self._options = Options(**{**_SECONDS, **options})
@@ -187,8 +191,7 @@ class HuggingFace:
         return values
 
     def _chunks(self, n_frames: int) -> list[tuple[slice, slice]]:
-        rate = SAMPLE_RATE / self._front.hop
-        full, chunk, context = (round(s * rate) for s in self._options.seconds.values())
+        full, chunk, context = self._options.frames(self._front.hop)
         longest = self._front.longest
         if longest is not None:
             if chunk > longest:

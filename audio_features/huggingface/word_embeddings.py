@@ -12,11 +12,11 @@ import numpy as np
 
 from audio_features.errors import FeatureError, WeightsError
 from audio_features.huggingface.families import TEXT_FAMILIES
-from audio_features.inference import checked_device
+from audio_features.speech_encoders import checked_device
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.weight_files import check_fingerprint, weights_needed
-from audio_features.word_features import frames_of, words_of
+from audio_features.words import frames_of, words_of
 
 RATE = 50
 """Frames per second; frame k is at k/50 s."""

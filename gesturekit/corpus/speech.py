@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
 import audio_features as af
-from audio_features.word_features import takes_words
+from audio_features.words import takes_words
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 

@@ -5,9 +5,8 @@ import pytest
 import soundfile
 
 from audio_features import MFCC, FeatureError, Liveliness, LogMel, Onset, Prosody, Stack, Wave
-from audio_features.acoustic import spectrum as spectrum_module
-from audio_features.acoustic.pitch import track_pitch
-from audio_features.acoustic.spectrum import FLOOR_DB
+from audio_features.acoustic import analysis
+from audio_features.acoustic.analysis import FLOOR_DB, track_pitch
 
 EVERYTHING = Stack([LogMel(), MFCC(), Prosody()])
 
@@ -28,13 +27,13 @@ def test_shapes_times_and_names(speech):
 def test_a_stack_gives_what_its_parts_give_from_one_spectrum(speech, monkeypatch):
     alone = [part.extract(speech).values for part in EVERYTHING.parts]
     made = []
-    build = spectrum_module.ShortTimeSpectrum.power.func
+    build = analysis.ShortTimeSpectrum.power.func
 
     def counted(self):
         made.append(self)
         return build(self)
 
-    monkeypatch.setattr(spectrum_module.ShortTimeSpectrum.power, "func", counted)
+    monkeypatch.setattr(analysis.ShortTimeSpectrum.power, "func", counted)
     np.testing.assert_array_equal(EVERYTHING.extract(speech).values, np.concatenate(alone, 1))
     assert len(made) == 1
 
@@ -45,7 +44,7 @@ class HalfBand(LogMel):
     device = property(lambda self: "other", lambda self, value: None)
 
     def spectrum_of(self, wave):
-        return spectrum_module.ShortTimeSpectrum(wave.resample(8_000))
+        return analysis.ShortTimeSpectrum(wave.resample(8_000))
 
 
 def test_parts_of_two_devices_in_a_stack_are_as_they_are_alone(speech):
@@ -138,7 +137,7 @@ def test_band_powers_add_up_to_the_level():
 
 def test_long_sound_does_not_depend_on_blocks(speech, monkeypatch):
     whole = EVERYTHING.extract(speech).values
-    monkeypatch.setattr("audio_features.acoustic.frames._BLOCK_FRAMES", 77)
+    monkeypatch.setattr("audio_features.acoustic.analysis._BLOCK_FRAMES", 77)
     np.testing.assert_allclose(EVERYTHING.extract(speech).values, whole, atol=2e-3)
 
 
@@ -236,10 +235,10 @@ def test_values_are_those_of_librosa_which_is_not_imported(speech):
 
     for n_mels in (1, 24, 80):
         theirs = librosa.filters.mel(sr=16_000, n_fft=512, n_mels=n_mels, fmin=50.0, norm=None)
-        np.testing.assert_array_equal(spectrum_module.mel_filters(n_mels), theirs)
+        np.testing.assert_array_equal(analysis.mel_filters(n_mels), theirs)
     noise = 0.1 * np.random.default_rng(0).standard_normal(16_000).astype(np.float32)
     for wave in (speech, Wave(noise, 16_000)):
-        prepared = spectrum_module.ShortTimeSpectrum(wave)
+        prepared = analysis.ShortTimeSpectrum(wave)
         f0, _ = track_pitch(prepared.wave.samples, prepared.n_frames)
         theirs = librosa.yin(
             np.pad(prepared.wave.samples, (512, 1024)),

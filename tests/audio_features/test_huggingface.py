@@ -155,7 +155,7 @@ def test_sounds_longer_than_whisper_takes(encoder):
 
 
 def test_a_window_past_the_end_of_the_sound_holds_silence(tmp_path, write_encoder):
-    from audio_features.huggingface.front_ends import front_end
+    from audio_features.huggingface.network import front_end
     from audio_features.huggingface.weights import read_encoder
 
     write_encoder(tmp_path, "whisper")

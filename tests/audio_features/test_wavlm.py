@@ -166,7 +166,7 @@ def test_inputs_of_the_transformer_are_exact_in_chunks(network):
 
 
 def test_chunks_follow_each_other_and_see_their_context():
-    from audio_features.inference import chunk_slices
+    from audio_features.speech_encoders import chunk_slices
 
     rng = np.random.default_rng(0)
     for _ in range(500):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import audio_features
-from audio_features.disk_cache import (
+from audio_features.cache import (
     DiskCache,
     default_folder,
     digest_of_sources,

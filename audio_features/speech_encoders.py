@@ -1,15 +1,127 @@
-"""Layer selection: the hidden states of WavLM that become features."""
+"""Parts that all speech encoders share: options, layers, normalisation, chunks, devices."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-import torch
 
 from audio_features.errors import FeatureError
-from audio_features.wavlm.encoder import Encoder
+
+if TYPE_CHECKING:
+    import torch
+
+SAMPLE_RATE = 16_000
+"""Sample rate in Hz of every speech encoder."""
+_SHORTEST_CHUNK = 320 / SAMPLE_RATE  # seconds: one frame of the published encoders
+
+
+def normalized(samples: np.ndarray, eps: float | None) -> np.ndarray:
+    """Scale a waveform (N,) float32 to mean 0 and variance 1, with `eps` added to the variance.
+
+    Returns the waveform itself if `eps` is None.
+    """
+    if eps is None:
+        return samples
+    # In float32, as in the networks' own code: Large normalises frames one by one, which would
+    # amplify the rounding difference of another precision in near silence.
+    return (samples - samples.mean()) / np.sqrt(samples.var() + np.float32(eps))
+
+
+def chunk_slices(n_frames: int, longest: int, context: int) -> Iterator[tuple[slice, slice]]:
+    """Yield (input frames, output frames) of as few chunks as possible, all of one length.
+
+    The output frames are contiguous and leave out a chunk's context, except at the start and the
+    end of the sound.
+    """
+    count = max(1, -(-(n_frames - 2 * context) // (longest - 2 * context)))
+    length = min(n_frames, -(-(n_frames + (count - 1) * 2 * context) // count))
+    done = 0
+    while done < n_frames:
+        start = min(max(0, done - context), n_frames - length)
+        stop = start + length
+        keep = slice(done, n_frames if stop == n_frames else stop - context)
+        yield slice(start, stop), keep
+        done = keep.stop
+
+
+def checked_device(name: str) -> Any:
+    """Return the torch device of that name; raises FeatureError if it cannot be used."""
+    import torch
+
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise FeatureError(f"device={name!r} cannot be used: {reason}: give 'cpu'") from error
+    return device
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `WavLM` and `HuggingFace`, which document them."""
+
+    final_norm: bool | None = None
+    normalize: bool | float | None = None
+    full_context: float = 300.0
+    chunk: float = 30.0
+    context: float = 5.0
+
+    def __post_init__(self) -> None:
+        given = ", ".join(f"{name}={getattr(self, name)!r}" for name in _SECONDS)
+        try:
+            full, length, around = (float(getattr(self, name)) for name in _SECONDS)
+        except (TypeError, ValueError) as error:
+            raise FeatureError(f"{given}: give three numbers of seconds") from error
+        if not (
+            0 <= full < 1e6 and 0 <= around < 1e6 and 2 * around + _SHORTEST_CHUNK <= length < 1e6
+        ):
+            raise FeatureError(
+                f"{given}: give seconds from 0 to 1000000, and chunks longer than twice their "
+                "context"
+            )
+        for name, value in zip(_SECONDS, (full, length, around), strict=True):
+            object.__setattr__(self, name, value)
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """`full_context`, `chunk` and `context` by name, in seconds."""
+        return {name: getattr(self, name) for name in _SECONDS}
+
+    def frames(self, hop: int) -> tuple[int, int, int]:
+        """Return `full_context`, `chunk` and `context` in frames of `hop` samples."""
+        full, chunk, context = (round(s * (SAMPLE_RATE / hop)) for s in self.seconds.values())
+        return full, chunk, context
+
+    def eps(self, expected: float | None) -> float | None:
+        """Return the number added to the variance; None leaves the waveform unnormalised.
+
+        Args:
+            expected: the value for the weights, used where `normalize` is None.
+        """
+        value = expected if self.normalize is None else self.normalize
+        if value is None or value is False:
+            return None
+        if not isinstance(value, float) or not 0 < value < 1:
+            raise FeatureError(f"normalize={value!r}: False, or a number between 0 and 1")
+        return value
+
+
+_SECONDS = ("full_context", "chunk", "context")
+
+
+class Encoder(Protocol):
+    """Network whose hidden states become features."""
+
+    ends_in_norm: bool
+    """A final normalisation follows the topmost layer and is not in its state."""
+
+    def final_norm(self, x: torch.Tensor) -> torch.Tensor:
+        """Apply the final normalisation to the topmost state (B, T, width)."""
+
 
 Layer = int | str | Sequence[int] | Mapping[int | str, float]
 """Argument of `WavLM`: a number, "last", "mean", several numbers, or {number: weight}."""
@@ -96,6 +208,8 @@ class LayerChoice:
 
     def pick(self, encoder: Encoder, states: Iterable[torch.Tensor]) -> torch.Tensor:
         """Compute the features (B, T, D) from the states 0, 1, … that `encoder` yields."""
+        import torch
+
         share = dict.fromkeys(self.indices, 1.0)
         if self.weights is not None:
             share = {i: w / sum(self.weights) for i, w in zip(self.indices, self.weights)}
