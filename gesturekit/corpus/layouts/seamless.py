@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from audio_features.archive import open_archive
+from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.layouts.listing import Listing, root_with
-from gesturekit.corpus.problem import Problem
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import FormatError
 from gesturekit.formats.smpl.seamless import FPS
