@@ -22,7 +22,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.rendering.record import model_fingerprint, without_models
 from gesturekit.rendering.tasks import Task
 from gesturekit.systems import controls_type
-from gesturekit.viewer.video.encoder import require_encoder
+from gesturekit.viewer.video.writer import require_encoder
 
 log = logging.getLogger(__name__)
 FORMATS = ("bvh", "npz", "html", "mp4", "png")

@@ -6,7 +6,7 @@ __all__, __getattr__, __dir__ = attach(
     __name__,
     {
         "contact_sheet": "pictures",
-        "display": "notebook",
+        "display": "html",
         "player_data": "html",
         "player_shell": "html",
         "speech_and_motion": "pictures",

@@ -1,4 +1,6 @@
-"""The HTML player: one file that shows a motion with its sound, without a network or a server.
+"""The HTML player: one file, or the output of a notebook, that shows a motion with its sound.
+
+It needs no network and no server.
 
 The page holds three.js and the player (bundled by `make setup`), the motion and the sound. The
 motion is stored as the points of its `Figure`, so any skeleton plays. Points are whole steps of
@@ -13,6 +15,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,11 +26,19 @@ from audio_features import Wave
 from audio_features.atomic import atomic_write
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.viewer import tracks
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import COLOURS
-from gesturekit.viewer.page_skin import add_skins, base64_text, packed
+from gesturekit.viewer.page_data import (
+    BANDS,
+    add_skins,
+    base64_text,
+    contact_track,
+    motion_beats,
+    onsets,
+    packed,
+    spectrogram,
+)
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
 from gesturekit.wording import printable
 
@@ -156,13 +167,13 @@ def _page(shown: Mapping[str, DrawnBody], audio: Any) -> dict[str, Any]:
     if audio is not None:
         wave = audio if isinstance(audio, Wave) else Wave.load(audio)
         sound = Sound.of(audio)
-        spectrum, rate = tracks.spectrogram(wave)
+        spectrum, rate = spectrogram(wave)
         page["speech"] = {
             "duration": wave.duration,
             "rate": OUTLINE_RATE,
             "peaks": _levels(outline(wave)),
-            "onsets": _times(tracks.onsets(wave)),
-            "spectrum": {"bands": tracks.BANDS, "rate": rate, "values": _levels(spectrum)},
+            "onsets": _times(onsets(wave)),
+            "spectrum": {"bands": BANDS, "rate": rate, "values": _levels(spectrum)},
         }
         page["audio"] = {"type": sound.type, "data": base64_text(sound.data)}
     return page
@@ -174,7 +185,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
     relative = points - root
     step = max(STEP * figure.height, float(np.abs(relative).max()) / 32_767)
     peak = figure.top_speed
-    contacts = tracks.contacts(motion)
+    contacts = contact_track(motion)
     return {
         "label": label,
         "fps": figure.fps,
@@ -200,7 +211,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         "head": vars(figure.head) if figure.head else None,
         "hands": figure.hands,
         "contacts": None if contacts is None else base64_text(contacts.tobytes()),
-        "beats": _times(tracks.motion_beats(figure.hand_speed, figure.fps)),
+        "beats": _times(motion_beats(figure.hand_speed, figure.fps)),
         "speed": {
             "of": figure.speed_of,
             "peak": peak,
@@ -221,3 +232,40 @@ def _times(seconds: np.ndarray) -> list[float]:
 def _levels(values: np.ndarray) -> str:
     """Encode values (N,) from 0 to 1 as bytes in base64."""
     return base64_text(np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).tobytes())
+
+
+@dataclass(frozen=True)
+class Display:
+    """A page that notebooks show as the output of a cell.
+
+    Attributes:
+        page: the HTML of the player.
+        height: of the output, pixels.
+    """
+
+    page: str
+    height: int
+
+    def __repr__(self) -> str:
+        return f"Display({len(self.page) / 1e6:.1f} MB of HTML, which notebooks show)"
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{html.escape(self.page)}" allow="fullscreen; autoplay" '
+            f'style="width: 100%; height: {self.height}px; border: 0"></iframe>'
+        )
+
+
+def display(
+    motion: Motion | Mapping[str, Motion],
+    audio: str | os.PathLike[str] | Wave | None = None,
+    title: str = "",
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+    height: int = 640,
+    body: str | None = None,
+) -> Display:
+    """Return the player of one motion, or of {label: motion}, for a notebook.
+
+    Arguments and errors are those of `write_html`; `height` is in pixels.
+    """
+    return Display(page_text(motion, audio, title, body_model, body), int(height))

@@ -21,7 +21,7 @@ from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.sound import as_sound
-from gesturekit.viewer.video.still import Stills
+from gesturekit.viewer.video.scene import Stills
 from gesturekit.wording import printable
 
 if TYPE_CHECKING:

@@ -42,7 +42,7 @@ from gesturekit.rendering.tasks import Task
 from gesturekit.systems import model_folder
 from gesturekit.training.config import load_config
 from gesturekit.training.run.checkpoint import Checkpoints
-from gesturekit.viewer.avatar.vrm import read_avatar
+from gesturekit.viewer.vrm import read_avatar
 
 Seeds = Callable[[Path], list[bytes]]
 
@@ -203,7 +203,7 @@ def service() -> Any:
     from starlette.testclient import TestClient
 
     from gesturekit.serving.app import create_app
-    from gesturekit.serving.limits import Limits
+    from gesturekit.serving.requests import Limits
 
     app = create_app(gk.load("demo"), Limits(per_minute=1e9, seconds=5, megabytes=1))
     return TestClient(app, base_url="http://localhost").__enter__()

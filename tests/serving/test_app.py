@@ -18,8 +18,8 @@ import gesturekit as gk
 from gesturekit.errors import ConfigError
 from gesturekit.motion import Motion
 from gesturekit.serving.app import create_app
-from gesturekit.serving.limits import Limits, Rate
 from gesturekit.serving.pages import DROP_PAGE, PAGE_HEADERS
+from gesturekit.serving.requests import Limits, Rate
 from gesturekit.systems import bundled_speech
 
 HOST = "http://127.0.0.1"
@@ -142,7 +142,7 @@ def test_the_rate_is_limited_and_recovers(client):
 
 
 def test_more_clients_than_are_remembered_leave_the_newest_one_limited(monkeypatch):
-    monkeypatch.setattr("gesturekit.serving.limits._MOST_CLIENTS", 3)
+    monkeypatch.setattr("gesturekit.serving.requests._MOST_CLIENTS", 3)
     rate = Rate(1, clock=lambda: 0.0)
     assert [rate.wait(name) for name in "abcad"] == [0, 0, 0, 60, 0]
     # b was seen longest ago, and has a full bucket again; all others still wait.

@@ -15,11 +15,10 @@ from gesturekit.cli import main
 from gesturekit.errors import FormatError
 from gesturekit.motion.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
-from gesturekit.viewer.avatar.simplify import simplified
-from gesturekit.viewer.avatar.vrm import read_avatar
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.skin import Skin
 from gesturekit.viewer.video.mesh import SkinnedBody
+from gesturekit.viewer.vrm import read_avatar, simplified
 
 bundled = pytest.mark.skipif(
     not page_module._BUNDLE.is_file(), reason="the player is not bundled: run `make setup`"

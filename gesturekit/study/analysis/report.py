@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from audio_features.atomic import atomic_write
-from gesturekit.study.analysis.conclusions import (
+from gesturekit.study.analysis.plots import all_plots
+from gesturekit.study.analysis.preference import Preference
+from gesturekit.study.analysis.result import (
+    StudyResult,
     conclusions,
     is_significant,
     p_text,
     reservations,
 )
-from gesturekit.study.analysis.plots import all_plots
-from gesturekit.study.analysis.preference import Preference
-from gesturekit.study.analysis.result import StudyResult
 from gesturekit.study.analysis.significance import Estimate
 
 _HERE = Path(__file__).parent / "page"

@@ -1,17 +1,27 @@
-"""Skins in the data of a page, and how its numbers are packed: see player/data.js."""
+"""Data of a page of the player, beside the figures: skins, and the tracks under the time line.
+
+The tracks are spectrogram and onsets of speech, contacts and beats of motion. The numbers are
+unpacked by player/data.js.
+"""
 
 from __future__ import annotations
 
 import base64
 import zlib
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.signal import find_peaks
 
+from audio_features import LogMel, Onset, Wave
+from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human.body import TOPS, palette_of
 from gesturekit.viewer.skin import Skin, steady_turns
+
+if TYPE_CHECKING:
+    from gesturekit.motion import Motion
 
 _LEVELS = 2
 """Skins of the human body on a page: the finest one, and one for playing on slow machines."""
@@ -82,3 +92,48 @@ def packed(steps: np.ndarray) -> bytes:
 def base64_text(data: bytes) -> str:
     """Return bytes as text in base64."""
     return base64.b64encode(data).decode("ascii")
+
+
+BANDS = 32
+"""Mel bands of the spectrogram."""
+_MOST_COLUMNS = 3_000
+_FEWEST = 2
+"""Least number of the extractor's frames, of 10 ms, in a column of the spectrogram."""
+_BEAT_PROMINENCE = 0.1
+"""Least depth of a motion beat, as a share of the curve's 98th percentile."""
+
+
+def spectrogram(wave: Wave) -> tuple[np.ndarray, float]:
+    """Return a log-mel spectrogram (M, BANDS) from 0 to 1, and its columns a second."""
+    values = LogMel(n_mels=BANDS).extract(wave).values
+    width = max(_FEWEST, -(-len(values) // _MOST_COLUMNS))
+    means = np.add.reduceat(values, np.arange(0, len(values), width)) / width
+    low, high = np.quantile(values, [0.1, 0.995])
+    shares = np.clip((means - low) / max(float(high - low), 1e-3), 0, 1)
+    return shares, len(values) / max(wave.duration, 1e-3) / width
+
+
+def onsets(wave: Wave) -> np.ndarray:
+    """Return the times of speech onsets, seconds."""
+    track = Onset().extract(wave)
+    return track.times[track.values[:, track.names.index("onset_peak")] > 0]
+
+
+def motion_beats(speed: np.ndarray, fps: float) -> np.ndarray:
+    """Return the times of motion beats, seconds: minima of a speed curve (T,)."""
+    depth = _BEAT_PROMINENCE * float(np.quantile(speed, 0.98))
+    found, _ = find_peaks(-speed, prominence=max(depth, 1e-6))
+    return found / fps
+
+
+def contact_track(motion: Motion) -> np.ndarray | None:
+    """Return foot contacts (T,) uint8: 1 for the left foot, 2 for the right, 3 for both.
+
+    None for a body without two identified legs. A foot is in contact if any of its points is.
+    """
+    n_points = len(foot_points(motion.skeleton))
+    if not n_points:
+        return None
+    labels = contact_labels(motion) > 0.5
+    left, right = labels[:, : n_points // 2], labels[:, n_points // 2 :]
+    return (left.any(axis=1) + 2 * right.any(axis=1)).astype(np.uint8)

@@ -17,9 +17,7 @@ import numpy as np
 from gesturekit.errors import GestureKitError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.body_size import body_height
-from gesturekit.viewer.avatar.colours import Colours, is_seen, palette_of
-from gesturekit.viewer.avatar.glb import Glb
-from gesturekit.viewer.avatar.simplify import simplified, welded
+from gesturekit.viewer.glb import Colours, Glb, is_seen, palette_of
 from gesturekit.viewer.human.body import Human
 from gesturekit.viewer.skin import INFLUENCES, Skin, whole_weights
 
@@ -277,3 +275,54 @@ def _skeleton(names: list[str], parents: list[int], joints: np.ndarray, mesh: Sk
             end = np.array([0.0, skin[:, 1].max() - joints[joint, 1], 0.0])
         ends[name] = (end,)
     return Skeleton(tuple(names), tuple(parents), offsets, end_sites=ends)
+
+
+_FIRST, _GROWTH = 1 / 800, 1.25
+"""Size of the first grid's cells by the body's height, and by which each next one is larger."""
+_ROUNDS = 30
+_SAME = 1e-5
+"""Distance of vertices at one place, by the body's height."""
+
+
+def welded(skin: Skin, height: float) -> Skin:
+    """Return the mesh with vertices of one place and colour made one, so that no seam is seen."""
+    return _clustered(skin, _SAME * height, skin.regions[:, None])
+
+
+def simplified(skin: Skin, most: int, height: float) -> Skin:
+    """Return a mesh of at most `most` vertices, of a body of this height in metres.
+
+    Vertices of one cell of a grid that move with the same joint become one, so that fingers stay
+    apart. The last of the grids has one cell a joint at most.
+    """
+    if len(skin.vertices) <= most:
+        return skin
+    cell, found = _FIRST * height, skin
+    for _ in range(_ROUNDS):
+        found = _clustered(skin, cell, skin.joints[:, :1])
+        if len(found.vertices) <= most:
+            break
+        cell *= _GROWTH
+    return found
+
+
+def _clustered(skin: Skin, cell: float, apart: np.ndarray) -> Skin:
+    """Return the mesh with one vertex for those of a cell with the same numbers `apart` (V, N)."""
+    keys = np.floor(skin.vertices / cell).astype(np.int64)
+    keys = np.concatenate([keys, apart], axis=1)
+    _, first, groups = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    groups = groups.reshape(-1)
+    counts = np.bincount(groups)
+    vertices = np.stack(
+        [np.bincount(groups, skin.vertices[:, axis]) / counts for axis in range(3)], axis=1
+    )
+    faces = groups[skin.faces]
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return replace(
+        skin,
+        vertices=vertices,
+        faces=faces[whole].astype(np.uint32),
+        joints=skin.joints[first],
+        weights=skin.weights[first],
+        regions=skin.regions[first],
+    )
