@@ -12,28 +12,20 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from audio_features.kinds import KINDS
+
 # Public name -> module. Imported on first use, so that `import audio_features` is fast.
-_EXPORTS = {
+_EXPORTS = {entry.name: entry.module for entry in KINDS.values()} | {
     "AudioError": "errors",
     "AudioFeaturesError": "errors",
-    "Effort": "acoustic.extractors",
     "Extractor": "extractor",
     "FeatureCache": "cache",
     "FeatureError": "errors",
     "FeatureTrack": "track",
-    "HuggingFace": "huggingface.extractor",
-    "Liveliness": "acoustic.extractors",
-    "LogMel": "acoustic.extractors",
-    "MFCC": "acoustic.extractors",
-    "Music": "acoustic.music",
-    "Onset": "acoustic.extractors",
-    "Prosody": "acoustic.extractors",
     "Stack": "extractor",
-    "WavLM": "wavlm.extractor",
     "Wave": "wave",
     "Word": "words",
     "WordEmbeddings": "huggingface.word_embeddings",
-    "Words": "words",
     "WeightsError": "errors",
     "cache_from_environment": "cache",
     "exact_rate": "wave",

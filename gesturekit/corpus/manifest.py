@@ -186,7 +186,7 @@ def _check_header(record: dict[str, Any], where: str) -> None:
 
 
 _FIELDS = tuple(f.name for f in fields(Item))
-# Left out of lines that do not need them: manifests from before there was a choice stay valid.
+# Left out of the lines of recordings that do not need them.
 _OPTIONAL = ("channel", "reading", "audible")
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "id": ((str,), "a string"),

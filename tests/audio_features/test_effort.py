@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from audio_features import Effort, FeatureError, Prosody, Stack, Wave
-from audio_features.extractor import LIGHT
 
 RATE = 16_000
 COLUMNS = ("effort_f0_median", "effort_f0_high", "effort_tilt")
@@ -103,7 +102,6 @@ def test_pauses_do_not_lower_the_effort():
 
 def test_a_mean_that_is_subtracted_leaves_effort():
     """Calm clips have low values throughout."""
-    assert LIGHT["effort"] is Effort
     stack = Stack([Prosody(), Effort()])
     assert stack.names[-3:] == COLUMNS
     assert tuple(Effort.centred) == (False, False, False)
