@@ -240,6 +240,17 @@ class FeatureCache(DiskCache):
         folder: folder of the cache; None means `default_folder()`.
         max_bytes: size limit; beyond it the least recently used entries are removed.
         precision: "fp16" halves the size, with a relative error of at most 0.05 %.
+
+    Examples:
+        Light features are extracted each time; nothing is stored:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 220 * seconds), 16000)
+        >>> cache = af.FeatureCache(folder)
+        >>> cache.extract(af.LogMel(), tone).values.shape
+        (100, 24)
+        >>> cache.contents().entries
+        0
     """
 
     def __init__(
@@ -327,6 +338,10 @@ def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> Featu
     Every call returns the same object, so that the folder is not measured again for every sound.
 
     Raises AudioFeaturesError if the variable is not a number of at least 0; 0 stores nothing.
+
+    Examples:
+        >>> af.cache_from_environment() is af.cache_from_environment()
+        True
     """
     return _shared(default_folder(), size_limit(), precision)
 

@@ -22,7 +22,12 @@ _ENCODERS = {kind: entry.argument for kind, entry in KINDS.items() if entry.weig
 
 @runtime_checkable
 class Extractor(Protocol):
-    """Sound in, feature track out."""
+    """Sound in, feature track out.
+
+    Examples:
+        >>> isinstance(af.LogMel(), af.Extractor)
+        True
+    """
 
     @property
     def spec(self) -> dict[str, Any]:
@@ -48,6 +53,13 @@ class Stack:
     """Concatenation of several extractors, on the time base of the one with the most frames.
 
     Acoustic extractors share one spectrum.
+
+    Examples:
+        >>> stack = af.Stack([af.LogMel(n_mels=24), af.Prosody()])
+        >>> stack.dim
+        28
+        >>> stack.names[-4:]
+        ('f0', 'voicing', 'energy', 'onset')
     """
 
     def __init__(self, parts: Sequence[Extractor]) -> None:
@@ -117,6 +129,15 @@ def extractor_from_spec(
 
     Raises FeatureError for an unknown kind or a setting that the kind does not have, and
     WeightsError if weights are missing or have another fingerprint than the spec.
+
+    Examples:
+        >>> extractor = af.extractor_from_spec({"kind": "mfcc", "n": 13})
+        >>> extractor.dim
+        13
+        >>> af.extractor_from_spec({"kind": "mffc"})
+        Traceback (most recent call last):
+        audio_features.errors.FeatureError: feature spec {'kind': 'mffc'}: kind 'mffc' is none
+        of logmel, mfcc, prosody, onset, liveliness, effort, music, words, wavlm, hf, stack
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)

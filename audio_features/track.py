@@ -32,6 +32,13 @@ class FeatureTrack:
         names: names of the D columns; by default "0", "1", …
 
     Raises FeatureError if shapes disagree or a value is not finite.
+
+    Examples:
+        A value that rises by 10 within a second, at 4 frames per second:
+
+        >>> track = af.FeatureTrack([[0.0], [10.0]], times=[0.0, 1.0])
+        >>> track.to_rate(4.0).values.ravel()
+        array([ 0. ,  2.5,  5. ,  7.5, 10. ], dtype=float32)
     """
 
     values: np.ndarray

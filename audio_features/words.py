@@ -32,7 +32,12 @@ _SILENCES = {"", "sil", "sp", "spn", "<eps>", "<sil>", "<unk>"}  # of aligners; 
 
 @dataclass(frozen=True, order=True)
 class Word:
-    """A spoken word: seconds from the beginning of the recording, and its text."""
+    """A spoken word: seconds from the beginning of the recording, and its text.
+
+    Examples:
+        >>> af.Word(start=0.5, end=0.75, text="hello").text
+        'hello'
+    """
 
     start: float
     end: float
@@ -53,6 +58,11 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
     Empty intervals and an aligner's marks of silence are left out.
 
     Raises FeatureError if the file is missing, too large, or not such a list; with its line.
+
+    Examples:
+        >>> _ = (folder / "talk.ctm").write_text("talk 1 0.5 0.25 hello")
+        >>> af.load_words(folder / "talk.ctm")
+        (Word(start=0.5, end=0.75, text='hello'),)
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
@@ -259,6 +269,14 @@ class Words:
 
     The list is `wave.words` or, without it, the one beside `wave.source`; `wave.offset` is the
     time of the first sample in it. Silence needs none.
+
+    Examples:
+        A word from 0.5 to 0.75 s is not there at 0.4 s, and there at 0.6 s:
+
+        >>> _ = (folder / "talk.ctm").write_text("talk 1 0.5 0.25 hello")
+        >>> wave = af.Wave(np.zeros(16000), 16000, words=folder / "talk.ctm")
+        >>> af.Words().extract(wave).at([0.4, 0.6]).values[:, 0]
+        array([0., 1.], dtype=float32)
     """
 
     names = ("word", "word_onset", "word_gap", "word_rate")

@@ -81,6 +81,17 @@ class LogMel(AcousticExtractor):
         n_mels: number of bands.
         backend: "numpy", or "torchaudio" if it is installed.
         device: torch device for torchaudio. Not part of the spec.
+
+    Examples:
+        The power of a tone of 220 Hz is in the lowest of 8 bands:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 220 * seconds), 16000)
+        >>> bands = af.LogMel(n_mels=8).extract(tone).values
+        >>> bands.shape
+        (100, 8)
+        >>> int(bands[50].argmax())
+        0
     """
 
     def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
@@ -105,6 +116,14 @@ class MFCC(AcousticExtractor):
         n: number of coefficients.
         backend: see `LogMel`.
         device: see `LogMel`.
+
+    Examples:
+        A second of sound has 100 frames:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 220 * seconds), 16000)
+        >>> af.MFCC(n=13).extract(tone).values.shape
+        (100, 13)
     """
 
     def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:
@@ -134,6 +153,18 @@ class Prosody(AcousticExtractor):
             packages.
 
     Raises FeatureError if the tracker is unknown or its package is not installed.
+
+    Examples:
+        A tone rises by an octave, 12 semitones, and keeps its energy:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> hertz = np.where(seconds < 0.5, 220, 440)
+        >>> wave = af.Wave.from_array(np.sin(2 * np.pi * hertz * seconds), 16000)
+        >>> track = af.Prosody().extract(wave).at([0.25, 0.75])
+        >>> track.names
+        ('f0', 'voicing', 'energy', 'onset')
+        >>> np.abs(np.diff(track.values[:, [0, 2]], axis=0).round())
+        array([[12.,  0.]], dtype=float32)
     """
 
     names = ("f0", "voicing", "energy", "onset")
@@ -157,6 +188,16 @@ class Onset(AcousticExtractor):
     - `onset_strength`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
     - `onset_peak`: 1 at its peaks, as librosa picks them, else 0. Use `to_rate(method="mean")`
       to align it with motion frames: no peak is lost.
+
+    Examples:
+        A tone begins after half a second and fades:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> fading = np.where(seconds < 0.5, 0, np.exp(4 - 8 * seconds))
+        >>> wave = af.Wave.from_array(fading * np.sin(2 * np.pi * 220 * seconds), 16000)
+        >>> track = af.Onset().extract(wave)
+        >>> track.times[track.values[:, 1] > 0].round(1)
+        array([0.5])
     """
 
     names = ("onset_strength", "onset_peak")
@@ -199,6 +240,17 @@ class Liveliness(AcousticExtractor):
 
     Both are averaged with a Gaussian whose standard deviation is `seconds`. A monotonous clip
     has low values throughout, so the clip's mean must not be subtracted.
+
+    Examples:
+        A steady tone varies by nothing, one that jumps by an octave does:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> for second in (220, 440):
+        ...     hertz = np.where(seconds < 0.5, 220, second)
+        ...     wave = af.Wave.from_array(np.sin(2 * np.pi * hertz * seconds), 16000)
+        ...     print(af.Liveliness().extract(wave).values[50, 0] > 0.1)
+        False
+        True
     """
 
     names = ("f0_range", "energy_range")
@@ -270,6 +322,14 @@ class Effort(AcousticExtractor):
 
     Args:
         seconds: length of the window.
+
+    Examples:
+        A tone of 120 Hz is an octave, 12 semitones, above 60 Hz:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 120 * seconds), 16000)
+        >>> af.Effort().extract(tone).values[50, 0].round()
+        np.float32(12.0)
     """
 
     names = ("effort_f0_median", "effort_f0_high", "effort_tilt")

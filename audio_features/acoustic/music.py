@@ -49,6 +49,15 @@ class Music(AcousticExtractor):
             feature cache stores the result.
 
     Raises FeatureError for other settings, or if madmom is requested and cannot be imported.
+
+    Examples:
+        The note A, 440 Hz, is the first of 12 pitch classes:
+
+        >>> seconds = np.arange(16000) / 16000
+        >>> tone = af.Wave.from_array(np.sin(2 * np.pi * 440 * seconds), 16000)
+        >>> track = af.Music().extract(tone)
+        >>> track.values.shape, track.names[int(track.values[50, :12].argmax())]
+        ((100, 14), 'chroma_0')
     """
 
     def __init__(self, n_chroma: int = 12, beats: str = "librosa") -> None:

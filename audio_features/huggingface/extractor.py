@@ -63,6 +63,14 @@ class HuggingFace:
         normalize: number added to the waveform's variance; None if it is not normalised.
 
     Raises WeightsError if the folder cannot be used, FeatureError for an invalid setting.
+
+    Examples:
+        The folder of an encoder must be there; its spec names it, or only what it must hold:
+
+        >>> af.HuggingFace("hubert-base/")
+        Traceback (most recent call last):
+        audio_features.errors.WeightsError: hubert-base: no such folder: give a local
+        Hugging Face folder with config.json and model.safetensors
     """
 
     def __init__(

@@ -47,6 +47,14 @@ class WordEmbeddings:
         fingerprint: sha256 over model_type, settings and tensors, and the tokeniser's vocabulary.
 
     Raises WeightsError if the folder cannot be used, FeatureError for an invalid setting.
+
+    Examples:
+        The folder of an encoder must be there:
+
+        >>> af.WordEmbeddings("bert-base/")
+        Traceback (most recent call last):
+        audio_features.errors.WeightsError: bert-base: no such folder: give a local
+        Hugging Face folder with config.json and model.safetensors
     """
 
     def __init__(

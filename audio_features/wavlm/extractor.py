@@ -84,6 +84,14 @@ class WavLM:
         normalize: number added to the waveform's variance; None if it is not normalised.
 
     Raises WeightsError if the weights cannot be used, FeatureError for an invalid setting.
+
+    Examples:
+        A spec does not hold the place of the weights:
+
+        >>> af.extractor_from_spec({"kind": "wavlm", "layer": 6})
+        Traceback (most recent call last):
+        audio_features.errors.WeightsError: weights of WavLM are needed: name their place
+        (features.weights=PATH to train, else --weights wavlm=PATH)
     """
 
     def __init__(
