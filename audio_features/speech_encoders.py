@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -226,3 +227,47 @@ class LayerChoice:
         if self.weights is not None or len(share) == 1:
             return next(iter(picked.values()))
         return torch.cat([picked[index] for index in self.indices], dim=-1)
+
+
+class HiddenStateExtractor:
+    """Columns of an extractor whose features are hidden states of an encoder.
+
+    Attributes:
+        weights: description of the weights; `weights.describe()` summarises it in one line.
+        stem: beginning of the columns' names.
+    """
+
+    weights: Any
+    stem: str
+    _choice: LayerChoice
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the weights, see their class."""
+        return self.weights.fingerprint
+
+    @property
+    def layer(self) -> Any:
+        """Layer or layers, as in the spec."""
+        return self._choice.spec
+
+    @property
+    def centred(self) -> tuple[bool, ...]:
+        """D flags, all true: a clip's mean depends on voice and recording conditions."""
+        return (True,) * self.dim
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns: wavlm_0 …; wavlm_LAYER_0 … if there are several layers."""
+        width = range(self.weights.width)
+        if not self._choice.is_list:
+            return tuple(f"{self.stem}_{i}" for i in width)
+        return tuple(f"{self.stem}_{layer}_{i}" for layer in self._choice.indices for i in width)
+
+    @property
+    def dim(self) -> int:
+        """Number of columns D: the encoder's width for each layer (WavLM Base 768, Large 1024)."""
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.weights.path!r}, {self.spec})"

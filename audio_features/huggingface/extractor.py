@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from audio_features.errors import AudioError, FeatureError
 from audio_features.speech_encoders import (
     SAMPLE_RATE,
+    HiddenStateExtractor,
     LayerChoice,
     Options,
     checked_device,
@@ -28,7 +28,7 @@ _SECONDS = {"full_context": 30.0, "chunk": 30.0, "context": 5.0}
 _KNOWN = ("layer", "normalize", *_SECONDS, "fingerprint", "model")
 
 
-class HuggingFace:
+class HuggingFace(HiddenStateExtractor):
     """Hidden states of a speech encoder in a local folder, computed by transformers in float32.
 
     HuBERT, wav2vec 2.0, data2vec-audio, WavLM, w2v-BERT 2.0 and the encoder of Whisper are
@@ -89,6 +89,7 @@ class HuggingFace:
         self._options = Options(**{**_SECONDS, **options})
         self._device = checked_device(device)
         self.weights, network = read_encoder(weights)
+        self.stem = self.weights.model_type.replace("-", "_")
         check_fingerprint(weights, self.fingerprint, fingerprint)
         if self.weights.family.inputs != "waveform" and self._options.normalize is not None:
             raise FeatureError(
@@ -132,41 +133,12 @@ class HuggingFace:
         return cls(folder, **settings, device=device)
 
     @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the weights, see `EncoderWeights`."""
-        return self.weights.fingerprint
-
-    @property
-    def layer(self) -> Any:
-        """Layer or layers, as in the spec."""
-        return self._choice.spec
-
-    @property
-    def centred(self) -> tuple[bool, ...]:
-        """D flags, all true: a clip's mean depends on voice and recording conditions."""
-        return (True,) * self.dim
-
-    @property
     def spec(self) -> dict[str, Any]:
         """Kind, every setting that affects the values, and the weights' fingerprint."""
         spec = {"kind": "hf", "model": self.weights.model_type, "layer": self.layer}
         if self.weights.family.inputs == "waveform":
             spec["normalize"] = False if self.normalize is None else self.normalize
         return {**spec, **self._options.seconds, "fingerprint": self.fingerprint}
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns: hubert_0 …; hubert_LAYER_0 … if there are several layers."""
-        stem = self.weights.model_type.replace("-", "_")
-        width = range(self.weights.width)
-        if not self._choice.is_list:
-            return tuple(f"{stem}_{i}" for i in width)
-        return tuple(f"{stem}_{layer}_{i}" for layer in self._choice.indices for i in width)
-
-    @property
-    def dim(self) -> int:
-        """Number of columns D: the encoder's width for each layer."""
-        return len(self.names)
 
     def extract(self, wave: Wave) -> FeatureTrack:
         """Extract the hidden states of a sound at any sample rate: values (T, D).
@@ -207,9 +179,6 @@ class HuggingFace:
             full, chunk = min(full, longest), min(chunk, longest)
         longest = n_frames if n_frames <= full else max(chunk, 2 * context + 1)
         return list(chunk_slices(n_frames, longest, context))
-
-    def __repr__(self) -> str:
-        return f"HuggingFace({self.weights.path!r}, {self.spec})"
 
 
 def _check_names(settings: dict[str, Any]) -> None:

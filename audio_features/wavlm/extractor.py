@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from audio_features.errors import FeatureError
 from audio_features.speech_encoders import (
     SAMPLE_RATE,
+    HiddenStateExtractor,
     LayerChoice,
     Options,
     checked_device,
@@ -38,7 +38,7 @@ _GPU_BATCH = 8
 _NAMED = ("layer", "dtype", "implementation", "preset", "fingerprint")
 
 
-class WavLM:
+class WavLM(HiddenStateExtractor):
     """Hidden states of WavLM (Chen et al. 2022), 50 frames per second.
 
     Frame t covers samples [320t, 320t + 400) at 16 kHz and is centred at 0.0125 + 0.02t seconds;
@@ -93,6 +93,8 @@ class WavLM:
         audio_features.errors.WeightsError: weights of WavLM are needed: name their place
         (features.weights=PATH to train, else --weights wavlm=PATH)
     """
+
+    stem = "wavlm"
 
     def __init__(
         self,
@@ -164,21 +166,6 @@ class WavLM:
         return cls(weights, **settings, device=device)
 
     @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the weights, see `Weights`."""
-        return self.weights.fingerprint
-
-    @property
-    def layer(self) -> Any:
-        """Layer or layers, as in the spec."""
-        return self._choice.spec
-
-    @property
-    def centred(self) -> tuple[bool, ...]:
-        """D flags, all true: a clip's mean depends on voice and recording conditions."""
-        return (True,) * self.dim
-
-    @property
     def spec(self) -> dict[str, Any]:
         """Kind, every setting that affects the values, and the weights' fingerprint."""
         made_by: dict[str, Any] = {"kind": "wavlm"}
@@ -194,19 +181,6 @@ class WavLM:
                 **self._options.seconds,
             }
         return {**made_by, "dtype": self.dtype, "fingerprint": self.fingerprint}
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns: wavlm_0 …; wavlm_LAYER_0 … if there are several layers."""
-        width = range(self.weights.architecture.width)
-        if not self._choice.is_list:
-            return tuple(f"wavlm_{i}" for i in width)
-        return tuple(f"wavlm_{layer}_{i}" for layer in self._choice.indices for i in width)
-
-    @property
-    def dim(self) -> int:
-        """Number of columns D: 768 per layer for Base and Base+, 1024 for Large."""
-        return len(self.names)
 
     def extract(self, wave: Wave) -> FeatureTrack:
         """Extract the hidden states of a sound at any sample rate: values (T, D).
@@ -249,9 +223,6 @@ class WavLM:
                     part = picked[keep.start - chunk.start : keep.stop - chunk.start]
                     values[keep] = part.cpu().numpy()
         return values
-
-    def __repr__(self) -> str:
-        return f"WavLM({self.weights.path!r}, {self.spec})"
 
 
 HiddenStates = Callable[[np.ndarray], np.ndarray]

@@ -24,6 +24,7 @@ from audio_features.weight_files import (
     read_file,
     read_folder,
     read_json,
+    refuse_tensors,
 )
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
 MICROSOFT_EPS = 1e-5
 """Constant that Microsoft's and torchaudio's code add to the waveform's variance."""
-
-_MOST_LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,11 @@ class Weights:
     architecture: Architecture
     normalize: float | None
     fingerprint: str
+
+    @property
+    def width(self) -> int:
+        """Columns of one hidden state."""
+        return self.architecture.width
 
     def describe(self) -> str:
         """Summarise in one line: layout, size, layers, width, normalisation, fingerprint."""
@@ -170,14 +174,7 @@ def _fitting(
             name for name in expected if name in tensors and not tensors[name].is_floating_point()
         ],
     }
-    for problem, names in problems.items():
-        if names:
-            more = f"; and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-            raise WeightsError(
-                f"{path}: {len(names)} tensors are {problem} "
-                f"({'; '.join(sorted(names)[:_MOST_LISTED])}{more}): "
-                "settings and weights must come from the same WavLM model"
-            )
+    refuse_tensors(path, problems, "settings and weights must come from the same WavLM model")
     fitting = {name: tensors[name].float().contiguous() for name in expected}
     for name, tensor in fitting.items():
         if not torch.isfinite(tensor).all():

@@ -72,6 +72,11 @@ def root_with(folder: Path, names: Iterable[str], layout: str) -> Path:
     )
 
 
+def existing(files: Mapping[str, Path]) -> dict[str, Path]:
+    """Return the side files that are there, by name."""
+    return {name: file for name, file in files.items() if file.is_file()}
+
+
 def rows(
     path: Path, columns: Iterable[str], others: bool = False
 ) -> list[tuple[str, Mapping[str, str]]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from audio_features.archive import open_archive
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.layouts.listing import Listing, root_with
+from gesturekit.corpus.layouts.listing import Listing, existing, root_with
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import FormatError
 from gesturekit.formats.smpl.seamless import FPS
@@ -70,7 +70,7 @@ def _read_split(root: Path, kind: str, name: str, split: str, listing: Listing) 
                 speaker=person,
                 style=kind,
                 split=split,
-                conditions={key: file for key, file in sides.items() if file.is_file()},
+                conditions=existing(sides),
             )
             listing.recordings += _valid_runs(recording, listing)
     sounds = [file for file in (root / kind / name).rglob("*.wav") if _NAME.fullmatch(file.stem)]
