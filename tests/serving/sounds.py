@@ -32,3 +32,17 @@ def wav(seconds: float = 1.0, rate: int = 16_000, channels: int = 1) -> bytes:
         sound = np.tile(0.1 * voiced(seconds, rate)[:, None], (1, channels))
         soundfile.write(out, sound, rate, format="WAV")
         return out.getvalue()
+
+
+def swelling(seconds: float, level: float = 0.1, seed: int = 0) -> np.ndarray:
+    """Return (N,) float32 at 16 kHz of noise and a tone whose loudness and colour change."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(round(seconds * 16_000)) / 16_000
+    noise = rng.standard_normal(len(times)) + 3 * np.sin(2 * np.pi * 150 * times)
+    return (level * noise * (1.05 + np.sin(2 * np.pi * 1.5 * times)) + 0.01).astype(np.float32)
+
+
+def distance(values: np.ndarray, truth: np.ndarray) -> float:
+    """Return the relative L2 distance of values of one shape."""
+    assert values.shape == truth.shape
+    return float(np.linalg.norm(values - truth) / np.linalg.norm(truth))
