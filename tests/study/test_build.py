@@ -118,12 +118,15 @@ def test_a_wrong_configuration_is_named(tmp_path, text, message):
     assert message in str(refused.value)
 
 
+TITLE = "</script><script>alert(1)</script>{{setup}}"
+
+
 def video_study(folder: Path, clips: dict[str, list[str]], **options) -> StudyConfig:
     for system, names in clips.items():
         for name in names:
             (folder / system / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / system / name).write_bytes(f"{system} {name}".encode())
-    return StudyConfig("T <b>", {name: str(folder / name) for name in clips}, **options)
+    return StudyConfig(TITLE, {name: str(folder / name) for name in clips}, **options)
 
 
 def test_clips_are_matched_by_path_then_by_name_and_others_are_named(tmp_path):
@@ -185,7 +188,8 @@ def test_clip_names_do_not_reveal_the_system(tmp_path):
             content = (tmp_path / "out" / "clips" / side["video"]).read_bytes()
             assert content == f"{system} {trial['clip']}.mp4".encode()
     text = built.page.read_text(encoding="utf-8")
-    assert "T &lt;b&gt;" in text and built.page_bytes < 2_000_000
+    assert "<script>alert" not in text and built.page_bytes < 2_000_000
+    assert setup_of(built.page)["title"] == TITLE
     assert "connect-src &#x27;none&#x27;" in text or "connect-src 'none'" in text
 
 
