@@ -33,12 +33,16 @@ def a_swing(amplitude: float) -> Motion:
     return Motion(skeleton, rotations, np.zeros((90, 3)), 30.0)
 
 
+def body_of(path: Path) -> np.ndarray:
+    """Return (H, W) bool: where a picture shows the middle of a body."""
+    image = matplotlib.image.imread(path)[:, :, :3]
+    return np.abs(image - matplotlib.colors.to_rgb(COLOURS[MIDDLE])).max(axis=2) < 0.02
+
+
 def widths(path: Path, n: int) -> list[int]:
     """How many pixels wide each of `n` figures in a row is."""
-    image = matplotlib.image.imread(path)[:, :, :3]
-    body = np.abs(image - matplotlib.colors.to_rgb(COLOURS[MIDDLE])).max(axis=2) < 0.02
     found = []
-    for part in np.array_split(body, n, axis=1):
+    for part in np.array_split(body_of(path), n, axis=1):
         across = np.flatnonzero(part.any(axis=0))
         found.append(int(across[-1] - across[0]))
     return found
@@ -54,8 +58,7 @@ def test_each_figure_shows_its_own_moment(tmp_path: Path) -> None:
 def test_a_motion_too_short_for_the_first_time_is_drawn_in_its_middle(tmp_path: Path) -> None:
     short = {"long": a_swing(0.0), "short": a_swing(0.0).slice(0, 3)}
     write_picture(short, tmp_path / "a.png")
-    image = matplotlib.image.imread(tmp_path / "a.png")[:, :, :3]
-    body = np.abs(image - matplotlib.colors.to_rgb(COLOURS[MIDDLE])).max(axis=2) < 0.02
+    body = body_of(tmp_path / "a.png")
     assert body[len(body) // 2 : 3 * len(body) // 4].any()
 
 
