@@ -97,7 +97,7 @@ class LogMel(AcousticExtractor):
     def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
         self.n_mels = whole_number("n_mels", n_mels, MAX_MELS)
         self.device = _device(backend, device)
-        self.spec = {"kind": "logmel", "n_mels": self.n_mels, **({} if backend == "numpy" else {"backend": backend})}
+        self.spec = {"kind": "logmel", "n_mels": self.n_mels, "backend": backend}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
         self.centred = (True,) * self.n_mels
 
@@ -129,7 +129,7 @@ class MFCC(AcousticExtractor):
     def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:
         self.n = whole_number("n", n, BANDS)
         self.device = _device(backend, device)
-        self.spec = {"kind": "mfcc", "n": self.n, **({} if backend == "numpy" else {"backend": backend})}
+        self.spec = {"kind": "mfcc", "n": self.n, "backend": backend}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
         self.centred = (True,) * self.n
 
@@ -173,7 +173,7 @@ class Prosody(AcousticExtractor):
     def __init__(self, f0: str = "yin") -> None:
         check_tracker(f0)
         self.f0 = f0
-        self.spec = {"kind": "prosody"} if f0 == "yin" else {"kind": "prosody", "f0": f0}
+        self.spec = {"kind": "prosody", "f0": f0}
         self.worth_caching = f0 == "pyin"
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:

@@ -90,7 +90,8 @@ def test_features(write_speech, tmp_path):
     af.LogMel(n_mels=24).extract(wave).save(tmp_path / "a.npz")
     summary = inspect(tmp_path / "a.npz")
     assert summary.kind == "features" and row(summary, "columns").startswith("24: mel_0, mel_1")
-    assert plain(summary)["spec"] == {"kind": "logmel", "n_mels": 24}
+    spec = {"kind": "logmel", "n_mels": 24, "backend": "numpy"}
+    assert plain(summary)["spec"] == spec
 
 
 # Models
