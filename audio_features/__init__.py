@@ -1,7 +1,8 @@
 """Sound in, feature tracks out.
 
+>>> import numpy as np
 >>> import audio_features as af
->>> wave = af.Wave.load("speech.wav")
+>>> wave = af.Wave(np.zeros(160_000), 16_000)  # ten seconds of silence; or af.Wave.load("a.wav")
 >>> track = af.Stack([af.LogMel(), af.Prosody()]).extract(wave)
 >>> track.to_rate(25.0, n_frames=wave.n_frames(25.0)).values.shape
 (250, 28)

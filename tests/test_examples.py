@@ -32,7 +32,7 @@ def examples() -> Iterator[doctest.DocTest]:
     """Yield the docstrings with examples of the modules that define public names and metrics."""
     modules = {getattr(value, "__module__", None) for p in PACKAGES for value in public(p).values()}
     below = pkgutil.walk_packages(metrics.__path__, f"{metrics.__name__}.")
-    modules |= {found.name for found in below}
+    modules |= {*(found.name for found in below), *COMPLETE}
     for name in sorted(modules - {None, "builtins", "typing"}):
         found = doctest.DocTestFinder().find(importlib.import_module(name))
         yield from (test for test in found if test.examples)
