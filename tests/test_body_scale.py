@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rigs import QUADRUPED, Bones, rig_of
 from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus.recording import Recording, examine
@@ -22,9 +23,8 @@ from gesturekit.postprocess import lock_feet
 SCALES = (0.1, 0.5, 2.0, 10.0)
 UNITS = ("m", "cm", "mm", "inch")
 
-# Joint: parent, offset in metres.
-SNAKE = {f"Bone{k}": (f"Bone{k - 1}" if k else None, (0.0, 0.0, 0.1)) for k in range(20)}
-CRAB = {
+SNAKE: Bones = {f"Bone{k}": (f"Bone{k - 1}" if k else None, (0.0, 0.0, 0.1)) for k in range(20)}
+CRAB: Bones = {
     "Shell": (None, (0.0, 0.2, 0.0)),
     **{
         f"{side}{row}_{k}": (f"{side}{row}_{k - 1}" if k else "Shell", (x, 0.05 - 0.07 * k, z))
@@ -33,18 +33,12 @@ CRAB = {
         for k in range(3)
     },
 }
-ARM = {
+ARM: Bones = {
     "Shoulder": (None, (0.0, 1.4, 0.0)),
     "Elbow": ("Shoulder", (0.3, 0.0, 0.0)),
     "Wrist": ("Elbow", (0.25, 0.0, 0.0)),
 }
-RIGS = {"snake": SNAKE, "crab": CRAB, "arm": ARM}
-
-
-def rig(joints: dict[str, tuple[str | None, tuple[float, float, float]]]) -> Skeleton:
-    names = tuple(joints)
-    parents = [-1 if parent is None else names.index(parent) for parent, _ in joints.values()]
-    return Skeleton(names, tuple(parents), np.array([offset for _, offset in joints.values()]))
+RIGS = {"snake": SNAKE, "crab": CRAB, "arm": ARM, "quadruped": QUADRUPED}
 
 
 def flawed(skeleton: Skeleton) -> Motion:
@@ -119,7 +113,7 @@ def test_a_flawed_motion_has_all_defects_at_any_size(skeleton, tmp_path):
 
 @pytest.mark.parametrize("name", RIGS)
 def test_rigs_of_any_kind_are_checked_alike_at_any_size(name, tmp_path):
-    assert_judged_alike(flawed(rig(RIGS[name])), tmp_path)
+    assert_judged_alike(flawed(rig_of(RIGS[name])), tmp_path)
 
 
 def test_limbs_are_found_by_shape_at_any_size(skeleton):
@@ -135,10 +129,6 @@ def test_limbs_are_found_by_shape_at_any_size(skeleton):
     assert parts.legs["left"].knee == names[skeleton.index("LeftLeg")]
     for scale in SCALES:
         assert find_parts(nameless.scaled(scale)) == parts
-
-
-def test_a_quadruped_is_checked_alike_at_any_size(quadruped, tmp_path):
-    assert_judged_alike(flawed(quadruped), tmp_path)
 
 
 @settings(deadline=None, max_examples=15)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
@@ -43,14 +41,6 @@ TINY_DIFFUSION = (
 )
 
 
-class Done(NamedTuple):
-    """Exit status and output of a command."""
-
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture(scope="session")
 def tiny() -> tuple[str, ...]:
     """Overrides that make any multires recipe a matter of a second."""
@@ -67,19 +57,6 @@ def light() -> Path:
 def recipe(request) -> tuple[object, ...]:
     """A recipe of each system that asks for no weights, and overrides that make it tiny."""
     return (LIGHT, *TINY) if request.param == "multires" else (SMALL, *TINY_DIFFUSION)
-
-
-@pytest.fixture
-def gesturekit(capsys) -> Callable[..., Done]:
-    """gesturekit("render", path, ...): run a command here and say how it ended."""
-
-    def run(*arguments: object) -> Done:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            main([str(argument) for argument in arguments])
-        return Done(left.value.code, *capsys.readouterr())
-
-    return run
 
 
 @pytest.fixture(scope="session")
