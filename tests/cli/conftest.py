@@ -1,4 +1,4 @@
-"""The command line run within the test, and a model trained by it."""
+"""Recipes of which training takes a second, and a model trained by one."""
 
 from __future__ import annotations
 
@@ -7,36 +7,17 @@ from pathlib import Path
 import pytest
 
 from gesturekit.cli import main
+from gesturekit.training.recipes import read_table
 
-LIGHT = Path(__file__).resolve().parents[2] / "recipes" / "multires_speech" / "light.yaml"
-TINY = (
-    "fps=25",
-    "threads=1",
-    "network.levels=6",
-    "network.channels=[2,2,2]",
-    "network.embedding=4",
-    "training.first_stage=2",
-    "training.further_stages=2",
-    "training.discriminator_steps=1",
-    "training.reconstruction_steps=1",
-    "training.batch=2",
-    "training.window=2",
-    "training.window_cache=2",
-)
-
-SMALL = LIGHT.parents[1] / "diffusion_speech" / "small.yaml"
+RECIPES = Path(__file__).resolve().parents[2] / "recipes"
+LIGHT = RECIPES / "multires_speech" / "light.yaml"
+SMALL = RECIPES / "diffusion_speech" / "small.yaml"
+DEBUG = read_table()["debug"]
+TINY = (*DEBUG["multires"], "fps=25", "network.levels=6", "training.discriminator_steps=1")
 TINY_DIFFUSION = (
-    "threads=1",
-    "network.blocks=1",
-    "network.layers=1",
-    "network.channels=8",
-    "network.heads=2",
-    "network.feedforward=8",
-    "network.embedding=8",
+    *DEBUG["diffusion"],
     "noise.steps=8",
     "training.updates=6",
-    "training.batch=2",
-    "training.window=2",
     "features.extractors=[{kind: logmel}]",
 )
 

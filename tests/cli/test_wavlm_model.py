@@ -13,6 +13,7 @@ import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.inspection import inspect
 from gesturekit.multires.recall.wanted import WantedMovement
+from gesturekit.training.recipes import read_table
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 CONFIG = RECIPES / "multires_speech" / "config.yaml"
@@ -66,16 +67,7 @@ def test_missing_weights_are_reported_before_features_are_extracted(
 
 
 DIFFUSION = (
-    "threads=1",
-    "network.blocks=2",
-    "network.layers=1",
-    "network.channels=8",
-    "network.heads=2",
-    "network.feedforward=8",
-    "network.embedding=8",
-    "training.updates=2",
-    "training.batch=2",
-    "training.window=2",
+    *read_table()["debug"]["diffusion"],
     "features.extractors=[{kind: wavlm, layer: last}, {kind: effort}]",
     "features.components=5",
 )
