@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -126,20 +125,6 @@ def test_livelier_speech_moves_the_arms_more(model, say):
         for wave in (flat, lively)
     ]
     assert speeds[1] > 1.05 * speeds[0]
-
-
-def test_the_demo_command_leaves_every_format(tmp_path):
-    run = subprocess.run(
-        [sys.executable, "-m", "gesturekit", "demo", "--out", str(tmp_path / "out")],
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stderr
-    names = {path.suffix for path in (tmp_path / "out").glob("speech.*")}
-    assert names == {".bvh", ".npz", ".html", ".png", ".wav"}
-    assert "Blender" in run.stdout and str(tmp_path / "out" / "speech.bvh") in run.stdout
-    with np.load(tmp_path / "out" / "speech.npz", allow_pickle=False) as arrays:
-        assert arrays["rotations"].shape[0] == arrays["translation"].shape[0]
 
 
 def test_sound_without_voice_gives_idle_motion_and_a_warning(model, speech, caplog):

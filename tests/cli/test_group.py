@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import click
+import numpy as np
 import pytest
 
 import gesturekit as gk
@@ -88,12 +89,15 @@ def test_a_manifest_and_a_feature_model_may_be_kept(gesturekit, corpus, write_pa
     assert gesturekit(*fit, "--existing", "skip").status == 0
 
 
-def test_the_demo_leaves_its_sound_beside_the_motion(gesturekit, tmp_path):
+def test_the_demo_leaves_every_format_and_its_sound(gesturekit, tmp_path):
     done = gesturekit("demo", "--out", tmp_path)
     assert done.status == 0
     names = ["speech.bvh", "speech.html", "speech.npz", "speech.png", "speech.wav"]
     assert sorted(path.name for path in tmp_path.glob("speech.*")) == names
     assert (tmp_path / "speech.wav").read_bytes() == bundled_speech().read_bytes()
+    assert "Blender" in done.out and str(tmp_path / "speech.bvh") in done.out
+    with np.load(tmp_path / "speech.npz", allow_pickle=False) as arrays:
+        assert arrays["rotations"].shape[0] == arrays["translation"].shape[0]
     assert done.err.startswith("Loading the demo model ...")
     again = gesturekit("demo", "--out", tmp_path)
     assert again.status == 0 and sorted(again.out.split()) == sorted(done.out.split())
