@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from outputs import results
 
 from gesturekit.cli import cli
 from gesturekit.cli.engines import ShardCommand
@@ -28,10 +29,6 @@ def render(tmp_path, write_speech, monkeypatch):
         return CliRunner().invoke(cli, arguments)
 
     return run
-
-
-def results(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.glob("*.bvh")}
 
 
 def finished(out: Path) -> list[str]:
