@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from rigs import QUADRUPED, Bones, rig_of
+from rigs import PERSON, QUADRUPED, Bones, rig_of
 from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus.recording import Recording, examine
@@ -38,7 +36,7 @@ ARM: Bones = {
     "Elbow": ("Shoulder", (0.3, 0.0, 0.0)),
     "Wrist": ("Elbow", (0.25, 0.0, 0.0)),
 }
-RIGS = {"snake": SNAKE, "crab": CRAB, "arm": ARM, "quadruped": QUADRUPED}
+RIGS = {"person": PERSON, "snake": SNAKE, "crab": CRAB, "arm": ARM, "quadruped": QUADRUPED}
 
 
 def flawed(skeleton: Skeleton) -> Motion:
@@ -103,17 +101,13 @@ def test_scaled_multiplies_every_length(gesture):
         assert np.allclose(large.end_positions()[name], 3 * ends, atol=1e-12)
 
 
-def test_a_flawed_motion_has_all_defects_at_any_size(skeleton, tmp_path):
-    motion = flawed(skeleton)
-    assert_judged_alike(motion, tmp_path)
-    said = " ".join(judged(motion, tmp_path / "clip.npz")["inspect"])
-    for defect in ("jump", "pop", "tremble", "nothing moves", "rest pose or T-pose"):
-        assert defect in said
-
-
 @pytest.mark.parametrize("name", RIGS)
 def test_rigs_of_any_kind_are_checked_alike_at_any_size(name, tmp_path):
-    assert_judged_alike(flawed(rig_of(RIGS[name])), tmp_path)
+    motion = flawed(rig_of(RIGS[name]))
+    assert_judged_alike(motion, tmp_path)
+    said = " ".join(judged(motion, tmp_path / "clip.npz")["inspect"])
+    defects = ("jump", "pop", "tremble", "nothing moves", "rest pose or T-pose")
+    assert name != "person" or all(defect in said for defect in defects)
 
 
 def test_limbs_are_found_by_shape_at_any_size(skeleton):
@@ -129,15 +123,6 @@ def test_limbs_are_found_by_shape_at_any_size(skeleton):
     assert parts.legs["left"].knee == names[skeleton.index("LeftLeg")]
     for scale in SCALES:
         assert find_parts(nameless.scaled(scale)) == parts
-
-
-@settings(deadline=None, max_examples=15)
-@given(scale=st.floats(0.1, 10.0))
-def test_clips_are_checked_alike_at_random_scales(scale, skeleton, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("any")
-    motion = flawed(skeleton)
-    one, other = (judged(m, folder / "clip.npz") for m in (motion, motion.scaled(scale)))
-    assert one == other
 
 
 @pytest.mark.parametrize("scale", SCALES)
