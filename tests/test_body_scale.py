@@ -91,16 +91,6 @@ def assert_judged_alike(motion: Motion, folder: Path, scales: tuple[float, ...] 
         assert judged(motion.scaled(scale), folder / "clip.bvh", unit=unit) == written, unit
 
 
-def test_scaled_multiplies_every_length(gesture):
-    motion = gesture(1.0)
-    moving = {"Spine": np.full((motion.n_frames, 3), 0.1)}
-    motion = Motion(motion.skeleton, motion.rotations, motion.translation, 30.0, moving)
-    large = motion.scaled(3.0)
-    assert np.allclose(large.positions(), 3 * motion.positions(), atol=1e-12)
-    for name, ends in motion.end_positions().items():
-        assert np.allclose(large.end_positions()[name], 3 * ends, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", RIGS)
 def test_rigs_of_any_kind_are_checked_alike_at_any_size(name, tmp_path):
     motion = flawed(rig_of(RIGS[name]))

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from outputs import results
+from outputs import finished, results
 
 from audio_features import FeatureTrack
 from gesturekit import Motion
-from gesturekit.jobs.state import STATE
 
 ROOM = 200
 """Size of the disk, in kB."""
@@ -46,13 +44,6 @@ def recordings(tmp_path, write_pair) -> Path:
     return tmp_path / "in"
 
 
-def done(out: Path) -> list[str]:
-    """Files that are complete by the journal."""
-    (journal,) = (out / STATE / "journal").iterdir()
-    values = [json.loads(line) for line in journal.read_text().splitlines() if line[-1:] == "}"]
-    return [file for one in values if one.get("status") == "done" for file in one["files"]]
-
-
 COMMANDS: dict[str, Callable[[Path, Path], list]] = {
     "features": lambda folder, out: ["features", folder, "--out", out],
     "convert": lambda folder, out: ["convert", folder, out, "--format", "npz"],
@@ -75,7 +66,8 @@ def test_a_disk_that_becomes_full(gesturekit, recordings, small_disk, tmp_path, 
     assert "No space left on device; stopped: finished results are kept" in line
     assert "Traceback" not in stopped.err and stopped.err.count("No space left") == 1
     made = results(out)
-    assert 1 <= len(done(out)) < 12 and set(done(out)) <= set(made)
+    complete = [file for one in finished(out) for file in one["files"]]
+    assert 1 <= len(complete) < 12 and set(complete) <= set(made)
     for name in made:
         READ[verb](out / name)
     assert all(whole[name] == data for name, data in made.items())
