@@ -10,13 +10,20 @@ from pathlib import Path
 
 import pytest
 
+from gesturekit.cli import main
 from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, Answer
 
 
 @pytest.fixture
-def run(gesturekit):
+def run(capsys):
     """run(*arguments): exit code, output and errors of a command."""
-    return lambda *arguments: gesturekit("study", *arguments)
+
+    def command(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main(["study", *map(str, arguments)])
+        return (ended.value.code, *capsys.readouterr())
+
+    return command
 
 
 def write(path: Path, answers: list[Answer], failed: dict[str, int]) -> Path:
