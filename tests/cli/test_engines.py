@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import time
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from outputs import finished, results
 
 from gesturekit.cli import cli
 from gesturekit.cli.engines import ShardCommand
@@ -28,21 +28,6 @@ def render(tmp_path, write_speech, monkeypatch):
         return CliRunner().invoke(cli, arguments)
 
     return run
-
-
-def results(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.glob("*.bvh")}
-
-
-def finished(out: Path) -> list[str]:
-    """Ids of all results in the journals."""
-    lines = [
-        line
-        for path in (out / ".gesturekit" / "journal").iterdir()
-        for line in path.read_text().splitlines()
-    ]
-    values = [json.loads(line) for line in lines]
-    return [one["id"] for one in values if one.get("status") == "done"]
 
 
 def test_slurm_makes_the_same_files(render, tmp_path):
@@ -99,7 +84,7 @@ def test_a_job_that_is_preempted_is_requeued_and_goes_on(render, tmp_path):
     assert job.result() == 0
     assert "Caught signal SIGUSR2" in job.stderr() and " kept in " in job.stderr()
     assert results(out) == results(tmp_path / "plain")
-    assert sorted(finished(out)) == sorted(str(number) for number in range(40))
+    assert sorted(one["id"] for one in finished(out)) == sorted(str(number) for number in range(40))
 
 
 @pytest.mark.stress
@@ -134,4 +119,4 @@ def test_shards_of_a_lost_ray_node_are_run_again(render, tmp_path, monkeypatch):
         ray.shutdown()
         cluster.shutdown()
     assert results(out) == results(tmp_path / "plain")
-    assert sorted(finished(out)) == sorted(str(number) for number in range(40))
+    assert sorted(one["id"] for one in finished(out)) == sorted(str(number) for number in range(40))

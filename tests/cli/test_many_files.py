@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from outputs import results
 
 from audio_features import FeatureTrack
 from gesturekit import Motion
@@ -41,13 +42,6 @@ def verb(request) -> str:
 def run(gesturekit, folder, tmp_path, verb):
     """run(out, *options): the command, into a folder of this name."""
     return lambda out, *options: gesturekit(*COMMANDS[verb](folder, tmp_path / out), *options)
-
-
-def results(out: Path) -> dict[str, bytes]:
-    """Bytes of each file but those of state; nothing temporary may be left."""
-    files = [path for path in out.rglob("*") if path.is_file() and STATE not in path.parts]
-    assert not [path for path in files if path.name.startswith(".")]
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in files}
 
 
 def test_shards_in_any_order_give_the_same_files(run, gesturekit, tmp_path, verb):

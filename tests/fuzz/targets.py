@@ -339,11 +339,8 @@ TARGETS = {
             lambda _, file: load_events(file),
         ),
         Target(
-            *(
-                "semantics",
-                "a.txt",
-                text("beat_align\t0.5\t1.0\t0.5\t0.8\thand", "a\t1\t2\t1\t1\tx"),
-            ),
+            *("semantics", "a.txt"),
+            text("beat_align\t0.5\t1.0\t0.5\t0.8\thand", "a\t1\t2\t1\t1\tx"),
             lambda _, file: load_semantics(file),
         ),
         Target("http", "request", bodies, http, (*mutators.ANY, mutators.tokens)),

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import rig_of
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import file_axes, rotation_to_y_up, turn_axes
@@ -121,9 +122,7 @@ def test_legs_below_a_root_at_the_chest_are_not_called_absent():
         bones[f"{side}ForeArm"] = (f"{side}Arm", (0.28 * x, 0, 0))
         bones[f"{side}Thigh"] = ("Waist", (0.1 * x, 0, 0))
         bones[f"{side}Foot"] = (f"{side}Thigh", (0, -0.9, 0))
-    names = tuple(bones)
-    parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
-    rig = Skeleton(names, parents, np.array([offset for _, offset in bones.values()], float))
+    rig = rig_of(bones)
     with pytest.raises(MotionError, match="which may begin at Waist"):
         find_parts(rig)
     assert find_parts(bust(rig, ("Thigh", "Foot"))).head == "Head"
@@ -252,9 +251,7 @@ def test_a_rig_of_ten_joints_as_in_corpora_of_talks():
         bones[f"{side}_shoulder"] = ("neck", (0.18 * x, -0.02, 0))
         bones[f"{side}_elbow"] = (f"{side}_shoulder", (0.04 * x, -0.28, 0))
         bones[f"{side}_wrist"] = (f"{side}_elbow", (0, -0.05, 0.24))
-    names = tuple(bones)
-    parents = tuple(-1 if parent is None else names.index(parent) for parent, _ in bones.values())
-    rig = Skeleton(names, parents, np.array([offset for _, offset in bones.values()], float))
+    rig = rig_of(bones)
     parts = find_parts(rig)
     assert (parts.pelvis, parts.spine, parts.head, parts.legs) == ("spine", ("neck",), "head", {})
     assert parts.arms["right"].wrist == "r_wrist"
