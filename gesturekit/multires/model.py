@@ -23,7 +23,7 @@ from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request, check_controls
 from gesturekit.multires.sampling.sampler import Sampler
 from gesturekit.multires.sampling.styles import level_track
-from gesturekit.multires.trained_model import TrainedModel
+from gesturekit.multires.sampling.trained_model import TrainedModel
 from gesturekit.training.model_folder import load_model, save_model
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.seeds import checked_seed

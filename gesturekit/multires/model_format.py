@@ -11,7 +11,7 @@ from torch import Tensor
 from audio_features.weight_files import WeightPlaces
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.recall.library_format import (
     library_row,
@@ -20,8 +20,7 @@ from gesturekit.multires.recall.library_format import (
     load_library,
 )
 from gesturekit.multires.sampling.conditions import Conditions
-from gesturekit.multires.trained_model import TrainedModel, TrainedNoise, TrainedSequence
-from gesturekit.multires.training.data import Normaliser
+from gesturekit.multires.sampling.trained_model import TrainedModel, TrainedNoise, TrainedSequence
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.data.features import (
     conditioner_tensors,

@@ -14,12 +14,11 @@ from gesturekit.corpus import prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts import upper_body
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.skeleton_conv import convolve_dense
 from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import (
-    Normaliser,
     PairedSequence,
     TrainingData,
     level_sigmas,

@@ -10,7 +10,8 @@ import pytest
 import gesturekit as gk
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import heading
-from gesturekit.multires.motion_vector import MultiresRepresentation, reference_skeleton
+from gesturekit.motion.selection.model_joints import reference_skeleton
+from gesturekit.multires.motion_vector import MultiresRepresentation
 
 
 def body_error(representation, motion) -> float:

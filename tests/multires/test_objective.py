@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from gesturekit.multires import losses
+from gesturekit.multires.kinematics import CAPTURE_SECONDS, VectorKinematics
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.training.kinematics import CAPTURE_SECONDS, VectorKinematics
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.stage import Stage
 from gesturekit.multires.training.trainer import Trainer, train

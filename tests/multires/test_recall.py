@@ -23,11 +23,11 @@ from gesturekit.motion.rotations import quaternion_from_rotation_vector
 from gesturekit.multires.config import MultiresConfig, RecallConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.recall.building import build_library
 from gesturekit.multires.recall.library import averaged
 from gesturekit.multires.recall.parts import hand_directions, joint_places, movements
 from gesturekit.multires.recall.search import ChoiceWeights
 from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.trainer import train
 from gesturekit.multires.training.window_cache import WindowCache
 from gesturekit.training.config import build, load_config

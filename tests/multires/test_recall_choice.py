@@ -10,7 +10,6 @@ import pytest
 import torch
 from scipy.stats import norm
 
-from gesturekit.multires.recall.building import _weighted
 from gesturekit.multires.recall.library import (
     RecalledMotion,
     RecalledRecording,
@@ -27,6 +26,7 @@ from gesturekit.multires.recall.wanted import (
     slow_part,
     usual_voice,
 )
+from gesturekit.multires.training.recall_library import _weighted
 
 FPS = 25.0
 ONLY_MOVEMENT = ChoiceWeights(continuity=0.0, used=0.0, chance=0.0)

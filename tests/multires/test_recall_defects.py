@@ -10,9 +10,9 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.recall.building import _any_near
 from gesturekit.multires.recall.parts import defects_of_parts, motion_parts
 from gesturekit.multires.recall.search import ChoiceWeights, PieceSearch
+from gesturekit.multires.training.recall_library import _any_near
 
 EXACT = ChoiceWeights(continuity=0.0, used=0.0, chance=0.0)
 

@@ -18,8 +18,7 @@ from gesturekit.motion.rotations import (
     quaternion_from_sixd,
     sixd_from_quaternion,
 )
-from gesturekit.multires.motion_vector import VectorLayout
-from gesturekit.multires.training.data import Normaliser
+from gesturekit.multires.motion_vector import Normaliser, VectorLayout
 
 Constraint = Callable[[int, Tensor], Tensor]
 """constraint(level, output): the normalised output of a level, (1, D, T_i), with the constraint

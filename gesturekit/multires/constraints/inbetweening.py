@@ -23,9 +23,8 @@ from gesturekit.multires.constraints.constraint import (
     turned_plane,
 )
 from gesturekit.multires.constraints.keyframes import ground_positions, moved
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.data import Normaliser
 from gesturekit.training.data.own_rig import on_rig
 
 _BLEND = 0.4

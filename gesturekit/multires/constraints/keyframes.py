@@ -22,9 +22,8 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import rotate_vectors, slerp
 from gesturekit.multires.constraints.constraint import normalised
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.data import Normaliser
 from gesturekit.postprocess import lock_feet
 from gesturekit.training.data.own_rig import on_rig
 

@@ -19,9 +19,8 @@ from gesturekit.multires.constraints.constraint import (
     turned,
     turned_plane,
 )
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.training.data import Normaliser
 
 _SWAY = 0.03
 """Largest sway of the hips to either side of a path, metres of the reference body."""

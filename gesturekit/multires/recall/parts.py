@@ -14,8 +14,8 @@ from gesturekit.errors import MotionError
 from gesturekit.motion.defects import defective_joints
 from gesturekit.motion.parts import SIDES, Arm, find_parts, leg_joints
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.training.kinematics import VectorKinematics
 
 SPEED_FLOOR = 0.05
 """Added to speeds before the logarithm, m/s on the reference body."""

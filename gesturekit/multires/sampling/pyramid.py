@@ -10,12 +10,12 @@ from torch import Tensor
 
 from gesturekit.errors import ModelError
 from gesturekit.multires.constraints.constraint import Constraint, normalised, plain_values
+from gesturekit.multires.motion_vector import Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.sampling.conditions import LevelConditions
 from gesturekit.multires.sampling.noise import NoiseSource
 from gesturekit.multires.sampling.tiling import sample
-from gesturekit.multires.training.data import Normaliser
 
 
 class Pyramid:

@@ -20,7 +20,7 @@ from gesturekit.multires.constraints.keyframes import (
     root_through_keyframes,
 )
 from gesturekit.multires.constraints.path import PathConstraint
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample_smoothly
 from gesturekit.multires.recall.library import RecalledMotion
@@ -29,7 +29,6 @@ from gesturekit.multires.sampling.noise import NoiseSource
 from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request
 from gesturekit.multires.sampling.styles import requested_styles
-from gesturekit.multires.training.data import Normaliser
 from gesturekit.postprocess import smooth_motion
 from gesturekit.training.seeds import rng_for
 

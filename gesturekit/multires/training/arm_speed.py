@@ -14,14 +14,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import audio_features as af
-from gesturekit.multires.network.resampling import reflect, resample
-from gesturekit.multires.training.data import PairedSequence
-from gesturekit.multires.training.kinematics import (
+from gesturekit.multires.kinematics import (
     CAPTURE_SECONDS,
     SMOOTHING_SECONDS,
     VectorKinematics,
     smooth,
 )
+from gesturekit.multires.network.resampling import reflect, resample
+from gesturekit.multires.training.data import PairedSequence
 
 # Fixed: the recipes' loss weights were chosen with these values.
 _CONTEXT_SECONDS = 0.2

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,7 +19,7 @@ import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import reflect, resample
 from gesturekit.multires.recall.passive import PassiveChannels
 from gesturekit.multires.sampling.conditions import Conditions
@@ -34,59 +33,6 @@ from gesturekit.training.data.sources import Source, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.seeds import rng_for
 from gesturekit.training.trained_model import read_speakers, rig_values
-
-_SCALE_FLOORS = {"joint": 0.02, "contact": 0.25, "displacement": 0.025, "height": 5e-3}
-"""Smallest scale of each kind of channel (6D entries, label, m/s, m; on the reference body). Fixed,
-so that the noise of channels without movement is not amplified."""
-
-
-@dataclass(frozen=True)
-class Normaliser:
-    """Normalisation of motion vectors to zero mean and comparable spread, whatever the rig's units.
-
-    The six numbers of a joint share one scale, so that distances between its rotations are kept up
-    to that factor.
-
-    Attributes:
-        mean: (D,).
-        scale: (D,).
-    """
-
-    mean: Tensor
-    scale: Tensor
-
-    @classmethod
-    def fit(
-        cls, motions: Sequence[np.ndarray], representation: MultiresRepresentation, fps: float
-    ) -> Normaliser:
-        """Compute mean and scale of encoded training motions, each (T, D)."""
-        values = np.concatenate(motions)
-        scale = values.std(axis=0)
-        start = 0
-        n_joints = len(representation.joints)
-        for block, size in enumerate(representation.block_sizes[:-1]):
-            part = slice(start, start + size)
-            spread = np.sqrt((scale[part] ** 2).mean())
-            floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
-            scale[part] = max(spread, floor)
-            start += size
-        root = representation.layout.root
-        dx, height, dz = scale[root]
-        across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"] / fps)
-        scale[root] = across, max(height, _SCALE_FLOORS["height"]), across
-        return cls(torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(scale).float())
-
-    def to(self, device: torch.device) -> Normaliser:
-        """Return a copy on another device."""
-        return Normaliser(self.mean.to(device), self.scale.to(device))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Normalise motion vectors (B, D, T)."""
-        return (x - self.mean[:, None]) / self.scale[:, None]
-
-    def inverse(self, x: Tensor) -> Tensor:
-        """Return normalised motion vectors (B, D, T) to their own units."""
-        return x * self.scale[:, None] + self.mean[:, None]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 import audio_features as af
 from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.losses import Batch, losses, reconstruction
 from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.generator import MultiresGenerator
@@ -26,7 +27,6 @@ from gesturekit.multires.training.arm_speed import (
 from gesturekit.multires.training.batches import Batches
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.detail import DetailTarget, detail_targets
-from gesturekit.multires.training.kinematics import VectorKinematics
 from gesturekit.multires.training.window_cache import Windows, random_part
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.seeds import rng_for, seeded

@@ -18,11 +18,11 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second, plain_values
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.recall.building import build_library
-from gesturekit.multires.trained_model import TrainedNoise, TrainedSequence
+from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
+from gesturekit.multires.training.recall_library import build_library
 from gesturekit.multires.training.stage import Stage
 from gesturekit.training.data.sources import described, save_sources, unused_labels
 from gesturekit.training.held_out import HeldOut

@@ -10,12 +10,11 @@ from torch import Tensor
 
 from gesturekit.model import Inputs
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.recall.library import RecallLibrary
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.multires.sampling.noise import NoiseSource, ZStarPatches
-from gesturekit.multires.training.data import Normaliser
 from gesturekit.training.trained_model import BaseModel
 
 
