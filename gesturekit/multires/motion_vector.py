@@ -232,3 +232,11 @@ class Normaliser:
     def inverse(self, x: Tensor) -> Tensor:
         """Return normalised motion vectors (B, D, T) to their own units."""
         return x * self.scale[:, None] + self.mean[:, None]
+
+    def to_values(self, vectors: Tensor) -> np.ndarray:
+        """Return (T, D) float64 in their own units, from (1, D, T) normalised."""
+        return self.inverse(vectors)[0].T.double().numpy().copy()
+
+    def from_values(self, values: np.ndarray) -> Tensor:
+        """Return (1, D, T) normalised, from (T, D) in their own units."""
+        return self.forward(torch.from_numpy(values.T).float()[None])

@@ -17,8 +17,6 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import slerp
 from gesturekit.multires.constraints.constraint import (
     clamped_steps,
-    normalised,
-    plain_values,
     turned,
     turned_plane,
 )
@@ -211,7 +209,7 @@ class InbetweenConstraint:
 
     def __call__(self, level: int, output: Tensor) -> Tensor:
         """Return the output of a level, (1, D, T_i), with the clips in it and blended to them."""
-        values = plain_values(self.normaliser, output)
+        values = self.normaliser.to_values(output)
         n_frames = len(values)
         given = resample(self.values, n_frames).T.numpy()
         spans = self._spans(n_frames)
@@ -222,7 +220,7 @@ class InbetweenConstraint:
                 self._fill(result, given, values, gap, spans, number)
         for span in spans:
             result[slice(*span)] = given[slice(*span)]
-        vectors = normalised(self.normaliser, result)
+        vectors = self.normaliser.from_values(result)
         is_finest = level + 1 == len(self.lengths)
         return vectors if is_finest else clamped_steps(vectors, self.layout)
 

@@ -21,7 +21,6 @@ import audio_features as af
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import rotate_vectors, slerp
-from gesturekit.multires.constraints.constraint import normalised
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import resample
 from gesturekit.postprocess import lock_feet
@@ -62,7 +61,7 @@ class KeyframeConstraint:
         representation: MultiresRepresentation,
         normaliser: Normaliser,
     ) -> None:
-        self.given = normalised(normaliser, given)
+        self.given = normaliser.from_values(given)
         self.weight = _widened(edited.any(axis=1)).to(self.given.dtype)
         self.channels = torch.ones(given.shape[1], 1)
         self.channels[representation.layout.contacts] = 0

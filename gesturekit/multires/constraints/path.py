@@ -14,8 +14,6 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import quaternion_from_sixd
 from gesturekit.multires.constraints.constraint import (
     clamped_steps,
-    normalised,
-    plain_values,
     turned,
     turned_plane,
 )
@@ -65,10 +63,10 @@ class PathConstraint:
 
     def __call__(self, level: int, output: Tensor) -> Tensor:
         """Return the output of a level, (1, D, T_i), with steps that follow the path."""
-        values = plain_values(self.normaliser, output)
+        values = self.normaliser.to_values(output)
         turn, steps = self._turn_and_steps(values)
         values[:, self.layout.root_xz] = turned_plane(steps, -turn)
-        vectors = normalised(self.normaliser, values)
+        vectors = self.normaliser.from_values(values)
         is_finest = level + 1 == len(self.lengths)
         return vectors if is_finest else clamped_steps(vectors, self.layout)
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.errors import ModelError
-from gesturekit.multires.constraints.constraint import Constraint, normalised, plain_values
+from gesturekit.multires.constraints.constraint import Constraint
 from gesturekit.multires.motion_vector import Normaliser
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
@@ -69,7 +69,7 @@ class Pyramid:
         """Return the output (T_i, D) of the last of these levels, above the recalled one."""
         first, coarser = self.recalled_level + 1, self.recalled
         if len(lengths) < first:
-            return plain_values(self.normaliser, resample(coarser, lengths[-1]))
+            return self.normaliser.to_values(resample(coarser, lengths[-1]))
         if constraint is not None:
             coarser = constraint(self.recalled_level, coarser)
         lengths = lengths[first:]
@@ -95,7 +95,7 @@ class Pyramid:
         """
         first, lengths = level + 1, self.lengths[level + 1 :]
         noises = self.noise.gaussian(lengths, self.rng_of, first=first)
-        coarser = normalised(self.normaliser, values)
+        coarser = self.normaliser.from_values(values)
         return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
 
     def _coarsest_styles(self) -> list[int]:
@@ -123,7 +123,7 @@ class Pyramid:
             coarser=coarser,
             constraint=constraint,
         )
-        values = plain_values(self.normaliser, vectors)
+        values = self.normaliser.to_values(vectors)
         if not np.isfinite(values).all():
             raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
         return values

@@ -8,7 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from gesturekit.motion.motion import Motion
-from gesturekit.multires.constraints.constraint import fastest_second, plain_values
+from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.constraints.inbetweening import InbetweenConstraint
 from gesturekit.multires.constraints.keyframes import (
     KeyframeConstraint,
@@ -170,7 +170,7 @@ class Sampler:
         `recalled` (1, D, T_i) is the recalled level, normalised.
         """
         # Linear interpolation would leave a corner at every frame of the recalled level.
-        coarse = plain_values(self.normaliser, resample_smoothly(recalled, len(values)))
+        coarse = self.normaliser.to_values(resample_smoothly(recalled, len(values)))
         return coarse + self.request.library.detail(choice, len(values)).T * (values - coarse)
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion | None) -> Motion:

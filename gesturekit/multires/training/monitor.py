@@ -15,7 +15,6 @@ import audio_features as af
 from gesturekit.evaluation.quick_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.constraints.constraint import plain_values
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
@@ -146,7 +145,7 @@ class Monitor:
 
     def _motion(self, vectors: Tensor) -> Motion:
         """Return the motion of normalised vectors (D, T)."""
-        values = plain_values(self.data.normaliser, vectors[None])
+        values = self.data.normaliser.to_values(vectors[None])
         return self.data.representation.decode(values, self.config.fps)
 
 

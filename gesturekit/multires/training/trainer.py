@@ -15,7 +15,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import find_legs, is_upper_body, unidentified
 from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.constraints.constraint import fastest_second, plain_values
+from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
@@ -325,7 +325,7 @@ class Trainer:
             fastest=self.data.representation.scale
             * max(
                 fastest_second(
-                    plain_values(self.data.normaliser, sequence.motion[None])[:, root_xz],
+                    self.data.normaliser.to_values(sequence.motion[None])[:, root_xz],
                     self.config.fps,
                 )
                 for sequence in self.data.paired
