@@ -45,7 +45,7 @@ class VectorLayout:
     Attributes:
         rotations: 6 K columns, for each joint the first two columns of its rotation matrix.
         root_rotation: the first six of these, the root's orientation in world coordinates.
-        contacts: C columns of contact labels, about 0 or 1.
+        contacts: C columns of contact labels, about 0 or 1; over 0.5 means contact.
         root: three columns, displacement along x, height, displacement along z.
         root_xz: the first and last of these, metres since the previous frame.
         root_height: the middle one, metres.
@@ -91,8 +91,8 @@ class MultiresRepresentation(ModelJoints):
 
     @classmethod
     def from_json(cls, skeleton: Skeleton, values: dict[str, Any]) -> MultiresRepresentation:
-        """Return the inverse of `to_json`; older models do not store a contact speed."""
-        speed = float(values.get("contact_speed", CONTACT_SPEED))
+        """Return the inverse of `to_json`."""
+        speed = float(values["contact_speed"])
         return cls(**cls.fields_from_json(skeleton, values), contact_speed=speed)
 
     def to_json(self) -> dict[str, Any]:
@@ -158,10 +158,6 @@ class MultiresRepresentation(ModelJoints):
         contacts = contact_labels(motion, threshold=self.contact_speed)
         sixd = sixd_from_quaternion(rotations).reshape(motion.n_frames, -1)
         return np.concatenate([sixd, contacts, root], axis=-1)
-
-    def contacts(self, values: np.ndarray) -> np.ndarray:
-        """Return the (T, C) contact labels of (T, D) vectors: over 0.5 means contact."""
-        return values[:, self.layout.contacts]
 
     def decode(self, values: np.ndarray, fps: float, *, skeleton: Skeleton | None = None) -> Motion:
         """Return the motion of motion vectors; it starts above the origin.

@@ -22,7 +22,7 @@ from gesturekit.motion.rotations import (
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.sampling.styles import (
+from gesturekit.multires.sampling.conditions import (
     agreed_style,
     level_track,
     mixed_styles,

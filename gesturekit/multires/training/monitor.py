@@ -18,10 +18,9 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
-from gesturekit.multires.sampling.conditions import condition_levels
-from gesturekit.multires.sampling.styles import style_levels
+from gesturekit.multires.sampling.conditions import condition_levels, style_levels
 from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.window_cache import noise_source
+from gesturekit.multires.training.window_cache import random_noise
 from gesturekit.training.seeds import rng_for
 
 MAX_CLIPS = 4
@@ -52,7 +51,7 @@ class Monitor:
         ]
         self.recordings = [self._motion(self._recorded(i)) for i in range(len(self.clips))]
         self.samples: list[Motion] = []
-        self.noise = noise_source(data, config, config.noise_levels)
+        self.noise = random_noise(data, config, config.noise_levels)
 
     def figures(self, network: MultiresGenerator, levels: int) -> dict[str, float]:
         """Return cheap metrics (`quick_metrics`) of motion from the first `levels` levels.

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 import audio_features as af
-from gesturekit.multires.backend import choose_backend, requested_backend
+from gesturekit.multires.backend import choose_backend
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.losses import Batch, losses, reconstruction
@@ -18,7 +18,7 @@ from gesturekit.multires.network.discriminator import LevelDiscriminator
 from gesturekit.multires.network.generator import MultiresGenerator
 from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.recall.library import RecallLibrary
-from gesturekit.multires.sampling.styles import agreed_style
+from gesturekit.multires.sampling.conditions import agreed_style
 from gesturekit.multires.training.arm_speed import (
     ArmTarget,
     arm_targets,
@@ -73,8 +73,7 @@ class Stage:
             )
             for i in self.indices
         ).to(self.device)
-        requested = requested_backend(config.backend)
-        self.backend = choose_backend(requested, self.generators, self.discriminators)
+        self.backend = choose_backend(config.backend, self.generators, self.discriminators)
         self.batches = Batches(data, config, network, first, self.backend.convolve, library)
         rate, betas = config.training.learning_rate, config.training.betas
         self.optimisers = {

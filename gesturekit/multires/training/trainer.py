@@ -18,7 +18,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
+from gesturekit.multires.sampling.noise import TrainedNoise, TrainedSequence
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import load_training_data
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
@@ -120,7 +120,7 @@ class Trainer:
         self.network.to(device)
         self.library = build_library(self.data, config)
         watched = config.eval_every and processes.is_first
-        convolve = choose_backend(requested_backend(config.backend), self.network).convolve
+        convolve = choose_backend(config.backend, self.network).convolve
         self.monitor = Monitor(self.data, config, convolve) if watched else None
 
     def _adapted(self, config: MultiresConfig) -> MultiresConfig:
