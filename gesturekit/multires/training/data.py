@@ -21,7 +21,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.network.resampling import reflect, resample
-from gesturekit.multires.recall.passive import PassiveChannels
+from gesturekit.multires.recall.parts import PassiveChannels
 from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.training.data.data_folder import load_data, save_data
 from gesturekit.training.data.features import (
