@@ -85,16 +85,16 @@ def test_discriminators_tell_a_style_from_others(make_config, motions, tmp_path)
     training = {"first_stage": 40, "generator_steps": 0}
     folder = train(make_config(corpus=str(corpus), training=training, **mode))
     model = gk.load(folder)
-    critic = LevelDiscriminator(model.representation, model.network_config, 2)
+    discriminator = LevelDiscriminator(model.representation, model.network_config, 2)
     _, state = Checkpoints(folder.parent / "checkpoints").latest()
     own = {k[2:]: v for k, v in state["discriminators"].items() if k.startswith("0.")}
-    critic.load_state_dict(own)
+    discriminator.load_state_dict(own)
     for i, style in enumerate(model.styles):
         motion = gk.Motion.load(tmp_path / f"{style}_0.bvh").resample(model.fps)
         vectors = torch.from_numpy(model.representation.encode(motion).T[None]).float()
         coarsest = resample(model.normaliser.forward(vectors), 75)
         told, otherwise = torch.eye(2)[[i]], torch.eye(2)[[1 - i]]
-        assert critic(coarsest, told).mean() > critic(coarsest, otherwise).mean()
+        assert discriminator(coarsest, told).mean() > discriminator(coarsest, otherwise).mean()
 
 
 def test_label_mode_wants_a_style_for_every_item(make_config, motions):
@@ -280,7 +280,7 @@ def test_a_training_sequence_is_reconstructed(make_config, motions, gesture):
     "mode", [SINGLE, {**LABELS, "z_star_shuffle": 3}], ids=["single", "labels"]
 )
 def test_each_mode_resumes_bitwise(mode, make_config, motions):
-    """From the middle of a pair and of a bank, and from a checkpoint that was not the last."""
+    """From within a pair and a window cache, and from a checkpoint that was not the last."""
     changes = {**mode, "training": {"window": None, "further_stages": 8}}
     config = make_config(corpus=str(motions(old=[3.0], angry=[4.0])), **changes)
     folder = train(config)

@@ -213,9 +213,9 @@ def test_with_margins_a_whole_clip_continues_in_them_as_in_generation(make_confi
     data = trainer.load_training_data(config)
     (clip,) = data.unpaired
     network = MultiresGenerator(data.representation, data.conditioner.dim, config.network)
-    bank = WindowCache(data, replace(config, features=None), network)
+    cache = WindowCache(data, replace(config, features=None), network)
     rng = torch.Generator().manual_seed(0)
-    windows = bank.random(data.paired, clip.shape[-1], 2, 1, rng)
+    windows = cache.random(data.paired, clip.shape[-1], 2, 1, rng)
     margin = config.random_margin
     around = np.pad(clip.numpy(), ((0, 0), (margin, margin)), mode="reflect")
     np.testing.assert_array_equal(windows.conditions[-1][0].numpy(), around)
@@ -257,17 +257,17 @@ def test_a_bank_holds_a_whole_sequence_once(make_config):
     config = make_config(training={"window": None})
     data = trainer.load_training_data(config)
     network = MultiresGenerator(data.representation, data.conditioner.dim, config.network)
-    bank = WindowCache(data, config, network)
+    cache = WindowCache(data, config, network)
     for n_frames, members in data.window_lengths().items():
         sequences = [data.paired[i] for i in members]
-        windows = bank.paired(sequences, n_frames, 2, 8, torch.Generator().manual_seed(0))
+        windows = cache.paired(sequences, n_frames, 2, 8, torch.Generator().manual_seed(0))
         assert len(windows.coarser) == len(sequences) and windows.speech is None
         assert torch.equal(windows.targets[-1], torch.stack([s.motion for s in sequences]))
 
 
-@pytest.mark.parametrize(("bank", "repeats"), [(2, True), (None, False)])
-def test_without_a_bank_every_random_window_is_drawn_anew(make_config, monkeypatch, bank, repeats):
-    config = make_config(training={"window_cache": bank, "renew_every": 50})
+@pytest.mark.parametrize(("cache", "repeats"), [(2, True), (None, False)])
+def test_without_a_bank_every_random_window_is_drawn_anew(make_config, monkeypatch, cache, repeats):
+    config = make_config(training={"window_cache": cache, "renew_every": 50})
     generate, noises = Stage._generate, []
 
     def record(self, windows):

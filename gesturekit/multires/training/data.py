@@ -8,7 +8,7 @@ motion is a sequence.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -125,7 +125,7 @@ class TrainingData:
         speakers: reference skeleton of each named speaker.
         window: frames of a training window; None for whole sequences.
         sources: recordings from which `paired` was read.
-        recorded_fps: most common frame rate of the recordings; None in older runs.
+        recorded_fps: most common frame rate of the recordings.
         passive: joints and face channels that are recalled but not modelled; none without recall.
         start: weights of the generators to start from, by name; empty for random ones.
     """
@@ -140,10 +140,10 @@ class TrainingData:
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     unpaired_is_paired: bool
-    sources: tuple[Source, ...] = ()
-    recorded_fps: float | None = None
-    passive: PassiveChannels = PassiveChannels()
-    start: Mapping[str, Tensor] = field(default_factory=dict)
+    sources: tuple[Source, ...]
+    recorded_fps: float
+    passive: PassiveChannels
+    start: Mapping[str, Tensor]
 
     def save(self, folder: Path) -> None:
         """Write the data into a folder, from which a resumed run loads it."""
@@ -184,9 +184,7 @@ class TrainingData:
         """
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
-            # Runs of older versions have no speakers of recordings.
-            speakers = about.get("speaker_of", [None] * len(about["names"]))
-            passive = about.get("passive", [[], 0])
+            joints, expressions = about["passive"]
             paired = tuple(
                 PairedSequence(
                     name,
@@ -195,7 +193,7 @@ class TrainingData:
                     speaker,
                 )
                 for i, (name, style, speaker) in enumerate(
-                    zip(about["names"], about["style_of"], speakers, strict=True)
+                    zip(about["names"], about["style_of"], about["speaker_of"], strict=True)
                 )
             )
             unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
@@ -215,9 +213,9 @@ class TrainingData:
                 normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers=read_speakers(about),
                 unpaired_is_paired=config.features is not None and not unpaired,
-                sources=from_values(about.get("sources", ())),
-                recorded_fps=about.get("recorded_fps"),
-                passive=PassiveChannels(tuple(passive[0]), passive[1]),
+                sources=from_values(about["sources"]),
+                recorded_fps=about["recorded_fps"],
+                passive=PassiveChannels(tuple(joints), expressions),
                 start=read_start(tensors),
             )
 

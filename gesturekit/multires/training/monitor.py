@@ -53,7 +53,7 @@ class Monitor:
         self.samples: list[Motion] = []
         self.noise = random_noise(data, config, config.noise_levels)
 
-    def figures(self, network: MultiresGenerator, levels: int) -> dict[str, float]:
+    def metrics(self, network: MultiresGenerator, levels: int) -> dict[str, float]:
         """Return cheap metrics (`quick_metrics`) of motion from the first `levels` levels.
 
         The finest of these levels is interpolated to the full rate. Noise is the same every time.
@@ -63,16 +63,16 @@ class Monitor:
         numbers = range(len(self.clips))
         generated = [self._generated(network, levels, number) for number in numbers]
         self.samples = [self._motion(vectors) for vectors in generated]
-        figures = quick_metrics(self.samples, self.recordings)
+        metrics = quick_metrics(self.samples, self.recordings)
         real = [self._at_level(self._recorded(number), levels) for number in numbers]
         spread = self._patch_spread(real)
         if spread > 0:
-            figures["patch_diversity_ratio"] = self._patch_spread(generated) / spread
-        return figures
+            metrics["patch_diversity_ratio"] = self._patch_spread(generated) / spread
+        return metrics
 
-    def warn_of_collapse(self, figures: Mapping[str, float], step: int) -> bool:
+    def warn_of_collapse(self, metrics: Mapping[str, float], step: int) -> bool:
         """Warn if the samples are (nearly) one pose or one movement; return True if so."""
-        ratio = figures.get("patch_diversity_ratio", 1.0)
+        ratio = metrics.get("patch_diversity_ratio", 1.0)
         if ratio >= COLLAPSED:
             return False
         log.warning(
@@ -86,7 +86,7 @@ class Monitor:
         return True
 
     def write_sample(self, folder: Path, step: int) -> None:
-        """Write the first sample of the last `figures`, as step_00000300.bvh and .html."""
+        """Write the first sample of the last `metrics`, as step_00000300.bvh and .html."""
         folder.mkdir(parents=True, exist_ok=True)
         for suffix in ("bvh", "html"):
             self.samples[0].save(folder / f"step_{step:08d}.{suffix}")
@@ -148,13 +148,13 @@ class Monitor:
         return self.data.representation.decode(values, self.config.fps)
 
 
-def distance_from_recordings(figures: Mapping[str, float]) -> float:
+def distance_from_recordings(metrics: Mapping[str, float]) -> float:
     """Return the distance of samples from the recordings; the best checkpoint has the smallest.
 
     It is the mean of |log| over all ratios to the recordings' own metrics (speeds, jerk, diversity
     ...), and infinite without ratios or if one is 0.
     """
-    ratios = [value for name, value in figures.items() if name.endswith("_ratio")]
+    ratios = [value for name, value in metrics.items() if name.endswith("_ratio")]
     if not ratios or min(ratios) <= 0:
         return math.inf
     return float(np.mean(np.abs(np.log(ratios))))

@@ -248,32 +248,32 @@ class Trainer:
         monitor = self.monitor
         if monitor is None:
             return
-        figures = monitor.figures(self.network, levels)
-        monitor.warn_of_collapse(figures, step)
+        metrics = monitor.metrics(self.network, levels)
+        monitor.warn_of_collapse(metrics, step)
         monitor.write_sample(self.folder.folder / "samples", step)
         if levels == self.config.network.levels:
             # Models of earlier stages lack the finest levels.
             before = self.folder.evaluations(level=first + 1)
-            distance = distance_from_recordings(figures)
+            distance = distance_from_recordings(metrics)
             if all(distance < distance_from_recordings(other) for other in before):
                 self._save(
                     "best",
                     copy.deepcopy(self.network),
                     {"Training steps": f"{step}, the best by the cheap evaluations"},
                 )
-        self.folder.log(step, figures, level=first + 1, kind="evaluation")
+        self.folder.log(step, metrics, level=first + 1, kind="evaluation")
 
     def _finish(self, steps: int) -> Path:
         """Measure and write the model."""
         if self.processes.is_first:
-            figures = self.measure(steps, self.config.network.levels)
+            measured = self.measure(steps, self.config.network.levels)
             self._save(
                 "model",
                 self.network,
                 {
                     "Training steps": str(steps),
                     "Last losses": last_losses(self.folder),
-                    **({"Measured": figures} if figures else {}),
+                    **({"Measured": measured} if measured else {}),
                 },
             )
         self.processes.wait()
