@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 from torch import Tensor
 
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import slerp
 from gesturekit.multires.constraints.constraint import fastest_second
 from gesturekit.multires.constraints.inbetweening import InbetweenConstraint
 from gesturekit.multires.constraints.keyframes import (
     KeyframeConstraint,
     keep_unedited,
     level_motion,
-    lock_free_feet,
     motion_level,
     moved,
     root_through_keyframes,
@@ -26,7 +27,7 @@ from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request
 from gesturekit.multires.sampling.trained_model import TrainedModel
-from gesturekit.postprocess import smooth_motion
+from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.training.seeds import rng_for
 
 _TOO_FAST = 1.25
@@ -158,9 +159,9 @@ class Sampler:
 
     def _with_passive(self, motion: Motion, choice: RecalledMotion | None) -> Motion:
         """Return the motion with the fingers and the face of the recalled pieces, if any."""
-        if choice is None:
-            return motion
         library = self.request.library
+        if choice is None or library.passive.is_empty:
+            return motion
         curves = [recording.passive for recording in library.recordings]
         columns = library.passive.columns(library.parts)
         margin, n_frames = self.request.margin, self.request.lengths[-1]
@@ -258,11 +259,40 @@ class Sampler:
         given: np.ndarray | None = None,
         keep_path: bool = False,
     ) -> Motion:
-        """Return the motion with locked feet, unless foot locking is off; see `lock_free_feet`.
+        """Return the motion with locked feet, unless foot locking is off.
 
-        `values` (T, D) hold the contact labels; `given` (T,) is 1 where the motion stays as it is.
+        Args:
+            motion: T frames.
+            values: (T, D) vectors with the contact labels.
+            given: (T,) 1 where the motion stays as it is, 0 where feet are locked, with smooth
+                transitions; None locks them everywhere.
+            keep_path: see `lock_feet`.
         """
         if not self.request.controls.foot_lock:
             return motion
         labels = values[:, self.model.representation.layout.contacts]
-        return lock_free_feet(motion, labels, given, keep_path=keep_path)
+        locked = lock_feet(motion, labels, keep_path=keep_path)
+        return locked if given is None or not given.any() else _mixed(locked, motion, given)
+
+
+def _mixed(locked: Motion, motion: Motion, given: np.ndarray) -> Motion:
+    """Return `locked` mixed with `motion` by the weights `given` (T,) of the latter."""
+    given = given[:, None]
+
+    def mixed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        between = before + (1 - given) * (after - before)
+        return np.where(given == 0, after, np.where(given == 1, before, between))
+
+    turns = slerp(
+        motion.rotations, locked.rotations, np.broadcast_to(1 - given, motion.rotations.shape[:2])
+    )
+    turns = np.where(given[..., None] == 1, motion.rotations, turns)
+    return replace(
+        locked,
+        rotations=np.where(given[..., None] == 0, locked.rotations, turns),
+        translation=mixed(motion.translation, locked.translation),
+        joint_translations={
+            name: mixed(motion.joint_translations[name], places)
+            for name, places in locked.joint_translations.items()
+        },
+    )
