@@ -239,13 +239,15 @@ class MultiresModel(TrainedModel):
         cls, parts: ModelParts, weights: WeightPlaces | None, device: str
     ) -> MultiresModel:
         """Return the model of a folder; see `load`."""
-        config, rig, tensors = parts.config, parts.rig, parts.tensors
+        config, tensors = parts.config, parts.tensors
         where = str(parts.folder / "config.yaml")
-        fps = float(config["fps"])
-        skeleton = Skeleton.from_json(rig["skeleton"])
-        representation = MultiresRepresentation.from_json(skeleton, rig["motion"])
+        network_config = build(NetworkConfig, config["network"], where=where)
+        common = common_arguments(parts)
+        skeleton = Skeleton.from_json(parts.rig["skeleton"])
+        representation = MultiresRepresentation.from_json(skeleton, parts.rig["motion"])
         features, conditioner = config["features"], None
         if features is not None:
+            fps = common["fps"]
             conditioner = load_conditioner(features, tensors, fps, weights, device)
         conditions = Conditions(
             conditioner,
@@ -253,8 +255,6 @@ class MultiresModel(TrainedModel):
             bool(features and features["residual"]),
             config["recall"] is not None,
         )
-        speech_size = 0 if conditioner is None else conditioner.dim
-        network_config = build(NetworkConfig, config["network"], where=where)
         network = MultiresGenerator(representation, conditions.width, network_config)
         network.load_state_dict(parts.tensors_under("network."))
         noise = TrainedNoise(
@@ -268,13 +268,18 @@ class MultiresModel(TrainedModel):
             noise_levels=int(config["noise_levels"]),
         )
         return cls(
-            **common_arguments(parts),
+            **common,
             representation=representation,
             normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
             conditions=conditions,
             network_config=network_config,
             network=network.eval(),
             noise=noise,
-            library=load_library(config, parts, representation, network_config.levels, speech_size),
+            library=load_library(
+                parts,
+                representation,
+                network_config.levels,
+                0 if conditioner is None else conditioner.dim,
+            ),
             fastest=float(config["fastest"]),
         )

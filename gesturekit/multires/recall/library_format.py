@@ -69,11 +69,7 @@ def library_tensors(library: RecallLibrary) -> dict[str, Tensor]:
 
 
 def load_library(
-    config: Mapping[str, Any],
-    parts: ModelParts,
-    representation: MultiresRepresentation,
-    levels: int,
-    speech_size: int,
+    parts: ModelParts, representation: MultiresRepresentation, levels: int, speech_size: int
 ) -> RecallLibrary | None:
     """Read what `library_values` and `library_tensors` wrote; None for a model without recall.
 
@@ -82,10 +78,10 @@ def load_library(
     Raises:
         ValueError: values out of range, or tensors whose shapes do not fit the model.
     """
-    values = config["recall"]
+    values = parts.config["recall"]
     if values is None:
         return None
-    tensors, fps = parts.tensors, float(config["fps"])
+    tensors, fps = parts.tensors, float(parts.config["fps"])
     recordings = tuple(
         RecalledRecording(
             **{name: tensors[f"recall.{i}.{name}"] for name in _CURVES},
