@@ -23,9 +23,9 @@ from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.window_cache import random_noise
 from gesturekit.training.seeds import rng_for
 
-MAX_CLIPS = 4
+MAX_EXCERPTS = 4
 MAX_SECONDS = 20.0
-"""Number of training recordings for which motion is generated, and the length of each."""
+"""Number of training recordings whose beginnings are compared, and the length of each."""
 COLLAPSED = 0.4
 """Patch diversity, relative to the recordings', below which samples have collapsed."""
 _PATCH_SECONDS = 1.0
@@ -45,11 +45,11 @@ class Monitor:
         self.data = data
         self.convolve = convolve
         self.config = config
-        self.clips = [
+        self.excerpts = [
             (sequence, min(sequence.n_frames, round(MAX_SECONDS * config.fps)))
-            for sequence in data.paired[:MAX_CLIPS]
+            for sequence in data.paired[:MAX_EXCERPTS]
         ]
-        self.recordings = [self._motion(self._recorded(i)) for i in range(len(self.clips))]
+        self.recordings = [self._motion(self._recorded(i)) for i in range(len(self.excerpts))]
         self.samples: list[Motion] = []
         self.noise = random_noise(data, config, config.noise_levels)
 
@@ -60,7 +60,7 @@ class Monitor:
         `patch_diversity_ratio` is added: the spread of the samples' one-second patches, relative to
         that of the recordings at the same level.
         """
-        numbers = range(len(self.clips))
+        numbers = range(len(self.excerpts))
         generated = [self._generated(network, levels, number) for number in numbers]
         self.samples = [self._motion(vectors) for vectors in generated]
         metrics = quick_metrics(self.samples, self.recordings)
@@ -93,9 +93,9 @@ class Monitor:
 
     @torch.no_grad()
     def _generated(self, network: MultiresGenerator, levels: int, number: int) -> Tensor:
-        """Return the motion generated for a clip, (D, T) normalised."""
+        """Return the motion generated for an excerpt, (D, T) normalised."""
         device = next(network.parameters()).device
-        sequence, n_frames = self.clips[number]
+        sequence, n_frames = self.excerpts[number]
         lengths = af.level_lengths(n_frames, self.config.network.levels)
         speech = sequence.speech[None, :, :n_frames]
         styles = []
@@ -116,8 +116,8 @@ class Monitor:
         return resample(output, n_frames)[0].cpu()
 
     def _recorded(self, number: int) -> Tensor:
-        """Return the recording of a clip, (D, T) normalised."""
-        sequence, n_frames = self.clips[number]
+        """Return the recording of an excerpt, (D, T) normalised."""
+        sequence, n_frames = self.excerpts[number]
         return sequence.motion[:, :n_frames]
 
     def _at_level(self, motion: Tensor, levels: int) -> Tensor:
