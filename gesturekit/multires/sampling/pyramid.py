@@ -67,23 +67,15 @@ class Pyramid:
         Raises:
             ModelError: the output is not finite.
         """
-        lengths = self.lengths[:levels]
-        if self.recalled is not None:
-            return self._above_recalled(lengths, constraint)
-        noises = self.noise.gaussian(lengths, self.rng_of)
-        noises[0] = self.noise.shuffled(noises[0], [self._coarsest_styles()], self.rng_of(0))
-        return self._sampled(noises, lengths, constraint=constraint)
-
-    def _above_recalled(self, lengths: Sequence[int], constraint: Constraint | None) -> np.ndarray:
-        """Return the output (T_i, D) of the last of these levels, above the recalled one."""
-        first, coarser = self.recalled_level + 1, self.recalled
-        if len(lengths) < first:
-            return self.model.normaliser.to_values(resample(coarser, lengths[-1]))
-        if constraint is not None:
-            coarser = constraint(self.recalled_level, coarser)
-        lengths = lengths[first:]
-        noises = self.noise.gaussian(lengths, self.rng_of, first=first)
-        return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
+        lengths, level, recalled = self.lengths[:levels], self.recalled_level, self.recalled
+        if recalled is None:
+            noises = self.noise.gaussian(lengths, self.rng_of)
+            noises[0] = self.noise.shuffled(noises[0], [self._coarsest_styles()], self.rng_of(0))
+            return self._sampled(noises, lengths, constraint)
+        if len(lengths) <= level:
+            return self.model.normaliser.to_values(resample(recalled, lengths[-1]))
+        coarser = recalled if constraint is None else constraint(level, recalled)
+        return self._above(level, coarser, lengths, constraint)
 
     def from_noise(self, noise: Tensor) -> np.ndarray:
         """Return the output (T, D) of all levels from noise (1, 1 or D, T_1) at the first only."""
@@ -102,9 +94,15 @@ class Pyramid:
         Raises:
             ModelError: the output is not finite.
         """
-        first, lengths = level + 1, self.lengths[level + 1 :]
-        noises = self.noise.gaussian(lengths, self.rng_of, first=first)
         coarser = self.model.normaliser.from_values(values)
+        return self._above(level, coarser, self.lengths, constraint)
+
+    def _above(
+        self, level: int, coarser: Tensor, lengths: Sequence[int], constraint: Constraint | None
+    ) -> np.ndarray:
+        """Return the output (T, D) of the last of the levels with these lengths, given `level`."""
+        first, lengths = level + 1, lengths[level + 1 :]
+        noises = self.noise.gaussian(lengths, self.rng_of, first=first)
         return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
 
     def _coarsest_styles(self) -> list[int]:
