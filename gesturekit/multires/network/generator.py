@@ -15,9 +15,8 @@ from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import (
     SLOPE,
     Convolve,
-    SkeletonConv1d,
-    block_neighbours,
     convolve_dense,
+    skeleton_layers,
 )
 
 
@@ -31,25 +30,16 @@ class LevelGenerator(nn.Module):
         self, representation: MultiresRepresentation, n_condition: int, config: NetworkConfig
     ) -> None:
         super().__init__()
-        near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
-        sizes = [
-            representation.block_sizes,
-            *((width,) * len(near) for width in config.channels),
-            representation.block_sizes,
-        ]
-        self.layers = nn.ModuleList(
-            SkeletonConv1d(near, sizes[i], sizes[i + 1], config.kernel)
-            for i in range(len(sizes) - 1)
-        )
+        self.layers = skeleton_layers(representation, config, output=True)
         if not n_condition:
             self.films = nn.ModuleList()
             return
         blocks = modulated_blocks(representation, config)
         self.embed = nn.Conv1d(n_condition, config.embedding, 1)
         self.rectify_embedding = config.rectify_embedding
-        modulated = sizes[:1] if config.film == "input" else sizes[:-1]
+        modulated = self.layers[:1] if config.film == "input" else self.layers
         self.films = nn.ModuleList(
-            Film(config.embedding, np.repeat(blocks, size)) for size in modulated
+            Film(config.embedding, np.repeat(blocks, layer.sizes[0])) for layer in modulated
         )
 
     def forward(

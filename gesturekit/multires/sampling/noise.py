@@ -1,4 +1,4 @@
-"""Noise for random motions: Gaussian, or shuffled patches of the training recordings' z*.
+"""Noise: Gaussian, or shuffled patches of the training recordings' z*.
 
 A recording is reconstructed from its z* alone. Fresh noise need not cover all that the network can
 reconstruct, and short patches of z* do: each stands for a piece of a recording, in a new context.
@@ -6,7 +6,7 @@ reconstruct, and short patches of z* do: each stands for a piece of a recording,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -60,7 +60,7 @@ class ZStarPatches:
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseSource:
+class RandomNoise:
     """Noise of random motions, in training and in generation.
 
     Attributes:
@@ -109,3 +109,46 @@ class NoiseSource:
         if self.patches is None:
             return gaussian
         return torch.cat([self.patches.draw(row, rng) for row in styles])
+
+
+@dataclass(frozen=True)
+class TrainedSequence:
+    """Data of a training sequence that its reconstruction needs.
+
+    Attributes:
+        frames: its length at the full rate.
+        style: its style, or None.
+    """
+
+    frames: int
+    style: str | None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrainedNoise:
+    """Noise of a trained model: scales, z*, and settings for drawing random noise.
+
+    Attributes:
+        sigma: (N, L) noise scale of each training sequence and level.
+        z_star: noise from which each training sequence is reconstructed, by the sequence's name.
+        sequences: length and style of each training sequence, by its name.
+        z_star_shuffle: longest patch, in frames, when noise is made of z* patches; 0 for Gaussian
+            noise.
+        noise_levels: number of the coarsest levels that get noise.
+    """
+
+    sigma: Tensor
+    z_star: Mapping[str, Tensor]
+    sequences: Mapping[str, TrainedSequence]
+    z_star_shuffle: int
+    noise_levels: int
+
+    def random(self, styles: tuple[str, ...]) -> RandomNoise:
+        """Return the noise of random motions of a model with these styles."""
+        patches = None
+        if self.z_star_shuffle:
+            names = sorted(self.z_star)
+            owners = [styles.index(self.sequences[name].style) if styles else 0 for name in names]
+            z_stars = [self.z_star[name] for name in names]
+            patches = ZStarPatches(z_stars, owners, self.z_star_shuffle)
+        return RandomNoise(self.sigma.mean(dim=0), self.noise_levels, patches)
