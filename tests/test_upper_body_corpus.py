@@ -17,9 +17,9 @@ from gesturekit.diffusion.training.trainer import train as train_diffusion
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring.rigs import RETARGETED, matched
-from gesturekit.evaluation.metrics.feet import foot_skate
 from gesturekit.evaluation.metrics.frechet.clip_features import geometric_features
 from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
 from gesturekit.motion.selection.joint_selection import keep_joints

@@ -28,7 +28,7 @@ from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
-    from gesturekit.evaluation.agreement.answers import Answer
+    from gesturekit.evaluation.statistics.answers import Answer
 
 
 @click.command(
@@ -206,8 +206,8 @@ def command(
     measured. With --corpus, clips of other splits and of items without motion do not count as left
     out: a note lists them.
     """
-    from gesturekit.evaluation.agreement.correlation import agreement, shared_models
     from gesturekit.evaluation.report.figure_table import WRITERS
+    from gesturekit.evaluation.statistics.agreement import agreement, shared_models
 
     if options["sanity"]:
         ctx.exit(sanity((generated, reference, *surplus, *compare), out, json_out, options))

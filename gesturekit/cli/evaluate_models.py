@@ -136,7 +136,7 @@ def rendered_baselines(
         UsageError: an unknown name or that of a model, no manifest, or the model of `generated` is
             not known.
     """
-    from gesturekit.evaluation.contest.baselines import BASELINES
+    from gesturekit.evaluation.measuring.baselines import BASELINES
     from gesturekit.progress import Progress
     from gesturekit.rendering import baselines
     from gesturekit.rendering.record import model_of_results

@@ -33,9 +33,9 @@ def sanity(
         raise click.UsageError("--sanity takes only a folder of recordings, and --audio")
     _refuse_unused(click.get_current_context())
     from gesturekit.evaluation import Variants, write_report
+    from gesturekit.evaluation.report.bad_motion import run_sanity
     from gesturekit.evaluation.report.headline import headline_lines
-    from gesturekit.evaluation.sanity.run import run_sanity
-    from gesturekit.evaluation.sanity.table import conclusion, table_lines
+    from gesturekit.evaluation.report.sanity_table import conclusion, table_lines
     from gesturekit.progress import Progress
 
     found = run_sanity(

@@ -11,11 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
-from gesturekit.evaluation.beats import load_sound
-from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
-from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_recordings
-from gesturekit.evaluation.contest.baselines import baseline_pairs
-from gesturekit.evaluation.contest.figures import figures_of
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
@@ -26,18 +21,17 @@ from gesturekit.evaluation.definitions import (
     SPEECH,
     Variants,
 )
-from gesturekit.evaluation.frame_rate import RULE
-from gesturekit.evaluation.headline.questions import answers
-from gesturekit.evaluation.intervals import Interval, interval_over_samples
-from gesturekit.evaluation.life.verdict import verdict
 from gesturekit.evaluation.measuring.alike import (
     joints_to_leave_out,
     keep_common_recordings,
     mark_unlike,
 )
-from gesturekit.evaluation.measuring.run import Measured, Progress, measure_all
-from gesturekit.evaluation.measuring.work import MISMATCHED, Work
+from gesturekit.evaluation.measuring.baselines import baseline_pairs
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, ReferenceStatistics
+from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files
+from gesturekit.evaluation.measuring.work import MISMATCHED, Measured, Progress, Work, measure_all
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
+from gesturekit.evaluation.metrics.frame_rate import RULE
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
@@ -47,7 +41,10 @@ from gesturekit.evaluation.pairs import (
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
+from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
+from gesturekit.evaluation.statistics.intervals import interval_over_samples
+from gesturekit.evaluation.statistics.model_metrics import figures_of
+from gesturekit.evaluation.statistics.questions import answers, verdict
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
@@ -141,7 +138,7 @@ def evaluate(
         UnknownOptionError: a keyword that is not an option.
     """
     chosen = build_options(EvaluationOptions, options, "evaluate")
-    _forget_files()
+    forget_files()
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
@@ -175,12 +172,6 @@ def evaluate(
         recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
         recorded_wrists=np.array(first.get("recorded_wrists", ())),
     )
-
-
-def _forget_files() -> None:
-    """Forget what an earlier evaluation read: files may have changed since."""
-    forget_recordings()
-    load_sound.cache_clear()
 
 
 def _pairs(

@@ -14,11 +14,40 @@ import numpy as np
 
 from gesturekit.atomic import atomic_write
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
-from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
+from gesturekit.wording import counted
 
 FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and its confidence interval.
+
+    Attributes:
+        value: the mean over units.
+        low, high: 95 % interval; None for a single unit.
+        n: number of clips (windows, for Fréchet distances).
+        units: number of resampled units.
+        over: kind of unit: "recordings" (the mean of a recording's samples), or "samples" of one
+            recording.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    n: int
+    units: int
+    over: str
+
+    @property
+    def count(self) -> str:
+        """Numbers of recordings and clips, in words, such as "10 recordings, 50 clips"."""
+        clips = counted(self.n, "clip")
+        if self.over != "recordings":
+            return clips if self.over == "samples" else f"n = {self.n}"
+        return f"{counted(self.units, 'recording')}, {clips}"
 
 
 @dataclass

@@ -8,10 +8,9 @@ import pytest
 from scipy.stats import kendalltau, spearmanr
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.agreement.answers import Answer
-from gesturekit.evaluation.agreement.correlation import agreement
-from gesturekit.evaluation.intervals import Interval
-from gesturekit.evaluation.results import MetricResult, ModelResult
+from gesturekit.evaluation.results import Interval, MetricResult, ModelResult
+from gesturekit.evaluation.statistics.agreement import agreement
+from gesturekit.evaluation.statistics.answers import Answer
 
 
 def model(label: str, **values: float) -> ModelResult:

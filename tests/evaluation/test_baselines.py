@@ -10,7 +10,7 @@ import pytest
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate, hand_movement
-from gesturekit.evaluation.clips import load_clip
+from gesturekit.evaluation.measuring.clips import load_clip
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import mean_quaternion
 

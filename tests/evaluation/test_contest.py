@@ -10,12 +10,12 @@ import pytest
 from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
-from gesturekit.evaluation.contest.figures import figures_of, informative
-from gesturekit.evaluation.contest.paired import contests, distance
 from gesturekit.evaluation.definitions import DEFINITIONS, LIFE, MOVEMENT
-from gesturekit.evaluation.intervals import holm, interval_of, whole_set
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
+from gesturekit.evaluation.statistics.intervals import holm, interval_of, whole_set
+from gesturekit.evaluation.statistics.model_metrics import figures_of, informative
+from gesturekit.evaluation.statistics.paired import contests, distance
 
 KEYS = [
     key

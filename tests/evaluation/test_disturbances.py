@@ -12,9 +12,9 @@ import soundfile
 from audio_features import Wave
 from gesturekit.evaluation import acceleration, arm_speed, foot_skate, jerk, joint_speed, sync
 from gesturekit.evaluation import wrist_speed as wrist_speeds
-from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
-from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import GROUPS, Variants
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, ReferenceStatistics
+from gesturekit.evaluation.measuring.clips import Clip, read_semantic
 from gesturekit.evaluation.metrics.rhythm import (
     beat_alignment,
     beat_consistency,
@@ -22,7 +22,6 @@ from gesturekit.evaluation.metrics.rhythm import (
     speech_onsets,
 )
 from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.semantic_track import read_semantic
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector

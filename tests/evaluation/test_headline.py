@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gesturekit.evaluation.headline.likeness import credits, likeness
-from gesturekit.evaluation.headline.questions import answers
-from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.results import ClipResult, MetricResult
+from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
+from gesturekit.evaluation.statistics.likeness import credits, likeness
+from gesturekit.evaluation.statistics.questions import answers
 
 OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 0.02}
 

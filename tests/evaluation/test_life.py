@@ -22,11 +22,11 @@ from gesturekit.evaluation import (
     two_sample_accuracy,
     within_reach,
 )
-from gesturekit.evaluation.intervals import whole_set
-from gesturekit.evaluation.life.verdict import verdict
 from gesturekit.evaluation.metrics.diagonals import lower_to_nearest
 from gesturekit.evaluation.metrics.two_sample import MotionWindows
 from gesturekit.evaluation.results import MetricResult, ModelResult
+from gesturekit.evaluation.statistics.intervals import whole_set
+from gesturekit.evaluation.statistics.questions import verdict
 from gesturekit.motion import Motion, Skeleton
 
 FPS = 25.0

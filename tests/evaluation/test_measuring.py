@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.evaluation import evaluate
-from gesturekit.evaluation.measuring import run
+from gesturekit.evaluation.measuring import work
 from gesturekit.evaluation.measuring.work import Work
 from gesturekit.motion import Motion
 
@@ -100,7 +100,7 @@ def test_worker_processes_give_the_same_figures(folders, tmp_path, monkeypatch):
     options = {"audio": folders / "recordings", "baselines": ("mean_pose",)}
     one = evaluate(models, folders / "recordings", **options).to_json()
     monkeypatch.setenv("GESTUREKIT_CACHE", str(tmp_path / "another"))
-    monkeypatch.setattr(run, "IN_PROCESS_SECONDS", 0.0)
+    monkeypatch.setattr(work, "IN_PROCESS_SECONDS", 0.0)
     seen = []
 
     def progress(tasks, total, label):

@@ -10,10 +10,9 @@ import soundfile
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.contest.paired import contests
-from gesturekit.evaluation.sanity.bad_motion import BAD_MOTION, Source
-from gesturekit.evaluation.sanity.run import RECORDING, run_sanity
-from gesturekit.evaluation.sanity.table import conclusion, marks, noticed_by, ranking
+from gesturekit.evaluation.report.bad_motion import BAD_MOTION, RECORDING, Source, run_sanity
+from gesturekit.evaluation.report.sanity_table import conclusion, marks, noticed_by, ranking
+from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.motion import Motion, Skeleton
 
 ALL = set(BAD_MOTION)

@@ -14,8 +14,7 @@ import numpy as np
 
 from audio_features import Wave
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.metrics.derivatives import CUTOFF, derivative
-from gesturekit.evaluation.metrics.physical import joint_paths, joint_speed
+from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
 from gesturekit.evaluation.metrics.sync import MIN_SHIFT
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
@@ -76,7 +75,7 @@ def beat_alignment(
     Args:
         motion: the motion; beats after its end do not count.
         beats: (B,) seconds of the sound's beats, such as `music_beats` gives.
-        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivatives`) and
+        variant: "seconds" takes the speed of the motion low-passed at 6 Hz (`derivative`) and
             places beats between frames by a parabola through three of them. "bailando" takes
             frame differences and places a beat at the first frame of the step, as its code does:
             up to half a frame early, and dependent on the frame rate.

@@ -14,7 +14,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.diagonals import frame_distances, lower_to_nearest
-from gesturekit.evaluation.metrics.life import (
+from gesturekit.evaluation.metrics.hands import (
     FPS,
     Motions,
     as_list,

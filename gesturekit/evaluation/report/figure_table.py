@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gesturekit.atomic import atomic_write
-from gesturekit.evaluation.contest.paired import Contest, contests
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
 from gesturekit.evaluation.report.headline import headline_lines
 from gesturekit.evaluation.report.tables import number
 from gesturekit.evaluation.results import Evaluation, MetricResult
+from gesturekit.evaluation.statistics.paired import Contest, contests
 from gesturekit.wording import counted, printable
 
 ARROWS = {"higher": "↑", "lower": "↓", "reference": ""}

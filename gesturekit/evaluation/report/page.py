@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from gesturekit.atomic import atomic_write
-from gesturekit.evaluation.contest.paired import contests
 from gesturekit.evaluation.report import tables
 from gesturekit.evaluation.report.figure_table import agreement_lines
 from gesturekit.evaluation.report.headline import headline, interval_warnings
@@ -20,6 +19,7 @@ from gesturekit.evaluation.report.plots import all_plots
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
 from gesturekit.evaluation.report.tables import section
 from gesturekit.evaluation.results import Evaluation
+from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.viewer import player_shell
 from gesturekit.wording import counted
 

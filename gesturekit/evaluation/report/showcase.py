@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.clips import load_clip, load_wave
 from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.measuring.clips import load_clip, load_wave
 from gesturekit.evaluation.pairs import WINDOW_SECONDS
 from gesturekit.evaluation.report.plots import RECORDING, colour
 from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping
 
-from gesturekit.evaluation.contest.paired import Contest
 from gesturekit.evaluation.definitions import (
     FRECHET,
     GROUPS,
@@ -14,9 +13,9 @@ from gesturekit.evaluation.definitions import (
     SPEECH,
     Definition,
 )
-from gesturekit.evaluation.intervals import Interval
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.results import Evaluation, ModelResult
+from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
+from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.wording import counted
 
 _ARROWS = {

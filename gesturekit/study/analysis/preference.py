@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gesturekit.evaluation.agreement.answers import Answer
+from gesturekit.evaluation.statistics.answers import Answer
 from gesturekit.study.analysis import bradley_terry
 from gesturekit.study.analysis.significance import (
     Anova,

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.agreement.answers import Answers
+from gesturekit.evaluation.statistics.answers import Answers
 from gesturekit.study.analysis.alignment import Alignment, analyse_alignment
 from gesturekit.study.analysis.preference import Preference, analyse_preference
 from gesturekit.study.analysis.significance import Estimate, statsmodels_module, wilson

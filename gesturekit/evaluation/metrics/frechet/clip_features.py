@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.frame_rate import at_rate
+from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.frechet.poses import described, require_joints
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points, foot_positions

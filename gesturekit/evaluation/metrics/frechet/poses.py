@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.frame_rate import at_rate
+from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints, find_parts, heading_joints, upper_body

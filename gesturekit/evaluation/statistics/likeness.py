@@ -11,12 +11,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-ALIKE, UNLIKE = np.log(1.25), np.log(2.5)
-"""Logarithms of the largest ratio with credit 1, and of the smallest ratio with credit 0."""
-USUAL_ONE_NN = 0.6
-"""1-NN accuracy with full credit: that between recordings of one speaker."""
-FORWARD = 30.0
-"""Percentage of windows that are nearest to motion played forwards, above which the credit is 1."""
+from gesturekit.evaluation.statistics.thresholds import (
+    FORWARD,
+    FULL_CREDIT,
+    NO_CREDIT,
+    USUAL_ONE_NN,
+)
 
 RATIOS = {
     "hand_q10": 0.02,
@@ -78,6 +78,6 @@ def _credit(key: str, ours: np.ndarray, own: np.ndarray | None, own_one_nn: floa
         return np.clip((1.0 - np.asarray(ours)) / max(1.0 - own_one_nn, 1e-6), 0.0, 1.0)
     if key == "forward":
         return np.clip(np.asarray(ours) / FORWARD, 0.0, 1.0)
-    floor = RATIOS[key]
+    floor, full, none = RATIOS[key], np.log(FULL_CREDIT), np.log(NO_CREDIT)
     ratio = np.abs(np.log((np.asarray(ours) + floor) / (np.asarray(own) + floor)))
-    return np.clip((UNLIKE - ratio) / (UNLIKE - ALIKE), 0.0, 1.0)
+    return np.clip((none - ratio) / (none - full), 0.0, 1.0)

@@ -15,7 +15,7 @@ import numpy as np
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError, MotionError
-from gesturekit.evaluation.clips import load_recording
+from gesturekit.evaluation.measuring.clips import load_recording
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Items,

@@ -9,22 +9,14 @@ from typing import Any
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.headline.questions import likeness_result
-from gesturekit.evaluation.intervals import Interval, interval_of
-from gesturekit.evaluation.results import ClipResult, MetricResult
+from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
+from gesturekit.evaluation.statistics.intervals import interval_of
+from gesturekit.evaluation.statistics.questions import likeness_result
+from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
 
-ABOVE_CHANCE = 3.0
-"""Standard errors that the recordings' own value is above its chance level, at least, for a metric
-of speech to be informative."""
 SYNC_SECONDS = 0.4
 """Seconds of arm speed that count as one independent value: the standard deviation of sync over
 shifts of a short clip is too small."""
-SAME = 0.002
-"""Distance of recordings to training motion, metres, up to which they are training motion too: a
-ratio to it says nothing."""
-SATURATED = 0.99
-"""CCA of one recording with another above which the metric cannot tell motions apart: clips with
-few frames and many joints."""
 
 _OF_SPEECH = {"sync": ("sync", "sync_z", "in_time"), "bas": ("bas", "bas_z"), "bc": ("bc", "bc_z")}
 

@@ -12,11 +12,15 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import GestureKitError, MotionError
-from gesturekit.evaluation.clips import Clip, load_recording
-from gesturekit.evaluation.frame_rate import at_rate
-from gesturekit.evaluation.intervals import whole_set
-from gesturekit.evaluation.life.hands import HAND_KEYS, hand_figures
-from gesturekit.evaluation.metrics.life import FPS, calm_and_lively, upper_joints
+from gesturekit.evaluation.measuring.clips import Clip, load_recording
+from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.hands import (
+    FPS,
+    HAND_KEYS,
+    calm_and_lively,
+    hand_figures,
+    upper_joints,
+)
 from gesturekit.evaluation.metrics.two_sample import (
     LOW_QUANTILE,
     MotionWindows,
@@ -30,6 +34,7 @@ from gesturekit.evaluation.metrics.two_sample import (
 )
 from gesturekit.evaluation.pairs import Excluded, Items, Stretch
 from gesturekit.evaluation.results import MetricResult
+from gesturekit.evaluation.statistics.intervals import whole_set
 from gesturekit.motion import Motion
 
 TRAINING_SECONDS = 1200.0

@@ -8,16 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.clip_metrics import ClipMetrics
-from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import FRECHET, LIFE, PATCHES, SIMILARITY
-from gesturekit.evaluation.intervals import (
-    Interval,
-    interval_of,
-    interval_of_statistic,
-    whole_set,
-)
-from gesturekit.evaluation.life.pooled import LifeMetrics
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.clips import Clip
+from gesturekit.evaluation.measuring.pooled import LifeMetrics
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import (
@@ -30,7 +24,8 @@ from gesturekit.evaluation.metrics.frechet.frechet import (
     raw_fgd,
 )
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
-from gesturekit.evaluation.results import MetricResult
+from gesturekit.evaluation.results import Interval, MetricResult
+from gesturekit.evaluation.statistics.intervals import interval_of, interval_of_statistic, whole_set
 from gesturekit.motion import Motion
 
 if TYPE_CHECKING:

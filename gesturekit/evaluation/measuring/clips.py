@@ -1,4 +1,4 @@
-"""Clips in memory: a generated motion and its recording at one frame rate, with common joints."""
+"""Clips in memory: a motion and its recording at one frame rate, with their sound and semantics."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 
 from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.evaluation.frame_rate import at_rate
 from gesturekit.evaluation.measuring.rigs import bare_name, matched
+from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.physical import joint_speed
+from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair, Stretch
-from gesturekit.evaluation.semantic_track import read_semantic
+from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
@@ -182,10 +183,71 @@ def _read(path: Path | Stretch) -> Motion:
         raise type(error)(text if path.name in text else f"{path}: {text}") from error
 
 
+_STEP = 0.01  # seconds between values of a track read from intervals
+
+
+def read_semantic(path: Path) -> FeatureTrack:
+    """Read a semantic track: (T, 1) scores from 0 to 1 at times in seconds.
+
+    A feature file (npz) of one column, or BEAT's table (txt): tab-separated lines of gesture
+    name, start, end, duration (seconds), score, keywords; 0 where there is no gesture.
+
+    Raises:
+        FormatError: the table is invalid.
+        FeatureError: the feature file is invalid.
+    """
+    if path.suffix.lower() == ".npz":
+        track = FeatureTrack.load(path)
+        if track.values.shape[1] != 1:
+            raise FormatError(
+                f"{path}: {track.values.shape[1]} columns; a semantic track has one, the score"
+            )
+        return track
+    intervals = load_semantics(path)
+    if not intervals:
+        raise FormatError(f"{path}: no line with a gesture in it")
+    times = np.arange(round(max(end for _, end, _ in intervals) / _STEP) + 2) * _STEP
+    values = np.zeros((len(times), 1), dtype=np.float32)
+    for start, end, score in intervals:
+        values[(times >= start) & (times <= end)] = score
+    return FeatureTrack(values, times, {"kind": "semantic"}, ("score",))
+
+
 _semantic = functools.lru_cache(maxsize=_CACHED)(read_semantic)
 
 
-def forget_recordings() -> None:
-    """Forget recordings in memory, which may have changed on disk since the last evaluation."""
+@dataclass(frozen=True)
+class Sound:
+    """A recording's sound and its beats.
+
+    Attributes:
+        wave: the sound.
+        onsets: (B,) speech onsets, seconds.
+        pulse: (B,) beats of the beat tracker, seconds.
+    """
+
+    wave: Wave
+    onsets: np.ndarray
+    pulse: np.ndarray
+
+    @classmethod
+    def load(cls, path: Path | Stretch, window: int | None) -> Sound:
+        """Read a sound, or one 10 s window of it.
+
+        Raises:
+            AudioError: it cannot be read.
+        """
+        wave = load_wave(path)
+        if window is not None:
+            wave = wave.slice(window * WINDOW_SECONDS, WINDOW_SECONDS)
+        return cls(wave, speech_onsets(wave), music_beats(wave))
+
+
+load_sound = functools.lru_cache(maxsize=16)(Sound.load)
+
+
+def forget_files() -> None:
+    """Forget files in memory, which may have changed on disk since the last evaluation."""
     _resampled.cache_clear()
     _semantic.cache_clear()
+    load_sound.cache_clear()

@@ -1,4 +1,4 @@
-"""Measures of life: metrics that compare how much, how far and how variedly the hands move.
+"""Hand movement: metrics that compare how much, how far and how variedly the hands move.
 
 All of them use body-centred motion: positions of upper-body joints relative to the pelvis, turned
 in each frame so that the shoulders face +Z, at 25 fps, in metres. The hands are the wrist joints.
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.frame_rate import at_rate
+from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.heading import headings_of_sides
@@ -271,3 +271,30 @@ def _reach(paths: np.ndarray) -> float:
     centred = paths - paths.mean(axis=0)
     covariance = np.einsum("thi,thj->hij", centred, centred) / len(paths)
     return float((np.maximum(np.linalg.det(covariance), 0.0) ** (1 / 6)).sum())
+
+
+_HANDS = {
+    "q10": ("hand_q10", 1.0),
+    "q50": ("hand_q50", 1.0),
+    "q90": ("hand_q90", 1.0),
+    "q99": ("hand_q99", 1.0),
+    "rest": ("rest", 100.0),
+    "near_still": ("near_still", 100.0),
+    "reach": ("reach", 1.0),
+    "range": ("speed_range", 1.0),
+}  # field of `HandMovement`: key of `definitions`, factor to its unit
+
+HAND_KEYS = tuple(key for key, _ in _HANDS.values())
+"""Keys of `definitions` of the hand movement."""
+
+
+def hand_figures(motions: Motions) -> dict[str, float]:
+    """Return {key of `definitions`: value} of the hand movement of motions, pooled.
+
+    A value that is not defined is NaN.
+
+    Raises:
+        MotionError: as `hand_movement`.
+    """
+    found = hand_movement(motions)
+    return {key: factor * getattr(found, name) for name, (key, factor) in _HANDS.items()}

@@ -15,17 +15,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.clip_metrics import ClipMetrics
-from gesturekit.evaluation.clips import Clip
 from gesturekit.evaluation.definitions import FRECHET, PATCHES, SIMILARITY
-from gesturekit.evaluation.headline.likeness import RATIOS, likeness
-from gesturekit.evaluation.intervals import Interval, interval_of, whole_set
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.clips import Clip
 from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import fgd, fid_g, fid_k, raw_fgd
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
 from gesturekit.evaluation.metrics.physical import relative_speed
 from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.results import Interval
+from gesturekit.evaluation.statistics.intervals import interval_of, whole_set
+from gesturekit.evaluation.statistics.likeness import RATIOS, likeness
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gesturekit.evaluation.contest.paired import AT_LEAST, AT_MOST
 from gesturekit.evaluation.definitions import HEADLINE, Definition
+from gesturekit.evaluation.report.bad_motion import RECORDING, Sanity
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
-from gesturekit.evaluation.sanity.run import RECORDING, Sanity
+from gesturekit.evaluation.statistics.paired import AT_LEAST, AT_MOST
 from gesturekit.wording import listed
 
 NOTICED, BLIND, FOOLED, SILENT = "+", ".", "!", " "

@@ -1,20 +1,24 @@
-"""Three questions that head a report, answered with one figure and one sentence each."""
+"""Three questions that head a report, answered in one sentence each, and the verdict in words.
+
+The verdict is one line, such as "Half of the speaker's reach, hardly ever at rest, in time with the
+speech." All thresholds are in `thresholds`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from gesturekit.evaluation.headline.likeness import (
+from gesturekit.evaluation.results import Answer, ClipResult, Interval, MetricResult
+from gesturekit.evaluation.statistics import thresholds
+from gesturekit.evaluation.statistics.intervals import draws, half_width, means_by
+from gesturekit.evaluation.statistics.likeness import (
     ASPECTS,
     MEASURES,
-    USUAL_ONE_NN,
     credits,
     likeness,
 )
-from gesturekit.evaluation.intervals import Interval, draws, half_width, means_by
-from gesturekit.evaluation.results import Answer, ClipResult, MetricResult
 from gesturekit.wording import listed
 
 IN_TIME, LIKE, NEW = (
@@ -22,16 +26,6 @@ IN_TIME, LIKE, NEW = (
     "Moves like this speaker?",
     "Is it new?",
 )
-TIMED, LOOSE, TOO_MUCH = 0.7, 0.3, 1.3
-"""Shares of the recordings' sync above chance: in time, loosely in time, more than the speaker."""
-ALIKE, PARTLY = 0.85, 0.6
-"""Likeness for yes; and for partly, relative to that of the speaker's other recordings."""
-COPIED, NEAR, NOW_AND_THEN = 0.5, 0.8, 0.6
-"""Ratios to the distance of held-out recordings below which a model mostly copies, is nearer than
-they are (medians), or copies occasionally (5 % quantile)."""
-NOTICED = 0.6
-"""Credit of an aspect below which it is named."""
-
 Figures = Mapping[str, MetricResult]
 
 
@@ -56,7 +50,7 @@ def likeness_result(
         own: likeness of other recordings.
         seed: of the bootstrap.
     """
-    measure = likeness_of(clips, USUAL_ONE_NN if own_one_nn is None else own_one_nn)
+    measure = likeness_of(clips, thresholds.USUAL_ONE_NN if own_one_nn is None else own_one_nn)
     units = len({clip.pair.stem for clip in clips})
     value = float(measure(np.full((1, units), 1 / units))[0])
     if np.isnan(value):
@@ -112,12 +106,12 @@ def _timing(figures: Figures) -> Answer:
         return Answer(IN_TIME, "in_time", "not informative here", text)
     share = figure.interval.value / figure.recording
     low = figure.interval.low
-    beyond = low is not None and low <= 0.0 and share < TIMED
-    if share < LOOSE or beyond:
+    beyond = low is not None and low <= 0.0 and share < thresholds.IN_TIME
+    if share < thresholds.LOOSELY_IN_TIME or beyond:
         return Answer(IN_TIME, "in_time", "no", "Not in time with the speech.")
-    if share < TIMED:
+    if share < thresholds.IN_TIME:
         return Answer(IN_TIME, "in_time", "partly", "Loosely in time with the speech.")
-    if share > TOO_MUCH:
+    if share > thresholds.TOO_STRICT:
         text = "In time with the speech, more strictly than the speaker."
         return Answer(IN_TIME, "in_time", "partly", text)
     return Answer(IN_TIME, "in_time", "yes", "As much in time with the speech as the speaker.")
@@ -128,17 +122,20 @@ def _likeness(clips: Sequence[ClipResult], figures: Figures) -> Answer:
     if figure is None:
         return Answer(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
     one_nn = figures.get("one_nn")
-    own_one_nn = USUAL_ONE_NN if one_nn is None or one_nn.recording is None else one_nn.recording
+    own_one_nn = thresholds.USUAL_ONE_NN
+    if one_nn is not None and one_nn.recording is not None:
+        own_one_nn = one_nn.recording
     means = ({k: v.mean() for k, v in side.items()} for side in _measures(clips))
     found = credits(*means, own_one_nn)
-    missed = sorted((a for a in ASPECTS if a in found and found[a] < NOTICED), key=found.get)
+    missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
+    missed.sort(key=found.get)
     differs = f"; what differs: {listed(missed, 4)}" if missed else ""
     value = figure.interval.value
     top = 1.0 if figure.recording is None else min(1.0, figure.recording)
-    if value >= min(ALIKE, top) and not missed:
+    if value >= min(thresholds.LIKE, top) and not missed:
         return Answer(LIKE, "likeness", "yes", "Moves like this speaker.")
-    if value >= PARTLY * top:
-        much = "mostly" if value >= min(ALIKE, top) else "somewhat"
+    if value >= thresholds.PARTLY_LIKE * top:
+        much = "mostly" if value >= min(thresholds.LIKE, top) else "somewhat"
         return Answer(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
     return Answer(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
 
@@ -156,11 +153,11 @@ def _novelty(figures: Figures) -> Answer:
         )
         return Answer(NEW, "novelty", "not informative here", text)
     now_and_then = low is not None and low.recording and (
-        low.interval.value < NOW_AND_THEN * low.recording
+        low.interval.value < thresholds.OCCASIONALLY_COPIED * low.recording
     )  # fmt: skip
-    if figure.interval.value < COPIED:
+    if figure.interval.value < thresholds.COPIED:
         return Answer(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(figures)}.")
-    if figure.interval.value < NEAR:
+    if figure.interval.value < thresholds.NEAR:
         text = f"Nearer to {among} than other recordings are: partly copied, or less lively"
         return Answer(NEW, "novelty", "no", f"{text}{_seeds(figures)}.")
     if now_and_then:
@@ -178,3 +175,115 @@ def _seeds(figures: Figures) -> str:
         return ""
     share = figure.interval.value / figure.recording
     return f"; two samples of one speech differ {100 * share:.0f} % as much as two recordings do"
+
+
+_RATIO_WORDS = {
+    0.1: "a tenth of",
+    0.25: "a quarter of",
+    1 / 3: "a third of",
+    0.5: "half of",
+    2 / 3: "two thirds of",
+    0.75: "three quarters of",
+    1.5: "one and a half times",
+    2.0: "twice",
+    3.0: "three times",
+    4.0: "four times",
+}
+
+
+def verdict(figures: Mapping[str, MetricResult]) -> str:
+    """Return a sentence about reach, speed, rests, timing and copying; "" if nothing is known.
+
+    Args:
+        figures: results of a model by key of `definitions`, each with the recording's value.
+    """
+    still = figures.get("near_still")
+    if still is not None and still.interval.value >= thresholds.MOTIONLESS:
+        return "The hands hardly move."
+    phrases = [
+        *_movement_words(figures),
+        *_rest_words(figures),
+        *_timing_words(figures),
+        *_copying_words(figures),
+    ]
+    text = ", ".join(phrases)
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def in_words(ratio: float) -> str:
+    """Return a ratio other than 1 in words, such as "half of"; the nearest one with a name."""
+    if ratio < 0.07:
+        return "next to nothing of"
+    if ratio > 5.0:
+        return "many times"
+    return _RATIO_WORDS[min(_RATIO_WORDS, key=lambda named: abs(np.log(named / ratio)))]
+
+
+def _movement_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
+    reach, fast = _ratio(figures, "reach"), _ratio(figures, "hand_q90")
+    if reach is not None:
+        share = "" if _within(reach, thresholds.ALIKE) else f"{in_words(reach)} "
+        yield f"{share}the speaker's reach"
+    if fast is not None and not _within(fast, thresholds.ALIKE):
+        yield f"fast gestures at {in_words(fast)} the speaker's speed"
+
+
+def _rest_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
+    rest, still = figures.get("rest"), figures.get("near_still")
+    if still is not None and still.interval.value > (still.recording or 0.0) + thresholds.FROZEN:
+        yield f"hands frozen in {still.interval.value:.0f} % of the time"
+    elif rest is not None and (rest.recording or 0.0) >= thresholds.FEW_RESTS:
+        ratio = rest.interval.value / rest.recording
+        if ratio < thresholds.HARDLY_EVER:
+            yield "hardly ever at rest"
+        elif ratio < thresholds.RESTS_ALIKE[0]:
+            yield "seldom at rest"
+        elif ratio > thresholds.RESTS_ALIKE[1]:
+            yield "at rest more often than the speaker"
+        else:
+            yield "at rest as often as the speaker"
+
+
+def _timing_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
+    calm, sync = figures.get("calm_lively_r"), figures.get("sync")
+    if calm is not None and calm.informative and calm.interval.value < thresholds.FOLLOWS:
+        yield "calm and lively at other times than the speaker"
+    if sync is None or sync.recording is None:
+        return
+    levels = [level for level in (sync.mismatched, sync.chance) if level is not None]
+    chance = max(levels, default=0.0)
+    ours, own = sync.interval.value - chance, sync.recording - chance
+    if own < thresholds.LEAST_SYNC:
+        yield "speech that hardly moves the speaker's arms either"
+    elif not sync.informative:
+        return
+    elif ours >= thresholds.IN_TIME * own:
+        yield "in time with the speech"
+    elif ours >= thresholds.LOOSELY_IN_TIME * own:
+        yield "loosely in time with the speech"
+    else:
+        yield "not in time with the speech"
+
+
+def _copying_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
+    median, low = _ratio(figures, "copying"), _ratio(figures, "copying_low")
+    if median is not None and median < thresholds.COPIED:
+        yield "mostly copied from recordings"
+    elif (_ratio(figures, "reach") or 1.0) < thresholds.ALIKE[0]:
+        return  # small motion is near to any
+    elif median is not None and median < thresholds.NEAR:
+        yield "partly copied from recordings"
+    elif low is not None and low < thresholds.OCCASIONALLY_COPIED:
+        yield "occasionally copied from recordings"
+
+
+def _ratio(figures: Mapping[str, MetricResult], key: str) -> float | None:
+    """Return a value over the recording's; None without either."""
+    figure = figures.get(key)
+    if figure is None or not figure.recording:
+        return None
+    return figure.interval.value / figure.recording
+
+
+def _within(ratio: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= ratio <= limits[1]

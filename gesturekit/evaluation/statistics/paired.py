@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.headline.likeness import MEASURES, USUAL_ONE_NN
-from gesturekit.evaluation.headline.questions import likeness_of
-from gesturekit.evaluation.intervals import LEVEL, draws, holm, means_by, standard_error
 from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
+from gesturekit.evaluation.statistics.intervals import LEVEL, draws, holm, means_by, standard_error
+from gesturekit.evaluation.statistics.likeness import MEASURES
+from gesturekit.evaluation.statistics.questions import likeness_of
+from gesturekit.evaluation.statistics.thresholds import USUAL_ONE_NN
 
 NEARER = 0.75
 """Smallest share of resamples in which the best model must be nearer to the recordings."""

@@ -7,14 +7,14 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from audio_features import AudioFeaturesError
 from gesturekit.errors import EvaluationError, GestureKitError
-from gesturekit.evaluation.beats import MotionBeats, Sound, load_sound
-from gesturekit.evaluation.clips import Clip, load_recording
 from gesturekit.evaluation.definitions import (
+    DEFINITIONS,
     LIFE,
     MOVEMENT,
     PATCHES,
@@ -22,14 +22,19 @@ from gesturekit.evaluation.definitions import (
     SPEECH,
     Variants,
 )
-from gesturekit.evaluation.life.hands import hand_figures
-from gesturekit.evaluation.metrics import feet, physical, rhythm, similarity
-from gesturekit.evaluation.metrics.derivatives import CUTOFF
+from gesturekit.evaluation.measuring.clips import (
+    Clip,
+    Sound,
+    load_recording,
+    load_sound,
+)
+from gesturekit.evaluation.metrics import physical, rhythm, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
-from gesturekit.evaluation.metrics.joint_limits import JointLimits, joint_limit_share
+from gesturekit.evaluation.metrics.hands import hand_figures
 from gesturekit.evaluation.metrics.patches import intra_diversity, patch_features, patch_scores
+from gesturekit.evaluation.metrics.physical import CUTOFF, JointLimits, joint_limit_share
 from gesturekit.evaluation.metrics.sync import SyncResult, sync
-from gesturekit.evaluation.pairs import Excluded, Stretch
+from gesturekit.evaluation.pairs import Excluded, Pair, Stretch
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints
@@ -193,7 +198,7 @@ class ClipMetrics:
     def _movement(self, out: _Collected, clip: Clip, motion: Motion) -> None:
         joints = clip.joints
         heights = functools.cache(
-            lambda: feet.standing_heights(clip.recording if clip.same_body else motion)
+            lambda: physical.standing_heights(clip.recording if clip.same_body else motion)
         )
         out("arm_speed", lambda: physical.arm_speed(motion).mean())
         out("wrist_speed", lambda: physical.wrist_speed(motion).mean())
@@ -201,8 +206,8 @@ class ClipMetrics:
         out("jerk", lambda: physical.jerk(motion, cutoff=CUTOFF, joints=joints))
         out("acceleration_genea", lambda: physical.acceleration(motion, joints=joints))
         out("jerk_genea", lambda: physical.jerk(motion, joints=joints))
-        out("foot_skate", lambda: feet.foot_skate(motion, heights()))
-        out("floor_penetration", lambda: 1000.0 * feet.floor_penetration(motion, heights()))
+        out("foot_skate", lambda: physical.foot_skate(motion, heights()))
+        out("floor_penetration", lambda: 1000.0 * physical.floor_penetration(motion, heights()))
         out("l1_diversity", lambda: similarity.l1_diversity(motion, joints))
         limits = self.statistics.limits
         if limits is not None:
@@ -314,6 +319,45 @@ def _score(result: rhythm.BeatResult) -> float:
     return result.score
 
 
+@dataclass(frozen=True, eq=False)
+class MotionBeats:
+    """Beats of a motion, compared with those of sounds.
+
+    Attributes:
+        motion: generated or recorded motion of the clip.
+        clip: the clip.
+        mean_speed: {joint name: mean speed over the recordings, m/s}.
+        variant: of the beat alignment.
+    """
+
+    motion: Motion
+    clip: Clip
+    mean_speed: Mapping[str, float]
+    variant: Literal["seconds", "bailando"]
+
+    def alignment(self, sound: Sound) -> rhythm.BeatResult:
+        """Return the beat alignment with a sound, see `rhythm.beat_alignment`."""
+        return rhythm.beat_result([self._whole], sound.pulse, self.motion.duration, rhythm.KERNEL)
+
+    def consistency(self, sound: Sound) -> rhythm.BeatResult:
+        """Return the beat consistency with a sound, see `rhythm.beat_consistency`."""
+        kernel = rhythm.CONSISTENCY_KERNEL
+        return rhythm.beat_result(self._by_joint, sound.onsets, self.motion.duration, kernel)
+
+    @functools.cached_property
+    def _whole(self) -> np.ndarray:
+        return rhythm.motion_beats(self.motion, variant=self.variant, joints=self.clip.joints)
+
+    @functools.cached_property
+    def _by_joint(self) -> list[np.ndarray]:
+        upper = set(rhythm.upper_body_joints(self.clip.recording))
+        joints = [name for name in self.clip.joints if name in upper]
+        usual = None
+        if set(joints) <= set(self.mean_speed):
+            usual = np.array([self.mean_speed[name] for name in joints])
+        return rhythm.joint_beats(self.motion, mean_speed=usual, joints=joints)
+
+
 class _Collected:
     """Metrics computed so far, and the reasons for those that failed."""
 
@@ -340,3 +384,31 @@ class _Collected:
                 continue
             self.figures[name] = float(number)
         return result
+
+
+_NAMELESS = Pair("clip", "clip", None, Path("clip"), Path("clip"))
+
+
+def quick_metrics(generated: Sequence[Motion], recordings: Sequence[Motion]) -> dict[str, float]:
+    """Return means over clips of the cheap metrics (`cheap` in `definitions`).
+
+    A metric whose goal is the recording's value is given as its ratio to that value, `KEY_ratio`;
+    1 equals the recording. A metric that fails for all clips is left out.
+
+    Args:
+        generated: motions of one rig.
+        recordings: the same number of motions, of the same rig and frame rate.
+    """
+    measure = ClipMetrics(ReferenceStatistics(), (MOVEMENT,), Variants())
+    every: dict[str, list[float]] = {}
+    for motion, recording in zip(generated, recordings, strict=True):
+        clip = Clip(_NAMELESS, motion, recording, body_joints(recording.skeleton), None, ())
+        own = measure.recording(clip)[0]
+        for key, value in measure.generated(clip)[0].items():
+            if not DEFINITIONS[key].cheap:
+                continue
+            if DEFINITIONS[key].better != "reference":
+                every.setdefault(key, []).append(value)
+            elif own.get(key):
+                every.setdefault(f"{key}_ratio", []).append(value / own[key])
+    return {key: float(np.mean(values)) for key, values in every.items()}

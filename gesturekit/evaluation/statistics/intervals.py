@@ -10,45 +10,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+
+from gesturekit.evaluation.results import Interval
 
 LEVEL = 0.95
 RESAMPLES = 2000
 FEW = 5
 """Least number of recordings for an interval without a warning."""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A mean and its confidence interval.
-
-    Attributes:
-        value: the mean over units.
-        low, high: 95 % interval; None for a single unit.
-        n: number of clips (windows, for Fréchet distances).
-        units: number of resampled units.
-        over: kind of unit: "recordings" (the mean of a recording's samples), or "samples" of one
-            recording.
-    """
-
-    value: float
-    low: float | None
-    high: float | None
-    n: int
-    units: int
-    over: str
-
-    @property
-    def count(self) -> str:
-        """Numbers of recordings and clips, in words, such as "10 recordings, 50 clips"."""
-        from gesturekit.wording import counted
-
-        clips = counted(self.n, "clip")
-        if self.over != "recordings":
-            return clips if self.over == "samples" else f"n = {self.n}"
-        return f"{counted(self.units, 'recording')}, {clips}"
 
 
 def means_by(groups: Sequence[str], values: np.ndarray) -> np.ndarray:

@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.agreement.answers import Answer
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import Agreement, ModelResult
+from gesturekit.evaluation.statistics.answers import Answer
 from gesturekit.wording import listed
 
 RECORDING = "recording"
