@@ -27,8 +27,9 @@ from gesturekit.evaluation.measuring.alike import (
     mark_unlike,
 )
 from gesturekit.evaluation.measuring.baselines import baseline_pairs
-from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, ReferenceStatistics
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.measuring.work import MISMATCHED, Measured, Progress, Work, measure_all
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.metrics.frame_rate import RULE

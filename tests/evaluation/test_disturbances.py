@@ -13,8 +13,9 @@ from audio_features import Wave
 from gesturekit.evaluation import acceleration, arm_speed, foot_skate, jerk, joint_speed, sync
 from gesturekit.evaluation import wrist_speed as wrist_speeds
 from gesturekit.evaluation.definitions import GROUPS, Variants
-from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, ReferenceStatistics
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, read_semantic
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
 from gesturekit.evaluation.metrics.rhythm import (
     beat_alignment,
     beat_consistency,

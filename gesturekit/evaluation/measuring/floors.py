@@ -15,12 +15,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.definitions import FRECHET, PATCHES, SIMILARITY
+from gesturekit.evaluation.definitions import (
+    FRECHET,
+    PATCHES,
+    SIMILARITY,
+    Definition,
+    definitions_of,
+)
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip
+from gesturekit.evaluation.measuring.inputs import SetInputs, compute
 from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
-from gesturekit.evaluation.metrics.frechet.frechet import fgd, fid_g, fid_k, raw_fgd
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
 from gesturekit.evaluation.metrics.physical import relative_speed
 from gesturekit.evaluation.pairs import Pair
@@ -73,11 +79,13 @@ def floors(
         groups = [stem for _, stem in has] if len(recordings) > 1 else ["halves"] * len(has)
         found[key] = interval_of([v for v, _ in has], groups, seed), note
     halves = _halves(list(chosen.values()))
-    for key, compute in _set_metrics(chosen, clips, halves, measure, features, seed).items():
+    for key, measured in _set_metrics(chosen, clips, halves, measure, features, seed).items():
         try:
-            found[key] = whole_set(compute(), len(chosen)), HALVES
+            value = measured()
         except GestureKitError:
             continue  # the model's own figure says why it cannot be taken
+        if value is not None:
+            found[key] = whole_set(value, len(chosen)), HALVES
     found |= _likeness(clips, measure)
     return found
 
@@ -132,13 +140,15 @@ def _set_metrics(
     measure: ClipMetrics,
     features: FeatureModel | None,
     seed: int,
-) -> dict[str, Callable[[], float]]:
+) -> dict[str, Callable[[], float | None]]:
     """Return {key: function that computes it} of metrics of whole sets."""
     joints = clips[0].joints
     one, other = halves
-    metrics: dict[str, Callable[[], float]] = {"hellinger": lambda: _hellinger(halves, joints)}
+    metrics: dict[str, Callable[[], float | None]] = {
+        "hellinger": lambda: _hellinger(halves, joints)
+    }
     if SIMILARITY in measure.groups:
-        metrics["cca_global"] = lambda: _cca(clips, measure)
+        metrics["cca_global"] = lambda: _cca(clips)
     if PATCHES in measure.groups:
         metrics["inter_diversity"] = lambda: inter_diversity(
             [
@@ -147,14 +157,16 @@ def _set_metrics(
             ]
         )
     if FRECHET in measure.groups:
-        metrics["raw_fgd"] = lambda: (
-            raw_fgd(one, other, features and features.windows, joints=joints).value
-        )
-        metrics["fid_k"] = lambda: fid_k(one, other, joints=joints, resamples=0, seed=seed).value
-        metrics["fid_g"] = lambda: fid_g(one, other, resamples=0, seed=seed).value
-        if features is not None:
-            metrics["fgd"] = lambda: fgd(one, other, features, resamples=0, seed=seed).value
+        inputs = SetInputs(one, other, features, joints, seed)
+        for definition in definitions_of("distance"):
+            metrics[definition.key] = lambda definition=definition: _distance(definition, inputs)
     return metrics
+
+
+def _distance(definition: Definition, inputs: SetInputs) -> float | None:
+    """Return a distance of sets; None if it needs a feature extractor."""
+    found = compute(definition, inputs, resamples=0)
+    return None if found is None else found.value
 
 
 def _hellinger(halves: tuple[list[Motion], list[Motion]], joints: Sequence[str]) -> float:
@@ -166,6 +178,6 @@ def _hellinger(halves: tuple[list[Motion], list[Motion]], joints: Sequence[str])
     )
 
 
-def _cca(clips: Sequence[Clip], measure: ClipMetrics) -> float:
-    both = [measure.both(clip) for clip in clips]
+def _cca(clips: Sequence[Clip]) -> float:
+    both = [similarity.pose_pair(c.generated, c.recording, c.joints) for c in clips]
     return similarity.cca(*(np.concatenate(side) for side in zip(*both, strict=True)))

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.definitions import FRECHET, LIFE, PATCHES, SIMILARITY
+from gesturekit.evaluation.definitions import (
+    FRECHET,
+    LIFE,
+    PATCHES,
+    SIMILARITY,
+    Definition,
+    definitions_of,
+)
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip
+from gesturekit.evaluation.measuring.inputs import SetInputs, compute
 from gesturekit.evaluation.measuring.pooled import LifeMetrics
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
-from gesturekit.evaluation.metrics.frechet.frechet import (
-    FrechetResult,
-    div_g,
-    div_k,
-    fgd,
-    fid_g,
-    fid_k,
-    raw_fgd,
-)
+from gesturekit.evaluation.metrics.frechet.frechet import FrechetResult
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
 from gesturekit.evaluation.results import Interval, MetricResult
 from gesturekit.evaluation.statistics.intervals import interval_of, interval_of_statistic, whole_set
@@ -125,45 +125,43 @@ class SetMetrics:
             model: the feature extractor of `gesturekit fit-features`; without it, no FGD.
         """
         figures: dict[str, MetricResult] = {}
-        joints, windows = self._shared, None if model is None else model.windows
-        distances: dict[str, Callable[[Sequence[Motion]], FrechetResult]] = {
-            "raw_fgd": lambda set_: raw_fgd(set_, full, windows, joints=joints),
-            "fid_k": lambda set_: fid_k(set_, full, joints=joints, seed=self.seed),
-            "fid_g": lambda set_: fid_g(set_, full, seed=self.seed),
-        }
-        if model is not None:
-            distances["fgd"] = lambda set_: fgd(set_, full, model, seed=self.seed)
-        for key, distance in distances.items():
+        for definition in definitions_of("distance", "diversity"):
             self._try(
                 figures,
-                key,
-                lambda distance=distance, key=key: _frechet(
-                    key, distance(self.motions), None if compared is None else distance(compared)
-                ),
-            )
-        diversities: dict[str, Callable[[Sequence[Motion]], float]] = {
-            "div_k": lambda set_: div_k(set_, full, joints=joints),
-            "div_g": lambda set_: div_g(set_, full),
-        }
-        for key, diversity in diversities.items():
-            self._try(
-                figures,
-                key,
-                lambda diversity=diversity, key=key: MetricResult(
-                    key,
-                    whole_set(diversity(self.motions), len(self.motions)),
-                    recording=diversity(full if compared is None else compared),
-                ),
+                definition.key,
+                lambda definition=definition: self._of_sets(definition, full, compared, model),
             )
         return figures
 
+    def _of_sets(
+        self,
+        definition: Definition,
+        full: Sequence[Motion],
+        compared: Sequence[Motion] | None,
+        model: FeatureModel | None,
+    ) -> MetricResult | None:
+        """Return one metric of `frechet`; None if it needs a feature extractor."""
+
+        def taken(motions: Sequence[Motion]) -> Any | None:
+            return compute(definition, SetInputs(motions, full, model, self._shared, self.seed))
+
+        ours = taken(self.motions)
+        if ours is None:
+            return None
+        if definition.of == "distance":
+            return _frechet(definition.key, ours, None if compared is None else taken(compared))
+        interval = whole_set(ours, len(self.motions))
+        return MetricResult(definition.key, interval, taken(full if compared is None else compared))
+
     def _try(
-        self, figures: dict[str, MetricResult], key: str, make: Callable[[], MetricResult]
+        self, figures: dict[str, MetricResult], key: str, make: Callable[[], MetricResult | None]
     ) -> None:
         try:
-            figures[key] = make()
+            made = make()
         except GestureKitError as error:
             self.problems.append((key, str(error)))
+        else:
+            figures |= {} if made is None else {key: made}
 
     def _hellinger(self) -> MetricResult:
         def distance(drawn: np.ndarray) -> float:
@@ -183,7 +181,8 @@ class SetMetrics:
         """Keep every k-th pose of all clips; k is doubled when there are too many."""
         # Copies: a view would keep the poses that are dropped.
         step = self._pose_stride
-        self._poses.append(tuple(side[::step].copy() for side in self.measure.both(clip)))
+        both = similarity.pose_pair(clip.generated, clip.recording, clip.joints)
+        self._poses.append(tuple(side[::step].copy() for side in both))
         while sum(len(ours) for ours, _ in self._poses) > _CCA_FRAMES:
             self._pose_stride *= 2
             self._poses = [tuple(side[::2].copy() for side in pair) for pair in self._poses]

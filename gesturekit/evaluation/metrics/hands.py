@@ -288,7 +288,7 @@ HAND_KEYS = tuple(key for key, _ in _HANDS.values())
 """Keys of `definitions` of the hand movement."""
 
 
-def hand_figures(motions: Motions) -> dict[str, float]:
+def hand_figures(motion: Motions) -> dict[str, float]:
     """Return {key of `definitions`: value} of the hand movement of motions, pooled.
 
     A value that is not defined is NaN.
@@ -296,5 +296,5 @@ def hand_figures(motions: Motions) -> dict[str, float]:
     Raises:
         MotionError: as `hand_movement`.
     """
-    found = hand_movement(motions)
+    found = hand_movement(motion)
     return {key: factor * getattr(found, name) for name, (key, factor) in _HANDS.items()}

@@ -59,6 +59,11 @@ class BeatResult:
     sound_beats: int
     note: str = ""
 
+    @property
+    def value(self) -> float:
+        """The score."""
+        return self.score
+
 
 def beat_alignment(
     motion: Motion,
@@ -86,7 +91,7 @@ def beat_alignment(
             be identified.
     """
     found = motion_beats(motion, variant=variant, joints=joints)
-    return beat_result([found], beats, motion.duration, KERNEL)
+    return alignment(found, beats, motion.duration)
 
 
 def beat_consistency(
@@ -113,7 +118,25 @@ def beat_consistency(
         MotionError: fewer than 3 frames, or joints that cannot be identified.
     """
     found = joint_beats(motion, mean_speed=mean_speed, joints=joints)
-    return beat_result(found, onsets, motion.duration, CONSISTENCY_KERNEL)
+    return consistency(found, onsets, motion.duration)
+
+
+def alignment(beats: np.ndarray, pulse: np.ndarray, duration: float) -> BeatResult:
+    """Return the beat alignment of beats that are known, see `beat_alignment`.
+
+    Args:
+        beats: (M,) beats of the motion, seconds.
+        pulse: (B,) beats of the sound, seconds.
+        duration: of the motion, seconds.
+    """
+    return beat_result([beats], pulse, duration, KERNEL)
+
+
+def consistency(
+    beats_by_joint: Sequence[np.ndarray], onsets: np.ndarray, duration: float
+) -> BeatResult:
+    """Return the beat consistency of beats (M,) of each joint, see `beat_consistency`."""
+    return beat_result(beats_by_joint, onsets, duration, CONSISTENCY_KERNEL)
 
 
 def joint_beats(

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from gesturekit.evaluation.definitions import HEADLINE, Definition
 from gesturekit.evaluation.report.bad_motion import RECORDING, Sanity
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
-from gesturekit.evaluation.statistics.paired import AT_LEAST, AT_MOST
 from gesturekit.wording import listed
 
 NOTICED, BLIND, FOOLED, SILENT = "+", ".", "!", " "
@@ -46,16 +45,17 @@ def mark(definition: Definition, figure: MetricResult | None, recording: ModelRe
     own = recording.figures.get(definition.key)
     if figure is None or own is None or not figure.informative:
         return SILENT
-    if own.recording is None and definition.key in (*AT_LEAST, *AT_MOST):
+    if own.recording is None and definition.enough:
         return SILENT
     value, itself = figure.interval.value, own.interval.value
     sign = {"higher": 1.0, "lower": -1.0, "reference": 0.0}[definition.better]
     if sign * (value - itself) > CHANGE * abs(itself) + 1e-6:
         return FOOLED
-    return NOTICED if _notices(definition.key, figure, own) else BLIND
+    return NOTICED if _notices(definition, figure, own) else BLIND
 
 
-def _notices(key: str, figure: MetricResult, own: MetricResult) -> bool:
+def _notices(definition: Definition, figure: MetricResult, own: MetricResult) -> bool:
+    key = definition.key
     value, itself = figure.interval.value, own.interval.value
     if key == "likeness":
         return value < itself - UNLIKE
@@ -66,9 +66,9 @@ def _notices(key: str, figure: MetricResult, own: MetricResult) -> bool:
     if figure.chance is not None and own.chance is not None:
         return value - figure.chance < TIMED * (itself - own.chance)
     goal = itself if own.recording is None else own.recording
-    if key in AT_LEAST:
+    if definition.enough == "at least":
         return value < (1.0 - CHANGE) * goal
-    if key in AT_MOST:
+    if definition.enough == "at most":
         return value > (1.0 + CHANGE) * goal
     return key not in ("calm_lively_slope",) and abs(value - goal) > CHANGE * abs(goal) + 1e-9
 

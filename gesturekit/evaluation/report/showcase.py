@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.definitions import DEFINITIONS, shown_in
 from gesturekit.evaluation.measuring.clips import load_clip, load_wave
 from gesturekit.evaluation.pairs import WINDOW_SECONDS
 from gesturekit.evaluation.report.plots import RECORDING, colour
@@ -18,7 +18,6 @@ EACH = 2
 """Largest number of best and of worst clips."""
 SECONDS = 20.0
 """Seconds of a clip that are shown, to keep the page small."""
-_RANKED_BY = ("sync", "hellinger", "coverage")  # the first that every clip has
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Show
     Files that no longer exist are skipped. `body` is as in `gesturekit.viewer.drawn_body`.
     """
     model = evaluation.models[0]
-    key = next((k for k in _RANKED_BY if all(k in c.figures for c in model.clips)), None)
+    key = next((k for k in shown_in("ranking") if all(k in c.figures for c in model.clips)), None)
     if key is None:
         return []
     definition = DEFINITIONS[key]

@@ -25,10 +25,6 @@ _ARROWS = {
 }
 _OPEN = (HEADLINE, SPEECH, PATCHES, FRECHET)  # groups of the papers' tables; the rest is folded
 _MOST_CLIPS = 300
-_PER_CLIP = (
-    "sync", "sync_z", "bc", "arm_speed", "jerk", "foot_skate", "hellinger", "coverage",
-    "local_diversity",
-)  # fmt: skip
 
 
 def section(title: str, lead: str, body: str) -> str:
@@ -197,7 +193,7 @@ def recordings(evaluation: Evaluation) -> str:
 
 def per_clip(evaluation: Evaluation) -> str:
     """Return the table of all clips."""
-    definitions = [d for d in evaluation.definitions() if d.key in _PER_CLIP]
+    definitions = [d for d in evaluation.definitions() if "clips" in d.shown]
     head = "".join(
         f'<th class="number">{html.escape(d.name)}'
         f"{f'<small>{html.escape(d.unit)}</small>' if d.unit else ''}</th>"

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.statistics.thresholds import (
     FORWARD,
     FULL_CREDIT,
@@ -18,30 +19,22 @@ from gesturekit.evaluation.statistics.thresholds import (
     USUAL_ONE_NN,
 )
 
-RATIOS = {
-    "hand_q10": 0.02,
-    "hand_q50": 0.01,
-    "hand_q90": 0.01,
-    "hand_q99": 0.01,
-    "rest": 2.0,
-    "near_still": 2.0,
-    "reach": 0.005,
-    "speed_range": 0.02,
-    "jerk": 0.1,
-    "foot_skate": 0.01,
+ASPECTS: dict[str, tuple[str, ...]] = {
+    aspect: tuple(key for key, d in DEFINITIONS.items() if d.aspect == aspect)
+    for aspect in (
+        "hand speed",
+        "rests",
+        "reach",
+        "contrast of calm and lively",
+        "smoothness",
+        "feet",
+        "postures and movements",
+        "direction of time",
+    )
 }
-"""Measures that are compared as ratios; the number is added to both values, so that the ratio of
-two tiny values is 1. Units as in `definitions`."""
-ASPECTS = {
-    "hand speed": ("hand_q10", "hand_q50", "hand_q90", "hand_q99"),
-    "rests": ("rest", "near_still"),
-    "reach": ("reach",),
-    "contrast of calm and lively": ("speed_range",),
-    "smoothness": ("jerk",),
-    "feet": ("foot_skate",),
-    "postures and movements": ("one_nn",),
-    "direction of time": ("forward",),
-}
+"""Keys of `definitions` of each aspect."""
+RATIOS = {k: d.ratio_floor for k, d in DEFINITIONS.items() if d.ratio_floor is not None}
+"""Metrics that are compared as ratios, and what is added to both values."""
 MEASURES = tuple(key for keys in ASPECTS.values() for key in keys)
 """Keys of `definitions` from which likeness is computed."""
 

@@ -28,17 +28,6 @@ NEARER = 0.75
 SEED = 0
 """Seed of the bootstrap: reports of the same figures have the same bold."""
 
-UNTESTED = ("hellinger",)
-"""Metrics of a whole set, which are not a mean of their clips' values."""
-
-AT_LEAST = ("coverage", "cca", "cca_global", "within_reach", "forward")
-AT_MOST = (
-    *("hellinger", "raw_fgd", "fid_k", "fid_g", "fgd", "one_nn"),
-    *("global_diversity", "local_diversity"),
-)
-"""Metrics whose own value is that of other recordings: it is good enough. Beyond it a motion is
-nearer to the very recording that it is compared with, which is no merit: it may be a copy."""
-
 _Replicates = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Maps weights of recordings (B, R) to a model's figures (B,) and their distances (B,)."""
 
@@ -93,9 +82,10 @@ def distance(key: str, value: np.ndarray | float, own: np.ndarray | float) -> np
     gap = np.asarray(value) - own
     if key == "likeness":
         return 1.0 - np.asarray(value)
-    if key in AT_LEAST:
+    enough = DEFINITIONS[key].enough
+    if enough == "at least":
         return np.maximum(0.0, -gap)
-    return np.maximum(0.0, gap) if key in AT_MOST else np.abs(gap)
+    return np.maximum(0.0, gap) if enough == "at most" else np.abs(gap)
 
 
 def _direction(key: str, own: float, values: Sequence[float]) -> str:
@@ -112,7 +102,7 @@ def _tested(
     key: str, models: Sequence[ModelResult], distances: Mapping[str, float]
 ) -> float | None:
     """Return the p-value of the nearest model against all others; None if it cannot be taken."""
-    if len(models) < 2 or key in UNTESTED or not models[0].figures[key].informative:
+    if len(models) < 2 or not DEFINITIONS[key].tested or not models[0].figures[key].informative:
         return None
     first, *others = sorted(models, key=lambda model: distances[model.label])
     found = [_difference(key, first, other) for other in others]
