@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gesturekit.viewer.result import Figure
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
@@ -30,7 +31,6 @@ from gesturekit.rendering.batch import iter_render as render
 from gesturekit.rendering.render import Output
 from gesturekit.training.config import build
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT
-from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import Human
 
 SETTINGS = {
@@ -128,7 +128,7 @@ def test_its_arms_are_measured_and_its_feet_said_to_be_missing(recordings, gestu
         upper(gesture(6.0, seed=10 + seed)).save(tmp_path / f"{stem}.npz")
     (model,) = evaluate({"m": tmp_path}, recordings, audio=recordings).models
     measured = {"sync", "arm_speed", "wrist_speed", "hand_q50", "reach", "novelty"}
-    assert measured <= set(model.figures)
+    assert measured <= set(model.metrics)
     missing = {item.what: item.reason for item in model.excluded}
     assert missing["Foot skate"] == missing["Floor penetration"] == "the rig has no legs"
 

@@ -206,7 +206,7 @@ def command(
     measured. With --corpus, clips of other splits and of items without motion do not count as left
     out: a note lists them.
     """
-    from gesturekit.evaluation.report.figure_table import WRITERS
+    from gesturekit.evaluation.report.metric_table import WRITERS
     from gesturekit.evaluation.statistics.agreement import agreement, shared_models
 
     if options["sanity"]:
@@ -243,7 +243,7 @@ def command(
 
 def _print(found: Evaluation) -> None:
     """Print verdicts and table, and notes to standard error."""
-    from gesturekit.evaluation.report.figure_table import agreement_lines, terminal_lines
+    from gesturekit.evaluation.report.metric_table import agreement_lines, terminal_lines
 
     for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
         click.echo(line)
@@ -262,7 +262,7 @@ def _write(
     import sys
 
     from gesturekit.evaluation import write_report
-    from gesturekit.evaluation.report.figure_table import write_table
+    from gesturekit.evaluation.report.metric_table import write_table
 
     for form, path in tables.items():
         if path is not None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def trained_on(model: ModelResult, name: str) -> str:
     """Return a warning if `name`, a model, was trained on recordings of its evaluation, or ""."""
-    from gesturekit.evaluation.pairs import Stretch
+    from gesturekit.evaluation.pairs import ItemInterval
     from gesturekit.systems import model_folder
     from gesturekit.training.data.sources import is_trained_on, load_sources
 
@@ -21,7 +21,7 @@ def trained_on(model: ModelResult, name: str) -> str:
     measured = {clip.pair.stem: clip.pair for clip in model.clips}
     seen = []
     for stem, pair in measured.items():
-        if isinstance(pair.reference, Stretch):
+        if isinstance(pair.reference, ItemInterval):
             item = pair.reference.item
             stretch = {"start": item.motion_start, "duration": item.duration}
             known = item.split == "train"

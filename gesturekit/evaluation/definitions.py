@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from gesturekit.evaluation.metrics.patches import THRESHOLD
 
-HEADLINE, SPEECH, MOVEMENT, LIFE, SIMILARITY, PATCHES, FRECHET = GROUPS = (
+HEADLINE, SPEECH, MOVEMENT, POOLED, SIMILARITY, PATCHES, FRECHET = GROUPS = (
     "Headline",
     "Speech",
     "Movement",

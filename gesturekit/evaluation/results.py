@@ -65,7 +65,7 @@ class ClipResult:
 
     pair: Pair
     seconds: float
-    figures: dict[str, float]
+    metrics: dict[str, float]
     recording: dict[str, float]
     mismatched: dict[str, float]
     notes: tuple[str, ...] = ()
@@ -150,7 +150,7 @@ class ModelResult:
     Attributes:
         label: name of the model.
         path: its folder.
-        verdict: the result in words, one line; "" without measures of life and sync.
+        verdict: the result in words, one line; "" without pooled metrics and sync.
         answers: answers to the three questions that head the report.
         figures: {key of `definitions`: result}.
         by_recording: {recording: {key: interval over its samples}} of the patch metrics.
@@ -166,7 +166,7 @@ class ModelResult:
     path: Path
     verdict: str = ""
     answers: list[Answer] = field(default_factory=list)
-    figures: dict[str, MetricResult] = field(default_factory=dict)
+    metrics: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)
     excluded: list[Excluded] = field(default_factory=list)
@@ -230,7 +230,7 @@ class Evaluation:
 
     def definitions(self) -> list[Definition]:
         """Return the definitions of all metrics that at least one model has."""
-        keys = {key for model in self.models for key in model.figures}
+        keys = {key for model in self.models for key in model.metrics}
         variants = Variants(**self.settings["variants"])
         return [DEFINITIONS[key].at(self.fps, variants) for key in DEFINITIONS if key in keys]
 
@@ -263,20 +263,20 @@ def _model(model: ModelResult) -> dict[str, Any]:
         "answers": [asdict(answer) for answer in model.answers],
         "figures": {
             key: {
-                **asdict(figure.interval),
-                "recording": figure.recording,
-                "chance": figure.chance,
-                "recording_low": figure.recording_interval and figure.recording_interval.low,
-                "recording_high": figure.recording_interval and figure.recording_interval.high,
-                "informative": figure.informative,
-                "mismatched": figure.mismatched,
-                "note": figure.note,
+                **asdict(result.interval),
+                "recording": result.recording,
+                "chance": result.chance,
+                "recording_low": result.recording_interval and result.recording_interval.low,
+                "recording_high": result.recording_interval and result.recording_interval.high,
+                "informative": result.informative,
+                "mismatched": result.mismatched,
+                "note": result.note,
             }
-            for key, figure in model.figures.items()
+            for key, result in model.metrics.items()
         },
         "by_recording": {
-            stem: {key: asdict(interval) for key, interval in figures.items()}
-            for stem, figures in model.by_recording.items()
+            stem: {key: asdict(interval) for key, interval in metrics.items()}
+            for stem, metrics in model.by_recording.items()
         },
         "clips": [
             {
@@ -284,7 +284,7 @@ def _model(model: ModelResult) -> dict[str, Any]:
                 "recording": clip.pair.stem,
                 "window": clip.pair.window,
                 "seconds": round(clip.seconds, 4),
-                "figures": clip.figures,
+                "figures": clip.metrics,
                 "recording_figures": clip.recording,
                 "mismatched": clip.mismatched,
                 "notes": list(clip.notes),

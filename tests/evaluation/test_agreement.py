@@ -14,11 +14,11 @@ from gesturekit.evaluation.statistics.answers import Answer
 
 
 def model(label: str, **values: float) -> ModelResult:
-    figures = {
+    metrics = {
         key: MetricResult(key, Interval(value, None, None, 1, 1, "samples"), recording=1.0)
         for key, value in values.items()
     }
-    return ModelResult(label, Path(label), figures=figures)
+    return ModelResult(label, Path(label), metrics=metrics)
 
 
 def judged(*wins: tuple[str, str], users: int = 4) -> list[Answer]:

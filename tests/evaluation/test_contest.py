@@ -10,31 +10,31 @@ import pytest
 from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
-from gesturekit.evaluation.definitions import DEFINITIONS, LIFE, MOVEMENT
+from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, POOLED
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import holm, interval_of, whole_set
-from gesturekit.evaluation.statistics.model_metrics import figures_of, informative
+from gesturekit.evaluation.statistics.model_metrics import informative, metric_results
 from gesturekit.evaluation.statistics.paired import contests, distance
 
 KEYS = [
     key
     for key, d in DEFINITIONS.items()
-    if d.group in (MOVEMENT, LIFE) and not key.startswith(("calm", "within", "copying_low"))
+    if d.group in (MOVEMENT, POOLED) and not key.startswith(("calm", "within", "copying_low"))
 ]
 SEEDS = 0.06
 """Relative sd of a metric over samples of one recording: the demo model's reach and hand speed have
 0.05 on 15 s of speech."""
 
 
-def clip(stem: str, sample: int, figures: dict, recording: dict) -> ClipResult:
+def clip(stem: str, sample: int, metrics: dict, recording: dict) -> ClipResult:
     pair = Pair(f"{stem}_s{sample}", stem, None, Path("a"), Path("b"))
-    return ClipResult(pair, 10.0, figures, recording, {})
+    return ClipResult(pair, 10.0, metrics, recording, {})
 
 
 def model(label: str, clips: list[ClipResult]) -> ModelResult:
-    figures = figures_of(clips, {"pooled": {"figures": {}}, "frechet": {"figures": {}}}, {}, 0)
-    return ModelResult(label, Path(label), clips=clips, figures=figures)
+    metrics = metric_results(clips, {"pooled": {"metrics": {}}, "frechet": {"metrics": {}}}, {}, 0)
+    return ModelResult(label, Path(label), clips=clips, metrics=metrics)
 
 
 def two_models(
@@ -134,16 +134,18 @@ def test_sync_is_informative_only_where_the_recordings_are_above_chance(own, exp
     given = {"sync": own, "sync_chance": 0.05, "sync_z": (own - 0.05) / 0.2}
     clips = [clip(f"r{r}", 0, {"sync": 0.9}, given) for r in range(4)]
     assert informative(clips, "sync") is expected
-    found = figures_of(clips, {"pooled": {"figures": {}}, "frechet": {"figures": {}}}, {}, 0)
+    found = metric_results(clips, {"pooled": {"metrics": {}}, "frechet": {"metrics": {}}}, {}, 0)
     assert found["sync"].informative is expected
 
 
 @pytest.mark.parametrize(("own", "expected"), [(0.1, True), (0.0002, False)])
 def test_a_held_out_recording_that_was_trained_on_says_nothing_about_copying(own, expected):
     clips = [clip("r0", 0, {}, {})]
-    figures = {
+    metrics = {
         key: asdict(MetricResult(key, whole_set(value, 1), recording))
         for key, value, recording in (("copying", 0.08, own), ("novelty", 0.08 / own, None))
     }
-    found = figures_of(clips, {"pooled": {"figures": figures}, "frechet": {"figures": {}}}, {}, 0)
+    found = metric_results(
+        clips, {"pooled": {"metrics": metrics}, "frechet": {"metrics": {}}}, {}, 0
+    )
     assert found["novelty"].informative is expected

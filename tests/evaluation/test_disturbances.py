@@ -191,7 +191,7 @@ def test_frame_rate_moves_speeds_and_beats_by_less_than_a_twentieth(pair_of_file
     wave = Wave.load(sound)
     onsets, pulse = speech_onsets(wave), music_beats(wave)
 
-    def figures(motion: Motion) -> dict[str, float]:
+    def metrics(motion: Motion) -> dict[str, float]:
         return {
             "arm speed": arm_speed(motion).mean(),
             "wrist speed": wrist_speeds(motion).mean(),
@@ -206,7 +206,7 @@ def test_frame_rate_moves_speeds_and_beats_by_less_than_a_twentieth(pair_of_file
         }
 
     assert recording.fps == pytest.approx(30, abs=0.01)
-    at_30, other = figures(recording), figures(recording.resample(float(fps)))
+    at_30, other = metrics(recording), metrics(recording.resample(float(fps)))
     for name, value in other.items():
         assert value == pytest.approx(at_30[name], rel=0.05), name
     # The unfiltered forms are bound to their frame rate: they are marked so for a reason.

@@ -291,9 +291,9 @@ def test_the_recordings_value_is_that_of_the_recordings_each_model_has_clips_of(
     whole, less = evaluate(folders, tmp_path / "recordings").models
     (alone,) = evaluate({"less": tmp_path / "less"}, tmp_path / "recordings").models
     for key in ("one_nn", "within_reach", "copying", "copying_low"):
-        own = less.figures[key].recording
-        assert own == pytest.approx(alone.figures[key].recording), key
-    assert whole.figures["copying"].recording != pytest.approx(less.figures["copying"].recording)
+        own = less.metrics[key].recording
+        assert own == pytest.approx(alone.metrics[key].recording), key
+    assert whole.metrics["copying"].recording != pytest.approx(less.metrics["copying"].recording)
 
 
 def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
@@ -356,7 +356,7 @@ def gesturing(reaching):
 
 
 def test_the_report_has_the_recordings_value_beside_the_models(gesturing, tmp_path):
-    found = judged(gesturing(0.42, rests=False), gesturing(), tmp_path).figures
+    found = judged(gesturing(0.42, rests=False), gesturing(), tmp_path).metrics
     own = hand_movement(gesturing())
     assert found["reach"].recording == pytest.approx(own.reach, rel=1e-3)
     assert found["rest"].recording == pytest.approx(100 * own.rest, rel=0.01)
@@ -372,8 +372,8 @@ def test_the_report_has_the_recordings_value_beside_the_models(gesturing, tmp_pa
 def test_a_few_windows_say_nothing_about_calm_and_lively(talker, tmp_path, seconds, enough):
     """16 windows of 5 s, 2.5 s apart, take 42.5 s."""
     found = judged(talker(1, seconds), talker(0, seconds), tmp_path)
-    assert found.figures["calm_lively_r"].informative == enough
-    assert found.figures["calm_lively_slope"].informative == enough
+    assert found.metrics["calm_lively_r"].informative == enough
+    assert found.metrics["calm_lively_slope"].informative == enough
     assert ("calm and lively" in found.verdict.lower()) == enough
 
 
@@ -402,7 +402,7 @@ def result(key: str, value: float, recording: float, **levels: float) -> dict[st
 
 
 @pytest.mark.parametrize(
-    ("figures", "said"),
+    ("metrics", "said"),
     [
         (result("sync", 0.6, 0.7, chance=0.1), "In time with the speech."),
         (result("sync", 0.4, 0.7, chance=0.1), "Loosely in time with the speech."),
@@ -420,8 +420,8 @@ def result(key: str, value: float, recording: float, **levels: float) -> dict[st
         (result("hand_q90", 1.0, 1.0), ""),
     ],
 )
-def test_the_verdict_goes_by_named_thresholds(figures, said):
-    assert verdict(figures).startswith(said) and bool(verdict(figures)) == bool(said)
+def test_the_verdict_goes_by_named_thresholds(metrics, said):
+    assert verdict(metrics).startswith(said) and bool(verdict(metrics)) == bool(said)
 
 
 def test_copies_are_measured_against_the_training_split(talker, tmp_path):
@@ -436,7 +436,7 @@ def test_copies_are_measured_against_the_training_split(talker, tmp_path):
     made.mkdir()
     talker(1).mirror().save(made / "held.npz")
     (model,) = evaluate(made, tmp_path / "corpus.jsonl").models
-    found = model.figures
+    found = model.metrics
     expected = copying(talker(1).mirror(), talker(2), [talker(0), talker(1)])
     assert found["copying"].interval.value == pytest.approx(expected.median, abs=1e-4)
     assert found["copying"].recording == pytest.approx(expected.held_out_median, rel=1e-3)

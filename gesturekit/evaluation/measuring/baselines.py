@@ -18,10 +18,10 @@ from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation.measuring.clips import load_recording
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
+    ItemInterval,
     Items,
     Pair,
     Pairs,
-    Stretch,
     recordings,
 )
 from gesturekit.motion import Motion
@@ -54,7 +54,7 @@ def baseline_pairs(
         raise EvaluationError(f"baseline {taken[0]!r} has the label of a model; rename its folder")
     every = recordings(reference)
     training = reference.training if isinstance(reference, Items) else ()
-    source = {item.id: Stretch(item) for item in training} or every
+    source = {item.id: ItemInterval(item) for item in training} or every
     first = next(iter(models.values()))
     windows = {(pair.stem, pair.window): pair for pair in first.pairs}
     made = {}
@@ -65,7 +65,7 @@ def baseline_pairs(
 
 
 @dataclass(frozen=True, eq=False)
-class _Made:
+class _BaselineItem:
     """A baseline's clip, made when it is needed; a `ManifestItem` without files."""
 
     id: str
@@ -82,7 +82,7 @@ class _Made:
 
 Loader = Callable[[Pair, int], Motion]
 """Function of a pair and a number of frames that makes the baseline's motion."""
-_Recordings = Mapping[str, Path | Stretch]
+_Recordings = Mapping[str, Path | ItemInterval]
 
 
 def _mean_pose(every: _Recordings, source: _Recordings, fps: float) -> Loader:
@@ -153,4 +153,4 @@ def _pair(pair: Pair, load: Loader, fps: float) -> Pair:
             raise MotionError(f"{pair.stem} ends before its window {pair.window} begins")
         return load(pair, n_frames)
 
-    return replace(pair, name=name, generated=Stretch(_Made(name, made)))
+    return replace(pair, name=name, generated=ItemInterval(_BaselineItem(name, made)))

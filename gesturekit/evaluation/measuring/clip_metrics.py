@@ -14,8 +14,8 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     GROUPS,
-    LIFE,
     MOVEMENT,
+    POOLED,
     SPEECH,
     Definition,
     Variants,
@@ -149,7 +149,7 @@ class _Collected:
         try:
             result = compute(definition, *sources)
         except (GestureKitError, AudioFeaturesError) as error:
-            if definition.group != LIFE:  # the pooled metric says what is missing, and why
+            if definition.group != POOLED:  # the pooled metric says what is missing, and why
                 self.problems.append((definition.key, str(error)))
             return None
         if isinstance(result, Mapping):

@@ -14,7 +14,7 @@ from gesturekit.evaluation.measuring.rigs import bare_name, matched
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
-from gesturekit.evaluation.pairs import WINDOW_SECONDS, Pair, Stretch
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, ItemInterval, Pair
 from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.motion import Motion
 from gesturekit.motion.body_size import body_scale
@@ -128,7 +128,7 @@ def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
     return notes
 
 
-def load_recording(path: Path | Stretch, fps: float) -> Motion:
+def load_recording(path: Path | ItemInterval, fps: float) -> Motion:
     """Read a recording and resample it to `fps`.
 
     Raises:
@@ -137,13 +137,13 @@ def load_recording(path: Path | Stretch, fps: float) -> Motion:
     return _resampled(path, fps)
 
 
-def load_wave(source: Path | Stretch) -> Wave:
+def load_wave(source: Path | ItemInterval) -> Wave:
     """Read a recording's sound.
 
     Raises:
         AudioError: it cannot be read.
     """
-    return source.item.load_wave() if isinstance(source, Stretch) else Wave.load(source)
+    return source.item.load_wave() if isinstance(source, ItemInterval) else Wave.load(source)
 
 
 def _window(recording: Motion, start: float, pair: Pair) -> Motion:
@@ -165,15 +165,15 @@ def _later(track: FeatureTrack, start: float) -> FeatureTrack:
 
 
 @functools.lru_cache(maxsize=_CACHED)
-def _resampled(path: Path | Stretch, fps: float) -> Motion:
+def _resampled(path: Path | ItemInterval, fps: float) -> Motion:
     motion = _read(path)
     if motion.n_frames < 2:
         raise FormatError(f"{path.name}: one frame; a motion to be measured has at least 2")
     return at_rate(motion, fps)
 
 
-def _read(path: Path | Stretch) -> Motion:
-    if isinstance(path, Stretch):
+def _read(path: Path | ItemInterval) -> Motion:
+    if isinstance(path, ItemInterval):
         return path.item.load_motion()
     try:
         return Motion.load(path)
@@ -231,7 +231,7 @@ class Sound:
     pulse: np.ndarray
 
     @classmethod
-    def load(cls, path: Path | Stretch, window: int | None) -> Sound:
+    def load(cls, path: Path | ItemInterval, window: int | None) -> Sound:
         """Read a sound, or one 10 s window of it.
 
         Raises:

@@ -17,7 +17,7 @@ from gesturekit.evaluation.definitions import Definition, Variants
 from gesturekit.evaluation.measuring.clips import Clip, Sound, load_recording
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.evaluation.metrics.physical import JointLimits, standing_heights
-from gesturekit.evaluation.pairs import Excluded, Stretch
+from gesturekit.evaluation.pairs import Excluded, ItemInterval
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 
@@ -44,7 +44,7 @@ class ReferenceStatistics:
     excluded: list[Excluded] = field(default_factory=list)
 
     @classmethod
-    def of(cls, recordings: Mapping[str, Path | Stretch], fps: float) -> ReferenceStatistics:
+    def of(cls, recordings: Mapping[str, Path | ItemInterval], fps: float) -> ReferenceStatistics:
         """Compute the statistics of recordings; leave out rigs that differ from the first one."""
         statistics = cls()
         joints: tuple[str, ...] = ()

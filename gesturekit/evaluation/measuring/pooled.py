@@ -1,4 +1,4 @@
-"""Measures of life of a set of clips, pooled, each beside the recordings' own value."""
+"""Metrics of all clips pooled (hands, windows, copying), each beside the recordings' own value."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gesturekit.evaluation.metrics.hands import (
     FPS,
     HAND_KEYS,
     calm_and_lively,
-    hand_figures,
+    hand_values,
     upper_joints,
 )
 from gesturekit.evaluation.metrics.two_sample import (
@@ -32,7 +32,7 @@ from gesturekit.evaluation.metrics.two_sample import (
     two_sample_votes,
     within_reach,
 )
-from gesturekit.evaluation.pairs import Excluded, Items, Stretch
+from gesturekit.evaluation.pairs import Excluded, ItemInterval, Items
 from gesturekit.evaluation.results import MetricResult
 from gesturekit.evaluation.statistics.intervals import whole_set
 from gesturekit.motion import Motion
@@ -72,7 +72,7 @@ class TrainingMotion:
             if left < 1.0:
                 break
             try:
-                motion = load_recording(Stretch(item), FPS)
+                motion = load_recording(ItemInterval(item), FPS)
             except GestureKitError as error:
                 found.excluded.append(Excluded(item.id, str(error), "the training split"))
                 continue
@@ -84,8 +84,8 @@ class TrainingMotion:
         return found
 
 
-class LifeMetrics:
-    """Accumulates the clips of one model and computes the measures of life of the set.
+class PooledMetrics:
+    """Accumulates the clips of one model and computes the metrics of all of them pooled.
 
     Args:
         training: motion of the training split; without any, recordings are compared half by half.
@@ -118,8 +118,8 @@ class LifeMetrics:
         self._joints = tuple(name for name in known if name in clip.joints)
 
     def pooled(self) -> dict[str, MetricResult]:
-        """Compute the measures of life; those that fail are listed in `problems`."""
-        figures: dict[str, MetricResult] = {}
+        """Compute the metrics; those that fail are listed in `problems`."""
+        metrics: dict[str, MetricResult] = {}
         for names, compute in (
             (HAND_KEYS, self._hands),
             (["calm_lively_r", "calm_lively_slope"], self._calm_and_lively),
@@ -127,10 +127,10 @@ class LifeMetrics:
             (["copying", "copying_low"], self._copying),
         ):
             try:
-                figures |= compute()
+                metrics |= compute()
             except GestureKitError as error:
                 self.problems += [(name, str(error)) for name in names]
-        return figures
+        return metrics
 
     def by_clip(self) -> list[dict[str, float]]:
         """Return the measures of each clip, in the order of `add`, after `pooled`."""
@@ -160,7 +160,7 @@ class LifeMetrics:
         return MetricResult(key, interval, recording, note=note, informative=informative)
 
     def _hands(self) -> dict[str, MetricResult]:
-        ours, theirs = map(hand_figures, (self._all_generated(), self._all_recorded()))
+        ours, theirs = map(hand_values, (self._all_generated(), self._all_recorded()))
         results = {}
         for key in HAND_KEYS:
             value, own = ours[key], theirs[key]

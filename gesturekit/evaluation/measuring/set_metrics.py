@@ -10,8 +10,8 @@ import numpy as np
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import (
     FRECHET,
-    LIFE,
     PATCHES,
+    POOLED,
     SIMILARITY,
     Definition,
     definitions_of,
@@ -19,7 +19,7 @@ from gesturekit.evaluation.definitions import (
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip
 from gesturekit.evaluation.measuring.inputs import SetInputs, compute
-from gesturekit.evaluation.measuring.pooled import LifeMetrics
+from gesturekit.evaluation.measuring.pooled import PooledMetrics
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import FrechetResult
@@ -46,13 +46,13 @@ class SetMetrics:
     Args:
         measure: the metrics of single clips.
         seed: seed of the intervals.
-        life: the measures of life.
+        pooled_metrics: those of all clips pooled.
     """
 
-    def __init__(self, measure: ClipMetrics, seed: int, life: LifeMetrics) -> None:
+    def __init__(self, measure: ClipMetrics, seed: int, pooled_metrics: PooledMetrics) -> None:
         self.measure = measure
         self.seed = seed
-        self.life = life
+        self.pooled_metrics = pooled_metrics
         self.motions: list[Motion] = []
         self.histograms: list[SpeedHistogram] = []
         self.recorded: list[SpeedHistogram] = []
@@ -79,8 +79,8 @@ class SetMetrics:
         self.histograms.append(SpeedHistogram.of([speeds_of(clip.generated, clip.joints)]))
         self.recorded.append(recorded)
         self.wrists.append(wrists_of(clip.generated))
-        if LIFE in groups:
-            self.life.add(clip)
+        if POOLED in groups:
+            self.pooled_metrics.add(clip)
         if FRECHET in groups:
             self.motions.append(clip.generated)
             known = clip.joints if self._shared is None else self._shared
@@ -95,17 +95,17 @@ class SetMetrics:
 
     def pooled(self) -> dict[str, MetricResult]:
         """Compute the metrics of the set, except those of `frechet`."""
-        figures: dict[str, MetricResult] = {}
-        self._try(figures, "hellinger", self._hellinger)
+        metrics: dict[str, MetricResult] = {}
+        self._try(metrics, "hellinger", self._hellinger)
         if self._poses:
-            self._try(figures, "cca_global", self._cca)
+            self._try(metrics, "cca_global", self._cca)
         if self._inter:
             interval = interval_of(list(self._inter.values()), list(self._inter), self.seed)
-            figures["inter_diversity"] = MetricResult("inter_diversity", interval)
-        if LIFE in self.measure.groups:
-            figures |= self.life.pooled()
-            self.problems += self.life.problems
-        return figures
+            metrics["inter_diversity"] = MetricResult("inter_diversity", interval)
+        if POOLED in self.measure.groups:
+            metrics |= self.pooled_metrics.pooled()
+            self.problems += self.pooled_metrics.problems
+        return metrics
 
     def frechet(
         self,
@@ -124,14 +124,14 @@ class SetMetrics:
                 distance to the full set is the lower bound. None if they are the full set.
             model: the feature extractor of `gesturekit fit-features`; without it, no FGD.
         """
-        figures: dict[str, MetricResult] = {}
+        metrics: dict[str, MetricResult] = {}
         for definition in definitions_of("distance", "diversity"):
             self._try(
-                figures,
+                metrics,
                 definition.key,
                 lambda definition=definition: self._of_sets(definition, full, compared, model),
             )
-        return figures
+        return metrics
 
     def _of_sets(
         self,
@@ -154,14 +154,14 @@ class SetMetrics:
         return MetricResult(definition.key, interval, taken(full if compared is None else compared))
 
     def _try(
-        self, figures: dict[str, MetricResult], key: str, make: Callable[[], MetricResult | None]
+        self, metrics: dict[str, MetricResult], key: str, make: Callable[[], MetricResult | None]
     ) -> None:
         try:
             made = make()
         except GestureKitError as error:
             self.problems.append((key, str(error)))
         else:
-            figures |= {} if made is None else {key: made}
+            metrics |= {} if made is None else {key: made}
 
     def _hellinger(self) -> MetricResult:
         def distance(drawn: np.ndarray) -> float:

@@ -27,7 +27,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted
 
 FPS = 25.0
-"""Frame rate of all measures of life."""
+"""Frame rate of all metrics of hand movement."""
 SIGMA = 1.0
 """Standard deviation of the Gaussian that smooths velocities, frames."""
 REST = 0.1
@@ -288,7 +288,7 @@ HAND_KEYS = tuple(key for key, _ in _HANDS.values())
 """Keys of `definitions` of the hand movement."""
 
 
-def hand_figures(motion: Motions) -> dict[str, float]:
+def hand_values(motion: Motions) -> dict[str, float]:
     """Return {key of `definitions`: value} of the hand movement of motions, pooled.
 
     A value that is not defined is NaN.

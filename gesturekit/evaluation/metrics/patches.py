@@ -180,7 +180,7 @@ def patch_scores(
     return PatchScores(float(covered), float(overall), float(local))
 
 
-def figures_of_patches(
+def patch_values(
     motion: Motion,
     recording: Motion,
     joints: Sequence[str],
@@ -271,12 +271,12 @@ def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15
     """
     if isinstance(samples, np.ndarray) and samples.ndim == 2:
         samples = [samples]
-    figures = []
+    values = []
     for frames in _samples(samples, least=1):
         _check_window(window, frames, frames, "ganimator", "sample")
         apart = np.sqrt(window_sums(frame_distances(frames, frames, squared=True), window))
-        figures.append(apart[:-1, :-1].mean() / window)
-    return float(np.mean(figures))
+        values.append(apart[:-1, :-1].mean() / window)
+    return float(np.mean(values))
 
 
 def patch_features(

@@ -98,14 +98,14 @@ def sync(motion: Motion, wave: Wave, *, max_lag: float = 0.3) -> SyncResult:
 
     r = _r_by_lag_and_shift(speed, envelope, lags)
     best = int(r[:, 0].argmax())
-    figure, lag = float(r[best, 0]), float(lags[best] / fps)
+    value, lag = float(r[best, 0]), float(lags[best] / fps)
     shift = np.arange(n)
     chance = r.max(axis=0)[np.minimum(shift, n - shift) > MIN_SHIFT * fps]
     if len(chance) == 0:
         note = f"too short ({n / fps:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
-        return SyncResult(figure, lag, 0.0, 0.0, 0.0, note)
+        return SyncResult(value, lag, 0.0, 0.0, 0.0, note)
     mean, sd = float(chance.mean()), float(chance.std())
-    return SyncResult(figure, lag, mean, sd, (figure - mean) / sd if sd > 0 else 0.0)
+    return SyncResult(value, lag, mean, sd, (value - mean) / sd if sd > 0 else 0.0)
 
 
 def sync_of_moving_arms(motion: Motion, recording: Motion, wave: Wave) -> SyncResult:

@@ -34,7 +34,7 @@ SWAY, SWAY_RATE = 0.2, 0.4
 
 
 @dataclass(frozen=True)
-class Source:
+class BadMotionInputs:
     """Recordings from which bad motion is made.
 
     Attributes:
@@ -50,16 +50,16 @@ class Source:
     seed: int
 
 
-def frozen(source: Source) -> Motion:
+def frozen(inputs: BadMotionInputs) -> Motion:
     """Hold the pose in the middle of the recording."""
-    motion = source.recording
+    motion = inputs.recording
     return _frames(motion, np.full(motion.n_frames, motion.n_frames // 2))
 
 
-def mean_pose(source: Source) -> Motion:
+def mean_pose(inputs: BadMotionInputs) -> Motion:
     """Hold the mean pose of the recording."""
-    motion = source.recording
-    held = frozen(source)
+    motion = inputs.recording
+    held = frozen(inputs)
     return replace(
         held,
         rotations=np.tile(_mean_rotations(motion), (motion.n_frames, 1, 1)),
@@ -67,37 +67,37 @@ def mean_pose(source: Source) -> Motion:
     )
 
 
-def noise(source: Source) -> Motion:
+def noise(inputs: BadMotionInputs) -> Motion:
     """Turn every joint of the mean pose at random in every frame."""
-    return _shaken(mean_pose(source), NOISE, source.seed)
+    return _shaken(mean_pose(inputs), NOISE, inputs.seed)
 
 
-def jitter(source: Source) -> Motion:
+def jitter(inputs: BadMotionInputs) -> Motion:
     """Add noise to the rotations of the recording."""
-    return _shaken(source.recording, JITTER, source.seed)
+    return _shaken(inputs.recording, JITTER, inputs.seed)
 
 
-def another_utterance(source: Source) -> Motion:
+def another_utterance(inputs: BadMotionInputs) -> Motion:
     """Take the motion of another held-out recording."""
-    return _cut(source.other, source.recording)
+    return _cut(inputs.other, inputs.recording)
 
 
-def backwards(source: Source) -> Motion:
+def backwards(inputs: BadMotionInputs) -> Motion:
     """Play the recording backwards."""
-    motion = source.recording
+    motion = inputs.recording
     return _frames(motion, np.arange(motion.n_frames)[::-1])
 
 
-def half_speed(source: Source) -> Motion:
+def half_speed(inputs: BadMotionInputs) -> Motion:
     """Play the first half of the recording at half the speed."""
-    motion = source.recording
+    motion = inputs.recording
     slow = replace(motion.resample(2.0 * motion.fps), fps=motion.fps)
     return _cut(slow, motion)
 
 
-def half_reach(source: Source) -> Motion:
+def half_reach(inputs: BadMotionInputs) -> Motion:
     """Halve the rotations of the arms about their mean."""
-    motion = source.recording
+    motion = inputs.recording
     rotations = motion.rotations.copy()
     arms = [motion.skeleton.index(name) for name in arm_joints(motion.skeleton)]
     mean = np.broadcast_to(_mean_rotations(motion)[arms], rotations[:, arms].shape)
@@ -105,19 +105,19 @@ def half_reach(source: Source) -> Motion:
     return replace(motion, rotations=rotations)
 
 
-def foot_slide(source: Source) -> Motion:
+def foot_slide(inputs: BadMotionInputs) -> Motion:
     """Sway the whole body sideways, so that the feet slide."""
-    motion = source.recording
+    motion = inputs.recording
     sway = SWAY * body_scale(motion.skeleton) * np.sin(2 * np.pi * SWAY_RATE * motion.times)
     return replace(motion, translation=motion.translation + sway[:, None] * (1.0, 0.0, 0.0))
 
 
-def training_recording(source: Source) -> Motion:
+def training_recording(inputs: BadMotionInputs) -> Motion:
     """Take motion of the training set."""
-    return _cut(source.training, source.recording)
+    return _cut(inputs.training, inputs.recording)
 
 
-BAD_MOTION: Mapping[str, Callable[[Source], Motion]] = {
+BAD_MOTION: Mapping[str, Callable[[BadMotionInputs], Motion]] = {
     "frozen": frozen,
     "mean pose": mean_pose,
     "noise": noise,
@@ -286,9 +286,9 @@ def _write(
     models |= {name: root / name.replace(" ", "_") for name in BAD_MOTION}
     for n, (item, motion) in enumerate(zip(held_out, motions, strict=True)):
         other = motions[(n + 1) % len(motions)]
-        source = Source(motion, other, trained[n % len(trained)], seed + n)
+        inputs = BadMotionInputs(motion, other, trained[n % len(trained)], seed + n)
         for name, folder in models.items():
-            made = motion if name == RECORDING else BAD_MOTION[name](source)
+            made = motion if name == RECORDING else BAD_MOTION[name](inputs)
             path = folder / f"{item.id}.npz"
             path.parent.mkdir(parents=True, exist_ok=True)
             made.save(path)

@@ -46,7 +46,7 @@ def all_plots(evaluation: Evaluation) -> dict[str, str]:
 
 def _speech(evaluation: Evaluation) -> str | None:
     keys = [d.key for d in definitions_of("sound")]
-    keys = [key for key in keys if any(key in m.figures for m in evaluation.models)]
+    keys = [key for key in keys if any(key in m.metrics for m in evaluation.models)]
     if not keys:
         return None
     labels = [model.label for model in evaluation.models]
@@ -54,7 +54,7 @@ def _speech(evaluation: Evaluation) -> str | None:
     for axes, key in zip(np.atleast_1d(figure.subplots(1, len(keys))), keys, strict=True):
         recordings = []
         for i, model in enumerate(evaluation.models):
-            found = model.figures.get(key)
+            found = model.metrics.get(key)
             if found is None:
                 continue
             _error_bar(axes, i, found.interval, colour(i), vertical=True)
@@ -120,7 +120,7 @@ def _ratios(evaluation: Evaluation) -> str | None:
 
 
 def _ratio(model: ModelResult, key: str) -> tuple[float, float, float] | None:
-    found = model.figures.get(key)
+    found = model.metrics.get(key)
     if found is None or not found.recording:
         return None
     value, low, high = found.interval.value, found.interval.low, found.interval.high
@@ -186,7 +186,7 @@ def _patches(evaluation: Evaluation) -> str | None:
     keys = [d.key for d in definitions_of("comparison") if d.group == PATCHES]
     models = [model for model in evaluation.models if model.by_recording]
     stems = sorted({stem for model in models for stem in model.by_recording})
-    keys = tuple(k for k in keys if any(k in model.figures for model in models))
+    keys = tuple(k for k in keys if any(k in model.metrics for model in models))
     if len(stems) < 2 or not keys:
         return None
     stems = stems[:_MOST_RECORDINGS]

@@ -29,12 +29,12 @@ def marks(sanity: Sanity) -> dict[str, dict[str, str]]:
     evaluation = sanity.evaluation
     recording, *bad = evaluation.models
     return {
-        d.key: {m.label: mark(d, m.figures.get(d.key), recording) for m in bad}
+        d.key: {m.label: mark(d, m.metrics.get(d.key), recording) for m in bad}
         for d in evaluation.definitions()
     }
 
 
-def mark(definition: Definition, figure: MetricResult | None, recording: ModelResult) -> str:
+def mark(definition: Definition, result: MetricResult | None, recording: ModelResult) -> str:
     """Return the mark of one metric for one bad motion.
 
     Args:
@@ -42,29 +42,29 @@ def mark(definition: Definition, figure: MetricResult | None, recording: ModelRe
         figure: the bad motion's figure, or None.
         recording: the figures of the recordings themselves.
     """
-    own = recording.figures.get(definition.key)
-    if figure is None or own is None or not figure.informative:
+    own = recording.metrics.get(definition.key)
+    if result is None or own is None or not result.informative:
         return SILENT
     if own.recording is None and definition.enough:
         return SILENT
-    value, itself = figure.interval.value, own.interval.value
+    value, itself = result.interval.value, own.interval.value
     sign = {"higher": 1.0, "lower": -1.0, "reference": 0.0}[definition.better]
     if sign * (value - itself) > CHANGE * abs(itself) + 1e-6:
         return FOOLED
-    return NOTICED if _notices(definition, figure, own) else BLIND
+    return NOTICED if _notices(definition, result, own) else BLIND
 
 
-def _notices(definition: Definition, figure: MetricResult, own: MetricResult) -> bool:
+def _notices(definition: Definition, result: MetricResult, own: MetricResult) -> bool:
     key = definition.key
-    value, itself = figure.interval.value, own.interval.value
+    value, itself = result.interval.value, own.interval.value
     if key == "likeness":
         return value < itself - UNLIKE
     if key in ("novelty", "copying", "copying_low"):
         return value < NEAR * itself
     if key == "in_time" or key.endswith("_z"):
         return value < TIMED * itself
-    if figure.chance is not None and own.chance is not None:
-        return value - figure.chance < TIMED * (itself - own.chance)
+    if result.chance is not None and own.chance is not None:
+        return value - result.chance < TIMED * (itself - own.chance)
     goal = itself if own.recording is None else own.recording
     if definition.enough == "at least":
         return value < (1.0 - CHANGE) * goal
@@ -124,12 +124,12 @@ def ranking(evaluation: Evaluation) -> list[tuple[str, float]]:
     scores = {}
     for model in evaluation.models:
         score = 0.0
-        timed = model.figures.get("in_time")
+        timed = model.metrics.get("in_time")
         if timed is not None and timed.informative and timed.recording:
             score += min(1.0, abs(timed.interval.value / timed.recording - 1.0))
         for key in ("likeness", "novelty"):
-            if key in model.figures:
-                score += max(0.0, 1.0 - model.figures[key].interval.value)
+            if key in model.metrics:
+                score += max(0.0, 1.0 - model.metrics[key].interval.value)
         scores[model.label] = score
     return sorted(scores.items(), key=lambda item: item[1])
 
@@ -138,7 +138,7 @@ def conclusion(sanity: Sanity) -> str:
     """Return what the three headline figures notice together, in one sentence."""
     found = noticed_by(sanity)
     missed = [name for name, keys in found.items() if not keys]
-    timed = sanity.evaluation.models[0].figures.get("in_time")
+    timed = sanity.evaluation.models[0].metrics.get("in_time")
     why = "" if timed is not None and timed.informative else (
         " (In time with the speech: not informative here.)"
     )  # fmt: skip

@@ -45,12 +45,12 @@ def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Show
     Files that no longer exist are skipped. `body` is as in `gesturekit.viewer.drawn_body`.
     """
     model = evaluation.models[0]
-    key = next((k for k in shown_in("ranking") if all(k in c.figures for c in model.clips)), None)
+    key = next((k for k in shown_in("ranking") if all(k in c.metrics for c in model.clips)), None)
     if key is None:
         return []
     definition = DEFINITIONS[key]
     ranked = sorted(
-        model.clips, key=lambda clip: clip.figures[key], reverse=definition.better == "higher"
+        model.clips, key=lambda clip: clip.metrics[key], reverse=definition.better == "higher"
     )
     each = min(EACH, max(1, len(ranked) // 2))
     chosen = [("Best" if i == 0 else f"Best, {i + 1}", c) for i, c in enumerate(ranked[:each])]
@@ -63,7 +63,7 @@ def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Show
             data = _data(evaluation, clip, body)
         except (GestureKitError, AudioFeaturesError, OSError):
             continue
-        detail = f"{clip.pair.name}: {definition.name.lower()} {clip.figures[key]:.2f}"
+        detail = f"{clip.pair.name}: {definition.name.lower()} {clip.metrics[key]:.2f}"
         shown.append(Shown(label, detail, f"{label}: {clip.pair.name}", definition.name, data))
     return shown
 

@@ -100,9 +100,9 @@ def _metric_scores(
     models: Sequence[ModelResult], key: str, known: Sequence[str]
 ) -> Mapping[str, float]:
     """Return {model: value of the metric, turned so that higher is better}."""
-    figures = {m.label: m.figures[key] for m in models if key in m.figures and m.label in known}
-    values = {label: figure.interval.value for label, figure in figures.items()}
-    own = next((f.recording for f in figures.values() if f.recording is not None), None)
+    metrics = {m.label: m.metrics[key] for m in models if key in m.metrics and m.label in known}
+    values = {label: result.interval.value for label, result in metrics.items()}
+    own = next((f.recording for f in metrics.values() if f.recording is not None), None)
     better = DEFINITIONS[key].better
     if better == "reference":  # the recordings would come first by definition
         return {} if own is None else {label: -abs(v - own) for label, v in values.items()}

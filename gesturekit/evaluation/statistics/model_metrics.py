@@ -21,7 +21,7 @@ shifts of a short clip is too small."""
 _OF_SPEECH = {"sync": ("sync", "sync_z", "in_time"), "bas": ("bas", "bas_z"), "bc": ("bc", "bc_z")}
 
 
-def figures_of(
+def metric_results(
     clips: Sequence[ClipResult],
     sets: Mapping[str, Mapping[str, Any]],
     floors: Mapping[str, tuple[Interval, str]],
@@ -31,19 +31,19 @@ def figures_of(
 
     Args:
         clips: the clips of a model; measures that compare windows of all clips are added to them.
-        sets: {part: metrics of the set}, see `measuring.work`.
+        sets: {part: metrics of the set}, see `measuring.measurer`.
         floors: the recordings' own values, see `floors`.
         seed: seed of the bootstrap.
     """
     for clip, values in zip(clips, sets["pooled"].get("by_clip", ())):
-        clip.figures |= values
+        clip.metrics |= values
     found = {}
     for key in DEFINITIONS:
-        has = [clip for clip in clips if key in clip.figures]
+        has = [clip for clip in clips if key in clip.metrics]
         if has:
-            found[key] = _mean_figure(key, has, len(clips), seed)
+            found[key] = _mean_result(key, has, len(clips), seed)
     for part in ("pooled", "frechet"):
-        for key, values in sets[part]["figures"].items():
+        for key, values in sets[part]["metrics"].items():
             pooled = MetricResult.from_json(values)
             found[key] = _with_interval(pooled, found.get(key))
     for key, (own, note) in floors.items():
@@ -64,7 +64,7 @@ def figures_of(
     cca = found.get("cca")
     if cca is not None and cca.recording is not None and cca.recording > SATURATED:
         found["cca"] = replace(cca, informative=False)
-    found = {key: _within_range(figure) for key, figure in found.items()}
+    found = {key: _within_range(result) for key, result in found.items()}
     own = floors["likeness"][0].value if "likeness" in floors else None
     own_one_nn = found["one_nn"].recording if "one_nn" in found else None
     like = likeness_result(clips, own_one_nn, own, seed)
@@ -92,17 +92,17 @@ def informative(clips: Sequence[ClipResult], metric: str) -> bool:
     return bool(above and sum(above) >= ABOVE_CHANCE * np.sqrt(sum(variance)))
 
 
-def _mean_figure(key: str, has: Sequence[ClipResult], total: int, seed: int) -> MetricResult:
+def _mean_result(key: str, has: Sequence[ClipResult], total: int, seed: int) -> MetricResult:
     """Return the mean of a clip metric over recordings."""
     stems = [clip.pair.stem for clip in has]
     own = [(clip.recording[key], stem) for clip, stem in zip(has, stems) if key in clip.recording]
     interval = interval_of(*zip(*own), seed) if own else None
     return MetricResult(
         key,
-        interval_of([clip.figures[key] for clip in has], stems, seed),
+        interval_of([clip.metrics[key] for clip in has], stems, seed),
         recording=None if interval is None else interval.value,
         recording_interval=interval,
-        chance=_mean(clip.figures.get(f"{key}_chance") for clip in has),
+        chance=_mean(clip.metrics.get(f"{key}_chance") for clip in has),
         mismatched=_mean(clip.mismatched.get(key) for clip in has),
         note="" if len(has) == total else f"{len(has)} of {total} clips",
     )
@@ -121,20 +121,20 @@ def _with_interval(pooled: MetricResult, clips: MetricResult | None) -> MetricRe
     )
 
 
-def _within_range(figure: MetricResult) -> MetricResult:
+def _within_range(result: MetricResult) -> MetricResult:
     """Return a figure whose intervals leave out what its unit cannot be, such as speeds below 0."""
-    unit = DEFINITIONS[figure.key].unit
+    unit = DEFINITIONS[result.key].unit
     if unit in ("", "sd"):
-        return figure
+        return result
     most = 100.0 if unit == "%" else np.inf
     cut = {
         name: replace(value, low=max(0.0, value.low), high=min(most, value.high))
         for name in ("interval", "recording_interval")
-        if (value := getattr(figure, name)) is not None
+        if (value := getattr(result, name)) is not None
         and value.low is not None
         and value.high is not None
     }
-    return replace(figure, **cut)
+    return replace(result, **cut)
 
 
 def _moved(interval: Interval, value: float) -> Interval:

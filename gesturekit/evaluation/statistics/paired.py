@@ -59,14 +59,14 @@ def contests(models: Sequence[ModelResult]) -> dict[str, Contest]:
     """Return {key: contest} of all rows whose recordings' own value is known."""
     rows, tested = {}, {}
     for key in DEFINITIONS:
-        figures = {m.label: m.figures[key] for m in models if key in m.figures}
-        own = next((f.recording for f in figures.values() if f.recording is not None), None)
+        metrics = {m.label: m.metrics[key] for m in models if key in m.metrics}
+        own = next((f.recording for f in metrics.values() if f.recording is not None), None)
         if own is None:
             continue
-        values = {label: figure.interval.value for label, figure in figures.items()}
+        values = {label: result.interval.value for label, result in metrics.items()}
         distances = {label: float(distance(key, value, own)) for label, value in values.items()}
         rows[key] = Contest(key, own, distances, _direction(key, own, values.values()))
-        p = _tested(key, [m for m in models if key in m.figures], distances)
+        p = _tested(key, [m for m in models if key in m.metrics], distances)
         if p is not None:
             tested[key] = p
     for key, adjusted in zip(tested, holm(list(tested.values())), strict=True):
@@ -102,7 +102,7 @@ def _tested(
     key: str, models: Sequence[ModelResult], distances: Mapping[str, float]
 ) -> float | None:
     """Return the p-value of the nearest model against all others; None if it cannot be taken."""
-    if len(models) < 2 or not DEFINITIONS[key].tested or not models[0].figures[key].informative:
+    if len(models) < 2 or not DEFINITIONS[key].tested or not models[0].metrics[key].informative:
         return None
     first, *others = sorted(models, key=lambda model: distances[model.label])
     found = [_difference(key, first, other) for other in others]
@@ -127,7 +127,7 @@ def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
     once = np.full((1, len(names)), 1 / len(names))
     resampled, values = [], []
     for model, side in zip((one, other), both, strict=True):
-        measure = _figures(key, model, [clip for name in names for clip in side[name]])
+        measure = _replicates(key, model, [clip for name in names for clip in side[name]])
         resampled.append(measure(weights))
         values.append(measure(once)[0][0])
     if (resampled[0][1] < resampled[1][1]).mean() < NEARER:
@@ -145,13 +145,13 @@ def p_value(difference: float, error: float, units: int) -> float:
     return float(2.0 * t.sf(abs(difference) / error, units - 1))
 
 
-def _figures(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Replicates:
+def _replicates(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Replicates:
     if key == "likeness":
-        measure = likeness_of(clips, _own_one_nn(model.figures))
+        measure = likeness_of(clips, _own_one_nn(model.metrics))
         return lambda weights: ((found := measure(weights)), 1.0 - found)
     stems = [clip.pair.stem for clip in clips]
-    ours = means_by(stems, np.array([clip.figures[key] for clip in clips]))
-    theirs = np.full(len(ours), model.figures[key].recording)
+    ours = means_by(stems, np.array([clip.metrics[key] for clip in clips]))
+    theirs = np.full(len(ours), model.metrics[key].recording)
     if all(key in clip.recording for clip in clips):
         theirs = means_by(stems, np.array([clip.recording[key] for clip in clips]))
     return lambda weights: (
@@ -160,16 +160,16 @@ def _figures(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Repl
     )
 
 
-def _own_one_nn(figures: Mapping[str, MetricResult]) -> float:
-    figure = figures.get("one_nn")
-    return USUAL_ONE_NN if figure is None or figure.recording is None else figure.recording
+def _own_one_nn(metrics: Mapping[str, MetricResult]) -> float:
+    result = metrics.get("one_nn")
+    return USUAL_ONE_NN if result is None or result.recording is None else result.recording
 
 
 def _has(key: str, clips: Sequence[ClipResult]) -> bool:
     """True if the row can be computed for each of the clips."""
     if key == "likeness":
-        return any(measure in clips[0].figures for measure in MEASURES)
-    return all(key in clip.figures for clip in clips)
+        return any(measure in clips[0].metrics for measure in MEASURES)
+    return all(key in clip.metrics for clip in clips)
 
 
 def _by_recording(model: ModelResult) -> dict[str, list[ClipResult]]:
@@ -198,13 +198,13 @@ def _chance(key: str, model: ModelResult) -> float:
 
 def _above_chance(key: str, clip: ClipResult) -> Iterator[float]:
     """Yield how far a clip's figure is above its chance level, or other recordings' level."""
-    value = clip.figures.get(key)
+    value = clip.metrics.get(key)
     if value is None:
         return
     if key.endswith("_z") or key == "in_time":
         yield value
         return
-    levels = [clip.figures.get(f"{key}_chance"), clip.mismatched.get(key)]
+    levels = [clip.metrics.get(f"{key}_chance"), clip.mismatched.get(key)]
     known = [level for level in levels if level is not None]
     if known:
         yield value - max(known)

@@ -26,17 +26,17 @@ IN_TIME, LIKE, NEW = (
     "Moves like this speaker?",
     "Is it new?",
 )
-Figures = Mapping[str, MetricResult]
+Results = Mapping[str, MetricResult]
 
 
-def answers(clips: Sequence[ClipResult], figures: Figures) -> list[Answer]:
+def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Answer]:
     """Return the answers to the three questions.
 
     Args:
         clips: the clips of a model.
         figures: its figures by key of `definitions`.
     """
-    return [_timing(figures), _likeness(clips, figures), _novelty(figures)]
+    return [_timing(metrics), _likeness(clips, metrics), _novelty(metrics)]
 
 
 def likeness_result(
@@ -85,27 +85,27 @@ def _measures(
     stems = [clip.pair.stem for clip in clips]
     ours, own = {}, {}
     for key in MEASURES:
-        if all(key in clip.figures for clip in clips):
-            ours[key] = means_by(stems, np.array([clip.figures[key] for clip in clips]))
+        if all(key in clip.metrics for clip in clips):
+            ours[key] = means_by(stems, np.array([clip.metrics[key] for clip in clips]))
         if all(key in clip.recording for clip in clips):
             own[key] = means_by(stems, np.array([clip.recording[key] for clip in clips]))
     return ours, own
 
 
-def _timing(figures: Figures) -> Answer:
-    figure = figures.get("in_time")
-    if figure is None or figure.recording is None:
+def _timing(metrics: Results) -> Answer:
+    result = metrics.get("in_time")
+    if result is None or result.recording is None:
         return Answer(
             IN_TIME, "in_time", "not measured", "Not measured: no speech with arms to move."
         )
-    if not figure.informative:
+    if not result.informative:
         text = (
             "Not informative here: the recordings' own sync is less than 3 standard errors above "
             "chance. Their arms do not follow this speech, or there is too little of it."
         )
         return Answer(IN_TIME, "in_time", "not informative here", text)
-    share = figure.interval.value / figure.recording
-    low = figure.interval.low
+    share = result.interval.value / result.recording
+    low = result.interval.low
     beyond = low is not None and low <= 0.0 and share < thresholds.IN_TIME
     if share < thresholds.LOOSELY_IN_TIME or beyond:
         return Answer(IN_TIME, "in_time", "no", "Not in time with the speech.")
@@ -117,11 +117,11 @@ def _timing(figures: Figures) -> Answer:
     return Answer(IN_TIME, "in_time", "yes", "As much in time with the speech as the speaker.")
 
 
-def _likeness(clips: Sequence[ClipResult], figures: Figures) -> Answer:
-    figure = figures.get("likeness")
-    if figure is None:
+def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Answer:
+    result = metrics.get("likeness")
+    if result is None:
         return Answer(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
-    one_nn = figures.get("one_nn")
+    one_nn = metrics.get("one_nn")
     own_one_nn = thresholds.USUAL_ONE_NN
     if one_nn is not None and one_nn.recording is not None:
         own_one_nn = one_nn.recording
@@ -130,8 +130,8 @@ def _likeness(clips: Sequence[ClipResult], figures: Figures) -> Answer:
     missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
     missed.sort(key=found.get)
     differs = f"; what differs: {listed(missed, 4)}" if missed else ""
-    value = figure.interval.value
-    top = 1.0 if figure.recording is None else min(1.0, figure.recording)
+    value = result.interval.value
+    top = 1.0 if result.recording is None else min(1.0, result.recording)
     if value >= min(thresholds.LIKE, top) and not missed:
         return Answer(LIKE, "likeness", "yes", "Moves like this speaker.")
     if value >= thresholds.PARTLY_LIKE * top:
@@ -140,13 +140,13 @@ def _likeness(clips: Sequence[ClipResult], figures: Figures) -> Answer:
     return Answer(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
 
 
-def _novelty(figures: Figures) -> Answer:
-    figure, low = figures.get("novelty"), figures.get("copying_low")
-    if figure is None:
+def _novelty(metrics: Results) -> Answer:
+    result, low = metrics.get("novelty"), metrics.get("copying_low")
+    if result is None:
         text = "Not measured: the clips are too short, or the rig's arms and legs are not known."
         return Answer(NEW, "novelty", "not measured", text)
-    among = "training motion" if "training split" in figure.note else "the recordings"
-    if not figure.informative:
+    among = "training motion" if "training split" in result.note else "the recordings"
+    if not result.informative:
         text = (
             f"Not informative here: the recordings themselves are the same as {among}, or do not "
             "move. Look for one recording in two splits."
@@ -155,25 +155,25 @@ def _novelty(figures: Figures) -> Answer:
     now_and_then = low is not None and low.recording and (
         low.interval.value < thresholds.OCCASIONALLY_COPIED * low.recording
     )  # fmt: skip
-    if figure.interval.value < thresholds.COPIED:
-        return Answer(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(figures)}.")
-    if figure.interval.value < thresholds.NEAR:
+    if result.interval.value < thresholds.COPIED:
+        return Answer(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(metrics)}.")
+    if result.interval.value < thresholds.NEAR:
         text = f"Nearer to {among} than other recordings are: partly copied, or less lively"
-        return Answer(NEW, "novelty", "no", f"{text}{_seeds(figures)}.")
+        return Answer(NEW, "novelty", "no", f"{text}{_seeds(metrics)}.")
     if now_and_then:
-        text = f"New, but occasionally copied from {among}{_seeds(figures)}."
+        text = f"New, but occasionally copied from {among}{_seeds(metrics)}."
         return Answer(NEW, "novelty", "partly", text)
     return Answer(
-        NEW, "novelty", "yes", f"New: as far from {among} as other recordings{_seeds(figures)}."
+        NEW, "novelty", "yes", f"New: as far from {among} as other recordings{_seeds(metrics)}."
     )
 
 
-def _seeds(figures: Figures) -> str:
+def _seeds(metrics: Results) -> str:
     """Return how much the samples of one recording differ, in words; "" with one sample."""
-    figure = figures.get("inter_diversity")
-    if figure is None or not figure.recording:
+    result = metrics.get("inter_diversity")
+    if result is None or not result.recording:
         return ""
-    share = figure.interval.value / figure.recording
+    share = result.interval.value / result.recording
     return f"; two samples of one speech differ {100 * share:.0f} % as much as two recordings do"
 
 
@@ -191,20 +191,20 @@ _RATIO_WORDS = {
 }
 
 
-def verdict(figures: Mapping[str, MetricResult]) -> str:
+def verdict(metrics: Mapping[str, MetricResult]) -> str:
     """Return a sentence about reach, speed, rests, timing and copying; "" if nothing is known.
 
     Args:
         figures: results of a model by key of `definitions`, each with the recording's value.
     """
-    still = figures.get("near_still")
+    still = metrics.get("near_still")
     if still is not None and still.interval.value >= thresholds.MOTIONLESS:
         return "The hands hardly move."
     phrases = [
-        *_movement_words(figures),
-        *_rest_words(figures),
-        *_timing_words(figures),
-        *_copying_words(figures),
+        *_movement_words(metrics),
+        *_rest_words(metrics),
+        *_timing_words(metrics),
+        *_copying_words(metrics),
     ]
     text = ", ".join(phrases)
     return f"{text[0].upper()}{text[1:]}." if text else ""
@@ -219,8 +219,8 @@ def in_words(ratio: float) -> str:
     return _RATIO_WORDS[min(_RATIO_WORDS, key=lambda named: abs(np.log(named / ratio)))]
 
 
-def _movement_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
-    reach, fast = _ratio(figures, "reach"), _ratio(figures, "hand_q90")
+def _movement_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    reach, fast = _ratio(metrics, "reach"), _ratio(metrics, "hand_q90")
     if reach is not None:
         share = "" if _within(reach, thresholds.ALIKE) else f"{in_words(reach)} "
         yield f"{share}the speaker's reach"
@@ -228,8 +228,8 @@ def _movement_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
         yield f"fast gestures at {in_words(fast)} the speaker's speed"
 
 
-def _rest_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
-    rest, still = figures.get("rest"), figures.get("near_still")
+def _rest_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    rest, still = metrics.get("rest"), metrics.get("near_still")
     if still is not None and still.interval.value > (still.recording or 0.0) + thresholds.FROZEN:
         yield f"hands frozen in {still.interval.value:.0f} % of the time"
     elif rest is not None and (rest.recording or 0.0) >= thresholds.FEW_RESTS:
@@ -244,8 +244,8 @@ def _rest_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
             yield "at rest as often as the speaker"
 
 
-def _timing_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
-    calm, sync = figures.get("calm_lively_r"), figures.get("sync")
+def _timing_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    calm, sync = metrics.get("calm_lively_r"), metrics.get("sync")
     if calm is not None and calm.informative and calm.interval.value < thresholds.FOLLOWS:
         yield "calm and lively at other times than the speaker"
     if sync is None or sync.recording is None:
@@ -265,11 +265,11 @@ def _timing_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
         yield "not in time with the speech"
 
 
-def _copying_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
-    median, low = _ratio(figures, "copying"), _ratio(figures, "copying_low")
+def _copying_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    median, low = _ratio(metrics, "copying"), _ratio(metrics, "copying_low")
     if median is not None and median < thresholds.COPIED:
         yield "mostly copied from recordings"
-    elif (_ratio(figures, "reach") or 1.0) < thresholds.ALIKE[0]:
+    elif (_ratio(metrics, "reach") or 1.0) < thresholds.ALIKE[0]:
         return  # small motion is near to any
     elif median is not None and median < thresholds.NEAR:
         yield "partly copied from recordings"
@@ -277,12 +277,12 @@ def _copying_words(figures: Mapping[str, MetricResult]) -> Iterator[str]:
         yield "occasionally copied from recordings"
 
 
-def _ratio(figures: Mapping[str, MetricResult], key: str) -> float | None:
+def _ratio(metrics: Mapping[str, MetricResult], key: str) -> float | None:
     """Return a value over the recording's; None without either."""
-    figure = figures.get(key)
-    if figure is None or not figure.recording:
+    result = metrics.get(key)
+    if result is None or not result.recording:
         return None
-    return figure.interval.value / figure.recording
+    return result.interval.value / result.recording
 
 
 def _within(ratio: float, limits: tuple[float, float]) -> bool:

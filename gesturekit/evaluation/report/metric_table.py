@@ -55,7 +55,7 @@ class Row:
     """
 
     definition: Definition
-    figures: tuple[MetricResult | None, ...]
+    metrics: tuple[MetricResult | None, ...]
     contest: Contest | None = None
     best: int | None = None
 
@@ -74,7 +74,7 @@ class Row:
         """Return the models' figures as text; `best` marks the one that is bold."""
         return [
             best(text) if i == self.best else text
-            for i, text in enumerate(map(_figure, self.figures))
+            for i, text in enumerate(map(_value_text, self.metrics))
         ]
 
     @property
@@ -85,12 +85,12 @@ class Row:
     @property
     def chance(self) -> str:
         """The higher one of the chance level and that of other recordings, of the first model."""
-        known = [f for f in self.figures if f is not None]
+        known = [f for f in self.metrics if f is not None]
         levels = [v for f in known[:1] for v in (f.chance, f.mismatched) if v is not None]
         return number(max(levels)) if levels else ""
 
     def _first(self, name: str) -> str:
-        values = (getattr(figure, name) for figure in self.figures if figure is not None)
+        values = (getattr(result, name) for result in self.metrics if result is not None)
         return next((number(value) for value in values if value is not None), "")
 
 
@@ -101,10 +101,10 @@ def rows_by_group(evaluation: Evaluation) -> Iterator[tuple[str, list[Row]]]:
     for group in GROUPS:
         rows = []
         for d in (d for d in evaluation.definitions() if d.group == group):
-            figures = tuple(model.figures.get(d.key) for model in evaluation.models)
+            metrics = tuple(model.metrics.get(d.key) for model in evaluation.models)
             contest = found.get(d.key)
             best = None if contest is None or contest.best is None else labels.index(contest.best)
-            rows.append(Row(d, figures, contest, best))
+            rows.append(Row(d, metrics, contest, best))
         if rows:
             yield group, rows
 
@@ -140,7 +140,7 @@ def _without_interval(evaluation: Evaluation) -> list[str]:
     bare = [
         row.definition.name
         for row in rows
-        if any(f is not None and f.interval.low is None and f.informative for f in row.figures)
+        if any(f is not None and f.interval.low is None and f.informative for f in row.metrics)
     ]
     if not bare or len(bare) == len(rows) or _single_recording(evaluation):
         return []
@@ -198,7 +198,7 @@ def latex(evaluation: Evaluation) -> str:
     for group, rows in rows_by_group(evaluation):
         lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textit{{{_latex(group)}}}}} \\"]
         for row in rows:
-            cells = [row.name, row.arrow, *map(_figure, row.figures), row.recording, row.chance]
+            cells = [row.name, row.arrow, *map(_value_text, row.metrics), row.recording, row.chance]
             cells = [_latex(cell) for cell in cells]
             if row.best is not None:
                 cells[2 + row.best] = rf"\textbf{{{cells[2 + row.best]}}}"
@@ -213,23 +213,23 @@ def csv_text(evaluation: Evaluation) -> str:
     writer.writeheader()
     for group, rows in rows_by_group(evaluation):
         for row in rows:
-            for model, figure in zip(evaluation.models, row.figures):
-                if figure is None:
+            for model, result in zip(evaluation.models, row.metrics):
+                if result is None:
                     continue
-                definition, interval = row.definition, figure.interval
+                definition, interval = row.definition, result.interval
                 values = {
                     "model": model.label,
                     "group": group,
                     **{k: getattr(definition, k) for k in ("key", "name", "unit", "better")},
                     **{k: getattr(interval, k) for k in ("value", "low", "high")},
                     **{k: getattr(interval, k) for k in ("n", "units", "over")},
-                    **{k: getattr(figure, k) for k in ("recording", "chance", "mismatched")},
-                    "recording_low": figure.recording_interval and figure.recording_interval.low,
-                    "recording_high": figure.recording_interval and figure.recording_interval.high,
-                    "informative": figure.informative,
+                    **{k: getattr(result, k) for k in ("recording", "chance", "mismatched")},
+                    "recording_low": result.recording_interval and result.recording_interval.low,
+                    "recording_high": result.recording_interval and result.recording_interval.high,
+                    "informative": result.informative,
                     "best": row.contest is not None and row.contest.best == model.label,
                     "p": row.contest and row.contest.p,
-                    "note": figure.note,
+                    "note": result.note,
                 }
                 writer.writerow({k: "" if v is None else v for k, v in values.items()})
     return text.getvalue()
@@ -249,11 +249,11 @@ def write_table(evaluation: Evaluation, path: str | os.PathLike[str], form: str)
         temporary.write_text(WRITERS[form](evaluation), encoding="utf-8")
 
 
-def _figure(figure: MetricResult | None) -> str:
-    if figure is None:
+def _value_text(result: MetricResult | None) -> str:
+    if result is None:
         return "–"
-    interval = figure.interval
-    if not figure.informative:
+    interval = result.interval
+    if not result.informative:
         return f"{number(interval.value)} (not informative)"
     if interval.low is None or interval.high is None:
         return number(interval.value)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.definitions import FRECHET, LIFE, SPEECH
+from gesturekit.evaluation.definitions import FRECHET, POOLED, SPEECH
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import (
     Clip,
@@ -27,7 +27,7 @@ from gesturekit.evaluation.measuring.content import (
     metric_version,
 )
 from gesturekit.evaluation.measuring.floors import floors
-from gesturekit.evaluation.measuring.pooled import LifeMetrics, TrainingMotion
+from gesturekit.evaluation.measuring.pooled import PooledMetrics, TrainingMotion
 from gesturekit.evaluation.measuring.set_metrics import (
     SetMetrics,
     pooled,
@@ -36,7 +36,7 @@ from gesturekit.evaluation.measuring.set_metrics import (
     wrists_of,
 )
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
-from gesturekit.evaluation.pairs import Items, Pair, Stretch
+from gesturekit.evaluation.pairs import ItemInterval, Items, Pair
 from gesturekit.evaluation.results import Interval, MetricResult
 from gesturekit.jobs.pool import Failure, Pool
 
@@ -54,26 +54,26 @@ Window = tuple[str, int | None]
 
 
 @dataclass(frozen=True)
-class ClipTask:
+class ClipGroup:
     """Indices of clips of one recording, of all models: {label: indices into its pairs}."""
 
     clips: Mapping[str, Sequence[int]]
 
 
 @dataclass(frozen=True)
-class SetTask:
+class SetPart:
     """One part of the metrics of the set of clips of one model."""
 
     label: str
     part: str
 
 
-Task = ClipTask | tuple[SetTask, ...]
-"""Work of one process at a time: clips of a recording, or sets one after the other."""
+Portion = ClipGroup | tuple[SetPart, ...]
+"""Portion that one process measures: clips of a recording, or sets one after the other."""
 
 
 @dataclass(eq=False)
-class Work:
+class Measurer:
     """Measures clips and sets; it is handed to worker processes.
 
     Attributes:
@@ -91,7 +91,7 @@ class Work:
 
     measure: ClipMetrics
     pairs: Mapping[str, Sequence[Pair]]
-    recordings: Mapping[str, Path | Stretch]
+    recordings: Mapping[str, Path | ItemInterval]
     reference: Path | Items
     fps: float
     length: float
@@ -105,18 +105,18 @@ class Work:
     _of_recordings: dict[Hashable, Any] = field(default_factory=dict, init=False)
     _contents: dict[Pair, str | None] = field(default_factory=dict, init=False)
 
-    def __call__(self, task: Task) -> list[Any]:
-        """Return the results of a task, which are stored as well; see `clip` and `set`.
+    def __call__(self, portion: Portion) -> list[Any]:
+        """Return the results of a portion, which are stored as well; see `clip` and `set`.
 
         Sums of floating-point numbers depend on the number of threads: each process has one.
         """
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1):
-            if not isinstance(task, ClipTask):
-                return [self.set(one) for one in task]
+            if not isinstance(portion, ClipGroup):
+                return [self.set(one) for one in portion]
             self._own.clear()
-            return [(key, i, self.clip(key, i)) for key, at in task.clips.items() for i in at]
+            return [(key, i, self.clip(key, i)) for key, at in portion.clips.items() for i in at]
 
     def clip(self, label: str, index: int) -> dict[str, Any]:
         """Measure a clip; a clip that cannot be read is {"reason": text}."""
@@ -125,13 +125,13 @@ class Work:
             clip = load_clip(pair, self.fps, self.without)
         except (GestureKitError, AudioFeaturesError) as error:
             return {"reason": str(error)}
-        figures, problems = self.measure.generated(clip)
+        metrics, problems = self.measure.generated(clip)
         window = (pair.stem, pair.window), clip.joints
         if window not in self._own:
             self._own[window] = self.measure.recording(clip)[0]
         values = {
             "seconds": clip.generated.duration,
-            "figures": figures,
+            "metrics": metrics,
             "recording": self._own[window],
             "mismatched": self._mismatched(clip, label),
             "notes": [*clip.notes, *clip_notes(clip, self.length)],
@@ -140,46 +140,46 @@ class Work:
         self.store.write(self.clip_key(label, index), values)
         return values
 
-    def set(self, task: SetTask) -> dict[str, Any]:
+    def set(self, portion: SetPart) -> dict[str, Any]:
         """Compute one part of the metrics of a model's clips."""
         groups = self.measure.groups
-        groups = [g for g in groups if (g == FRECHET) == (task.part == "frechet")]
+        groups = [g for g in groups if (g == FRECHET) == (portion.part == "frechet")]
         measure = ClipMetrics(self.measure.statistics, groups, self.measure.variants)
         training = TrainingMotion()
-        if LIFE in groups:
+        if POOLED in groups:
             training = TrainingMotion.of(self.reference, self.seed)
         clip_set = SetMetrics(
-            measure, self.seed, LifeMetrics(training, self.seed, self._of_recordings)
+            measure, self.seed, PooledMetrics(training, self.seed, self._of_recordings)
         )
         windows, speeds, wrists = {}, {}, {}
-        for pair in self.pairs[task.label]:
+        for pair in self.pairs[portion.label]:
             try:
                 clip = load_clip(pair, self.fps, self.without)
             except (GestureKitError, AudioFeaturesError):
                 continue  # reported by `clip`
             window = (pair.stem, pair.window)
             if window not in windows:
-                windows[window] = clip.recording if task.part == "frechet" else None
+                windows[window] = clip.recording if portion.part == "frechet" else None
                 speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
                 wrists[window] = wrists_of(clip.recording)
             clip_set.add(clip, speeds[window])
         if not windows or not groups:
-            figures: dict[str, MetricResult] = {}
-        elif task.part == "frechet":
-            figures = self._frechet(clip_set, windows)
+            metrics: dict[str, MetricResult] = {}
+        elif portion.part == "frechet":
+            metrics = self._frechet(clip_set, windows)
         else:
-            figures = clip_set.pooled()
+            metrics = clip_set.pooled()
         values = {
-            "figures": {key: asdict(figure) for key, figure in figures.items()},
+            "metrics": {key: asdict(result) for key, result in metrics.items()},
             "problems": clip_set.problems,
-            "by_clip": clip_set.life.by_clip() if task.part == "pooled" else [],
+            "by_clip": clip_set.pooled_metrics.by_clip() if portion.part == "pooled" else [],
             "speeds": pooled(clip_set.histograms).to_json(),
             "wrists": thinned(clip_set.wrists).tolist(),
             "recorded_speeds": pooled(list(speeds.values())).to_json(),
             "recorded_wrists": thinned(list(wrists.values())).tolist(),
             "training_excluded": [asdict(item) for item in training.excluded],
         }
-        self.store.write(self.set_key(task), values)
+        self.store.write(self.set_key(portion), values)
         return values
 
     def floors(self) -> dict[str, tuple[Interval, str]]:
@@ -211,19 +211,19 @@ class Work:
             return None
         return digest_of([self._settings, contents, [window for _, window in sounds]])
 
-    def set_key(self, task: SetTask) -> str | None:
+    def set_key(self, portion: SetPart) -> str | None:
         """Return the key of the metrics of a set; None if they cannot be stored."""
-        pairs = self.pairs[task.label]
+        pairs = self.pairs[portion.label]
         every = [self._content(pair) for pair in pairs]
         every += [content_of(source) for source in self.recordings.values()]
         if isinstance(self.reference, Items):
-            every += [content_of(Stretch(item)) for item in self.reference.training]
+            every += [content_of(ItemInterval(item)) for item in self.reference.training]
         if None in every:
             return None
         names = list(dict.fromkeys((pair.stem, pair.window) for pair in pairs))
         order = [names.index((pair.stem, pair.window)) for pair in pairs]
         model = self.features and self.features.fingerprint
-        return digest_of([self._settings, task.part, every, order, model, self.seed])
+        return digest_of([self._settings, portion.part, every, order, model, self.seed])
 
     @functools.cached_property
     def _settings(self) -> dict[str, Any]:
@@ -257,7 +257,7 @@ class Work:
 
     def _mismatched(self, clip: Clip, label: str) -> dict[str, float]:
         """Measure the clip with the sounds, and the motion, of other recordings."""
-        figures: dict[str, float] = {}
+        metrics: dict[str, float] = {}
         if SPEECH in self.measure.groups and clip.pair.audio is not None:
             sounds = []
             for path, index in self._other_sounds(label, clip.pair):
@@ -265,13 +265,13 @@ class Work:
                     sounds.append(load_sound(path, index))
                 except AudioFeaturesError:
                     continue  # reported with the clip that it belongs to
-            figures |= self.measure.mismatched_sound(clip, sounds)
+            metrics |= self.measure.mismatched_sound(clip, sounds)
         for key in self._other_motions(clip.pair):
             other = load_recording(self.recordings[key], self.fps)
-            figures |= self.measure.mismatched_motion(clip, other)
-        return figures
+            metrics |= self.measure.mismatched_motion(clip, other)
+        return metrics
 
-    def _other_sounds(self, label: str, pair: Pair) -> list[tuple[Path | Stretch, int | None]]:
+    def _other_sounds(self, label: str, pair: Pair) -> list[tuple[Path | ItemInterval, int | None]]:
         if pair.audio is None:
             return []
         return _after(self._sounds[label], (pair.audio, pair.window), MISMATCHED)
@@ -280,20 +280,20 @@ class Work:
         return _after(list(self.recordings), pair.stem, 1)
 
     @functools.cached_property
-    def _sounds(self) -> dict[str, list[tuple[Path | Stretch, int | None]]]:
+    def _sounds(self) -> dict[str, list[tuple[Path | ItemInterval, int | None]]]:
         """Sounds of each model's clips, with their windows."""
         return {
             label: list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio))
             for label, pairs in self.pairs.items()
         }
 
-    def is_portable(self, task: Task) -> bool:
-        """Return whether a worker process can do a task: its motion is in files."""
-        labels = task.clips if isinstance(task, ClipTask) else [one.label for one in task]
+    def is_portable(self, portion: Portion) -> bool:
+        """Return whether a worker process can measure a portion: its motion is in files."""
+        labels = portion.clips if isinstance(portion, ClipGroup) else [one.label for one in portion]
         return self.local.isdisjoint(labels)
 
-    def portable(self) -> Work:
-        """Return the work for worker processes, without motion in memory."""
+    def portable(self) -> Measurer:
+        """Return the measurer for worker processes, without motion in memory."""
         statistics = replace(self.measure.statistics, recordings={})
         measure = ClipMetrics(statistics, self.measure.groups, self.measure.variants)
         pairs = {key: pairs for key, pairs in self.pairs.items() if key not in self.local}
@@ -310,7 +310,7 @@ IN_PROCESS_SECONDS = 4.0
 """Measuring that takes longer gets worker processes; starting them takes about as long."""
 
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
-"""Wraps an iterable of finished tasks, such as in a progress bar, given number and label."""
+"""Wraps an iterable of finished portions, such as in a progress bar, given number and label."""
 
 
 @dataclass
@@ -318,34 +318,36 @@ class Measured:
     """Measurements of all models.
 
     Attributes:
-        clips: {label: measurement of each pair}, see `Work.clip`.
-        sets: {label: {part: metrics of the set}}, see `Work.set`.
+        clips: {label: measurement of each pair}, see `Measurer.clip`.
+        sets: {label: {part: metrics of the set}}, see `Measurer.set`.
     """
 
     clips: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     sets: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
 
 
-def measure_all(work: Work, workers: int, progress: Progress) -> Measured:
+def measure_all(measurer: Measurer, workers: int, progress: Progress) -> Measured:
     """Return the measurements of all clips and sets, the same for any number of workers.
 
     Each result is stored as soon as it is computed, so that an interrupted evaluation can continue.
 
     Args:
-        work: what to measure.
+        measurer: what to measure.
         workers: number of processes; 1 measures in this one.
         progress: see `Progress`.
     """
     found = Measured()
-    clip_tasks = _read_clips(work, found)
-    tasks = [*clip_tasks, *_chains(work, _read_sets(work, found), workers)]
-    if not tasks:
+    clip_groups = _read_clips(measurer, found)
+    portions = [*clip_groups, *_chains(measurer, _read_sets(measurer, found), workers)]
+    if not portions:
         return found
-    for task, results in progress(_done(work, tasks, workers), len(tasks), "measuring"):
+    for portion, results in progress(
+        _done(measurer, portions, workers), len(portions), "measuring"
+    ):
         if isinstance(results, Failure):
-            results = _failed(work, task, str(results))
-        if not isinstance(task, ClipTask):
-            for one, values in zip(task, results, strict=True):
+            results = _failed(measurer, portion, str(results))
+        if not isinstance(portion, ClipGroup):
+            for one, values in zip(portion, results, strict=True):
                 found.sets[one.label][one.part] = values
             continue
         for label, index, values in results:
@@ -353,69 +355,71 @@ def measure_all(work: Work, workers: int, progress: Progress) -> Measured:
     return found
 
 
-def _read_clips(work: Work, found: Measured) -> list[ClipTask]:
-    """Read the stored clips into `found`; return a task for each recording with other clips."""
+def _read_clips(measurer: Measurer, found: Measured) -> list[ClipGroup]:
+    """Read the stored clips into `found`; return a portion for each recording with other clips."""
     missing: dict[tuple[bool, str, int], dict[str, list[int]]] = {}
-    for label, pairs in work.pairs.items():
-        stored = [work.store.read(work.clip_key(label, i)) for i in range(len(pairs))]
+    for label, pairs in measurer.pairs.items():
+        stored = [measurer.store.read(measurer.clip_key(label, i)) for i in range(len(pairs))]
         found.clips[label] = [values or {} for values in stored]
         for i, pair in enumerate(pairs):
             if stored[i] is None:
                 window = (
-                    label in work.local,
+                    label in measurer.local,
                     pair.stem,
                     -1 if pair.window is None else pair.window,
                 )
                 missing.setdefault(window, {}).setdefault(label, []).append(i)
-    return [ClipTask(clips) for _, clips in sorted(missing.items())]
+    return [ClipGroup(clips) for _, clips in sorted(missing.items())]
 
 
-def _read_sets(work: Work, found: Measured) -> list[SetTask]:
-    """Read the stored metrics of sets into `found`; return tasks for the others."""
-    tasks = []
-    for label in work.pairs:
+def _read_sets(measurer: Measurer, found: Measured) -> list[SetPart]:
+    """Read the stored metrics of sets into `found`; return portions for the others."""
+    portions = []
+    for label in measurer.pairs:
         found.sets[label] = {}
         for part in PARTS:
-            task = SetTask(label, part)
-            stored = work.store.read(work.set_key(task))
+            portion = SetPart(label, part)
+            stored = measurer.store.read(measurer.set_key(portion))
             if stored is None:
-                tasks.append(task)
+                portions.append(portion)
             else:
                 found.sets[label][part] = stored
-    return tasks
+    return portions
 
 
-def _chains(work: Work, tasks: Sequence[SetTask], workers: int) -> list[tuple[SetTask, ...]]:
+def _chains(
+    measurer: Measurer, portions: Sequence[SetPart], workers: int
+) -> list[tuple[SetPart, ...]]:
     """Return the metrics of sets in chains, one for two workers, each done by one process.
 
     A set holds all motion of its model in memory; while one is computed, clips are measured.
     """
     chains = []
     for portable in (True, False):
-        some = [task for task in tasks if work.is_portable((task,)) == portable]
+        some = [portion for portion in portions if measurer.is_portable((portion,)) == portable]
         count = max(1, workers // 2) if workers > 1 else len(some)
         chains += [tuple(some[k::count]) for k in range(count) if some[k::count]]
     return chains
 
 
-def _done(work: Work, tasks: Sequence[Any], workers: int) -> Iterator[tuple[Any, Any]]:
-    """Yield (task, results) as tasks are done; those that cannot be handed over are done here."""
-    here = [task for task in tasks if not work.is_portable(task)]
-    left = [task for task in tasks if work.is_portable(task)]
+def _done(measurer: Measurer, portions: Sequence[Any], workers: int) -> Iterator[tuple[Any, Any]]:
+    """Yield (portion, results) as they are done; those that cannot be handed over are done here."""
+    here = [portion for portion in portions if not measurer.is_portable(portion)]
+    left = [portion for portion in portions if measurer.is_portable(portion)]
     until = time.monotonic() + IN_PROCESS_SECONDS
     while left and (workers < 2 or time.monotonic() < until):
-        task = left.pop(0)
-        yield task, work(task)
+        portion = left.pop(0)
+        yield portion, measurer(portion)
     if left:
-        left.sort(key=lambda task: isinstance(task, ClipTask))  # the longest first
-        yield from Pool(work.portable(), workers).map(left, lambda _: None)
-    for task in here:
-        yield task, work(task)
+        left.sort(key=lambda portion: isinstance(portion, ClipGroup))  # the longest first
+        yield from Pool(measurer.portable(), workers).map(left, lambda _: None)
+    for portion in here:
+        yield portion, measurer(portion)
 
 
-def _failed(work: Work, task: Task, reason: str) -> list[Any]:
-    """Return the results of a task whose worker process died; sets done before it are stored."""
-    if not isinstance(task, ClipTask):
-        failed = {"figures": {}, "problems": [("metrics of the set", reason)]}
-        return [work.store.read(work.set_key(one)) or failed for one in task]
-    return [(label, i, {"reason": reason}) for label, at in task.clips.items() for i in at]
+def _failed(measurer: Measurer, portion: Portion, reason: str) -> list[Any]:
+    """Return the results of a portion whose worker process died; sets done before it are stored."""
+    if not isinstance(portion, ClipGroup):
+        failed = {"metrics": {}, "problems": [("metrics of the set", reason)]}
+        return [measurer.store.read(measurer.set_key(one)) or failed for one in portion]
+    return [(label, i, {"reason": reason}) for label, at in portion.clips.items() for i in at]
