@@ -13,11 +13,11 @@ from pathlib import Path
 
 from gesturekit.atomic import atomic_write
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
-from gesturekit.evaluation.report.headline import headline_lines
+from gesturekit.evaluation.report.headline import headline_lines, interval_warnings
 from gesturekit.evaluation.report.tables import number
 from gesturekit.evaluation.results import Evaluation, MetricResult
 from gesturekit.evaluation.statistics.paired import Contest, contests
-from gesturekit.wording import counted, printable
+from gesturekit.wording import counted, listed, printable
 
 ARROWS = {"higher": "↑", "lower": "↓", "reference": ""}
 """Sign of the direction in which figures come nearer to the recordings' own."""
@@ -170,6 +170,32 @@ def agreement_lines(evaluation: Evaluation) -> list[str]:
             for one in found
         ),
     ]
+
+
+def note_lines(found: Evaluation) -> Iterator[str]:
+    """Yield notes on the metrics; metrics left out for the same reason share a line."""
+    yield from (f"Warning: {warning}." for warning in interval_warnings(found))
+    for model in found.models:
+        yield from (f"Note: {model.label}: {note}" for note in model.notes)
+        metrics: dict[str, tuple[list[str], list[str]]] = {}
+        for item in model.excluded:
+            if item.what == "clip":
+                yield f"Left out: {model.label}: {item.name}: clip: {item.reason}"
+                continue
+            names, left_out = metrics.setdefault(item.reason, ([], []))
+            names.append(item.name)
+            left_out.append(item.what)
+        for reason, (names, left_out) in metrics.items():
+            what, of = ", ".join(dict.fromkeys(left_out)), listed(list(dict.fromkeys(names)), 3)
+            yield f"Left out: {model.label}: {of}: {what}: {reason}"
+
+
+def summary_line(found: Evaluation, report: Path | None) -> str:
+    """Return the last line: how many clips were measured, and where all results are."""
+    clips = sum(len(model.clips) for model in found.models)
+    left_out = sum(item.what == "clip" for model in found.models for item in model.excluded)
+    where = f"; all of it in {report}" if report else "; --out report.html shows each"
+    return f"{counted(clips, 'clip')} measured, {left_out} left out{where}"
 
 
 def markdown(evaluation: Evaluation) -> str:

@@ -1,4 +1,4 @@
-"""Models that gesturekit evaluate compares: their names, folders, and samples of model folders."""
+"""Inputs of gesturekit evaluate: recordings, models with their samples, answers of a study."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.options import RECORDING_OPTIONS, comma_separated, read_from, resumable
-from gesturekit.wording import did_you_mean
+from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
     from gesturekit.corpus.item import Item
     from gesturekit.evaluation import Items
+    from gesturekit.evaluation.results import ModelResult
+    from gesturekit.evaluation.statistics.answers import Answer
 
 
 def _named(text: str) -> tuple[str | None, str]:
@@ -27,6 +29,41 @@ def _named(text: str) -> tuple[str | None, str]:
 def place_of(text: str) -> str:
     """Return the folder of [NAME=]DIR."""
     return _named(text)[1]
+
+
+def recordings_of(reference: Path | None, options: Mapping[str, Any]) -> Path | Items:
+    """Return the recordings to compare with: a folder or file, or the items of a manifest."""
+    from gesturekit.evaluation import Items
+
+    reading = read_from({name: options[name] for name in RECORDING_OPTIONS})
+    corpus, split = options["corpus"], options["split"]
+    if corpus is None:
+        if split is not None:
+            raise click.UsageError("--split requires --corpus")
+        if reference is None:
+            raise click.UsageError("name the recordings: a folder (REFERENCE), or --corpus")
+        return Items.of_folder(reference, reading) if reading else reference
+    if options["audio"] is not None or reading:
+        raise click.UsageError(
+            "--corpus already gives the sound and how motion is read: leave out --audio and "
+            "--in-..."
+        )
+    usual = "train" if options["protocol"] == "multires" else "test"
+    return Items.of_manifest(corpus, split or usual)
+
+
+def answers_of(study: Path | None) -> Sequence[Answer]:
+    """Read the results of a study; print what is left out to standard error."""
+    if study is None:
+        return ()
+    from gesturekit.evaluation import read_answers
+
+    found = read_answers([study])
+    for user, reason in found.excluded.items():
+        click.echo(f"Left out: {study}: rater {user}: {reason}", err=True)
+    for note in found.notes:
+        click.echo(f"Note: {study}: {note}", err=True)
+    return found.kept
 
 
 def folders_of(
@@ -176,3 +213,30 @@ def rendered_baselines(
         for _ in Progress(files, total=len(sounds), desc=name, unit="clip"):
             pass
     return found
+
+
+def trained_on(model: ModelResult, name: str) -> str:
+    """Return a warning if `name`, a model, was trained on recordings of its evaluation, or ""."""
+    from gesturekit.evaluation.pairs import ItemInterval
+    from gesturekit.rendering.record import model_of_results
+    from gesturekit.systems import model_folder
+    from gesturekit.training.data.sources import is_trained_on, load_sources
+
+    sources = load_sources(model_of_results(model.path) or model_folder(name))
+    measured = {clip.pair.stem: clip.pair for clip in model.clips}
+    seen = []
+    for stem, pair in measured.items():
+        if isinstance(pair.reference, ItemInterval):
+            item = pair.reference.item
+            stretch = {"start": item.motion_start, "duration": item.duration}
+            known = item.split == "train"
+            known = known or is_trained_on(sources, item.motion, item.audio, **stretch)
+        else:
+            known = is_trained_on(sources, pair.reference, pair.audio)
+        seen += [stem] if known else []
+    if not seen:
+        return ""
+    return (
+        f"the model was trained on {len(seen)} of {counted(len(measured), 'recording')}, or on a "
+        f"part of each ({listed(seen, 3)}): the figures do not say how it does on new ones"
+    )
