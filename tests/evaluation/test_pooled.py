@@ -1,4 +1,4 @@
-"""Measures of life on motion whose hands follow known paths."""
+"""Hand movement and the metrics of all clips pooled, on motion whose hands follow known paths."""
 
 from __future__ import annotations
 
