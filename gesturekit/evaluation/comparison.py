@@ -98,7 +98,7 @@ class EvaluationOptions:
     seed: int = 0
     """Seed of the bootstrap intervals and of subsamples."""
     workers: int = 1
-    """Number of processes; the figures are the same for any number."""
+    """Number of processes; the results are the same for any number."""
     progress: Progress = lambda portions, total, label: portions
     """Wraps the portions as they are done, such as in a progress bar, given number and label."""
 

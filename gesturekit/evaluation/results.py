@@ -57,7 +57,7 @@ class ClipResult:
     Attributes:
         pair: names and files.
         seconds: length of the clip.
-        figures: {key of `definitions`: value}, and KEY_chance and KEY_z of speech metrics.
+        metrics: {key of `definitions`: value}, and KEY_chance and KEY_z of speech metrics.
         recording: the same for the recording.
         mismatched: the clip's values with other recordings' sounds (CCA: with another recording).
         notes: for the reader of the report.
@@ -132,7 +132,7 @@ class Answer:
 
     Attributes:
         question: such as "In time with the speech?".
-        key: key of `definitions` of its figure.
+        key: key of `definitions` of its metric.
         state: "yes", "partly", "no", "not informative here" or "not measured".
         sentence: the answer in words.
     """
@@ -152,7 +152,7 @@ class ModelResult:
         path: its folder.
         verdict: the result in words, one line; "" without pooled metrics and sync.
         answers: answers to the three questions that head the report.
-        figures: {key of `definitions`: result}.
+        metrics: {key of `definitions`: result}.
         by_recording: {recording: {key: interval over its samples}} of the patch metrics.
         clips: results of each clip.
         excluded: clips and metrics left out, and why.

@@ -83,7 +83,7 @@ def floors(
         try:
             value = measured()
         except GestureKitError:
-            continue  # the model's own figure says why it cannot be taken
+            continue  # the model's own result says why it cannot be taken
         if value is not None:
             found[key] = whole_set(value, len(chosen)), HALVES
     found |= _likeness(clips, measure)

@@ -218,7 +218,7 @@ def patch_values(
 def intra_diversity_of(
     motion: Motion, joints: Sequence[str], *, patches: str = "ganimator"
 ) -> float:
-    """Return `intra_diversity` of a motion; arguments and errors as in `figures_of_patches`."""
+    """Return `intra_diversity` of a motion; arguments and errors as in `patch_values`."""
     _check_size(motion, motion)
     return intra_diversity(patch_features(motion, patches, joints=joints))
 

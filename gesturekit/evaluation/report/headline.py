@@ -28,7 +28,7 @@ _OWN = {
         "Other recordings, by definition; below 0.8 is nearer, below 0.5 copied.",
     ),
 }
-"""Meaning of the recordings' own value of each figure: short, and as a sentence."""
+"""Meaning of the recordings' own value of each metric: short, and as a sentence."""
 
 
 def headline_lines(evaluation: Evaluation) -> list[str]:
@@ -113,7 +113,7 @@ def _own_cells(models: Sequence[ModelResult]) -> str:
 
 
 def _shown(model: ModelResult, answer: Answer) -> MetricResult | None:
-    """Return the figure of an answer, unless it is not informative."""
+    """Return the result of an answer, unless it is not informative."""
     result = model.metrics.get(answer.key)
     return result if result is not None and result.informative else None
 

@@ -20,7 +20,7 @@ from gesturekit.evaluation.statistics.paired import Contest, contests
 from gesturekit.wording import counted, listed, printable
 
 ARROWS = {"higher": "↑", "lower": "↓", "reference": ""}
-"""Sign of the direction in which figures come nearer to the recordings' own."""
+"""Sign of the direction in which values come nearer to the recordings' own."""
 CSV_COLUMNS = (
     "model", "key", "name", "group", "unit", "better", "value", "low", "high", "n", "units", "over",
     "recording", "recording_low", "recording_high", "chance", "mismatched", "informative", "best",
@@ -49,9 +49,9 @@ class Row:
 
     Attributes:
         definition: of the metric.
-        figures: of each model.
+        metrics: results of each model.
         contest: order and bold of the models; None without a value of the recordings.
-        best: index of the model whose figure is bold, or None.
+        best: index of the model whose value is bold, or None.
     """
 
     definition: Definition
@@ -71,7 +71,7 @@ class Row:
         return ARROWS["reference" if self.contest is None else self.contest.direction]
 
     def cells(self, best: Callable[[str], str]) -> list[str]:
-        """Return the models' figures as text; `best` marks the one that is bold."""
+        """Return the models' values as text; `best` marks the one that is bold."""
         return [
             best(text) if i == self.best else text
             for i, text in enumerate(map(_value_text, self.metrics))
@@ -112,7 +112,7 @@ def rows_by_group(evaluation: Evaluation) -> Iterator[tuple[str, list[Row]]]:
 def terminal_lines(evaluation: Evaluation) -> list[str]:
     """Return the three questions and the table for a terminal.
 
-    The table is in groups: direction, figures, recording and chance.
+    The table is in groups: direction, values, recording and chance.
     """
     from tqdm.utils import disp_len
 

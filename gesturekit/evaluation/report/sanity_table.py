@@ -39,8 +39,8 @@ def mark(definition: Definition, result: MetricResult | None, recording: ModelRe
 
     Args:
         definition: of the metric.
-        figure: the bad motion's figure, or None.
-        recording: the figures of the recordings themselves.
+        result: the bad motion's result, or None.
+        recording: the results of the recordings themselves.
     """
     own = recording.metrics.get(definition.key)
     if result is None or own is None or not result.informative:
@@ -104,7 +104,7 @@ def markdown(sanity: Sanity) -> str:
 
 
 def noticed_by(sanity: Sanity) -> dict[str, list[str]]:
-    """Return {bad motion: keys of the headline figures that notice it}."""
+    """Return {bad motion: keys of the headline metrics that notice it}."""
     found = marks(sanity)
     keys = [d.key for d in sanity.evaluation.definitions() if d.group == HEADLINE]
     return {
@@ -135,7 +135,7 @@ def ranking(evaluation: Evaluation) -> list[tuple[str, float]]:
 
 
 def conclusion(sanity: Sanity) -> str:
-    """Return what the three headline figures notice together, in one sentence."""
+    """Return what the three headline metrics notice together, in one sentence."""
     found = noticed_by(sanity)
     missed = [name for name, keys in found.items() if not keys]
     timed = sanity.evaluation.models[0].metrics.get("in_time")

@@ -1,4 +1,4 @@
-"""Likeness: one figure between 0 and 1 for how much a motion moves like the speaker.
+"""Likeness: one number between 0 and 1 for how much a motion moves like the speaker.
 
 Eight aspects have equal weight: hand speed (four quantiles), rests, reach, range, jerk, feet, 1-NN
 test and the direction of time. An aspect that is measured as a ratio to the recording has the

@@ -1,4 +1,4 @@
-"""Figures of one model, from the measurements of its clips and of their set."""
+"""Results of one model by metric, from the measurements of its clips and of their set."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def metric_results(
     floors: Mapping[str, tuple[Interval, str]],
     seed: int,
 ) -> dict[str, MetricResult]:
-    """Return {key of `definitions`: figure}.
+    """Return {key of `definitions`: result}.
 
     Args:
         clips: the clips of a model; measures that compare windows of all clips are added to them.
@@ -109,7 +109,7 @@ def _mean_result(key: str, has: Sequence[ClipResult], total: int, seed: int) -> 
 
 
 def _with_interval(pooled: MetricResult, clips: MetricResult | None) -> MetricResult:
-    """Return a pooled figure with the width of the interval over its clips, if it has none."""
+    """Return a pooled result with the width of the interval over its clips, if it has none."""
     if clips is None or pooled.interval.low is not None:
         return pooled
     return replace(
@@ -122,7 +122,7 @@ def _with_interval(pooled: MetricResult, clips: MetricResult | None) -> MetricRe
 
 
 def _within_range(result: MetricResult) -> MetricResult:
-    """Return a figure whose intervals leave out what its unit cannot be, such as speeds below 0."""
+    """Return a result whose intervals leave out what its unit cannot be, such as speeds below 0."""
     unit = DEFINITIONS[result.key].unit
     if unit in ("", "sd"):
         return result

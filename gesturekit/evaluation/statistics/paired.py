@@ -1,11 +1,11 @@
-"""Differences of models, recording by recording: which figures of a report may be bold.
+"""Differences of models, recording by recording: which values of a report may be bold.
 
-Models are ordered by the distance of their figure to the recordings' own. The nearest one is bold
-only if its figure differs from that of every other model by more than chance: the bootstrap over
+Models are ordered by the distance of their value to the recordings' own. The nearest one is bold
+only if its value differs from that of every other model by more than chance: the bootstrap over
 recordings draws the same ones for both models, each with all its samples; Student's t of the
 difference over its standard error gives a p-value, and the p-values of all rows are adjusted by
 Holm's procedure. It must be the nearer one in three of four resamples as well: two models may
-differ and be about as far from the recordings on either side. A figure that has a chance level must
+differ and be about as far from the recordings on either side. A value that has a chance level must
 be above it, and so must the recordings' own.
 """
 
@@ -26,10 +26,10 @@ from gesturekit.evaluation.statistics.thresholds import USUAL_ONE_NN
 NEARER = 0.75
 """Smallest share of resamples in which the best model must be nearer to the recordings."""
 SEED = 0
-"""Seed of the bootstrap: reports of the same figures have the same bold."""
+"""Seed of the bootstrap: reports of the same values have the same bold."""
 
 _Replicates = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Maps weights of recordings (B, R) to a model's figures (B,) and their distances (B,)."""
+"""Maps weights of recordings (B, R) to a model's values (B,) and their distances (B,)."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Contest:
     Attributes:
         key: key of `definitions`.
         own: the recordings' own value.
-        distances: {model: distance of its figure to it}; the least is the best.
+        distances: {model: distance of its value to it}; the least is the best.
         direction: "higher" or "lower" where no model is beyond the recordings' own value, so that
             more, or less, is nearer to it; else "reference".
         best: the model that is nearest by more than chance, or None.
@@ -112,7 +112,7 @@ def _tested(
 
 
 def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
-    """Return the two-sided p-value of the difference of two models' figures, the nearer one first.
+    """Return the two-sided p-value of the difference of two models' values, the nearer one first.
 
     1 if it is not nearer in `NEARER` of the resamples.
     """
@@ -180,7 +180,7 @@ def _by_recording(model: ModelResult) -> dict[str, list[ClipResult]]:
 
 
 def _chance(key: str, model: ModelResult) -> float:
-    """Return the p-value against the chance level, one-sided; 0 of figures that have none."""
+    """Return the p-value against the chance level, one-sided; 0 of metrics that have none."""
     from scipy.stats import t
 
     by_stem = [
@@ -197,7 +197,7 @@ def _chance(key: str, model: ModelResult) -> float:
 
 
 def _above_chance(key: str, clip: ClipResult) -> Iterator[float]:
-    """Yield how far a clip's figure is above its chance level, or other recordings' level."""
+    """Yield how far a clip's value is above its chance level, or other recordings' level."""
     value = clip.metrics.get(key)
     if value is None:
         return

@@ -34,7 +34,7 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Answer]:
 
     Args:
         clips: the clips of a model.
-        figures: its figures by key of `definitions`.
+        metrics: its results by key of `definitions`.
     """
     return [_timing(metrics), _likeness(clips, metrics), _novelty(metrics)]
 
@@ -195,7 +195,7 @@ def verdict(metrics: Mapping[str, MetricResult]) -> str:
     """Return a sentence about reach, speed, rests, timing and copying; "" if nothing is known.
 
     Args:
-        figures: results of a model by key of `definitions`, each with the recording's value.
+        metrics: results of a model by key of `definitions`, each with the recording's value.
     """
     still = metrics.get("near_still")
     if still is not None and still.interval.value >= thresholds.MOTIONLESS:
