@@ -244,6 +244,13 @@ def test_the_page_of_commands_has_every_verb_and_its_example(hooks):
     assert page.count("Example") >= len(VERBS)
 
 
+def test_the_page_of_metrics_has_every_metric(hooks):
+    from gesturekit.evaluation.definitions import DEFINITIONS
+
+    page = hooks.metrics_page()
+    assert all(f"\n`{key}`: " in page for key in DEFINITIONS)
+
+
 def test_links_of_the_repository_become_links_of_the_site(hooks):
     pages = {
         "recipes/demo/README.md": "recipes/demo.md",

@@ -15,9 +15,9 @@ from gesturekit.corpus import prepare
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring.rigs import RETARGETED, matched
-from gesturekit.evaluation.metrics.feet import foot_skate
 from gesturekit.evaluation.metrics.frechet.clip_features import geometric_features
 from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
 from gesturekit.motion.selection.joint_selection import keep_joints
@@ -90,7 +90,7 @@ def test_its_arms_are_measured_and_its_feet_said_to_be_missing(recordings, gestu
         upper(gesture(6.0, seed=10 + seed)).save(tmp_path / f"{stem}.npz")
     (model,) = evaluate({"m": tmp_path}, recordings, audio=recordings).models
     measured = {"sync", "arm_speed", "wrist_speed", "hand_q50", "reach", "novelty"}
-    assert measured <= set(model.figures)
+    assert measured <= set(model.metrics)
     missing = {item.what: item.reason for item in model.excluded}
     assert missing["Foot skate"] == missing["Floor penetration"] == "the rig has no legs"
 

@@ -11,43 +11,47 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
-from gesturekit.evaluation.beats import load_sound
-from gesturekit.evaluation.clip_metrics import ClipMetrics, ReferenceStatistics
-from gesturekit.evaluation.clips import LENGTH_TOLERANCE, forget_recordings
-from gesturekit.evaluation.contest.baselines import baseline_pairs
-from gesturekit.evaluation.contest.figures import figures_of
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     FRECHET,
     GROUPS,
-    LIFE,
     MOVEMENT,
     PATCHES,
+    POOLED,
     SPEECH,
     Variants,
 )
-from gesturekit.evaluation.frame_rate import RULE
-from gesturekit.evaluation.headline.questions import answers
-from gesturekit.evaluation.intervals import Interval, interval_over_samples
-from gesturekit.evaluation.life.verdict import verdict
 from gesturekit.evaluation.measuring.alike import (
     joints_to_leave_out,
     keep_common_recordings,
     mark_unlike,
 )
-from gesturekit.evaluation.measuring.run import Measured, Progress, measure_all
-from gesturekit.evaluation.measuring.work import MISMATCHED, Work
+from gesturekit.evaluation.measuring.baselines import baseline_pairs
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files
+from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
+from gesturekit.evaluation.measuring.measurer import (
+    MISMATCHED,
+    Measured,
+    Measurer,
+    Progress,
+    measure_all,
+)
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
+from gesturekit.evaluation.metrics.frame_rate import RULE
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
+    ItemInterval,
     Items,
     Pairs,
-    Stretch,
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.results import ClipResult, Evaluation, ModelResult
+from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
+from gesturekit.evaluation.statistics.intervals import interval_over_samples
+from gesturekit.evaluation.statistics.model_metrics import metric_results
+from gesturekit.evaluation.statistics.questions import answers, verdict
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
@@ -94,9 +98,9 @@ class EvaluationOptions:
     seed: int = 0
     """Seed of the bootstrap intervals and of subsamples."""
     workers: int = 1
-    """Number of processes; the figures are the same for any number."""
-    progress: Progress = lambda tasks, total, label: tasks
-    """Wraps the tasks as they are done, such as in a progress bar, given number and label."""
+    """Number of processes; the results are the same for any number."""
+    progress: Progress = lambda portions, total, label: portions
+    """Wraps the portions as they are done, such as in a progress bar, given number and label."""
 
     def __post_init__(self) -> None:
         if self.protocol not in PROTOCOLS:
@@ -141,7 +145,7 @@ def evaluate(
         UnknownOptionError: a keyword that is not an option.
     """
     chosen = build_options(EvaluationOptions, options, "evaluate")
-    _forget_files()
+    forget_files()
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
@@ -154,10 +158,10 @@ def evaluate(
     found |= baseline_pairs(chosen.baselines, found, reference, fps)
     compared = _compared(reference, chosen.protocol)
     statistics = ReferenceStatistics.of(compared, fps)
-    work = _work(found, statistics, compared, reference, fps, chosen)
-    measured = measure_all(work, chosen.workers, chosen.progress)
-    own = work.floors()
-    run = _Comparison(work.measure, chosen.protocol, chosen.seed, own)
+    measurer = _measurer(found, statistics, compared, reference, fps, chosen)
+    measured = measure_all(measurer, chosen.workers, chosen.progress)
+    own = measurer.floors()
+    run = _Comparison(measurer.measure, chosen.protocol, chosen.seed, own)
     models = [
         run.model(label, folders.get(label, Path(label)), pairs, measured)
         for label, pairs in found.items()
@@ -175,12 +179,6 @@ def evaluate(
         recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
         recorded_wrists=np.array(first.get("recorded_wrists", ())),
     )
-
-
-def _forget_files() -> None:
-    """Forget what an earlier evaluation read: files may have changed since."""
-    forget_recordings()
-    load_sound.cache_clear()
 
 
 def _pairs(
@@ -208,16 +206,16 @@ def _settings(options: EvaluationOptions, split: str | None) -> dict:
     }
 
 
-def _work(
+def _measurer(
     found: Mapping[str, Pairs],
     statistics: ReferenceStatistics,
-    compared: Mapping[str, Path | Stretch],
+    compared: Mapping[str, Path | ItemInterval],
     reference: Path | Items,
     fps: float,
     options: EvaluationOptions,
-) -> Work:
+) -> Measurer:
     """Return all that is to be measured."""
-    return Work(
+    return Measurer(
         measure=ClipMetrics(statistics, PROTOCOLS[options.protocol], options.variants),
         pairs={label: pairs.pairs for label, pairs in found.items()},
         recordings={key: compared[key] for key in statistics.recordings},
@@ -231,14 +229,14 @@ def _work(
     )
 
 
-def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | Stretch]:
+def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemInterval]:
     """Return the recordings that sets of clips are compared with.
 
     In Table 4 of Alexanderson et al. 2023 this is the full dataset: all splits of a manifest.
     """
     every = recordings(reference)
     if protocol == "lda" and isinstance(reference, Items):
-        every |= {item.id: Stretch(item) for item in reference.others}
+        every |= {item.id: ItemInterval(item) for item in reference.others}
     return every
 
 
@@ -303,7 +301,7 @@ class _Comparison:
                 ClipResult(
                     pair,
                     values["seconds"],
-                    values["figures"],
+                    values["metrics"],
                     values["recording"],
                     values["mismatched"],
                     tuple(values["notes"]),
@@ -322,10 +320,10 @@ class _Comparison:
         return result
 
     def _summarise(self, result: ModelResult, sets: Mapping[str, Mapping[str, Any]]) -> None:
-        result.figures = figures_of(result.clips, sets, self.floors, self.seed)
-        if LIFE in self.measure.groups:
-            result.verdict = verdict(result.figures)
-            result.answers = answers(result.clips, result.figures)
+        result.metrics = metric_results(result.clips, sets, self.floors, self.seed)
+        if POOLED in self.measure.groups:
+            result.verdict = verdict(result.metrics)
+            result.answers = answers(result.clips, result.metrics)
         if PATCHES in self.measure.groups:
             result.by_recording = self._by_recording(result.clips)
         result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
@@ -336,16 +334,16 @@ class _Comparison:
         """Average the patch metrics over the samples of each recording (eq. 18)."""
         by_recording = {}
         for stem in sorted({clip.pair.stem for clip in clips}):
-            figures: dict[str, Interval] = {}
+            metrics: dict[str, Interval] = {}
             for key, definition in DEFINITIONS.items():
                 values = [
-                    clip.figures[key]
+                    clip.metrics[key]
                     for clip in clips
-                    if clip.pair.stem == stem and key in clip.figures
+                    if clip.pair.stem == stem and key in clip.metrics
                 ]
                 if definition.group == PATCHES and values:
-                    figures[key] = interval_over_samples(values, self.seed)
-            by_recording[stem] = figures
+                    metrics[key] = interval_over_samples(values, self.seed)
+            by_recording[stem] = metrics
         return by_recording
 
     def _protocol_notes(self, result: ModelResult) -> list[str]:

@@ -16,7 +16,7 @@ from typing import Any
 from audio_features import Wave
 from audio_features.atomic import atomic_write
 from gesturekit.errors import ConfigError, GestureKitError
-from gesturekit.evaluation.agreement.answers import MISMATCHED
+from gesturekit.evaluation.statistics.answers import MISMATCHED
 from gesturekit.formats.conversion import load
 from gesturekit.motion import Motion
 from gesturekit.progress import Progress

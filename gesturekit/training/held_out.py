@@ -16,7 +16,7 @@ import audio_features as af
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.frame_rate import at_rate
+from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.patches import coverage, patch_features
 from gesturekit.evaluation.metrics.physical import HARDLY_MOVING, arm_speed, joint_speed
 from gesturekit.evaluation.metrics.sync import sync

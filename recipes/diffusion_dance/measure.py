@@ -21,7 +21,7 @@ from track import RATE, TEMPOS, play
 import gesturekit as gk
 from audio_features import Wave
 from gesturekit.evaluation import arm_speed_ratio, beat_alignment
-from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.viewer.pictures import speech_and_motion
 
 SECONDS = 22.1

@@ -18,7 +18,7 @@ from gesturekit.diffusion.training.augmentation import (
     stretch_factor,
 )
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from gesturekit.training.seeds import rng_for

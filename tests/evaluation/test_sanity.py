@@ -10,10 +10,14 @@ import soundfile
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.contest.paired import contests
-from gesturekit.evaluation.sanity.bad_motion import BAD_MOTION, Source
-from gesturekit.evaluation.sanity.run import RECORDING, run_sanity
-from gesturekit.evaluation.sanity.table import conclusion, marks, noticed_by, ranking
+from gesturekit.evaluation.report.bad_motion import (
+    BAD_MOTION,
+    RECORDING,
+    BadMotionInputs,
+    run_sanity,
+)
+from gesturekit.evaluation.report.sanity_table import conclusion, marks, noticed_by, ranking
+from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.motion import Motion, Skeleton
 
 ALL = set(BAD_MOTION)
@@ -51,7 +55,7 @@ def test_no_bad_motion_is_bold_against_the_recording(spoken):
 def test_every_interval_is_stated(spoken):
     for model in spoken.evaluation.models:
         for key in ("in_time", "likeness", "novelty", "reach", "sync", "foot_skate"):
-            interval = model.figures[key].interval
+            interval = model.metrics[key].interval
             assert interval.low <= interval.value <= interval.high, (model.label, key)
 
 
@@ -81,7 +85,9 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
 
 def test_bad_motions_match_their_names(gesture):
     recording, other, training = (gesture(4.0, 25.0, seed=i) for i in range(3))
-    made = {n: make(Source(recording, other, training, 0)) for n, make in BAD_MOTION.items()}
+    made = {
+        n: make(BadMotionInputs(recording, other, training, 0)) for n, make in BAD_MOTION.items()
+    }
     assert all(m.n_frames == 100 and m.fps == 25.0 for m in made.values())
     assert np.ptp(made["frozen"].rotations, axis=0).max() == 0.0
     assert np.ptp(made["mean pose"].rotations, axis=0).max() == 0.0

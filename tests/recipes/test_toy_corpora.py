@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit.evaluation.metrics.feet import foot_skate
+from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
 from gesturekit.formats.tables.events import load_events
 from gesturekit.formats.tables.root_path import load_root_path

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, OWN_COLUMNS
+from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, OWN_COLUMNS
 from gesturekit.study import build_study
 from gesturekit.study.build import CODES, REASONS
 from gesturekit.study.clips import Segment, find_clips

@@ -18,7 +18,7 @@ import pytest
 import gesturekit.study.build as build_module
 from gesturekit.cli import main
 from gesturekit.evaluation import read_answers
-from gesturekit.evaluation.agreement.answers import GENEA_COLUMNS, OWN_COLUMNS
+from gesturekit.evaluation.statistics.answers import GENEA_COLUMNS, OWN_COLUMNS
 from gesturekit.study import build_study
 from gesturekit.study.config import StudyConfig, load_study_config
 from gesturekit.viewer import html as player_module

@@ -10,7 +10,7 @@ import statsmodels.api as sm
 from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
 
-from gesturekit.evaluation.agreement.answers import Answer, Answers
+from gesturekit.evaluation.statistics.answers import Answer, Answers
 from gesturekit.study import analyse_study
 from gesturekit.study.analysis.alignment import analyse_alignment
 from gesturekit.study.analysis.preference import (

@@ -13,7 +13,7 @@ from gesturekit.diffusion.sampling.noise_schedule import NoiseSchedule
 from gesturekit.diffusion.sampling.solvers import sample
 from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.errors import MotionError
-from gesturekit.evaluation.quick_metrics import quick_metrics
+from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.training.seeds import rng_for
 

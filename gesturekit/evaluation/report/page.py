@@ -12,14 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from audio_features.atomic import atomic_write
-from gesturekit.evaluation.contest.paired import contests
 from gesturekit.evaluation.report import tables
-from gesturekit.evaluation.report.figure_table import agreement_lines
 from gesturekit.evaluation.report.headline import headline, interval_warnings
+from gesturekit.evaluation.report.metric_table import agreement_lines
 from gesturekit.evaluation.report.plots import all_plots
 from gesturekit.evaluation.report.showcase import Shown, best_and_worst
 from gesturekit.evaluation.report.tables import section
 from gesturekit.evaluation.results import Evaluation
+from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.viewer import player_shell
 from gesturekit.wording import counted
 
@@ -55,7 +55,7 @@ def write_report(
     rows = contests(evaluation.models)
     sections = [
         without_folders(headline(evaluation, rows)),
-        without_folders(tables.figures(evaluation, rows)),
+        without_folders(tables.metrics(evaluation, rows)),
         without_folders(tables.recordings(evaluation)),
         _plots_section(evaluation),
         _agreement_section(evaluation),
@@ -132,13 +132,13 @@ def _warnings(evaluation: Evaluation) -> Iterable[str]:
 
 
 def _plots_section(evaluation: Evaluation) -> str:
-    figures = "".join(
+    metrics = "".join(
         f"<figure><figcaption>{html.escape(title)}</figcaption>"
         f'<img alt="{html.escape(title)}" src="data:image/svg+xml;base64,'
         f'{base64.b64encode(svg.encode()).decode()}"></figure>'
         for title, svg in all_plots(evaluation).items()
     )
-    return section("Plots", "", figures) if figures else ""
+    return section("Plots", "", metrics) if metrics else ""
 
 
 def _agreement_section(evaluation: Evaluation) -> str:

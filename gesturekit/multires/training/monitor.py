@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import audio_features as af
-from gesturekit.evaluation.quick_metrics import quick_metrics
+from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.network.generator import MultiresGenerator

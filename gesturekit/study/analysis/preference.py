@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from gesturekit.evaluation.agreement.answers import Answer
+from gesturekit.evaluation.statistics.answers import Answer
 from gesturekit.study.analysis.significance import Anova, Estimate, anova, holm, rater_test, wilson
 from gesturekit.study.analysis.votes import Votes, interval
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.agreement.answers import Answers
+from gesturekit.evaluation.statistics.answers import Answers
 from gesturekit.study.analysis.alignment import Alignment, AlignmentScore, analyse_alignment
 from gesturekit.study.analysis.preference import PairScore, Preference, analyse_preference
 from gesturekit.study.analysis.significance import ALPHA, Estimate, statsmodels_module, wilson
