@@ -137,7 +137,7 @@ def extractor_from_spec(
         >>> af.extractor_from_spec({"kind": "mffc"})
         Traceback (most recent call last):
         audio_features.errors.FeatureError: feature spec {'kind': 'mffc'}: kind 'mffc' is none
-        of logmel, mfcc, prosody, onset, liveliness, effort, music, words, wavlm, hf, stack
+        of logmel, mfcc, prosody, onset, prosodic_range, effort, music, words, wavlm, hf, stack
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)
