@@ -19,8 +19,7 @@ from gesturekit.multires.constraints.constraint import Constraint
 from gesturekit.multires.network.generator import LevelGenerator, MultiresGenerator
 from gesturekit.multires.network.resampling import resample, resample_part
 from gesturekit.multires.sampling.conditions import LevelConditions
-from gesturekit.multires.sampling.noise import RandomNoise
-from gesturekit.multires.sampling.trained_model import TrainedModel
+from gesturekit.multires.sampling.trained_model import RandomNoise, TrainedModel
 
 TILE = 2048
 """Frames of a tile, which need about 50 MB; the halo of 16 frames is a small part of it."""
