@@ -18,7 +18,7 @@ from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.wording import counted
 
-_ARROWS = {
+ARROWS = {
     "higher": ("↑", "higher is nearer to the recordings' own value"),
     "lower": ("↓", "lower is nearer to the recordings' own value"),
     "reference": ("", "the recordings' own value is the goal"),
@@ -102,11 +102,10 @@ def has_samples(evaluation: Evaluation) -> bool:
 
 
 def _measure_cells(definition: Definition, row: Contest | None) -> str:
-    arrow, meaning = _ARROWS[definition.better if row is None else row.direction]
-    unit = f", {definition.unit}" if definition.unit else ""
+    arrow, meaning = ARROWS[definition.better if row is None else row.direction]
     bound = ' class="bound"' if definition.fps_bound else ""
     return (
-        f"<th>{html.escape(definition.name + unit)}"
+        f"<th>{html.escape(definition.title)}"
         f"<small{bound}>{html.escape(definition.variant)}</small></th>"
         f'<td title="{meaning}">{arrow}</td>'
     )
