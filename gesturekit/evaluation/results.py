@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from audio_features.atomic import atomic_write
+from audio_features.atomic import write_text
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
@@ -251,8 +251,7 @@ class Evaluation:
     def write_json(self, path: str | os.PathLike[str]) -> None:
         """Write `to_json` to a file."""
         text = json.dumps(self.to_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        with atomic_write(path) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+        write_text(path, text + "\n")
 
 
 def _model(model: ModelResult) -> dict[str, Any]:

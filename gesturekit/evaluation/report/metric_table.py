@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from audio_features.atomic import atomic_write
+from audio_features.atomic import write_text
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
 from gesturekit.evaluation.report.headline import headline_lines, interval_warnings
 from gesturekit.evaluation.report.tables import ARROWS, number
@@ -265,8 +265,7 @@ WRITERS: Mapping[str, Callable[[Evaluation], str]] = {
 
 def write_table(evaluation: Evaluation, path: str | os.PathLike[str], form: str) -> None:
     """Write the table of all metrics to a file; `form` is a name in `WRITERS`."""
-    with atomic_write(Path(path)) as temporary:
-        temporary.write_text(WRITERS[form](evaluation), encoding="utf-8")
+    write_text(path, WRITERS[form](evaluation))
 
 
 def _value_text(result: MetricResult | None) -> str:

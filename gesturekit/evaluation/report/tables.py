@@ -16,6 +16,7 @@ from gesturekit.evaluation.definitions import (
 from gesturekit.evaluation.report.plots import colour
 from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 from gesturekit.evaluation.statistics.paired import Contest
+from gesturekit.viewer.pages import section
 from gesturekit.wording import counted
 
 ARROWS = {
@@ -25,12 +26,6 @@ ARROWS = {
 }
 _OPEN = (HEADLINE, SPEECH, PATCHES, FRECHET)  # groups of the papers' tables; the rest is folded
 _MOST_CLIPS = 300
-
-
-def section(title: str, lead: str, body: str) -> str:
-    """Return a section of the page; `lead` and `body` are HTML."""
-    lead = f'<p class="lead">{lead}</p>' if lead else ""
-    return f"<section><h2>{title}</h2>{lead}{body}</section>"
 
 
 def number(value: float) -> str:
