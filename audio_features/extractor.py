@@ -137,7 +137,7 @@ def extractor_from_spec(
         >>> af.extractor_from_spec({"kind": "mffc"})
         Traceback (most recent call last):
         audio_features.errors.FeatureError: feature spec {'kind': 'mffc'}: kind 'mffc' is none
-        of logmel, mfcc, prosody, onset, liveliness, effort, music, words, wavlm, hf, stack
+        of logmel, mfcc, prosody, onset, prosodic_range, effort, music, words, wavlm, hf, stack
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
     kind = settings.pop("kind", None)
@@ -202,9 +202,10 @@ def _check_one_place(parts: list[Any], weights: WeightPlaces | None) -> None:
     """Raise WeightsError if one path is given for several encoders."""
     if weights is None or isinstance(weights, Mapping):
         return
-    kinds = {part["kind"] for part in parts if needs_weights(part) and not folder_in_spec(part)}
+    encoders = [part["kind"] for part in parts if needs_weights(part) and not folder_in_spec(part)]
+    kinds = list(dict.fromkeys(encoders))
     if len(kinds) > 1:
-        named = " ".join(f"--weights {kind}=PATH" for kind in _ENCODERS if kind in kinds)
+        named = " ".join(f"--weights {kind}=PATH" for kind in kinds)
         raise WeightsError(
             f"{os.fspath(weights)}: the features need {len(kinds)} encoders, but this is one path: "
             f"give the weights of each ({named})"

@@ -34,7 +34,7 @@ KINDS = {
     "mfcc": Kind("acoustic.extractors", "MFCC", "n"),
     "prosody": Kind("acoustic.extractors", "Prosody", "f0"),
     "onset": Kind("acoustic.extractors", "Onset"),
-    "liveliness": Kind("acoustic.extractors", "Liveliness", "seconds"),
+    "prosodic_range": Kind("acoustic.extractors", "ProsodicRange", "seconds"),
     "effort": Kind("acoustic.extractors", "Effort", "seconds"),
     "music": Kind("acoustic.music", "Music", "n_chroma"),
     "words": Kind("words", "Words", "encoder", weights=True),

@@ -20,7 +20,7 @@ from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 from gesturekit.evaluation.metrics.physical import foot_skate
 from gesturekit.inspection import inspect
 from gesturekit.motion import Motion
-from gesturekit.motion.selection.joint_selection import keep_joints
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.multires.recall.parts import motion_parts
 from gesturekit.training.recipes import read_table
 from gesturekit.viewer.anatomy import LEFT, MIDDLE, RIGHT

@@ -1,4 +1,4 @@
-"""Acoustic features: log-mel bands, MFCC, prosody, onsets, liveliness and vocal effort."""
+"""Acoustic features: log-mel bands, MFCC, prosody, onsets, prosodic range and vocal effort."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
 BACKENDS = ("numpy", "torchaudio")
-_OCTAVE_GUARD = 7.0  # semitones; see `Liveliness`
+_OCTAVE_GUARD = 7.0  # semitones; see `ProsodicRange`
 
 
 class AcousticExtractor(ABC):
@@ -230,7 +230,7 @@ def _peaks(strength: np.ndarray) -> list[int]:
     return picked
 
 
-class Liveliness(AcousticExtractor):
+class ProsodicRange(AcousticExtractor):
     """Local variation of pitch and energy: two columns.
 
     - `f0_range`: mean distance of the pitch from its local mean over voiced frames, semitones.
@@ -248,7 +248,7 @@ class Liveliness(AcousticExtractor):
         >>> for second in (220, 440):
         ...     hertz = np.where(seconds < 0.5, 220, second)
         ...     wave = af.Wave.from_array(np.sin(2 * np.pi * hertz * seconds), 16000)
-        ...     print(af.Liveliness().extract(wave).values[50, 0] > 0.1)
+        ...     print(af.ProsodicRange().extract(wave).values[50, 0] > 0.1)
         False
         True
     """
@@ -260,7 +260,7 @@ class Liveliness(AcousticExtractor):
         if not isinstance(seconds, (int, float)) or not 0.05 <= seconds <= 60:
             raise FeatureError(f"seconds={seconds!r}: a number from 0.05 to 60")
         self.seconds = float(seconds)
-        self.spec = {"kind": "liveliness", "seconds": self.seconds}
+        self.spec = {"kind": "prosodic_range", "seconds": self.seconds}
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         from scipy.ndimage import gaussian_filter1d

@@ -10,7 +10,7 @@ import click
 from audio_features.kinds import KINDS
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
-from gesturekit.cli.engines import run_elsewhere
+from gesturekit.cli.launchers import run_elsewhere
 from gesturekit.cli.options import GroupedCommand, channel_option, existing_option, weights_option
 from gesturekit.wording import counted
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import IDENTITY, rotation_angles
 
 SEVERITIES = ("error", "warning", "note")

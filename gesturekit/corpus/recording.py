@@ -24,7 +24,7 @@ from gesturekit.formats.tables.root_path import load_root_path
 from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.jobs.pool import Failure, Pool
 from gesturekit.motion import Motion, Skeleton, defects
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.wording import counted
 
 MIN_DURATION = 0.5

@@ -153,8 +153,8 @@ class SpeechConditioner:
 
     @property
     def prosody(self) -> tuple[int, ...]:
-        """Columns of `af.Prosody` and `af.Liveliness`; empty without these extractors."""
-        own = {*af.Prosody().names, *af.Liveliness().names}
+        """Columns of `af.Prosody` and `af.ProsodicRange`; empty without these extractors."""
+        own = {*af.Prosody().names, *af.ProsodicRange().names}
         return tuple(i for i, name in enumerate(self._names) if name in own)
 
     @property

@@ -25,6 +25,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import side_axis
+from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
@@ -34,7 +35,6 @@ from gesturekit.motion.rotations import (
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from gesturekit.motion.selection.model_joints import ModelJoints
 from gesturekit.motion.skeleton import Skeleton
 
 _FRAMES_AT_ONCE = 1024  # bounds the size of temporary arrays while decoding

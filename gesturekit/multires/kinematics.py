@@ -7,8 +7,7 @@ from torch import Tensor, nn
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import arm_joints
-from gesturekit.motion.selection.point_kinematics import PointKinematics, foot_kinematics
-from gesturekit.motion.torch_kinematics import sixd_to_matrix
+from gesturekit.motion.torch_kinematics import PointKinematics, foot_kinematics, sixd_to_matrix
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.resampling import reflect
 

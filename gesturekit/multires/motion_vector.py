@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.motion.contacts import CONTACT_SPEED, contact_labels, foot_points
+from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     multiply_quaternions,
@@ -27,7 +28,6 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     sixd_from_quaternion,
 )
-from gesturekit.motion.selection.model_joints import ModelJoints
 from gesturekit.motion.skeleton import Skeleton
 
 _FRAMES_AT_ONCE = 1024

@@ -16,7 +16,7 @@ import numpy as np
 
 from gesturekit.errors import GestureKitError
 from gesturekit.motion import Skeleton
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer.glb import Colours, Glb, is_seen, palette_of
 from gesturekit.viewer.human.body import Human
 from gesturekit.viewer.skin import INFLUENCES, Skin, whole_weights

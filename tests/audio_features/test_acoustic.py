@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from audio_features import MFCC, FeatureError, Liveliness, LogMel, Onset, Prosody, Stack, Wave
+from audio_features import MFCC, FeatureError, LogMel, Onset, ProsodicRange, Prosody, Stack, Wave
 from audio_features.acoustic import analysis
 from audio_features.acoustic.analysis import FLOOR_DB, track_pitch
 
@@ -155,7 +155,7 @@ def test_prosody_of_real_speech(shared_data):
     assert 1 < columns(track, "f0")[voiced].std() < 8
 
 
-def test_liveliness_is_the_range_of_pitch_and_energy():
+def test_prosodic_range_is_the_range_of_pitch_and_energy():
     rate = 16000
     time = np.arange(5 * rate) / rate
 
@@ -166,7 +166,7 @@ def test_liveliness_is_the_range_of_pitch_and_energy():
         gain = 10 ** (swell_db / 20 * np.sin(2 * np.pi * 1.1 * time))
         return Wave((0.05 * tone * gain).astype(np.float32), rate, None)
 
-    extractor = Liveliness()
+    extractor = ProsodicRange()
     flat, high, loud = (
         extractor.extract(say(*how)).values[100:-100].mean(axis=0)
         for how in ((0.2, 0.5), (5.0, 0.5), (0.2, 6.0))
@@ -176,17 +176,17 @@ def test_liveliness_is_the_range_of_pitch_and_energy():
     silence = extractor.extract(Wave(np.zeros(rate, np.float32), rate, None)).values
     assert np.abs(silence).max() == 0.0
     with pytest.raises(FeatureError, match="seconds=0"):
-        Liveliness(seconds=0)
+        ProsodicRange(seconds=0)
 
 
 @pytest.mark.parametrize("other", [300.0, 60.5])
-def test_pitch_beyond_seven_semitones_counts_as_seven_for_liveliness(other):
+def test_pitch_beyond_seven_semitones_counts_as_seven_for_prosodic_range(other):
     """Trackers make errors of an octave and more: here in .4 of the time, evenly spread."""
     time = np.arange(10 * 16_000) / 16_000
     pitch = np.where(time % 1.0 < 0.6, 121.0, other)
     phase = 2 * np.pi * np.cumsum(pitch) / 16_000
     tone = sum(np.sin(k * phase) / k for k in range(1, 20))
-    values = Liveliness().extract(Wave((0.05 * tone).astype(np.float32), 16_000)).values
+    values = ProsodicRange().extract(Wave((0.05 * tone).astype(np.float32), 16_000)).values
     # The mean is .4 · 7 = 2.8, and the mean distance from it .6 · 2.8 + .4 · 4.2 = 3.36.
     assert values[300:700, 0].mean() == pytest.approx(3.36, rel=0.05)
 

@@ -66,7 +66,7 @@ import sys, numpy as np, audio_features as af
 for name in af.__all__:
     getattr(af, name)
 wave = af.Wave(0.1 * np.random.default_rng(0).standard_normal(32000).astype("f4"), 22050)
-kinds = [af.LogMel(), af.MFCC(), af.Prosody(), af.Onset(), af.Liveliness(), af.Music()]
+kinds = [af.LogMel(), af.MFCC(), af.Prosody(), af.Onset(), af.ProsodicRange(), af.Music()]
 assert all(len(kind.extract(wave).values) == 145 for kind in kinds)
 np.save(sys.argv[2], af.WavLM(sys.argv[1]).extract(wave).values)
 assert "transformers" not in sys.modules

@@ -1,4 +1,4 @@
-"""features and convert on many files: the plan, journal, shards and engines of render."""
+"""features and convert on many files: the plan, journal, shards and launchers of render."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ def test_shards_in_any_order_give_the_same_files(run, gesturekit, tmp_path, verb
 
 
 @pytest.mark.stress
-def test_workers_and_engines_give_the_same_files(run, tmp_path):
+def test_workers_and_launchers_give_the_same_files(run, tmp_path):
     run("whole")
     assert run("workers", "--workers", 2).status == 0
     assert results(tmp_path / "workers") == results(tmp_path / "whole")
     pytest.importorskip("submitit")
-    done = run("slurm", "--engine", "slurm", "--jobs", 2, "--engine-option", "cluster=debug")
+    done = run("slurm", "--launcher", "slurm", "--jobs", 2, "--launcher-option", "cluster=debug")
     assert done.status == 0, done.err
     assert results(tmp_path / "slurm") == results(tmp_path / "whole")
 

@@ -12,7 +12,7 @@ import soundfile
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.inspection.corpus import inspect_recordings
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 
 
 def errors(report):

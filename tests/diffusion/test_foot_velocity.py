@@ -12,8 +12,7 @@ from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.diffusion.training.foot_velocity import FootVelocity
 from gesturekit.motion.contacts import foot_positions
-from gesturekit.motion.selection.point_kinematics import foot_kinematics
-from gesturekit.motion.torch_kinematics import rotation_vector_to_matrix
+from gesturekit.motion.torch_kinematics import foot_kinematics, rotation_vector_to_matrix
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.report.page import write_report
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.selection.joint_selection import keep_joints
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from gesturekit.evaluation import Variants, evaluate
 from gesturekit.evaluation.metrics.rhythm import beat_alignment, music_beats
 from gesturekit.evaluation.report.headline import interval_warnings
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.selection.joint_selection import keep_joints
+from gesturekit.motion.joint_selection import keep_joints
 
 
 @pytest.fixture(scope="module")

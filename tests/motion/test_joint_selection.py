@@ -7,9 +7,9 @@ import pytest
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.joint_selection import keep_joints
+from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.parts import body_joints
-from gesturekit.motion.selection.joint_selection import keep_joints
-from gesturekit.motion.selection.model_joints import first_moving_joint
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.motion_vector import MultiresRepresentation
 

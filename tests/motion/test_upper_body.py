@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hinges import bent_backwards
 from rigs import rig_of
 
 from gesturekit.errors import MotionError
@@ -14,10 +15,9 @@ from gesturekit.formats.axes import file_axes, rotation_to_y_up, turn_axes
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.formats.units import guess_unit
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.body_size import body_height, body_size
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.heading import heading, side_axis
-from gesturekit.motion.ik.joint_limits import bent_backwards
+from gesturekit.motion.joint_selection import keep_joints
 from gesturekit.motion.parts import (
     SIDES,
     body_joints,
@@ -28,6 +28,7 @@ from gesturekit.motion.parts import (
     unidentified,
     upper_body,
 )
+from gesturekit.motion.parts.body_size import body_height, body_size
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
 from gesturekit.motion.rotations import (
@@ -35,7 +36,6 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     quaternion_from_rotation_vector,
 )
-from gesturekit.motion.selection.joint_selection import keep_joints
 from gesturekit.postprocess import lock_feet
 
 LEGS = ("UpLeg", "Leg", "Foot", "Toe", "hip", "knee", "ankle", "left_foot", "right_foot")

@@ -10,7 +10,7 @@ import pytest
 import gesturekit as gk
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import heading
-from gesturekit.motion.selection.model_joints import reference_skeleton
+from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.multires.motion_vector import MultiresRepresentation
 
 

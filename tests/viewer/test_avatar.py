@@ -13,7 +13,7 @@ from pages import bundled, opened
 
 from gesturekit.cli import main
 from gesturekit.errors import FormatError
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.skin import Skin

@@ -19,9 +19,9 @@ from gesturekit.cli import main
 from gesturekit.errors import FormatError
 from gesturekit.formats.smpl.skeleton import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.body_size import body_height
 from gesturekit.motion.ik.two_bone import two_bone_ik
 from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_html, write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human import bake, body, makehuman

@@ -8,8 +8,7 @@ from torch import Tensor, nn
 from gesturekit.diffusion.motion_vector import DeltaRepresentation
 from gesturekit.diffusion.standardiser import Standardiser
 from gesturekit.motion.rotations import matrix_from_quaternion
-from gesturekit.motion.selection.point_kinematics import PointKinematics
-from gesturekit.motion.torch_kinematics import rotation_vector_to_matrix
+from gesturekit.motion.torch_kinematics import PointKinematics, rotation_vector_to_matrix
 
 
 class FootVelocity(nn.Module):

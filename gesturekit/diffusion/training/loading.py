@@ -22,8 +22,7 @@ from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.tables.events import Event
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.retarget.path_following import follow_path
-from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.root_path import RootPath, follow_path
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import extract_features, feature_values
 from gesturekit.training.data.start_model import (

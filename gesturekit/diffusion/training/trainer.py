@@ -24,7 +24,7 @@ from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.diffusion.training.monitor import STEPS, Monitor
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.parts import unidentified
-from gesturekit.motion.selection.point_kinematics import foot_kinematics
+from gesturekit.motion.torch_kinematics import foot_kinematics
 from gesturekit.training.data.sources import described, save_sources, unused_labels
 from gesturekit.training.held_out import HeldOut
 from gesturekit.training.run.folder import Run

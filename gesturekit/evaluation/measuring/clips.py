@@ -17,8 +17,8 @@ from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, ItemInterval, Pair
 from gesturekit.formats.tables.semantics import load_semantics
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
+from gesturekit.motion.parts.body_size import body_scale
 
 LENGTH_TOLERANCE = 0.1
 """Largest difference in length between a clip and its recording without a note, seconds."""

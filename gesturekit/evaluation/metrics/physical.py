@@ -24,9 +24,9 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.contacts import contact_labels, foot_positions
 from gesturekit.motion.parts import SIDES, arm_joints, body_joints, find_parts, is_upper_body
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
     invert_quaternions,
     mean_quaternion,

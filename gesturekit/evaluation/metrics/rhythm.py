@@ -18,7 +18,7 @@ from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
 from gesturekit.evaluation.metrics.sync import MIN_SHIFT
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.parts.body_size import body_scale
 
 SMOOTHING = 5 / 60
 """Seconds; σ of the Gaussian over the speed curve in beat alignment: 5 frames at 60 fps."""

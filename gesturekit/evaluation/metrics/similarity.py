@@ -11,7 +11,7 @@ from audio_features import FeatureTrack
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.physical import joint_paths
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
+from gesturekit.motion.parts.body_size import body_scale
 
 _STILL = 1e-6  # fraction of a pose's extent; a column that varies less is constant
 SRGR_THRESHOLD = 0.1

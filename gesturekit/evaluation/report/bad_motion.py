@@ -18,8 +18,8 @@ from gesturekit.evaluation.pairs import file_of, files_by_key, motion_files
 from gesturekit.evaluation.results import Evaluation
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import arm_joints, find_parts
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
     mean_quaternion,
     multiply_quaternions,

@@ -11,7 +11,7 @@ import numpy as np
 from audio_features.archive import Archive, open_archive
 from gesturekit.errors import FormatError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.body_size import body_height
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import (
     IDENTITY,

@@ -11,8 +11,8 @@ import numpy as np
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.motion import Motion
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.parts import body_joints, find_parts, heading_joints, upper_body
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 
 _SMALLEST_SCALE = 1e-3

@@ -1,4 +1,4 @@
-"""Engines: the shards of a rendering as jobs; the same files, whatever happens to a job."""
+"""Launchers: the shards of a rendering as jobs; the same files, whatever happens to a job."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from outputs import finished, results
 
 from gesturekit.cli import cli
-from gesturekit.cli.engines import ShardCommand
+from gesturekit.cli.launchers import ShardCommand
 from gesturekit.jobs.status import status_of
 
 
@@ -33,7 +33,9 @@ def render(tmp_path, write_speech, monkeypatch):
 def test_slurm_makes_the_same_files(render, tmp_path):
     pytest.importorskip("submitit")
     assert render("plain").exit_code == 0
-    done = render("sharded", "--engine", "slurm", "--jobs", "2", "--engine-option", "cluster=debug")
+    done = render(
+        "sharded", "--launcher", "slurm", "--jobs", "2", "--launcher-option", "cluster=debug"
+    )
     assert done.exit_code == 0, done.output
     assert results(tmp_path / "sharded") == results(tmp_path / "plain")
     assert len(results(tmp_path / "plain")) == 3
@@ -43,11 +45,11 @@ def test_slurm_makes_the_same_files(render, tmp_path):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--engine", "slurm", "--shard", "1/2"], "give --jobs, not --shard"),
-        (["--jobs", "2"], "require --engine"),
-        (["--engine", "ray", "--engine-option", "a=b"], "--engine-option is for slurm"),
-        (["--engine", "slurm", "--address", "x"], "--address for ray"),
-        (["--engine", "slurm", "--engine-option", "partition"], "expected KEY=VALUE"),
+        (["--launcher", "slurm", "--shard", "1/2"], "give --jobs, not --shard"),
+        (["--jobs", "2"], "require --launcher"),
+        (["--launcher", "ray", "--launcher-option", "a=b"], "--launcher-option is for slurm"),
+        (["--launcher", "slurm", "--address", "x"], "--address for ray"),
+        (["--launcher", "slurm", "--launcher-option", "partition"], "expected KEY=VALUE"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(render, tmp_path, options, says):
@@ -110,7 +112,7 @@ def test_shards_of_a_lost_ray_node_are_run_again(render, tmp_path, monkeypatch):
         thread = threading.Thread(target=lose, daemon=True)
         thread.start()
         done = render(
-            "out", "--engine", "ray", "--jobs", "4", "--address", cluster.address, files=40
+            "out", "--launcher", "ray", "--jobs", "4", "--address", cluster.address, files=40
         )
         thread.join(60)
         assert done.exit_code == 0, done.output

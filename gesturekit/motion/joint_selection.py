@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 

@@ -1,4 +1,4 @@
-"""Engines: where the shards of a command run. Each repeats the command with `--shard K/N`."""
+"""Launchers: where the shards of a command run. Each repeats the command with `--shard K/N`."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _MINUTES = 24 * 60
 _OUTCOMES = (0, 1, 2, 130)  # exit codes of the command line
 
 
-def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of engines."""
+def launcher_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of launchers."""
     options = (
         click.option(
-            "--engine",
+            "--launcher",
             type=click.Choice(["local", "slurm", "ray"]),
             default="local",
             show_default=True,
@@ -33,8 +33,8 @@ def engine_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
         ),
         click.option(
-            "--engine-option",
-            "engine_options",
+            "--launcher-option",
+            "launcher_options",
             multiple=True,
             metavar="KEY=VALUE",
             help="For slurm, a parameter of submitit, such as slurm_partition=cpu, "
@@ -69,7 +69,7 @@ class ShardCommand:
 
         os.chdir(self.folder)
         try:
-            main([*self.arguments, "--engine", "local", "--shard", shard])
+            main([*self.arguments, "--launcher", "local", "--shard", shard])
         except SystemExit as end:
             if end.code in _OUTCOMES:
                 return int(end.code)
@@ -84,34 +84,34 @@ class ShardCommand:
 
 
 def run_elsewhere(ctx: click.Context, out: Path, options: dict[str, Any]) -> int | None:
-    """Pop the options of engines; run the shards on a cluster and return the exit code.
+    """Pop the options of launchers; run the shards on a cluster and return the exit code.
 
     Returns:
-        None for the local engine, and for a dry run.
+        None for the local launcher, and for a dry run.
 
     Raises:
         click.UsageError: options that cannot be combined.
-        ConfigError: the engine is not installed, or a parameter of it is wrong.
+        ConfigError: the launcher is not installed, or a parameter of it is wrong.
     """
-    engine, jobs = options.pop("engine"), options.pop("jobs")
-    settings, address = options.pop("engine_options"), options.pop("address")
-    if engine == "local":
+    launcher, jobs = options.pop("launcher"), options.pop("jobs")
+    settings, address = options.pop("launcher_options"), options.pop("address")
+    if launcher == "local":
         if options["shard"] is None and (jobs or settings or address):
-            raise click.UsageError("--jobs, --engine-option and --address require --engine.")
+            raise click.UsageError("--jobs, --launcher-option and --address require --launcher.")
         return None
     if options["shard"] is not None:
         raise click.UsageError(
-            f"--engine {engine} creates the shards itself: give --jobs, not --shard."
+            f"--launcher {launcher} creates the shards itself: give --jobs, not --shard."
         )
-    if (settings and engine != "slurm") or (address and engine != "ray"):
-        raise click.UsageError("--engine-option is for slurm, and --address for ray.")
+    if (settings and launcher != "slurm") or (address and launcher != "ray"):
+        raise click.UsageError("--launcher-option is for slurm, and --address for ray.")
     if options["dry_run"]:
         return None
     command = ShardCommand((ctx.info_name or "", *ctx.meta[ARGUMENTS]), str(Path.cwd()))
     shards = [f"{number}/{jobs or 1}" for number in range(1, (jobs or 1) + 1)]
     codes = (
         _run_slurm(command, shards, out, settings)
-        if engine == "slurm"
+        if launcher == "slurm"
         else _run_ray(command, shards, address)
     )
     click.echo(f"{counted(len(shards), 'shard')}: gesturekit jobs {out} shows the result", err=True)
@@ -204,7 +204,7 @@ def _share(shards: Sequence[str], actors: list[Any]) -> list[int]:
 def _setting(text: str) -> tuple[str, int | str]:
     name, separator, value = text.partition("=")
     if not separator or not name.isidentifier():
-        raise click.UsageError(f"--engine-option {text}: expected KEY=VALUE.")
+        raise click.UsageError(f"--launcher-option {text}: expected KEY=VALUE.")
     return name, int(value) if value.isdecimal() else value
 
 

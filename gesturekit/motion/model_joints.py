@@ -13,9 +13,9 @@ from typing import Any, Self
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_size import body_scale
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints, find_legs, find_parts, leg_length
+from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
