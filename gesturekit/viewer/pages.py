@@ -1,4 +1,4 @@
-"""What all HTML pages have in common: templates, scripts, and sections of reports."""
+"""Common parts of HTML pages: templates, scripts, and sections of reports."""
 
 from __future__ import annotations
 

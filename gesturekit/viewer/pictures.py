@@ -88,21 +88,8 @@ def write_picture(
     seconds = max(seconds, wave.duration if wave else 0.0)
     bodies = [_ROW_INCHES] * len(figures)
     heights = [1.1, 1.2, *bodies] if wave else [*bodies, 1.0]
-    canvas = matplotlib.figure.Figure(
-        figsize=(max(6.0, _INCHES_PER_FIGURE * frames), sum(heights) + 0.9),
-        dpi=_DPI,
-        layout="constrained",
-        facecolor="white",
-    )
-    FigureCanvasAgg(canvas)
-    canvas.suptitle(
-        printable(title if title is not None else Path(path).stem),
-        x=0.012,
-        ha="left",
-        fontsize=13,
-        color=_EDGE,
-        parse_math=False,
-    )
+    size = (max(6.0, _INCHES_PER_FIGURE * frames), sum(heights) + 0.9)
+    canvas = _canvas(size, Path(path).stem if title is None else title)
     rows = list(canvas.subplots(len(heights), 1, gridspec_kw={"height_ratios": heights}))
     rows[-1].set_xlabel("seconds", fontsize=9, color=_SOFT)
     if wave:
@@ -114,6 +101,17 @@ def write_picture(
     kind = Path(path).suffix[1:].lower()
     with atomic_write(path) as temporary, matplotlib.rc_context(_REPRODUCIBLE):
         canvas.savefig(temporary, format=kind, metadata=_METADATA[kind])
+
+
+def _canvas(size: tuple[float, float], title: str) -> matplotlib.figure.Figure:
+    """Return an empty figure of this size in inches, with a heading."""
+    canvas = matplotlib.figure.Figure(
+        figsize=size, dpi=_DPI, layout="constrained", facecolor="white"
+    )
+    FigureCanvasAgg(canvas)
+    style = {"ha": "left", "fontsize": 13, "color": _EDGE, "parse_math": False}
+    canvas.suptitle(printable(title), x=0.012, **style)
+    return canvas
 
 
 def _style(axes: Axes, seconds: float) -> None:
