@@ -50,6 +50,12 @@ def atomic_write(path: str | os.PathLike[str], *, suffix: str | None = None) -> 
         temporary.unlink(missing_ok=True)
 
 
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a file of text; see `atomic_write`."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def _prefix(path: Path, suffix: str) -> str:
     """Return the first part of a temporary name, shortened if the file system takes no longer."""
     stem, room = path.stem, _LONGEST_NAME - len(os.fsencode(suffix)) - len(".-????????")

@@ -48,6 +48,19 @@ def chunk_slices(n_frames: int, longest: int, context: int) -> Iterator[tuple[sl
         done = keep.stop
 
 
+def check_names(
+    extractor: str, settings: Iterable[str], known: Sequence[str], place: Sequence[str] = ()
+) -> None:
+    """Raise FeatureError for a setting of a spec, or a keyword, that an extractor does not have.
+
+    The message lists the `known` ones after `place`, the setting that names the weights.
+    """
+    unknown = sorted(set(settings) - set(known))
+    if unknown:
+        names = ", ".join((*place, *known))
+        raise FeatureError(f"{extractor}: unknown setting {unknown[0]!r}; there are {names}")
+
+
 def checked_device(name: str) -> Any:
     """Return the torch device of that name; raises FeatureError if it cannot be used."""
     import torch

@@ -13,8 +13,13 @@ import numpy as np
 import soxr
 from numpy.typing import ArrayLike
 
-from audio_features.containers.samples import CANCELLING, interpolated, numbers, one_channel
-from audio_features.containers.sound_file import read_sound
+from audio_features.containers.sound_file import (
+    CANCELLING,
+    interpolated,
+    numbers,
+    one_channel,
+    read_sound,
+)
 from audio_features.errors import AudioError
 
 MIN_SECONDS = Fraction(25, 1000)

@@ -13,6 +13,7 @@ from audio_features.speech_encoders import (
     HiddenStateExtractor,
     LayerChoice,
     Options,
+    check_names,
     checked_device,
     chunk_slices,
     normalized,
@@ -85,7 +86,7 @@ class HuggingFace(HiddenStateExtractor):
         from audio_features.huggingface.network import Layers, front_end
         from audio_features.huggingface.weights import read_encoder
 
-        _check_names(options)
+        check_names("HuggingFace", options, _KNOWN, ["path"])
         self._options = Options(**{**_SECONDS, **options})
         self._device = checked_device(device)
         self.weights, network = read_encoder(weights)
@@ -122,7 +123,7 @@ class HuggingFace(HiddenStateExtractor):
         """
         settings = dict(settings)
         folder = settings.pop("path", None) or weights
-        _check_names(settings)
+        check_names("HuggingFace", settings, _KNOWN, ["path"])
         model = settings.pop("model", None)
         if folder is None:
             raise weights_needed(
@@ -179,10 +180,3 @@ class HuggingFace(HiddenStateExtractor):
             full, chunk = min(full, longest), min(chunk, longest)
         longest = n_frames if n_frames <= full else max(chunk, 2 * context + 1)
         return list(chunk_slices(n_frames, longest, context))
-
-
-def _check_names(settings: dict[str, Any]) -> None:
-    unknown = sorted(settings.keys() - set(_KNOWN))
-    if unknown:
-        known = ", ".join(("path", *_KNOWN))
-        raise FeatureError(f"HuggingFace: unknown setting {unknown[0]!r}; there are {known}")

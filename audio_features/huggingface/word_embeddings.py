@@ -12,7 +12,7 @@ import numpy as np
 
 from audio_features.errors import FeatureError, WeightsError
 from audio_features.huggingface.families import TEXT_FAMILIES
-from audio_features.speech_encoders import checked_device
+from audio_features.speech_encoders import check_names, checked_device
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 from audio_features.weight_files import check_fingerprint, weights_needed
@@ -21,7 +21,6 @@ from audio_features.words import frames_of, words_of
 RATE = 50
 """Frames per second; frame k is at k/50 s."""
 
-_KNOWN = ("layer", "fingerprint", "model")
 _MAX_TOKENS = 32  # a longer word is cut
 _MAX_TOKENISER_BYTES = 128 << 20
 # Its tokens show differences that the vocabulary does not: case, accents, how words are split.
@@ -110,10 +109,7 @@ class WordEmbeddings:
         """
         settings = dict(settings)
         folder = settings.pop("encoder", None) or weights
-        unknown = sorted(settings.keys() - set(_KNOWN))
-        if unknown:
-            known = ", ".join(("encoder", *_KNOWN))
-            raise FeatureError(f"words: unknown setting {unknown[0]!r}; there are {known}")
+        check_names("words", settings, ("layer", "fingerprint", "model"), ["encoder"])
         model = settings.pop("model", None)
         if folder is None:
             raise weights_needed(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from audio_features.speech_encoders import (
     HiddenStateExtractor,
     LayerChoice,
     Options,
+    check_names,
     checked_device,
     chunk_slices,
     normalized,
@@ -35,7 +36,10 @@ if TYPE_CHECKING:
 
 _GPU_BATCH = 8
 # Parameters of WavLM that a spec may hold.
-_NAMED = ("layer", "dtype", "implementation", "preset", "fingerprint")
+_KNOWN = (
+    *("layer", "dtype", "implementation", "preset", "fingerprint"),
+    *(option.name for option in fields(Options)),
+)
 
 
 class WavLM(HiddenStateExtractor):
@@ -121,7 +125,7 @@ class WavLM(HiddenStateExtractor):
             raise FeatureError(f"implementation={implementation!r}: 'fast' or 'transformers'")
         if implementation == "transformers" and dtype != "fp32":
             raise FeatureError(f"dtype={dtype!r}: the implementation of transformers uses fp32")
-        _check_names(options)
+        check_names("WavLM", options, _KNOWN)
         self._options = Options(**options)
         self._device = checked_device(device)
         self.weights, tensors = read_weights(weights)
@@ -159,7 +163,7 @@ class WavLM(HiddenStateExtractor):
         WeightsError if weights are missing or have another fingerprint.
         """
         settings = {key: value for key, value in settings.items() if key != "kind"}
-        _check_names(settings)
+        check_names("WavLM", settings, _KNOWN)
         if weights is None:
             how = "features.weights=PATH to train, else --weights wavlm=PATH"
             raise weights_needed("WavLM", settings.get("fingerprint"), how)
@@ -305,14 +309,6 @@ Both presets stretch the WavLM frames of a segment to its motion frames by the r
     ahead by up to 5 s at the end. Their number of motion frames is the minimum over MFCC, mel
     and prosody; here it is the sound's own, which differs by a few frames.
 """
-
-
-def _check_names(settings: Mapping[str, Any]) -> None:
-    """Raise FeatureError for an unknown setting of a spec or a keyword of `WavLM`."""
-    known = (*_NAMED, *(option.name for option in fields(Options)))
-    unknown = sorted(settings.keys() - set(known))
-    if unknown:
-        raise FeatureError(f"WavLM: unknown setting {unknown[0]!r}; there are {', '.join(known)}")
 
 
 def _reference(

@@ -160,10 +160,9 @@ def evaluate(
     statistics = ReferenceStatistics.of(compared, fps)
     measurer = _measurer(found, statistics, compared, reference, fps, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
-    own = measurer.floors()
-    run = _Comparison(measurer.measure, chosen.protocol, chosen.seed, own)
+    floors = measurer.floors()
     models = [
-        run.model(label, folders.get(label, Path(label)), pairs, measured)
+        _model(label, folders.get(label, Path(label)), pairs, measured, floors, chosen)
         for label, pairs in found.items()
     ]
     first = measured.sets[models[0].label]["pooled"]
@@ -267,100 +266,93 @@ def _frame_rate(pairs: Pairs) -> float:
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")
 
 
-@dataclass
-class _Comparison:
-    """Assembles the results of models that are measured against the same recordings."""
+def _model(
+    label: str,
+    path: Path,
+    found: Pairs,
+    measured: Measured,
+    floors: Mapping[str, tuple[Interval, str]],
+    options: EvaluationOptions,
+) -> ModelResult:
+    """Return the results of a model, from the measurements of its clips and of their set.
 
-    measure: ClipMetrics
-    protocol: str
-    seed: int
-    floors: Mapping[str, tuple[Interval, str]]
+    Raises:
+        EvaluationError: no clip could be measured.
+    """
+    clips, sets = measured.clips[label], measured.sets[label]
+    result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
+    problems: dict[tuple[str, str], list[str]] = {}
+    for pair, values in zip(found.pairs, clips, strict=True):
+        if "reason" in values:
+            result.excluded.append(Excluded(pair.name, values["reason"]))
+            continue
+        for key, reason in values["problems"]:
+            problems.setdefault((key, reason), []).append(pair.name)
+        own = {name: value for name, value in values.items() if name != "problems"}
+        result.clips.append(ClipResult(pair, **own))
+    if not result.clips:
+        reasons = "; ".join(item.reason for item in result.excluded[:3])
+        raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
+    _summarise(result, sets, floors, options)
+    for part in sets.values():
+        for key, reason in part["problems"]:
+            problems.setdefault((key, reason), []).append("the whole set")
+    for (key, reason), names in problems.items():
+        title = DEFINITIONS[key].name if key in DEFINITIONS else key
+        result.excluded.append(Excluded(listed(names, 3), reason, title))
+    return result
 
-    def model(
-        self,
-        label: str,
-        path: Path,
-        found: Pairs,
-        measured: Measured,
-    ) -> ModelResult:
-        """Return the results of a model, from the measurements of its clips and of their set.
 
-        Raises:
-            EvaluationError: no clip could be measured.
-        """
-        clips, sets = measured.clips[label], measured.sets[label]
-        result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
-        problems: dict[tuple[str, str], list[str]] = {}
-        for pair, values in zip(found.pairs, clips, strict=True):
-            if "reason" in values:
-                result.excluded.append(Excluded(pair.name, values["reason"]))
-                continue
-            for key, reason in values["problems"]:
-                problems.setdefault((key, reason), []).append(pair.name)
-            result.clips.append(
-                ClipResult(
-                    pair,
-                    values["seconds"],
-                    values["metrics"],
-                    values["recording"],
-                    values["mismatched"],
-                    tuple(values["notes"]),
-                )
+def _summarise(
+    result: ModelResult,
+    sets: Mapping[str, Mapping[str, Any]],
+    floors: Mapping[str, tuple[Interval, str]],
+    options: EvaluationOptions,
+) -> None:
+    groups = PROTOCOLS[options.protocol]
+    result.metrics = metric_results(result.clips, sets, floors, options.seed)
+    if POOLED in groups:
+        result.verdict = verdict(result.metrics)
+        result.answers = answers(result.clips, result.metrics)
+    if PATCHES in groups:
+        result.by_recording = _by_recording(result.clips, options.seed)
+    result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
+    result.wrists = np.array(sets["pooled"].get("wrists", ()))
+    result.notes += _protocol_notes(result, options.protocol)
+
+
+def _by_recording(clips: Sequence[ClipResult], seed: int) -> dict[str, dict[str, Interval]]:
+    """Average the patch metrics over the samples of each recording (eq. 18)."""
+    by_recording = {}
+    for stem in sorted({clip.pair.stem for clip in clips}):
+        metrics: dict[str, Interval] = {}
+        for key, definition in DEFINITIONS.items():
+            values = [
+                clip.metrics[key]
+                for clip in clips
+                if clip.pair.stem == stem and key in clip.metrics
+            ]
+            if definition.group == PATCHES and values:
+                metrics[key] = interval_over_samples(values, seed)
+        by_recording[stem] = metrics
+    return by_recording
+
+
+def _protocol_notes(result: ModelResult, protocol: str) -> list[str]:
+    """Return notes on clips that differ from the protocol in number or length."""
+    counts = Counter((clip.pair.stem, clip.pair.window) for clip in result.clips)
+    wanted = {"multires": MULTIRES_SAMPLES, "lda": LDA_SAMPLES}.get(protocol)
+    other = [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]
+    notes = []
+    if wanted and other:
+        what = "window" if protocol == "lda" else "recording"
+        notes.append(f"the protocol takes {wanted} samples of each {what}; {listed(other, 3)}")
+    if protocol == "lda":
+        odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
+        if odd:
+            notes.append(
+                f"the protocol takes clips of {WINDOW_SECONDS:g} s; {len(odd)} of "
+                f"{len(result.clips)} are of another length and are cut into such clips for "
+                "Fréchet distances"
             )
-        if not result.clips:
-            reasons = "; ".join(item.reason for item in result.excluded[:3])
-            raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
-        self._summarise(result, sets)
-        for part in sets.values():
-            for key, reason in part["problems"]:
-                problems.setdefault((key, reason), []).append("the whole set")
-        for (key, reason), names in problems.items():
-            title = DEFINITIONS[key].name if key in DEFINITIONS else key
-            result.excluded.append(Excluded(listed(names, 3), reason, title))
-        return result
-
-    def _summarise(self, result: ModelResult, sets: Mapping[str, Mapping[str, Any]]) -> None:
-        result.metrics = metric_results(result.clips, sets, self.floors, self.seed)
-        if POOLED in self.measure.groups:
-            result.verdict = verdict(result.metrics)
-            result.answers = answers(result.clips, result.metrics)
-        if PATCHES in self.measure.groups:
-            result.by_recording = self._by_recording(result.clips)
-        result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
-        result.wrists = np.array(sets["pooled"].get("wrists", ()))
-        result.notes += self._protocol_notes(result)
-
-    def _by_recording(self, clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
-        """Average the patch metrics over the samples of each recording (eq. 18)."""
-        by_recording = {}
-        for stem in sorted({clip.pair.stem for clip in clips}):
-            metrics: dict[str, Interval] = {}
-            for key, definition in DEFINITIONS.items():
-                values = [
-                    clip.metrics[key]
-                    for clip in clips
-                    if clip.pair.stem == stem and key in clip.metrics
-                ]
-                if definition.group == PATCHES and values:
-                    metrics[key] = interval_over_samples(values, self.seed)
-            by_recording[stem] = metrics
-        return by_recording
-
-    def _protocol_notes(self, result: ModelResult) -> list[str]:
-        """Return notes on clips that differ from the protocol in number or length."""
-        counts = Counter((clip.pair.stem, clip.pair.window) for clip in result.clips)
-        wanted = {"multires": MULTIRES_SAMPLES, "lda": LDA_SAMPLES}.get(self.protocol)
-        other = [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]
-        notes = []
-        if wanted and other:
-            what = "window" if self.protocol == "lda" else "recording"
-            notes.append(f"the protocol takes {wanted} samples of each {what}; {listed(other, 3)}")
-        if self.protocol == "lda":
-            odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
-            if odd:
-                notes.append(
-                    f"the protocol takes clips of {WINDOW_SECONDS:g} s; {len(odd)} of "
-                    f"{len(result.clips)} are of another length and are cut into such clips for "
-                    "Fréchet distances"
-                )
-        return notes
+    return notes

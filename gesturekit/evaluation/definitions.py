@@ -90,6 +90,11 @@ class Definition:
         )
 
     @property
+    def title(self) -> str:
+        """Name and unit."""
+        return f"{self.name}, {self.unit}" if self.unit else self.name
+
+    @property
     def taken_with(self) -> str:
         """The group with which the metric is taken."""
         return self.with_group or self.group

@@ -5,14 +5,14 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from audio_features.atomic import atomic_write
+from audio_features.atomic import write_text
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
@@ -68,7 +68,7 @@ class ClipResult:
     metrics: dict[str, float]
     recording: dict[str, float]
     mismatched: dict[str, float]
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -251,8 +251,7 @@ class Evaluation:
     def write_json(self, path: str | os.PathLike[str]) -> None:
         """Write `to_json` to a file."""
         text = json.dumps(self.to_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        with atomic_write(path) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+        write_text(path, text + "\n")
 
 
 def _model(model: ModelResult) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from gesturekit.jobs.state import STATE
 from gesturekit.jobs.status import Status
 from gesturekit.motion.motion import Motion
 from gesturekit.progress import time_in_words
-from gesturekit.viewer.pictures import contact_sheet
+from gesturekit.viewer.pictures import write_picture
 from gesturekit.wording import printable
 
 PAGE = "summary.html"
@@ -150,7 +150,7 @@ def _pictures(out: Path, done: list[Entry]) -> Iterator[str]:
                 motion = Motion.load(file)
                 if motion.duration > _SHOWN_SECONDS:
                     motion = motion.trim(0.0, _SHOWN_SECONDS)
-                contact_sheet(motion, picture, frames=8, title="")
+                write_picture(motion, picture, frames=8, title="")
             except (GestureKitError, OSError):
                 continue  # moved away, or edited since
             data = base64.b64encode(picture.read_bytes()).decode()

@@ -11,20 +11,17 @@ from frame to frame and deflated; ten minutes at 60 fps with 75 joints come to a
 from __future__ import annotations
 
 import html
-import json
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from audio_features import Wave
-from audio_features.atomic import atomic_write
-from gesturekit.errors import GestureKitError, MotionError
+from audio_features.atomic import write_text
+from gesturekit.errors import MotionError
 from gesturekit.motion.body_model.model import BodyModel
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
@@ -39,6 +36,7 @@ from gesturekit.viewer.page_data import (
     packed,
     spectrogram,
 )
+from gesturekit.viewer.pages import bundled_script, filled, insert, script_json
 from gesturekit.viewer.sound import OUTLINE_RATE, Sound, as_sound, outline
 from gesturekit.wording import printable
 
@@ -76,10 +74,8 @@ def write_html(
     Raises GestureKitError where the player has not been bundled, AudioError where `audio` is no
     sound, FormatError where `body_model` is none.
     """
-    path = Path(path)
-    text = page_text(motion, audio, title if title is not None else path.stem, body_model, body)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    title = Path(path).stem if title is None else title
+    write_text(path, page_text(motion, audio, title, body_model, body))
 
 
 def page_text(
@@ -94,7 +90,7 @@ def page_text(
         "title": html.escape(printable(title)),
         "motion": player_data(motion, audio, body_model, body=body),
     }
-    return _fill(player_shell(), places)
+    return insert(player_shell(), places)
 
 
 def player_shell() -> str:
@@ -104,9 +100,7 @@ def player_shell() -> str:
 
     Raises GestureKitError where the player has not been bundled.
     """
-    template = (_HERE / "player" / "template.html").read_text(encoding="utf-8")
-    style = (_HERE / "player" / "style.css").read_text(encoding="utf-8")
-    return _fill(template, {"player": _player(), "style": style})
+    return filled(_HERE / "player", {"player": bundled_script(_BUNDLE, "the HTML player")})
 
 
 def player_data(
@@ -133,28 +127,7 @@ def player_data(
             figure["ink"] = colours[figure["label"]]
             if body == "human" and "skin" in figure:
                 figure["skin"]["palette"][list(COLOURS).index("top")] = figure["ink"]
-    return _json(page)
-
-
-@cache
-def _player() -> str:
-    if not _BUNDLE.is_file():
-        raise GestureKitError(
-            f"the HTML player is missing: {_BUNDLE} is made when gesturekit is set up. "
-            "In a checkout run `make setup`; an installed package holds it already."
-        )
-    # The HTML parser ends a script at these letters wherever they stand.
-    return re.sub(r"</(?=script)", r"<\\/", _BUNDLE.read_text(encoding="utf-8"), flags=re.I)
-
-
-def _fill(text: str, values: Mapping[str, str]) -> str:
-    """Replace placeholders in one pass, so that inserted values are not searched."""
-    return re.sub(r"\{\{(\w+)\}\}", lambda place: values.get(place[1], place[0]), text)
-
-
-def _json(page: dict[str, Any]) -> str:
-    # "<" only occurs inside strings of JSON; escaped, no string can end the script element.
-    return json.dumps(page, separators=(",", ":")).replace("<", "\\u003c")
+    return script_json(page)
 
 
 def _page(shown: Mapping[str, DrawnBody], audio: Any) -> dict[str, Any]:

@@ -12,11 +12,10 @@ from audio_features import Wave
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.report.bad_motion import (
     BAD_MOTION,
-    RECORDING,
     BadMotionInputs,
     run_sanity,
 )
-from gesturekit.evaluation.report.sanity_table import conclusion, marks, noticed_by, ranking
+from gesturekit.evaluation.report.sanity_table import conclusion, marks, noticed_by
 from gesturekit.evaluation.statistics.paired import contests
 from gesturekit.motion import Motion, Skeleton
 
@@ -34,11 +33,9 @@ def spoken(shared_data, tmp_path_factory):
     return run_sanity(folder)
 
 
-def test_all_bad_motion_is_detected_and_ranks_behind_the_recording(spoken):
+def test_all_bad_motion_is_detected(spoken):
     found = noticed_by(spoken)
     assert set(found) == ALL and all(found.values()), found
-    assert ranking(spoken.evaluation)[0][0] == RECORDING
-    assert ranking(spoken.evaluation)[1][1] > 0.05
     assert "notice all 10 bad motions" in conclusion(spoken)
     assert found["another utterance"] == ["in_time"]
     assert found["foot slide"] == ["likeness"] and "novelty" in found["training recording"]
@@ -80,7 +77,6 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
     assert {key for key, by in found.items() if not by} == {"another utterance"}
     assert "novelty" in found["training recording"]
     assert "not informative here" in conclusion(done)
-    assert ranking(done.evaluation)[0][0] in (RECORDING, "another utterance")
 
 
 def test_bad_motions_match_their_names(gesture):

@@ -19,7 +19,7 @@ from gesturekit.multires.network.torch_backend import TorchBackend
 
 engine = pytest.importorskip("gesturekit.multires.cpu.engine", reason="the CPU engine is absent")
 sparse_conv = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")
-threads = pytest.importorskip("gesturekit.multires.cpu.threads")
+threads = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")
 
 NUMBA, TORCH = engine.NumbaBackend("test"), TorchBackend("test")
 

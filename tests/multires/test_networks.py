@@ -14,8 +14,7 @@ from gesturekit.motion.parts import upper_body
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.network.discriminator import LevelDiscriminator
-from gesturekit.multires.network.film import Film, modulated_blocks
-from gesturekit.multires.network.generator import MultiresGenerator
+from gesturekit.multires.network.generator import Film, MultiresGenerator, modulated_blocks
 from gesturekit.multires.network.resampling import (
     reflect,
     resample,

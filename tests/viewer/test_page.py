@@ -158,10 +158,8 @@ def test_an_invalid_sound_is_refused_and_leaves_no_page(tmp_path: Path) -> None:
 
 def test_an_unbundled_player_is_named_with_what_to_do(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(page_module, "_BUNDLE", tmp_path / "absent.js")
-    page_module._player.cache_clear()
     with pytest.raises(GestureKitError, match="make setup"):
         write_html(a_chain(), tmp_path / "p.html")
-    page_module._player.cache_clear()
 
 
 def test_the_bundle_was_made_from_the_sources_beside_it() -> None:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from audio_features import AudioError, Wave
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.viewer import contact_sheet, write_picture
+from gesturekit.viewer import write_picture
 from gesturekit.viewer.anatomy import MIDDLE
 from gesturekit.viewer.pictures import COLOURS
 
@@ -49,8 +49,8 @@ def widths(path: Path, n: int) -> list[int]:
 
 
 def test_each_figure_shows_its_own_moment(tmp_path: Path) -> None:
-    contact_sheet(a_swing(0.0), tmp_path / "still.png", frames=4)
-    contact_sheet(a_swing(1.2), tmp_path / "moving.png", frames=4)
+    write_picture(a_swing(0.0), tmp_path / "still.png", frames=4)
+    write_picture(a_swing(1.2), tmp_path / "moving.png", frames=4)
     assert np.ptp(widths(tmp_path / "still.png", 4)) <= 2
     assert np.ptp(widths(tmp_path / "moving.png", 4)) > 20
 
@@ -78,7 +78,7 @@ def test_a_rig_of_one_joint_is_as_tall_as_its_end(tmp_path: Path) -> None:
     still = np.tile([0.0, 0.0, 0.0, 1.0], (90, 1, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        contact_sheet(Motion(lone, still, np.zeros((90, 3)), 30.0), tmp_path / "a.png", frames=4)
+        write_picture(Motion(lone, still, np.zeros((90, 3)), 30.0), tmp_path / "a.png", frames=4)
     assert np.ptp(widths(tmp_path / "a.png", 4)) <= 2
 
 
@@ -94,7 +94,7 @@ def test_the_picture_with_sound_has_the_speech_on_it(tmp_path: Path) -> None:
 
 def test_silence_and_titles_of_any_kind_are_drawn(tmp_path: Path) -> None:
     silence = Wave(np.zeros(16_000, dtype=np.float32), 16_000)
-    contact_sheet(a_swing(0.2), tmp_path / "t.png", title=r"$\frac{unclosed $ \q")
+    write_picture(a_swing(0.2), tmp_path / "t.png", title=r"$\frac{unclosed $ \q")
     write_picture(a_swing(0.2), tmp_path / "s.png", audio=silence)
     assert (tmp_path / "s.png").stat().st_size > 1_000
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,21 +34,19 @@ Problems = list[tuple[str, str]]
 """(key, reason) of metrics that could not be computed."""
 
 
+@dataclass(frozen=True)
 class ClipMetrics:
     """Computes the metrics of clips.
 
-    Args:
+    Attributes:
         statistics: of the recordings.
         groups: groups of `definitions` to compute.
         variants: variants of the metrics.
     """
 
-    def __init__(
-        self, statistics: ReferenceStatistics, groups: Sequence[str], variants: Variants
-    ) -> None:
-        self.statistics = statistics
-        self.groups = groups
-        self.variants = variants
+    statistics: ReferenceStatistics
+    groups: Sequence[str]
+    variants: Variants
 
     def generated(self, clip: Clip) -> tuple[Values, Problems]:
         """Compute all metrics of the generated motion."""

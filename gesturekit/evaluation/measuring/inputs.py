@@ -16,6 +16,7 @@ from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.definitions import Definition, Variants
 from gesturekit.evaluation.measuring.clips import Clip, Sound, load_recording
 from gesturekit.evaluation.metrics import rhythm
+from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.physical import JointLimits, standing_heights
 from gesturekit.evaluation.pairs import Excluded, ItemInterval
 from gesturekit.motion import Motion
@@ -153,7 +154,7 @@ class ClipInputs:
     @functools.cached_property
     def beats_by_joint(self) -> list[np.ndarray]:
         """Beats (M,) of each joint of the upper body, seconds."""
-        upper = set(rhythm.upper_body_joints(self.clip.recording))
+        upper = upper_joints(self.clip.recording.skeleton)
         joints = [name for name in self.clip.joints if name in upper]
         mean_speed, usual = self.statistics.mean_speed, None
         if set(joints) <= set(mean_speed):

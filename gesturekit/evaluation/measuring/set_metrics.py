@@ -165,7 +165,9 @@ class SetMetrics:
 
     def _hellinger(self) -> MetricResult:
         def distance(drawn: np.ndarray) -> float:
-            return hellinger(_pooled(self.histograms, drawn), _pooled(self.recorded, drawn))
+            return hellinger(
+                *(pooled([own[i] for i in drawn]) for own in (self.histograms, self.recorded))
+            )
 
         interval = interval_of_statistic(distance, self._stems, self.seed)
         total = sum(int(h.counts.sum()) + h.beyond for h in self.histograms)
@@ -219,15 +221,11 @@ def thinned(parts: Sequence[np.ndarray], most: int = _WRISTS) -> np.ndarray:
 
 
 def pooled(histograms: Sequence[SpeedHistogram]) -> SpeedHistogram:
-    """Add up histograms."""
-    return _pooled(histograms, range(len(histograms)))
-
-
-def _pooled(histograms: Sequence[SpeedHistogram], drawn: Sequence[int]) -> SpeedHistogram:
+    """Return the sum of histograms."""
     whole = SpeedHistogram()
-    for i in drawn:
-        whole.counts += histograms[i].counts
-        whole.beyond += histograms[i].beyond
+    for histogram in histograms:
+        whole.counts += histogram.counts
+        whole.beyond += histogram.beyond
     return whole
 
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from audio_features import Wave
 from gesturekit.errors import MotionError
+from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
 from gesturekit.evaluation.metrics.sync import MIN_SHIFT
 from gesturekit.motion import Motion
-from gesturekit.motion.parts import body_joints, upper_body
 from gesturekit.motion.parts.body_size import body_scale
 
 SMOOTHING = 5 / 60
@@ -146,7 +146,7 @@ def joint_beats(
     joints: Sequence[str] | None = None,
 ) -> list[np.ndarray]:
     """Return the beats (M,) of each joint, seconds; see `beat_consistency`."""
-    names = upper_body_joints(motion) if joints is None else joints
+    names = upper_joints(motion.skeleton) if joints is None else joints
     speed = central_speed(motion, names)
     usual = speed.mean(axis=0) if mean_speed is None else np.asarray(mean_speed)
     order = max(1, round(CONSISTENCY_ORDER * motion.fps))
@@ -211,12 +211,6 @@ def central_speed(motion: Motion, joints: Sequence[str]) -> np.ndarray:
     if motion.n_frames < 3:
         raise MotionError(f"the motion has {motion.n_frames} frames; at least 3 are needed")
     return np.linalg.norm(np.gradient(joint_paths(motion, joints), 1 / motion.fps, axis=0), axis=-1)
-
-
-def upper_body_joints(motion: Motion) -> tuple[str, ...]:
-    """Return the names of the joints from the spine upwards, without fingers and end joints."""
-    above = set(upper_body(motion.skeleton))
-    return tuple(name for name in body_joints(motion.skeleton) if name in above)
 
 
 def _minima(curve: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:

@@ -6,10 +6,11 @@ import html
 from collections.abc import Iterator, Mapping, Sequence
 
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.report.tables import number, section
+from gesturekit.evaluation.report.tables import number
 from gesturekit.evaluation.results import Answer, Evaluation, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import FEW
 from gesturekit.evaluation.statistics.paired import Contest
+from gesturekit.viewer.pages import section
 
 _LEAD = (
     "Each with one figure and its 95 % interval over recordings; the last row has what the "

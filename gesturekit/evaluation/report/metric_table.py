@@ -11,16 +11,14 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from audio_features.atomic import atomic_write
+from audio_features.atomic import write_text
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
 from gesturekit.evaluation.report.headline import headline_lines, interval_warnings
-from gesturekit.evaluation.report.tables import number
+from gesturekit.evaluation.report.tables import ARROWS, number
 from gesturekit.evaluation.results import Evaluation, MetricResult
 from gesturekit.evaluation.statistics.paired import Contest, contests
 from gesturekit.wording import counted, listed, printable
 
-ARROWS = {"higher": "↑", "lower": "↓", "reference": ""}
-"""Sign of the direction in which values come nearer to the recordings' own."""
 CSV_COLUMNS = (
     "model", "key", "name", "group", "unit", "better", "value", "low", "high", "n", "units", "over",
     "recording", "recording_low", "recording_high", "chance", "mismatched", "informative", "best",
@@ -62,13 +60,12 @@ class Row:
     @property
     def name(self) -> str:
         """Name and unit."""
-        unit = f", {self.definition.unit}" if self.definition.unit else ""
-        return f"{self.definition.name}{unit}"
+        return self.definition.title
 
     @property
     def arrow(self) -> str:
         """Sign of the better direction; none where a model is beyond the recordings' own."""
-        return ARROWS["reference" if self.contest is None else self.contest.direction]
+        return ARROWS["reference" if self.contest is None else self.contest.direction][0]
 
     def cells(self, best: Callable[[str], str]) -> list[str]:
         """Return the models' values as text; `best` marks the one that is bold."""
@@ -80,7 +77,8 @@ class Row:
     @property
     def recording(self) -> str:
         """The recordings' own value; "" if it has none."""
-        return self._first("recording")
+        values = (result.recording for result in self.metrics if result is not None)
+        return next((number(value) for value in values if value is not None), "")
 
     @property
     def chance(self) -> str:
@@ -88,10 +86,6 @@ class Row:
         known = [f for f in self.metrics if f is not None]
         levels = [v for f in known[:1] for v in (f.chance, f.mismatched) if v is not None]
         return number(max(levels)) if levels else ""
-
-    def _first(self, name: str) -> str:
-        values = (getattr(result, name) for result in self.metrics if result is not None)
-        return next((number(value) for value in values if value is not None), "")
 
 
 def rows_by_group(evaluation: Evaluation) -> Iterator[tuple[str, list[Row]]]:
@@ -271,8 +265,7 @@ WRITERS: Mapping[str, Callable[[Evaluation], str]] = {
 
 def write_table(evaluation: Evaluation, path: str | os.PathLike[str], form: str) -> None:
     """Write the table of all metrics to a file; `form` is a name in `WRITERS`."""
-    with atomic_write(Path(path)) as temporary:
-        temporary.write_text(WRITERS[form](evaluation), encoding="utf-8")
+    write_text(path, WRITERS[form](evaluation))
 
 
 def _value_text(result: MetricResult | None) -> str:

@@ -109,7 +109,7 @@ def _ratios(evaluation: Evaluation) -> str | None:
     ticks = sorted(ticks | {0.5, 1, 2})
     axes.set_xticks(ticks, [f"{t:g}×" for t in ticks])
     axes.minorticks_off()
-    axes.set_yticks(range(len(keys)), [_named(key) for key in keys])
+    axes.set_yticks(range(len(keys)), [DEFINITIONS[key].title for key in keys])
     axes.set_ylim(len(keys) - 0.5, -0.5)
     axes.set_xlabel(
         "generated / recorded (log scale, 0.01× and more); the dashed line is the recording"
@@ -239,11 +239,6 @@ def _legend(figure: matplotlib.figure.Figure, models: Sequence[ModelResult]) -> 
 
 def _title(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="left", fontsize=10.5, color=RECORDING, parse_math=False)
-
-
-def _named(key: str) -> str:
-    definition = DEFINITIONS[key]
-    return f"{definition.name}, {definition.unit}" if definition.unit else definition.name
 
 
 def _short(name: str, most: int = 26) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from gesturekit.evaluation.definitions import HEADLINE, Definition
 from gesturekit.evaluation.report.bad_motion import RECORDING, Sanity
-from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.results import MetricResult, ModelResult
 from gesturekit.wording import listed
 
 NOTICED, BLIND, FOOLED, SILENT = "+", ".", "!", " "
@@ -92,17 +92,6 @@ def table_lines(sanity: Sanity) -> Iterator[str]:
     yield LEGEND
 
 
-def markdown(sanity: Sanity) -> str:
-    """Return the table in Markdown."""
-    evaluation = sanity.evaluation
-    names = [model.label for model in evaluation.models if model.label != RECORDING]
-    lines = [f"| Metric | {' | '.join(names)} |", f"|---|{':-:|' * len(names)}"]
-    for d in evaluation.definitions():
-        signs = " | ".join(marks(sanity)[d.key][name].replace(".", "·") for name in names)
-        lines.append(f"| {d.name} | {signs} |")
-    return "\n".join(lines)
-
-
 def noticed_by(sanity: Sanity) -> dict[str, list[str]]:
     """Return {bad motion: keys of the headline metrics that notice it}."""
     found = marks(sanity)
@@ -112,26 +101,6 @@ def noticed_by(sanity: Sanity) -> dict[str, list[str]]:
         for model in sanity.evaluation.models
         if model.label != RECORDING
     }
-
-
-def ranking(evaluation: Evaluation) -> list[tuple[str, float]]:
-    """Return models with their distance to the recordings over the three questions, nearest first.
-
-    The distance is the sum of three terms: the relative difference of sync above chance from the
-    recordings' own (at most 1), 1 - likeness, and how much nearer the motion is to training motion
-    than other recordings are.
-    """
-    scores = {}
-    for model in evaluation.models:
-        score = 0.0
-        timed = model.metrics.get("in_time")
-        if timed is not None and timed.informative and timed.recording:
-            score += min(1.0, abs(timed.interval.value / timed.recording - 1.0))
-        for key in ("likeness", "novelty"):
-            if key in model.metrics:
-                score += max(0.0, 1.0 - model.metrics[key].interval.value)
-        scores[model.label] = score
-    return sorted(scores.items(), key=lambda item: item[1])
 
 
 def conclusion(sanity: Sanity) -> str:

@@ -16,21 +16,16 @@ from gesturekit.evaluation.definitions import (
 from gesturekit.evaluation.report.plots import colour
 from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 from gesturekit.evaluation.statistics.paired import Contest
+from gesturekit.viewer.pages import section
 from gesturekit.wording import counted
 
-_ARROWS = {
+ARROWS = {
     "higher": ("↑", "higher is nearer to the recordings' own value"),
     "lower": ("↓", "lower is nearer to the recordings' own value"),
     "reference": ("", "the recordings' own value is the goal"),
 }
 _OPEN = (HEADLINE, SPEECH, PATCHES, FRECHET)  # groups of the papers' tables; the rest is folded
 _MOST_CLIPS = 300
-
-
-def section(title: str, lead: str, body: str) -> str:
-    """Return a section of the page; `lead` and `body` are HTML."""
-    lead = f'<p class="lead">{lead}</p>' if lead else ""
-    return f"<section><h2>{title}</h2>{lead}{body}</section>"
 
 
 def number(value: float) -> str:
@@ -102,11 +97,10 @@ def has_samples(evaluation: Evaluation) -> bool:
 
 
 def _measure_cells(definition: Definition, row: Contest | None) -> str:
-    arrow, meaning = _ARROWS[definition.better if row is None else row.direction]
-    unit = f", {definition.unit}" if definition.unit else ""
+    arrow, meaning = ARROWS[definition.better if row is None else row.direction]
     bound = ' class="bound"' if definition.fps_bound else ""
     return (
-        f"<th>{html.escape(definition.name + unit)}"
+        f"<th>{html.escape(definition.title)}"
         f"<small{bound}>{html.escape(definition.variant)}</small></th>"
         f'<td title="{meaning}">{arrow}</td>'
     )

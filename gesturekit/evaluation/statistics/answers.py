@@ -31,11 +31,6 @@ GENEA_COLUMNS = (
     "juiceOptions",
     "juiceOtherReason",
 )
-OWN_COLUMNS = (
-    *("study", "trial", "answer", "style", "seconds", "plays_left", "plays_right"),
-    *("checks", "checks_failed", "list", "study_id", "session_id", "finished"),
-)
-"""Columns that our pages write after GENEA's."""
 MISMATCHED = "_Mismatched"
 """Ending of the name of a system that shows motion of other speech."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
 from gesturekit.evaluation.statistics.intervals import interval_of
-from gesturekit.evaluation.statistics.questions import likeness_result
+from gesturekit.evaluation.statistics.questions import likeness_result, own_one_nn
 from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
 
 SYNC_SECONDS = 0.4
@@ -66,8 +66,7 @@ def metric_results(
         found["cca"] = replace(cca, informative=False)
     found = {key: _within_range(result) for key, result in found.items()}
     own = floors["likeness"][0].value if "likeness" in floors else None
-    own_one_nn = found["one_nn"].recording if "one_nn" in found else None
-    like = likeness_result(clips, own_one_nn, own, seed)
+    like = likeness_result(clips, own_one_nn(found), own, seed)
     return found if like is None else {**found, "likeness": like}
 
 

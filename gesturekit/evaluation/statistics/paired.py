@@ -17,11 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
+from gesturekit.evaluation.results import ClipResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import LEVEL, draws, holm, means_by, standard_error
 from gesturekit.evaluation.statistics.likeness import MEASURES
-from gesturekit.evaluation.statistics.questions import likeness_of
-from gesturekit.evaluation.statistics.thresholds import USUAL_ONE_NN
+from gesturekit.evaluation.statistics.questions import likeness_of, own_one_nn
 
 NEARER = 0.75
 """Smallest share of resamples in which the best model must be nearer to the recordings."""
@@ -147,7 +146,7 @@ def p_value(difference: float, error: float, units: int) -> float:
 
 def _replicates(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _Replicates:
     if key == "likeness":
-        measure = likeness_of(clips, _own_one_nn(model.metrics))
+        measure = likeness_of(clips, own_one_nn(model.metrics))
         return lambda weights: ((found := measure(weights)), 1.0 - found)
     stems = [clip.pair.stem for clip in clips]
     ours = means_by(stems, np.array([clip.metrics[key] for clip in clips]))
@@ -158,11 +157,6 @@ def _replicates(key: str, model: ModelResult, clips: Sequence[ClipResult]) -> _R
         (found := weights @ ours),
         distance(key, found, weights @ theirs),
     )
-
-
-def _own_one_nn(metrics: Mapping[str, MetricResult]) -> float:
-    result = metrics.get("one_nn")
-    return USUAL_ONE_NN if result is None or result.recording is None else result.recording
 
 
 def _has(key: str, clips: Sequence[ClipResult]) -> bool:

@@ -40,17 +40,17 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Answer]:
 
 
 def likeness_result(
-    clips: Sequence[ClipResult], own_one_nn: float | None, own: float | None, seed: int
+    clips: Sequence[ClipResult], own_one_nn: float, own: float | None, seed: int
 ) -> MetricResult | None:
     """Return the likeness of a model's clips with its interval over recordings.
 
     Args:
         clips: the clips.
-        own_one_nn: 1-NN accuracy of the recordings among each other, or None.
+        own_one_nn: 1-NN accuracy of the recordings among each other.
         own: likeness of other recordings.
         seed: of the bootstrap.
     """
-    measure = likeness_of(clips, thresholds.USUAL_ONE_NN if own_one_nn is None else own_one_nn)
+    measure = likeness_of(clips, own_one_nn)
     units = len({clip.pair.stem for clip in clips})
     value = float(measure(np.full((1, units), 1 / units))[0])
     if np.isnan(value):
@@ -62,6 +62,13 @@ def likeness_result(
     note = "" if own is None else "recording: one half against the other"
     interval = Interval(value, low, high, len(clips), units, "recordings")
     return MetricResult("likeness", interval, recording=own, note=note)
+
+
+def own_one_nn(metrics: Results) -> float:
+    """Return the 1-NN accuracy of the recordings among each other, or its usual value."""
+    result = metrics.get("one_nn")
+    known = result is not None and result.recording is not None
+    return result.recording if known else thresholds.USUAL_ONE_NN
 
 
 def likeness_of(
@@ -121,12 +128,8 @@ def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Answer:
     result = metrics.get("likeness")
     if result is None:
         return Answer(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
-    one_nn = metrics.get("one_nn")
-    own_one_nn = thresholds.USUAL_ONE_NN
-    if one_nn is not None and one_nn.recording is not None:
-        own_one_nn = one_nn.recording
     means = ({k: v.mean() for k, v in side.items()} for side in _measures(clips))
-    found = credits(*means, own_one_nn)
+    found = credits(*means, own_one_nn(metrics))
     missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
     missed.sort(key=found.get)
     differs = f"; what differs: {listed(missed, 4)}" if missed else ""

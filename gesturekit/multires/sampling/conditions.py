@@ -109,10 +109,11 @@ def condition_levels(
     return [torch.cat(parts, dim=1) for parts in zip(features, styles, strict=True)]
 
 
+@dataclass(frozen=True, eq=False)
 class LevelConditions:
     """Conditions of any frames of any level, without a pyramid of the whole speech in memory.
 
-    Args:
+    Attributes:
         speeches: of each level, (T, S) float32 features at the finest level; S is 0 without speech
             input.
         lengths: T_i, frames of each level.
@@ -120,17 +121,10 @@ class LevelConditions:
         styles: (1, K, T_i) for each level, or empty.
     """
 
-    def __init__(
-        self,
-        speeches: Sequence[np.ndarray],
-        lengths: Sequence[int],
-        residual: bool,
-        styles: Sequence[Tensor] = (),
-    ) -> None:
-        self.speeches = speeches
-        self.lengths = lengths
-        self.residual = residual
-        self.styles = styles
+    speeches: Sequence[np.ndarray]
+    lengths: Sequence[int]
+    residual: bool
+    styles: Sequence[Tensor] = ()
 
     def __call__(self, level: int, start: int, stop: int) -> Tensor:
         """Return (1, S + K, stop - start): these frames of the condition of a level."""

@@ -8,6 +8,7 @@ that many more frames at both sides (its halo), which are cut off. A short motio
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -19,8 +20,7 @@ from gesturekit.multires.constraints.constraint import Constraint
 from gesturekit.multires.network.generator import LevelGenerator, MultiresGenerator
 from gesturekit.multires.network.resampling import resample, resample_part
 from gesturekit.multires.sampling.conditions import LevelConditions
-from gesturekit.multires.sampling.noise import RandomNoise
-from gesturekit.multires.sampling.trained_model import TrainedModel
+from gesturekit.multires.sampling.trained_model import RandomNoise, TrainedModel
 
 TILE = 2048
 """Frames of a tile, which need about 50 MB; the halo of 16 frames is a small part of it."""
@@ -29,10 +29,11 @@ Condition = Callable[[int, int, int], Tensor]
 """condition(level, start, stop): (B, S, stop - start), the condition of these frames of a level."""
 
 
+@dataclass(frozen=True, eq=False)
 class Pyramid:
     """The levels of a trained network, for one motion.
 
-    Args:
+    Attributes:
         model: the trained model.
         lengths: T_i, frames of each level.
         condition: conditions of each level; None for a model without any.
@@ -43,19 +44,13 @@ class Pyramid:
         recalled_level: index of that level.
     """
 
-    def __init__(
-        self,
-        model: TrainedModel,
-        lengths: Sequence[int],
-        condition: LevelConditions | None,
-        noise: RandomNoise | None = None,
-        rng_of: Callable[[int], torch.Generator] | None = None,
-        recalled: Tensor | None = None,
-        recalled_level: int = 0,
-    ) -> None:
-        self.model, self.lengths = model, lengths
-        self.condition, self.noise, self.rng_of = condition, noise, rng_of
-        self.recalled, self.recalled_level = recalled, recalled_level
+    model: TrainedModel
+    lengths: Sequence[int]
+    condition: LevelConditions | None
+    noise: RandomNoise | None = None
+    rng_of: Callable[[int], torch.Generator] | None = None
+    recalled: Tensor | None = None
+    recalled_level: int = 0
 
     def random(
         self, *, levels: int | None = None, constraint: Constraint | None = None

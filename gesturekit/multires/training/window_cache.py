@@ -21,7 +21,7 @@ from gesturekit.multires.network.resampling import resample
 from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
 from gesturekit.multires.recall.library import RecalledMotion, RecallLibrary
 from gesturekit.multires.sampling.conditions import condition_levels, mixed_styles, style_levels
-from gesturekit.multires.sampling.noise import RandomNoise, ZStarPatches
+from gesturekit.multires.sampling.trained_model import RandomNoise, ZStarPatches
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 
 

@@ -19,7 +19,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from audio_features.atomic import atomic_write, write_tensors
+from audio_features.atomic import write_tensors, write_text
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 from gesturekit.motion import Motion
@@ -208,8 +208,7 @@ class FeatureModel:
             "fingerprint": self.fingerprint,
         }
         write_tensors(folder / _TENSORS, self._tensors())
-        with atomic_write(folder / _JSON) as temporary:
-            temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+        write_text(folder / _JSON, json.dumps(values, indent=1) + "\n")
 
     @classmethod
     def load(cls, folder: str | Path) -> FeatureModel:
